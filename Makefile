@@ -1,4 +1,4 @@
-# make demo | test | test-ray | check | bench | bench-service | attack | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | attack | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -8,16 +8,21 @@ READY := $(VENV)/.ready
 RAY_VENV := .venv-ray
 RAY_READY := $(RAY_VENV)/.ready
 
-# Nothing of the caller's Python leaks in.
-unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV
+# Nothing of the caller's Python leaks in. Without bytecode files, each process that a test starts compiles the project.
+unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-ray check bench bench-service attack clean
+# Two processes that steal tests from each other; one thread each, or their linear algebra fights for the cores.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+
+.PHONY: help setup demo test test-fast test-ray coverage check bench bench-service attack clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
 	@echo "make test      run the tests"
+	@echo "make test-fast run the tests of the daily work, within a minute: all but those of tests/slow.txt"
 	@echo "make test-ray  run the tests of the executor on a Ray cluster, in an environment of its own"
+	@echo "make coverage  run the tests and list the lines and branches that none of them runs"
 	@echo "make check     ruff, mypy, import-linter"
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
@@ -33,9 +38,16 @@ $(READY): pyproject.toml constraints.txt tools/setup.sh
 demo: $(READY)
 	$(BIN)/scopt plan examples/requests/valve.yaml --out out/valve
 
-# Two processes that steal tests from each other; one thread each, or their linear algebra fights for the cores.
 test: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term
+	$(PYTEST)
+
+# tests/slow.txt lists what it leaves out.
+test-fast: $(READY)
+	$(PYTEST) -q -m "not slow"
+
+# Measuring makes the product's Python a third slower, so that the tests run without it.
+coverage: $(READY)
+	$(PYTEST) --cov --cov-report=term
 
 test-ray: $(RAY_READY)
 	OMP_NUM_THREADS=1 $(RAY_VENV)/bin/python -m pytest tests/test_executor_ray.py tests/test_server_ray.py

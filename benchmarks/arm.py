@@ -24,7 +24,7 @@ from jaxtyping import Float
 
 from benchmarks.tables import print_table
 from costs.robot import LinkBody, RobotModel
-from service.bench.bench import COLUMNS, failures, run_bench, table
+from service.bench.bench import COLUMNS, list_failures, run_bench, summarize_scenes
 from service.bench.problem_set import BenchProblem, BenchRobot, read_problems
 from service.setup.world import build_obstacles
 from service.start.robot import load_requested_robot
@@ -143,8 +143,10 @@ def report(folder: Path, bench_robot: BenchRobot) -> int:
     robot = load_requested_robot(problems[0].request)
     with tempfile.TemporaryDirectory() as scratch:
         rows = run_bench(problems, robot, Path(scratch) / "results.json", lambda name, done: None)
-    print_table(f"{len(problems)} problems of {folder.name}, time limit {TIME_LIMIT_S:g} s", COLUMNS, table(rows))
-    for line in failures(rows):
+    print_table(
+        f"{len(problems)} problems of {folder.name}, time limit {TIME_LIMIT_S:g} s", COLUMNS, summarize_scenes(rows)
+    )
+    for line in list_failures(rows):
         print("  not certified:", *line)
     sampled = [row for row in rows if row["start"].startswith("path of")]
     others = [1e3 * row["cpu_s"] for row in rows if not row["start"].startswith("path of")]

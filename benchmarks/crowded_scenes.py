@@ -22,7 +22,8 @@ from costs.robot import RobotModel
 from costs.robot.shapes import box
 from costs.scene import ConvexPiece, Scene
 from scopt import TrustRegionSQP
-from service.body.phases import PlannedPhase, TaskPlan, straight_path
+from service.body.phases import straight_path
+from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.motion.execute import make_motion
 from service.motion.timing import TimingSettings
@@ -146,7 +147,7 @@ def _drawn_path(body: WholeBody, rng: np.random.Generator, side: str) -> Float[n
     if middle is None:
         return None
     lower, upper = body.bounds(2 * HALF + 1, {0: start, HALF: middle, 2 * HALF: goal})
-    problem = body.problem(lower, upper, body.checker(ends=[start, middle, goal]))
+    problem = body.make_problem(lower, upper, body.make_checker(ends=[start, middle, goal]))
     first = np.concatenate([straight_path(start, middle, HALF + 1)[:-1], straight_path(middle, goal, HALF + 1)])
     result = TrustRegionSQP().solve(problem, first)
     return result.x if result.is_feasible else None
@@ -171,8 +172,8 @@ def random_posture(body: WholeBody, rng: np.random.Generator, side: str) -> Floa
 def standing_near(body: WholeBody, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
     """Return a posture near ``q`` with planted feet, balanced and free of self-collision; None if none is found."""
     lower, upper = body.bounds(1, {})
-    checker = body.checker(ends=[body.nominal])
-    result = TrustRegionSQP().solve(replace(body, nominal=q).problem(lower, upper, checker), q[None])
+    checker = body.make_checker(ends=[body.nominal])
+    result = TrustRegionSQP().solve(replace(body, nominal=q).make_problem(lower, upper, checker), q[None])
     return result.x[0] if result.is_feasible else None
 
 

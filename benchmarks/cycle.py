@@ -58,13 +58,13 @@ def reaching_problem() -> tuple[Problem[MotionState], WholeBody, SweptCollisionC
     stand, ready = robot.postures["stand"], robot.postures["reach_ready"]
     x = stand + np.linspace(0.0, 1.0, N_WAYPOINTS)[:, None] * (ready - stand)
     body = WholeBody.standing(robot, boxes_around(robot, x), stand, ("l_foot", "r_foot"), Aims())
-    checker = body.checker(ends=[stand])
+    checker = body.make_checker(ends=[stand])
     lower, upper = body.bounds(N_WAYPOINTS, {0: stand})
     target = np.eye(4)
     target[:3, 3] = [0.6, 0.3, 1.1]
     place = FramePose(robot, "l_tool", [N_WAYPOINTS - 1], target, (True,) * 3 + (False,) * 3)
     reach = Constraint("reach", place, Sense.EQUAL_ZERO)
-    return body.problem(lower, upper, checker, constraints=[reach]), body, checker, x
+    return body.make_problem(lower, upper, checker, constraints=[reach]), body, checker, x
 
 
 def main() -> None:

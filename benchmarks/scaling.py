@@ -88,8 +88,8 @@ def measure(waypoints: int, pieces: int, joints: int) -> dict[str, float]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     started = time.process_time()
     body = WholeBody.standing(robot, scene, x[0], (), Aims())
-    checker = body.checker(ends=[x[0], x[-1]])
-    problem = body.problem(*body.bounds(waypoints, {0: x[0], waypoints - 1: x[-1]}), checker)
+    checker = body.make_checker(ends=[x[0], x[-1]])
+    problem = body.make_problem(*body.bounds(waypoints, {0: x[0], waypoints - 1: x[-1]}), checker)
     set_up = time.process_time() - started
     solve = select_backend("piqp")
     is_free = (problem.upper > problem.lower).ravel()

@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
 from costs.robot import RobotModel, RobotSource
-from service.motion.spline import Path, make_spline
+from service.motion.spline import PhasePath, make_spline
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def timing_problems(seed: int) -> Iterator[TimingProblem]:
 
 def spline_through(robot: RobotModel, q: Float[np.ndarray, "T n"]) -> Curve:
     """Return the curve that plans take through these waypoints."""
-    path = Path("path", q, ())
+    path = PhasePath("path", q, ())
     return make_spline(KinematicsEngine(robot), [path], robot.lower, robot.upper, robot.velocity).curve
 
 

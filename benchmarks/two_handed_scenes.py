@@ -43,7 +43,8 @@ from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
 from service.body.holds import KeptPose, relative_pose
-from service.body.phases import PlannedPhase, TaskPlan, straight_path
+from service.body.phases import straight_path
+from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError
 from service.motion.execute import make_motion
@@ -202,7 +203,7 @@ def _drawn_path(body: WholeBody, rng: np.random.Generator) -> Float[np.ndarray, 
     if middle is None:
         return None
     lower, upper = body.bounds(2 * HALF + 1, {0: start, HALF: middle, 2 * HALF: goal})
-    problem = body.problem(lower, upper, body.checker(ends=[start, middle, goal]))
+    problem = body.make_problem(lower, upper, body.make_checker(ends=[start, middle, goal]))
     first = np.concatenate([straight_path(start, middle, HALF + 1)[:-1], straight_path(middle, goal, HALF + 1)])
     result = TrustRegionSQP().solve(problem, first)
     is_one_way = np.abs(np.diff(result.x, axis=0)).max() < LARGEST_STEP
@@ -233,10 +234,10 @@ def _carrying(
     place[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, BEAM_TURN, 3)).as_matrix() @ place[:3, :3]
     lower, upper = body.bounds(1, {})
     there = FramePose(body.robot, PALMS[0], [0], place)
-    problem = replace(body, nominal=q).problem(
+    problem = replace(body, nominal=q).make_problem(
         lower,
         upper,
-        body.checker(ends=[body.nominal]),
+        body.make_checker(ends=[body.nominal]),
         constraints=[Constraint("beam", there, Sense.EQUAL_ZERO, tolerance=1e-3)],
     )
     result = TrustRegionSQP(Settings(max_iterations=40, max_penalty_raises=3)).solve(problem, q[None])

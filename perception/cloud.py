@@ -91,7 +91,6 @@ def make_cloud(
         points: (N, 3) as read [m]; NaN and infinite rows are no points.
         origin: (3,) where the rays started, or (N, 3) where each did [m].
         notes: what the reader has to say already.
-        name: what to call the cloud in errors.
         misses: (M, 3) places up to which rays met nothing [m].
         miss_origin: (3,) or (M, 3) where these started; None: ``origin``, which must then be (3,).
 

@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import never, poll, stops_when
-from perception.cleaning.clean import Reach, voxel_downsample
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import Reach, nearest, voxel_downsample
 from perception.cloud import Cloud
 from perception.convex.clock import Clock
 from perception.convex.piece import Piece
@@ -89,12 +88,10 @@ def perceive(
 
     Args:
         cloud: the scan; its origin must be where the rays started, since they tell what is free.
-        reach: what matters.
         robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
         kinds: of objects to look for; the points of the best object of each kind, if it has a model, are kept out of
             the pieces.  ``wheel`` are the valves that a plan can turn.
-        hint: (3,) a point near the object [m].
         unknown: ``occupied`` adds pieces ``unknown/i`` for what lies in reach and no ray has seen, the robot's own
             place left out.
         seed: of all random choices; the same input and seed give the same result.
@@ -130,7 +127,7 @@ def _perceive(
     clock.lap("view")
     detections = tuple(detect_kinds(kinds, view, hint))
     kept, parts = take_out(detections, view.obstacles)
-    clock.lap("objects")
+    clock.lap("valve")
     matches = find_meshes(known, view, clock)
     kept = drop_explained(view.obstacles, kept, matches)
     made = _make_pieces(view, kept, method)

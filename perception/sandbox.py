@@ -83,7 +83,6 @@ def run_in_sandbox(
     Args:
         function: of a module of this package, by its name there.
         values: arguments; as the results, JSON or arrays of numbers, which arrive as float64 or int64.
-        limits: of the process.
         n_threads: that OpenMP may use; None: all cores.
 
     Raises:

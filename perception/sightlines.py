@@ -19,8 +19,6 @@ class Sightlines:
     """Rays of a scan.
 
     Attributes:
-        start: (N, 3) [m].
-        direction: (N, 3) unit.
         length: (N,) where each ended, or up to where it met nothing [m].
     """
 
@@ -52,7 +50,6 @@ class SightIndex:
     """All rays of a scan, to ask for those that pass a place.
 
     Attributes:
-        rays: all of them.
         groups: rays that share a start: the start, their numbers and directions; empty when there are too many
             starts for that to pay.
     """
@@ -61,9 +58,7 @@ class SightIndex:
     groups: tuple[tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]], ...]
 
     def passing(self, places: Float[np.ndarray, "K 3"], radius: float) -> Sightlines:
-        """Return rays that pass one of the places within ``radius`` (to a few percent) and do not end well before
-        it.
-        """
+        """Return rays that pass a place within about ``radius`` and do not end well before it."""
         centre = places.mean(axis=0)
         size = radius + float(np.linalg.norm(places - centre, axis=1).max())
         if self.groups:
@@ -92,15 +87,9 @@ class SightIndex:
 def _in_cones(
     directions: Float[np.ndarray, "N 3"], offset: Float[np.ndarray, "K 3"], radius: float
 ) -> Int[np.ndarray, "M"]:
-    """Return indices of the directions that pass one of the places within ``radius``, first by one cone about all of
-    them.
+    """Return indices of directions that pass a place within ``radius``, pre-selected by one cone about all.
 
     Looking at every direction once is quicker than a tree, which answers with Python's lists.
-
-    Args:
-        directions: (N, 3) unit.
-        offset: (K, 3) of the places from where the rays start [m].
-        radius: [m].
     """
     poll()
     distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)

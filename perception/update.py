@@ -1,4 +1,4 @@
-"""A new scan of a scene that was perceived before: what did not change stays the very same piece."""
+"""Update of a perceived scene by a new scan: pieces that did not change stay the same objects."""
 
 from __future__ import annotations
 
@@ -103,10 +103,7 @@ class _Held:
     """A new scan held against what was known.
 
     Attributes:
-        view: of the scan.
-        floors: pieces of the floor.
         pieces: with indices of the view's obstacles.
-        matches: by name where known meshes are.
         timings: seconds by step of the making of pieces.
         is_left_off: whether levels of the floor have to be looked for, and no pieces were made.
     """
@@ -127,9 +124,7 @@ def _hold_against(
     levels: Sequence[FloorPlane],
     clock: Clock,
 ) -> _Held:
-    """Hold the new scan against the earlier one, with these levels of the floor; stop where it may show others as
-    well.
-    """
+    """Hold the new scan against the earlier one and these levels; stop where other levels may show."""
     # What kept pieces explain needs no cleaning; a search for a mesh needs all points.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
@@ -178,9 +173,7 @@ def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple
 
 
 def _keep_steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
-    """Return the pieces, with those of the scene before in place of the ones of their name that are the same within 1
-    cm.
-    """
+    """Return the pieces, each replaced by the earlier piece of its name where they agree within 1 cm."""
     known = {piece.name: piece for piece in before.pieces}
     steady = []
     for piece in pieces:

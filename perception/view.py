@@ -31,7 +31,6 @@ class View:
         floors: levels of the floor, the one under the robot first.
         obstacles: (M, 3) points of ``near`` that are neither floor, nor strays, nor mixed pixels [m].
         starts: (M, 3) where their rays started [m].
-        reach: what matters.
         seed: of all random choices; the same scan and seed give the same result.
         notes: sentences a user should read.
         n_own: how many points in reach lay on the robot itself.
@@ -77,10 +76,8 @@ def make_view(
 
     Args:
         cloud: the scan in world coordinates (z up).
-        reach: what matters.
         robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
         soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
-        seed: of all random choices.
 
     Raises:
         CloudError: nothing of the cloud lies in reach; with what its notes say.
@@ -95,7 +92,6 @@ class Cropped:
     Attributes:
         cloud: the whole scan without exact copies.
         near: the points in reach that are not the robot's own.
-        notes: sentences a user should read.
         n_own: how many points in reach lay on the robot itself.
     """
 

@@ -1,6 +1,6 @@
-"""What a user asks and gets: request, planner, verifier, result files, command line.
+"""Requests, planner, verifier and result files as a library; ``dir(service)`` lists the public names.
 
-Names are imported when they are first used, so that ``scopt --help`` need not load the libraries behind them.
+A name is imported when it is first used, so that ``scopt --help`` need not load the libraries behind it.
 """
 
 from __future__ import annotations
@@ -18,22 +18,6 @@ if TYPE_CHECKING:
     from service.result.result import PlanResult
     from service.setup.prepare import PlanSetup, prepare
 
-_HOME = {
-    "PlanRequest": "service.request.schema",
-    "PlanResult": "service.result.result",
-    "PlanSetup": "service.setup.prepare",
-    "RequestError": "service.errors",
-    "ResultError": "service.errors",
-    "ServiceError": "service.errors",
-    "load_request": "service.request.file",
-    "parse_request": "service.request.file",
-    "plan": "service.planner",
-    "prepare": "service.setup.prepare",
-    "read_result": "service.result.folder",
-    "request_hash": "service.request.file",
-    "write_result": "service.result.output",
-}
-
 __all__ = [
     "PlanRequest",
     "PlanResult",
@@ -50,8 +34,24 @@ __all__ = [
     "write_result",
 ]
 
+_MODULES = {
+    "errors": ("RequestError", "ResultError", "ServiceError"),
+    "planner": ("plan",),
+    "request.file": ("load_request", "parse_request", "request_hash"),
+    "request.schema": ("PlanRequest",),
+    "result.folder": ("read_result",),
+    "result.output": ("write_result",),
+    "result.result": ("PlanResult",),
+    "setup.prepare": ("PlanSetup", "prepare"),
+}
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'service' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"service.{module}"), name)
+    raise AttributeError(f"module 'service' has no attribute {name!r}")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+
+from costs.names import would_do as would_do  # loads no library, so that clients may have it
 
 MAX_PROBLEMS = 10  # a file of garbage need not be listed to its end
 MAX_VALUE_CHARACTERS = 60
@@ -64,14 +65,3 @@ class _Hexadecimal:
 
     def __repr__(self) -> str:
         return self._text
-
-
-def would_do(name: object, known: Iterable[str], at_most: int = 6) -> str:
-    """The known names that ``name`` may have meant, the closest first; all of them when there are few."""
-    names = list(known)
-    if len(names) <= at_most:
-        return ", ".join(names)
-    close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.6)
-    if close:
-        return ", ".join(close) + ", …"
-    return ", ".join(names[:at_most]) + ", …"

@@ -3,7 +3,7 @@
 PlanRequest -> setup.prepare -> PlanSetup      robot at its start in its world, checked
             -> tasks.plan_task -> TaskPlan     phases solved by the optimiser, one way to do the task after another
             -> motion.make_motion -> Motion    smooth curve and time law
-            -> verify -> Certificate           proof or refutation; motion.repair mends what is refuted
+            -> verify -> Certificate           proof or refutation; motion.repair_plan adds waypoints where it fails
             -> explain -> Conflict             only where nothing was found
             -> result.Attempt -> PlanResult
 """
@@ -24,11 +24,11 @@ from costs.stopping import Stopped, stops_when
 from scopt import Settings
 from scopt import Status as SolveStatus
 from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
-from service.body.phases import PhaseSolver, TaskPlan, Terms
+from service.body.phases import PhaseSolver, Terms
+from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.explain.narrow import explain
-from service.motion.execute import make_motion
-from service.motion.repair import repair_plan
+from service.motion.execute import make_motion, repair_plan
 from service.motion.timing import TimingSettings
 from service.request.schema import Options, PlanRequest, check_task_has_planner
 from service.result.attempt import Attempt
@@ -147,7 +147,7 @@ def _explain(attempt: Attempt, solver: PhaseSolver) -> None:
     if stuck is None or left <= 0.0:
         return
     with monitor.step("explain", 0.95):
-        count = monitor.attempts(stuck.step)
+        count = monitor.count_attempts(stuck.step)
         conflict = None
         with suppress(Stopped):  # the time that is left was for this
             conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop)

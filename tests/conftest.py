@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,39 @@ settings.register_profile("house", derandomize=True, deadline=None, suppress_hea
 settings.load_profile("house")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell, and in all that starts there
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Test modules (`test_x.py`) and test functions (`test_x.py::test_y`) that `make test-fast` leaves out.
+SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text().split())
+SLOW_OVER_S = 2.0
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not even import a module of slow tests when these are not wanted."""
+    return True if config.option.markexpr == "not slow" and collection_path.name in SLOW else None
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that ``slow.txt`` lists."""
+    for item in items:
+        function = getattr(item, "originalname", item.name)
+        if item.path.name in SLOW or f"{item.path.name}::{function}" in SLOW:
+            item.add_marker("slow")
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name the slowest tests that ``slow.txt`` lacks."""
+    seconds: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if isinstance(report, pytest.TestReport) and "slow" not in report.keywords:
+                seconds[report.nodeid] += report.duration
+    hints = [f"{taken:6.1f} s  {name}" for name, taken in seconds.most_common(10) if taken > SLOW_OVER_S]
+    if hints:
+        terminalreporter.section(
+            f"over {SLOW_OVER_S:g} s here: if they are on an idle machine too, add to tests/slow.txt"
+        )
+        terminalreporter.write_line("\n".join(hints))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planar_arm import write_planar_arm
 
-from service.bench.bench import failures, run_bench, table
+from service.bench.bench import list_failures, run_bench, summarize_scenes
 from service.bench.problem_set import BenchRobot, read_problems
 from service.errors import RequestError
 from service.start.robot import load_requested_robot
@@ -46,8 +46,8 @@ def test_rows_say_what_was_certified_and_hold_the_path_in_the_files_joint_order(
     assert first["cpu_s"] > 0.0
     assert not second["success_claimed"]
     assert "the goal is in collision: l1 is" in second["reason"]
-    assert [line[:3] for line in table(rows)] == [("post", "2", "1"), ("all", "2", "1")]
-    assert table(rows)[-1][-1] == "1 INFEASIBLE"
+    assert [line[:3] for line in summarize_scenes(rows)] == [("post", "2", "1"), ("all", "2", "1")]
+    assert summarize_scenes(rows)[-1][-1] == "1 INFEASIBLE"
 
 
 def test_an_interrupted_run_goes_on_where_it_stopped(arm, tmp_path):
@@ -95,4 +95,4 @@ def test_a_problem_that_is_refused_has_a_row_like_every_other(arm, tmp_path):
     assert [row["verdict"] for row in rows] == ["INVALID_REQUEST", "INVALID_REQUEST", "CERTIFIED"]
     assert "start is in collision: l1 is" in rows[0]["reason"]
     assert rows[1]["reason"].startswith("goal.joints.j0: 9 is outside")
-    assert [name for name, _, _ in failures(rows)] == ["post/1", "post/2"]
+    assert [name for name, _, _ in list_failures(rows)] == ["post/1", "post/2"]

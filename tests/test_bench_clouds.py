@@ -13,8 +13,8 @@ from benchmarks.cloud_pieces import Figures, Targets, Union, ray_samples, true_p
 from benchmarks.cloud_worker import made_of
 from perception import Cloud, Detection, Reach
 from perception.simulate import Caster, Scanner, box, join_meshes, scan
-from perception.simulate.objects.placed import pose_of
 from perception.simulate.scenes import Truth, make_scene
+from perception.simulate.scenes.scene import pose_of
 
 CUBE = box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)).vertices
 DOOR = {

@@ -19,7 +19,7 @@ from costs.stopping import Stopped, poll, stops_when
 from perception import Detection, write_npz
 from perception.detect import registry
 from perception.detect.registry import Detector
-from service.cli.report import hit_row
+from service.cli.report import make_hit_row
 from service.cli.run import progress
 from service.request.choices import KINDS
 from service.scan import detect as detect_file
@@ -177,4 +177,4 @@ def test_of_residuals_a_table_shows_how_far_points_lie_off() -> None:
         "kind": "beam", "confidence": 0.5, "pose_world_object": np.eye(4).tolist(), "sizes": {"length": 1.5},
         "residuals": {"rms": 0.01, "air_share": 0.5},
     }  # fmt: skip
-    assert hit_row(hit) == ("beam", "0.50", "0.000 0.000 0.000", "length 1.5", "rms 0.01")
+    assert make_hit_row(hit) == ("beam", "0.50", "0.000 0.000 0.000", "length 1.5", "rms 0.01")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from little_scan import CRATE, box_obj, crate_scan, scopt
 
-from perception.solids.closed import Solid
 from perception.solids.match import MeshMatch
+from perception.solids.mesh import Solid
 from service.errors import RequestError
 from service.scan.cloud import CloudInput
 from service.scan.earlier import read_earlier_scene
@@ -137,12 +137,15 @@ def test_a_mesh_is_asked_for_anywhere_near_a_place_or_at_a_pose(
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("gone.obj", "--mesh: {}/gone.obj is not there; FILE, 'FILE near X Y Z'"),
+        ("gone.obj", "--mesh: {}/gone.obj is not there; expected FILE, 'FILE near X Y Z'"),
         ("gone.obj at 1 2 3", "--mesh: {}/gone.obj is not there"),
-        ("", "--mesh: {} is a folder; FILE, "),
+        ("", "--mesh: {} is a folder; expected FILE, "),
         ("scan.pcd", "--mesh: {}/scan.pcd: format '.pcd' is not read; expected .stl, .obj, .ply, .urdf"),
-        ("crate.obj at", "--mesh: {}/crate.obj at: 'X Y Z', 'X Y Z YAW PITCH ROLL', 'X Y Z QW QX QY QZ', '16 numbers'"),
-        ("crate.obj at 1 2", "--mesh: {}/crate.obj at: 'X Y Z', "),
+        (
+            "crate.obj at",
+            "--mesh: {}/crate.obj at: expected 'X Y Z', 'X Y Z YAW PITCH ROLL', 'X Y Z QW QX QY QZ', '16 numbers'",
+        ),
+        ("crate.obj at 1 2", "--mesh: {}/crate.obj at: expected 'X Y Z', "),
         (
             "crate.obj near here",
             "--mesh: {}/crate.obj near: expected numbers separated by spaces or commas, got 'here'",
@@ -264,8 +267,8 @@ def _damaged(data: dict[str, Any], *path: str | int, value: object) -> bytes:
     ("damage", "problem"),
     [
         (lambda data: b"pieces", " is no JSON; expected the file that 'scopt scene' writes"),
-        (lambda data: b"[1, 2]", " is no scene, its format is None, expected scopt-scene/1"),
-        (lambda data: b'{"format": "scopt-detections/1"}', " is no scene, its format is 'scopt-detections/1', scopt"),
+        (lambda data: b"[1, 2]", " is no scene, its format is None; expected scopt-scene/1"),
+        (lambda data: b'{"format": "scopt-detections/1"}', " is no scene, its format is 'scopt-detections/1'; exp"),
         (lambda data: b'{"format": "scopt-scene/1"}', " does not say what it was made with; make it anew"),
         (lambda data: _damaged(data, "settings", "reach_m", value=-1), ": settings.reach_m: "),
         (lambda data: _damaged(data, "pieces", 1, "vertices", value=[[0, 0, 0]]), ": pieces.1.vertices: "),

@@ -47,9 +47,9 @@ def problem_of(robot: RobotModel, order: int):
     reach = FramePose(robot, frame, last, target, (True,) * 3 + (False,) * 3)
     axis = AxisDirection(robot, frame, last, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.5, 0.0]))
     smooth = JointDifference(N_WAYPOINTS, np.ones(robot.n), order)
-    problem = body.problem(
+    problem = body.make_problem(
         *body.bounds(N_WAYPOINTS, {0: start}),
-        body.checker(ends=[start]),
+        body.make_checker(ends=[start]),
         costs=[Cost("smooth", smooth, 2.0), Cost("axis", axis, 0.5, Penalty.ABS)],
         constraints=[Constraint("reach", reach, Sense.EQUAL_ZERO)],
     )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from costs.robot import load_robot
-from service.cli.report import uncovered
+from service.cli.report import describe_omissions
 from service.errors import RequestError
 from service.planner import plan
 from service.request.file import load_request, parse_request
@@ -160,7 +160,7 @@ def test_a_pair_that_the_srdf_leaves_out_and_that_overlaps_is_not_certified(tmp_
     assert item.deepest_m > 0.01
     check = next(c for c in result.certificate.checks if c.name == "coverage.overlap.hand.upper")
     assert f"{1e3 * item.deepest_m:.1f} mm inside" in check.text
-    assert uncovered(summary_json(result)["coverage"]).startswith(
+    assert describe_omissions(summary_json(result)["coverage"]).startswith(
         "; 6 pairs of links left out, 3 of them no neighbours"
     )
 
@@ -176,19 +176,19 @@ def test_a_robot_without_torque_limits_is_certified_with_a_verdict_that_names_th
     result = planned(tmp_path, dishonest.without_torque_limits(dishonest.arm()), *FOLD, obstacles=(far_box(),))
     assert result.verdict is Verdict.CERTIFIED
     assert result.certificate.coverage.joints_without_torque_limit == ("j0", "j1", "j2")
-    assert "not checked: torques (no joint names a limit)" in uncovered(summary_json(result)["coverage"])
+    assert "not checked: torques (no joint names a limit)" in describe_omissions(summary_json(result)["coverage"])
 
 
 def test_an_untimed_motion_says_in_its_verdict_what_was_not_checked(tmp_path: Path) -> None:
     result = planned(tmp_path, dishonest.arm(), *FOLD, obstacles=(far_box(),), timed=False)
     assert result.verdict is Verdict.CERTIFIED
-    assert "not checked: speeds, accelerations and forces" in uncovered(summary_json(result)["coverage"])
+    assert "not checked: speeds, accelerations and forces" in describe_omissions(summary_json(result)["coverage"])
 
 
 def test_a_robot_without_masses_says_that_its_torques_were_not_checked(tmp_path: Path) -> None:
     result = planned(tmp_path, dishonest.without_masses(dishonest.arm()), *FOLD, obstacles=(far_box(),))
     assert result.verdict is Verdict.CERTIFIED
-    assert "not checked: torques (no link names a mass)" in uncovered(summary_json(result)["coverage"])
+    assert "not checked: torques (no link names a mass)" in describe_omissions(summary_json(result)["coverage"])
 
 
 def test_no_further_motion_is_tried_where_none_could_be_certified(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from costs.robot import load_robot, shapes
 from costs.scene import ConvexPiece, Scene
 from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError
-from service.explain.goal import never_reached
+from service.explain.goal import find_goal_reasons
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
@@ -177,7 +177,7 @@ def test_a_link_said_to_be_in_a_round_shape_is_in_it_at_every_pose_within_tolera
     target = PoseTarget("l_tool", position, rotation.as_matrix(), np.full(3, tolerance), np.full(3, turn), 0.0)
     frame = robot.model.frames[robot.model.getFrameId("l_tool")]
     shape = ExactShape.of(piece)
-    for line in never_reached(body, [target]):
+    for line in find_goal_reasons(body, [target]).impossible:
         link = line.rsplit(" is ", 1)[0].split()[-1]
         carried = [one for one in robot.bodies if one.link == link]
         for _ in range(20):

@@ -18,10 +18,10 @@ from costs.scene import Scene
 from costs.terms import JointTarget
 from scopt import Constraint, Sense, Settings
 from service.body.monitor import Monitor
-from service.body.phases import LEAST_CLEARANCE, PhaseSolver, straight_path
-from service.body.restore import restore_feasibility
+from service.body.phases import PhaseSolver, straight_path
+from service.body.task_plan import LEAST_CLEARANCE
 from service.body.whole_body import CLEARANCE_TERMS, Aims, WholeBody
-from service.explain.conflict import Conflict, Demand, DemandKind, Search
+from service.explain.conflict import Conflict, Demand, DemandKind, FilterOutcome
 from service.explain.narrow import explain
 from service.planner import _explain, plan
 from service.request.file import parse_request
@@ -42,7 +42,7 @@ def stuck(body, link, position, guess=None):
     """The best attempt to bring a link to a place, which must have failed."""
     goal = Goal.of(body, GoalRequest(poses=(PoseGoalRequest(link, position),)))
     start = body.nominal if guess is None else guess
-    solved = PhaseSolver(body, Monitor(60.0), Settings()).pose("goal pose", [start], goal.constraints(0))
+    solved = PhaseSolver(body, Monitor(60.0), Settings()).solve_pose("goal pose", [start], goal.constraints(0))
     assert not solved.is_feasible
     return solved
 
@@ -66,7 +66,7 @@ def by_name(conflict):
 def test_a_gap_narrower_than_the_arm_names_both_of_its_sides_and_the_link_between_them(tmp_path):
     body = arm_behind(tmp_path, *WALLS)
     conflict = explain("goal pose", stuck(body, "l3", (0.36, 0.0, 0.0), STRETCHED), 1, Settings(), time_limit_s=60.0)
-    assert conflict.search is Search.REDUCED
+    assert conflict.search is FilterOutcome.REDUCED
     found = by_name(conflict)
     assert set(found) == {"left wall", "right wall", "position of l3"}
     assert all(demand.is_decisive for demand in found.values())
@@ -89,7 +89,7 @@ def test_what_pulls_the_robot_where_it_is_stuck_is_named_even_if_it_is_not_loade
     nowhere = Constraint("nowhere", JointTarget(8, 3, [3], np.arange(3), np.full(3, 9.0)), Sense.EQUAL_ZERO)
     solver = PhaseSolver(body, Monitor(60.0), Settings())
     line = straight_path(body.nominal, end, 8)
-    solved = solver.trajectory("reach", [line], {0: body.nominal, 7: end}, constraints=[nowhere])
+    solved = solver.solve_trajectory("reach", [line], {0: body.nominal, 7: end}, constraints=[nowhere])
     assert not solved.is_feasible
     found = by_name(explain("reach", solved, 1, Settings(), time_limit_s=60.0))
     assert found["nowhere"].is_decisive
@@ -128,7 +128,7 @@ def test_a_pillar_between_fixed_ends_is_named_with_waypoints(tmp_path):
     body = arm_behind(tmp_path, pillar, fence, n_links=3, start=(-1.0, 0.0, 0.0))
     end = np.array([1.0, 0.0, 0.0])
     solver = PhaseSolver(body, Monitor(60.0), Settings())
-    solved = solver.trajectory("reach", [straight_path(body.nominal, end, 8)], {0: body.nominal, 7: end})
+    solved = solver.solve_trajectory("reach", [straight_path(body.nominal, end, 8)], {0: body.nominal, 7: end})
     assert not solved.is_feasible
     conflict = explain("reach", solved, 1, Settings(), time_limit_s=60.0)
     (demand,) = conflict.demands
@@ -155,28 +155,28 @@ def test_demands_given_up_one_at_a_time_leave_a_problem_that_is_solved(tmp_path)
         body = arm_behind(tmp_path, WALLS[left])
         goal = Goal.of(body, GoalRequest(poses=(PoseGoalRequest("l3", (0.36, 0.0, 0.0)),)))
         solver = PhaseSolver(body, Monitor(60.0), Settings())
-        assert solver.pose("goal pose", [STRETCHED], goal.constraints(0)).is_feasible
+        assert solver.solve_pose("goal pose", [STRETCHED], goal.constraints(0)).is_feasible
 
 
 def test_without_time_demands_are_ranked_and_it_is_said(tmp_path):
     solved = stuck(arm_behind(tmp_path, *WALLS), "l3", (0.36, 0.0, 0.0), STRETCHED)
     conflict = explain("goal pose", solved, 2, Settings(), time_limit_s=0.0)
-    assert conflict.search is Search.CUT_SHORT
+    assert conflict.search is FilterOutcome.CUT_SHORT
     assert conflict.n_solves == 0
     assert {"left wall", "right wall"} <= set(by_name(conflict))
     assert conflict.sentences()[-1].startswith("There was no time to find out which of them to give up.")
     stopped = explain("goal pose", solved, 2, Settings(), time_limit_s=60.0, should_stop=lambda: True)
-    assert stopped.search is Search.CUT_SHORT
+    assert stopped.search is FilterOutcome.CUT_SHORT
 
 
 def test_a_search_cut_short_tells_after_which_time_and_what_was_found_by_then():
-    found = conflict_of(None, None, search=Search.CUT_SHORT)
+    found = conflict_of(None, None, search=FilterOutcome.CUT_SHORT)
     assert (
         replace(found, cut_short_after_s=9.96)
         .sentences()[-1]
         .startswith("Which of them to give up was not found out within 10.0 s. ")
     )
-    found = conflict_of(None, True, search=Search.CUT_SHORT)
+    found = conflict_of(None, True, search=FilterOutcome.CUT_SHORT)
     assert (
         replace(found, cut_short_after_s=17.8)
         .sentences()[-1]
@@ -205,7 +205,7 @@ def test_equal_problems_are_explained_equally(tmp_path):
     assert first == second
 
 
-def conflict_of(*decisive, search=Search.REDUCED, attempts=4):
+def conflict_of(*decisive, search=FilterOutcome.REDUCED, attempts=4):
     demands = tuple(
         Demand(DemandKind.OBSTACLE, f"box {k}", 1.0, 0.01, "m", f"l{k} is in box {k}", is_decisive=is_decisive)
         for k, is_decisive in enumerate(decisive)
@@ -222,9 +222,9 @@ def conflict_of(*decisive, search=Search.REDUCED, attempts=4):
         (conflict_of(True, False, True), "Without box 0 or without box 2 everything else was kept."),
         (conflict_of(False), "Giving up it is not enough: what is not listed then stands in the way."),
         (conflict_of(False, False), "Giving up any of them is not enough: what is not listed then stands in the way."),
-        (conflict_of(None, None, search=Search.NO_HELP), "Giving them up did not help within a few steps."),
+        (conflict_of(None, None, search=FilterOutcome.NO_HELP), "Giving them up did not help within a few steps."),
         (
-            conflict_of(None, search=Search.GIVES_WAY),
+            conflict_of(None, search=FilterOutcome.GIVES_WAY),
             "Asked for nothing else, the robot kept all of it there: more options.starts may help.",
         ),
     ],
@@ -271,9 +271,9 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
     body = standing_atlas()
     solved = stuck(body, "l_tool", (1.245, 0.2, 1.1))
     solver = PhaseSolver(body, Monitor(60.0), Settings())
-    last = restore_feasibility(solver, "goal pose", solved)
+    last = solver.restore_feasibility("goal pose", solved)
     assert last.is_feasible
-    assert solver.monitor.attempts("goal pose") == 1
+    assert solver.monitor.count_attempts("goal pose") == 1
     tool = locate_links(body.engine, last.x[0], ["l_tool"])["l_tool"][:3, 3]
     np.testing.assert_allclose(tool, (1.245, 0.2, 1.1), atol=1.1e-3)
     state = solved.problem.state(last.x)
@@ -283,7 +283,7 @@ def test_what_costs_and_margins_keep_from_being_found_is_found_without_them():
             short = constraint.measure_violation(constraint.residual.value(state))
             assert short.max(initial=0.0) <= constraint.tolerance, constraint.name
     beyond = stuck(body, "l_tool", (0.3, 0.2, 2.4))
-    assert restore_feasibility(solver, "goal pose", beyond) is beyond
+    assert solver.restore_feasibility("goal pose", beyond) is beyond
 
 
 def test_what_could_not_be_proven_is_told_with_its_time():

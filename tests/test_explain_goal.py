@@ -15,9 +15,9 @@ from costs.collision.shapes import make_convex
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.body.reach import chain_length, find_out_of_reach
 from service.body.whole_body import Aims, WholeBody
-from service.explain.goal import GoalReasons, find_goal_reasons, never_reached
+from service.explain.distance import chain_length, find_out_of_reach
+from service.explain.goal import GoalReasons, find_goal_reasons
 from service.start.overlaps import find_overlaps, penetration_depth
 from service.start.standing import FEET_GROUP
 from service.verify import JointTarget, PoseTarget
@@ -78,36 +78,37 @@ def test_a_target_within_its_tolerance_of_the_reach_may_be_reached():
     # a tolerance is one of each axis: the corner of the cube is sqrt 3 of it away
     robot = chain((Segment(Z), Segment(Z, origin=(1.0, 0.0, 0.0))))
     corner = np.array([2.0, 0.0, 0.0]) + 0.0999
-    assert never_reached(standing(robot), [at("tip", corner, tolerance=0.1)]) == ()
-    assert "tip cannot reach" in never_reached(standing(robot), [at("tip", corner, tolerance=0.05)])[0]
+    assert find_goal_reasons(standing(robot), [at("tip", corner, tolerance=0.1)]).impossible == ()
+    assert "tip cannot reach" in find_goal_reasons(standing(robot), [at("tip", corner, tolerance=0.05)]).impossible[0]
 
 
 def test_two_links_cannot_be_farther_apart_than_what_is_between_them():
     q = atlas().postures["stand"]
     body = standing(atlas(), q=q, feet=atlas().link_groups[FEET_GROUP])
     hands = [at("l_hand", [0.0, 1.5, 1.3]), at("r_hand", [0.0, -1.5, 1.3])]
-    (line,) = never_reached(body, hands)
+    (line,) = find_goal_reasons(body, hands).impossible
     assert line.startswith("l_hand and r_hand cannot be at their targets at once: these are 3.00 m apart, ")
-    assert never_reached(body, hands[:1]) == ()
+    assert find_goal_reasons(body, hands[:1]).impossible == ()
 
 
 def test_what_the_given_joints_alone_bring_into_an_obstacle_stays_in_it_wherever_the_others_are(arm):
     block = box("block", (0.3, 0.03, 0.0), (0.03, 0.03, 0.1))
     body = standing(arm, block)
-    (line,) = never_reached(body, joints(j0=0.0, j1=0.0))
+    (line,) = find_goal_reasons(body, joints(j0=0.0, j1=0.0)).impossible
     assert line == "the goal is in collision: l1 is 20 mm inside block (obstacle), wherever the other joints are"
     for last in np.linspace(-3.0, 3.0, 50):
         inside = find_overlaps(arm, np.array([0.0, 0.0, last]), body.scene, ())
         assert "l1" in {overlap.link for overlap in inside}
     # j1 alone does not say where l1 is, and a link beyond the given joints may turn away
-    assert never_reached(body, joints(j1=0.0)) == ()
-    assert never_reached(standing(arm, box("block", (0.5, 0.0, 0.0), (0.03, 0.03, 0.1))), joints(j0=0.0, j1=0.0)) == ()
+    assert find_goal_reasons(body, joints(j1=0.0)).impossible == ()
+    beyond = standing(arm, box("block", (0.5, 0.0, 0.0), (0.03, 0.03, 0.1)))
+    assert find_goal_reasons(beyond, joints(j0=0.0, j1=0.0)).impossible == ()
 
 
 @pytest.mark.parametrize("depth_mm", [0.1, 0.2, 0.5, 2.0, 7.6])
 def test_given_joints_in_collision_are_told_with_the_depth_however_small_it_is(arm, depth_mm):
     touching = box("block", (0.5, 0.05 - 1e-3 * depth_mm, 0.0), (0.03, 0.03, 0.1))
-    (line,) = never_reached(standing(arm, touching), joints(j0=0.0, j1=0.0, j2=0.0))
+    (line,) = find_goal_reasons(standing(arm, touching), joints(j0=0.0, j1=0.0, j2=0.0)).impossible
     assert line == f"the goal is in collision: l2 is {depth_mm} mm inside block (obstacle)"
 
 
@@ -125,11 +126,11 @@ def test_legs_that_are_given_place_the_body_on_planted_feet():
     body = standing(robot, crate, q=q, feet=robot.link_groups[FEET_GROUP])
     first = robot.n - len(robot.joint_names[6:])
     posture = joints(**{name: float(q[first + k]) for k, name in enumerate(robot.joint_names[first:])})
-    lines = never_reached(body, posture)
+    lines = find_goal_reasons(body, posture).impossible
     assert any(re.fullmatch(r"the goal is in collision: utorso is \d+ mm inside crate .*", line) for line in lines)
     # with a leg's joint left out the body may be anywhere
     free = [target for target in posture if not target.joint.endswith("leg_kny")]
-    assert never_reached(body, free) == ()
+    assert find_goal_reasons(body, free).impossible == ()
 
 
 def test_links_that_the_given_joints_cross_are_named_on_a_free_base():
@@ -138,9 +139,9 @@ def test_links_that_the_given_joints_cross_are_named_on_a_free_base():
     q = robot.postures["stand"].copy()
     crossed = {name: float(q[robot.joint_names.index(name)]) for name in legs} | {"l_leg_hpx": -0.5}
     body = standing(robot, q=q, feet=robot.link_groups[FEET_GROUP])
-    lines = never_reached(body, joints(**crossed))
+    lines = find_goal_reasons(body, joints(**crossed)).impossible
     assert any("l_lleg is 1" in line and "inside r_uleg, wherever the other joints are" in line for line in lines)
-    assert never_reached(body, joints(l_leg_hpx=-0.5)) == ()
+    assert find_goal_reasons(body, joints(l_leg_hpx=-0.5)).impossible == ()
 
 
 @given(seed=st.integers(0, 10_000))
@@ -151,7 +152,7 @@ def test_a_link_said_to_be_inside_at_its_pose_is_inside_at_every_pose_within_tol
     tolerance, turn = rng.uniform(1e-3, 0.03), rng.uniform(1e-3, 0.2)
     target = at("l_tool", piece.vertices.mean(axis=0) + rng.normal(scale=0.1, size=3), wanted, tolerance, turn)
     body = standing(robot, piece, q=robot.postures["stand"], feet=robot.link_groups[FEET_GROUP])
-    for line in never_reached(body, [target]):
+    for line in find_goal_reasons(body, [target]).impossible:
         _stays_inside(robot, piece, target, line, rng, turn)
 
 
@@ -163,7 +164,7 @@ def test_a_link_said_to_be_inside_however_turned_is_inside_for_every_rotation(se
         "l_hand", piece.vertices.mean(axis=0) + rng.normal(scale=0.1, size=3), tolerance=rng.uniform(1e-3, 0.03)
     )
     body = standing(robot, piece, q=robot.postures["stand"], feet=robot.link_groups[FEET_GROUP])
-    for line in never_reached(body, [target]):
+    for line in find_goal_reasons(body, [target]).impossible:
         _stays_inside(robot, piece, target, line, rng, None)
 
 
@@ -188,25 +189,25 @@ def test_a_target_deep_in_an_obstacle_is_said_to_be_so_and_one_beside_it_is_not(
     robot = atlas()
     table = box("table", (0.75, 0.0, 0.9), (0.25, 0.6, 0.025))
     body = standing(robot, table, q=robot.postures["stand"], feet=robot.link_groups[FEET_GROUP])
-    (line,) = never_reached(body, [at("l_tool", [0.75, 0.0, 0.9])])
+    (line,) = find_goal_reasons(body, [at("l_tool", [0.75, 0.0, 0.9])]).impossible
     how = "with l_tool at [0.75, 0.0, 0.9], however it is turned,"
     assert line == f"the goal is in collision: {how} l_hook is inside table (obstacle)"
-    assert never_reached(body, [at("l_tool", [0.75, 0.0, 0.93])]) == ()
+    assert find_goal_reasons(body, [at("l_tool", [0.75, 0.0, 0.93])]).impossible == ()
     # turned down, the hand above the tool is clear of the table; turned up it is below, in it
     down, up = (Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix() for angle in (np.pi, 0.0))
-    assert never_reached(body, [at("l_tool", [0.75, 0.0, 0.93], down)]) == ()
-    (line,) = never_reached(body, [at("l_tool", [0.75, 0.0, 0.93], up)])
+    assert find_goal_reasons(body, [at("l_tool", [0.75, 0.0, 0.93], down)]).impossible == ()
+    (line,) = find_goal_reasons(body, [at("l_tool", [0.75, 0.0, 0.93], up)]).impossible
     assert line.startswith("the goal is in collision: with l_tool at [0.75, 0.0, 0.93], turned as asked, l_h")
     assert line.endswith(" mm inside table (obstacle)")
 
 
 def test_two_poses_that_put_links_into_each_other_are_told_with_both(arm):
     poses = [at("l0", [0.0, 0.0, 0.0], np.eye(3), turn=1e-3), at("l2", [0.05, 0.03, 0.0], np.eye(3), turn=1e-3)]
-    lines = never_reached(standing(arm), poses)
+    lines = find_goal_reasons(standing(arm), poses).impossible
     told = "the goal is in collision: with l0 at [0.0, 0.0, 0.0] and l2 at [0.05, 0.03, 0.0], turned as asked,"
     assert f"{told} l0 is 10 mm inside l2" in lines
     apart = [poses[0], at("l2", [0.05, 0.05, 0.0], np.eye(3), turn=1e-3)]
-    assert not any("turned as asked" in line for line in never_reached(standing(arm), apart))
+    assert not any("turned as asked" in line for line in find_goal_reasons(standing(arm), apart).impossible)
 
 
 def test_a_pose_that_only_its_tolerance_may_free_is_noted_and_not_called_impossible(arm):

@@ -39,8 +39,9 @@ def test_help_loads_no_heavy_library() -> None:
     assert "plan" in done.stdout
 
 
-def test_every_public_name_of_the_service_can_be_imported() -> None:
+def test_every_public_name_of_the_service_is_listed_and_can_be_imported() -> None:
     service = importlib.import_module("service")
+    assert dir(service) == sorted(service.__all__)
     for name in service.__all__:
         assert getattr(service, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):

@@ -56,9 +56,9 @@ def test_a_start_that_is_not_as_asked_says_by_how_much() -> None:
     turned = Rotation.from_rotvec([0.0, 0.1, 0.0]) * Rotation.from_matrix(held[:3, :3])
     moved = tuple(held[:3, 3] + [0.03, 0.0, 0.0])
     assert _problems(KeepRequest("l_hand", "r_hand", moved, _quaternion(turned))) == (
-        "keep[0]: at the start l_hand relative to r_hand is 30.0 mm off the position asked for; "
+        "keep[0]: at the start l_hand relative to r_hand is 30.0 mm off the requested position; "
         "expected at most 2.5 mm, half of position_tolerance_m",
-        "keep[0]: at the start l_hand relative to r_hand is turned by 5.7 deg from what is asked for; "
+        "keep[0]: at the start l_hand relative to r_hand is 5.7 deg off the requested orientation; "
         "expected at most 0.5 deg, half of rotation_tolerance_deg",
     )
 
@@ -68,7 +68,7 @@ def test_about_the_free_axis_the_start_may_be_turned() -> None:
     turned = Rotation.from_matrix(held[:3, :3]) * Rotation.from_rotvec([0.0, 0.7, 0.0])
     kept = _kept(quaternion_wxyz=_quaternion(turned), free_axis="y")
     assert kept.errors(kept.held)[1] == pytest.approx(0.0, abs=1e-9)
-    assert "turned by 40.1 deg" in _problems(
+    assert "is 40.1 deg off" in _problems(
         KeepRequest("l_hand", "r_hand", quaternion_wxyz=_quaternion(turned), free_axis="x")
     )[0]  # fmt: skip
 

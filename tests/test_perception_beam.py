@@ -35,7 +35,7 @@ def posed(centre: object, yaw: float, pitch: float, roll: float) -> np.ndarray:
 
 def timber(pose: np.ndarray, length: float, width: float, thickness: float) -> Mesh:
     half = 0.5 * np.array([length, width, thickness])
-    return box((-half).tolist(), half.tolist()).moved(pose[:3, :3], pose[:3, 3])
+    return box((-half).tolist(), half.tolist()).move(pose[:3, :3], pose[:3, 3])
 
 
 def view_of(*meshes: Mesh, seed: int = 0) -> View:

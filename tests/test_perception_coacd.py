@@ -22,9 +22,8 @@ from perception.errors import MeshError
 from perception.simulate import Pose, Room, Scanner, box, scan, torus
 from perception.solids import decompose
 from perception.solids.cache import PartsCache
-from perception.solids.closed import is_closed, make_solid
 from perception.solids.decompose import CoacdResources, CoacdSettings
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, is_closed, make_solid
 from perception.solids.pieces import make_coacd_pieces
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import wrap_cells

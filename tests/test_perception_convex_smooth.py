@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from perception.convex.coarse import measure_spacing, select_nearby, smooth_points
 from perception.convex.pieces import make_pieces
-from perception.convex.smooth import measure_spacing, select_nearby, smooth_points
 
 EYE = np.array([0.1, 0.0, 1.6])
 NOISE = 0.01

@@ -14,9 +14,9 @@ from perception.detect.door.handle import find_handle
 from perception.detect.door.profile import BIN, Profile, Rays, straight_stretches
 from perception.detect.door.upright import Upright, find_uprights
 from perception.simulate import DepthCamera, Mesh, Pose, Scanner, box, cylinder, scan
-from perception.simulate.objects.doors import Door
-from perception.simulate.objects.placed import Truth
 from perception.simulate.scenes import make_scene
+from perception.simulate.scenes.doors import Door
+from perception.simulate.scenes.scene import Truth
 
 _FLOOR = box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0))
 _BACK = box((3.8, -4.0, 0.0), (3.9, 4.0, 2.6))

@@ -13,11 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception import Cloud, CloudError, read_cloud, write_npz, write_pcd
-from perception.files import content, pcd, text, thinning
+from perception.files import content, pcd, text
+from perception.files import scan as scan_module
 from perception.files.parse import parse_file
 from perception.files.pcd import read_pcd
+from perception.files.scan import pick_rows
 from perception.files.table import read_text
-from perception.files.thinning import pick_rows
 
 N, STEP = 1003, 11
 POINTS = np.round(np.random.default_rng(0).uniform(-2, 2, (N, 3)), 3).astype(np.float32)
@@ -69,7 +70,7 @@ def written(folder: Path, kind: str) -> Path:
 def test_all_kinds_are_thinned_to_the_same_rows(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path, kind)
     np.testing.assert_allclose(parse_file(path).points, POINTS, atol=1e-6)
-    monkeypatch.setattr(thinning, "MAX_POINTS", 100)
+    monkeypatch.setattr(scan_module, "MAX_POINTS", 100)
     scan = parse_file(path)
     assert len(scan.points) <= 100
     np.testing.assert_allclose(scan.points, POINTS[pick_rows(N, STEP)], atol=1e-6)
@@ -81,7 +82,7 @@ def test_a_file_that_is_mapped_or_read_in_blocks_reads_the_same(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path, kind)
-    monkeypatch.setattr(thinning, "MAX_POINTS", 100)
+    monkeypatch.setattr(scan_module, "MAX_POINTS", 100)
     whole = parse_file(path)
     monkeypatch.setattr(content, "MAX_WHOLE_BYTES", 10)
     for module in ("text", "npz", "e57"):
@@ -110,7 +111,7 @@ def test_starts_and_misses_are_thinned_with_their_rows(tmp_path: Path, monkeypat
     path = tmp_path / "a.npz"
     numbers = POINTS.astype(float)
     write_npz(path, Cloud(numbers, numbers + 1.0, (), numbers[:900] + 2.0, numbers[:900] + 3.0))
-    monkeypatch.setattr(thinning, "MAX_POINTS", 100)
+    monkeypatch.setattr(scan_module, "MAX_POINTS", 100)
     scan = parse_file(path)
     assert scan.starts is not None
     assert scan.miss_starts is not None
@@ -120,7 +121,7 @@ def test_starts_and_misses_are_thinned_with_their_rows(tmp_path: Path, monkeypat
 
 
 def test_a_table_of_no_more_rows_than_are_used_is_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(thinning, "MAX_POINTS", N)
+    monkeypatch.setattr(scan_module, "MAX_POINTS", N)
     for ending in (rows(" "), rows(" ").rstrip("\n")):
         assert len(read_text(ending.encode(), "a.xyz").points) == N
 
@@ -134,7 +135,7 @@ def test_text_that_is_too_long_for_memory_is_thinned_further(monkeypatch: pytest
 
 
 def test_a_word_in_a_row_that_is_taken_is_reported_with_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(thinning, "MAX_POINTS", 100)
+    monkeypatch.setattr(scan_module, "MAX_POINTS", 100)
     lines = rows(" ").splitlines()
     row = int(np.arange(N)[pick_rows(N, STEP)][7])
     lines[row] = "1 2 here"
@@ -148,7 +149,7 @@ def test_text_that_ends_early_is_refused_though_thinned(
 ) -> None:
     path = written(tmp_path, kind)
     path.write_bytes(path.read_bytes().rpartition(b"\n")[0].rpartition(b"\n")[0])
-    monkeypatch.setattr(thinning, "MAX_POINTS", 100)
+    monkeypatch.setattr(scan_module, "MAX_POINTS", 100)
     with pytest.raises(CloudError, match=f"{N} (points|vertices) are announced, {N - 1} lines are there"):
         parse_file(path)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from perception import CloudError, read_cloud
-from perception.files import thinning
+from perception.files import scan as scan_module
 from perception.files.parse import parse_file
 from perception.files.ptx import read_ptx
 
@@ -163,7 +163,7 @@ def test_a_thinned_ptx_keeps_points_and_misses_alike(n_most: int, monkeypatch: p
     is_missed[:, 20:25] = True
     content = ptx(scanned(is_missed)) + ptx(scanned(is_missed, 1), (np.eye(3), np.array([0, 0, 5.0])))
     whole = read_ptx(content, "cloud")
-    monkeypatch.setattr(thinning, "MAX_POINTS", n_most)
+    monkeypatch.setattr(scan_module, "MAX_POINTS", n_most)
     scan = read_ptx(content, "cloud")
     assert 0.8 * n_most <= len(scan.points) + len(scan.misses) <= n_most
     assert len(scan.misses) == pytest.approx(len(scan.points) / 5, rel=0.1)

@@ -21,9 +21,9 @@ from perception.detect.hose.tube import (
 from perception.detect.shared.slender import is_flat
 from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
-from perception.simulate.objects.fixtures import Standpipe
-from perception.simulate.objects.loose import can, pot
 from perception.simulate.scenes import make_scene
+from perception.simulate.scenes.fixtures import Standpipe
+from perception.simulate.scenes.loose import can, pot
 
 SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.5)
 SCANNER = Scanner(n_beams=721, fan_deg=180.0, n_lines=90)

@@ -17,11 +17,10 @@ from perception.errors import MeshError
 from perception.perceive import drop_explained
 from perception.simulate import Pose, Room, Scanner, box, join_meshes, scan, torus
 from perception.solids.cache import PartsCache
-from perception.solids.closed import is_closed, make_solid, unite_solids
 from perception.solids.decompose import CoacdResources, CoacdSettings, split_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
 from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, is_closed, make_solid, unite_solids
 from perception.solids.read import read_mesh
 from perception.view import View
 
@@ -183,7 +182,7 @@ def test_parts_contain_the_surface_and_leave_the_hole(tmp_path: Path) -> None:
 
 def _seen(thing: Mesh, rotation: np.ndarray, middle: np.ndarray, on_table: bool) -> View:
     table = (((0.9, -0.6, 0.75), (1.7, 0.6, 0.8)),) if on_table else ()
-    placed = thing.moved(rotation, middle - rotation @ MIDDLE)
+    placed = thing.move(rotation, middle - rotation @ MIDDLE)
     return make_view(scan([*Room(wall_x=2.2, boxes=table).meshes(), placed], Pose(pitch=0.4), Scanner(n_lines=120), 3))
 
 

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from costs import threads
 from costs.stopping import Stopped, stops_when
-from perception.cleaning import neighbours
-from perception.cleaning.neighbours import nearest
+from perception.cleaning import clean
+from perception.cleaning.clean import nearest
 
 POINTS = np.random.default_rng(0).normal(size=(3000, 3))
 
@@ -28,7 +28,7 @@ def one_thread() -> Iterator[None]:
 def test_neighbours_are_those_of_one_query_whatever_the_parts_and_threads(
     k: int | list[int] | np.ndarray, n_threads: int, within: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(neighbours, "_AT_ONCE", 1000)
+    monkeypatch.setattr(clean, "_AT_ONCE", 1000)
     threads.use_threads(n_threads)
     tree = cKDTree(POINTS)
     for found, expected in zip(
@@ -43,7 +43,7 @@ def test_of_no_points_there_are_no_neighbours() -> None:
 
 
 def test_a_search_ends_between_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neighbours, "_AT_ONCE", 400)
+    monkeypatch.setattr(clean, "_AT_ONCE", 400)
     asked = iter([False] * 3)
     with pytest.raises(Stopped), stops_when(lambda: next(asked, True)):
         nearest(cKDTree(POINTS), POINTS, 4)

@@ -122,7 +122,7 @@ def beside(y: float, *meshes: Mesh) -> list[Mesh]:
     """So far to the left [m]."""
     aside = np.eye(4)
     aside[1, 3] = y
-    return [mesh.placed(aside) for mesh in meshes]
+    return [mesh.place(aside) for mesh in meshes]
 
 
 def vessel(profile: list[tuple[float, float]], z: float) -> list[Mesh]:

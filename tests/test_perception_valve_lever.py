@@ -7,9 +7,9 @@ import pytest
 
 from perception import CONFIDENT, detect, make_view
 from perception.simulate import Pose, Room, Scanner, cylinder, scan
-from perception.simulate.objects.fixtures import BoxLever
-from perception.simulate.objects.valves import LeverValve
 from perception.simulate.scenes import make_scene
+from perception.simulate.scenes.fixtures import BoxLever
+from perception.simulate.scenes.valves import LeverValve
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
 SCANNER = Scanner(n_beams=361, fan_deg=90.0, n_lines=110)

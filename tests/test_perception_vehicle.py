@@ -14,9 +14,9 @@ from perception.detect.vehicle.level import find_patches, split_at_gap
 from perception.detect.vehicle.opening import edges_of, side_of
 from perception.detect.vehicle.surroundings import footwell_of
 from perception.simulate import Mesh, Pose, Scanner, box, scan
-from perception.simulate.objects.car import Car
-from perception.simulate.objects.placed import Truth
 from perception.simulate.scenes import make_scene
+from perception.simulate.scenes.cars import Car
+from perception.simulate.scenes.scene import Truth
 
 _GROUND = box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0))
 _SPARSE = Scanner(n_lines=44, sigma=0.015)

@@ -16,6 +16,7 @@ from costs.robot import load_robot
 from costs.scene import Scene
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.cli.report import print_figures, print_findings, print_verdict
+from service.demands.stance import DEPTH_ROUNDING
 from service.errors import RequestError
 from service.planner import plan
 from service.request.file import parse_request
@@ -25,7 +26,7 @@ from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.setup.prepare import prepare
 from service.start.overlaps import Overlap, find_overlaps
-from service.tasks.escape import DEPTH_ROUNDING, LeavingBody
+from service.tasks.leave_start import LeavingBody
 from service.verify import Basis, Status, verify
 
 BLOCK = {"name": "block", "type": "box", "size": [0.1, 0.1, 0.1], "position": [0.5, 0.06, 0.0]}
@@ -240,7 +241,7 @@ def test_what_is_asked_of_the_overlapping_pair_rises_from_its_depth_to_the_margi
     body = LeavingBody.of(
         WholeBody.standing(robot, scene, start, (), Aims()), (Overlap("l2", "block", 0.01, "obstacle"),)
     )
-    problem = body.problem(*body.bounds(5, {0: start}), body.checker((), [start]))
+    problem = body.make_problem(*body.bounds(5, {0: start}), body.make_checker((), [start]))
     contacts = problem.state(np.zeros((5, 3))).contacts
     name = np.array([scene.pieces[other].name for other in contacts.other])
     outer = np.array([robot.bodies[one].link == "l2" for one in contacts.body])

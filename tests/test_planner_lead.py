@@ -13,7 +13,7 @@ from service.body.holds import largest_hold_error, make_kept_poses
 from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
-from service.tasks.goal import Goal, lead_path, ways
+from service.tasks.goal import Goal, lead_path, make_line_holds
 
 FEET = ("l_foot", "r_foot")
 
@@ -50,7 +50,7 @@ def test_a_led_start_arrives_and_keeps_what_is_held_all_along(free_axis):
     q = lead_path(goal, 12)
     np.testing.assert_array_equal(q[0], body.nominal)
     assert largest_hold_error(body.engine, q, body.holds()).max() < 1e-4
-    assert largest_hold_error(body.engine, q[-1:], ways(goal, 1.0)).max() < 1e-4
+    assert largest_hold_error(body.engine, q[-1:], make_line_holds(goal, 1.0)).max() < 1e-4
     assert np.abs(np.diff(q, axis=0)).max() < 0.3
 
 
@@ -77,7 +77,7 @@ def test_without_a_link_that_shall_arrive_nothing_is_led():
 def test_a_straight_line_is_brought_onto_what_is_held():
     body = with_both_hands()
     line = straight_path(body.nominal, lead_path(asked(body), 8)[-1], 8)
-    on_holds = body.on_holds(line)
+    on_holds = body.project_onto_holds(line)
     assert largest_hold_error(body.engine, line, body.holds()).max() > 1e-3
     assert largest_hold_error(body.engine, on_holds, body.holds()).max() < 1e-8
     np.testing.assert_array_equal(on_holds[0], line[0])

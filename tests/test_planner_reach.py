@@ -10,10 +10,12 @@ from service import verify as verifier
 from service.body.monitor import Monitor
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import Options, PlanRequest
+from service.request.schema import GoalRequest, Options, PlanRequest, PoseGoalRequest
 from service.result.attempt import Attempt
 from service.result.output import write_result
 from service.result.result import Verdict
+from service.setup.prepare import prepare
+from service.tasks.goal import Goal
 
 TABLE = {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}
 POST = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 2.0, "position": [0.5, 0.45, 1.0]}
@@ -303,3 +305,15 @@ def test_a_robot_without_masses_is_written_and_has_no_centre_of_mass(tmp_path):
     written = Stranger(write_result(result, tmp_path / "out").folder).data
     assert set(written["com"]) == {None}
     assert len(written["com"]) == len(written["trajectory"]["times"])
+
+
+@pytest.mark.parametrize(("starts", "tried"), [(1, 1), (2, 2), (16, 4)])
+def test_options_starts_limits_the_guesses_of_a_pose(tmp_path, starts, tried):
+    urdf = write_planar_arm(tmp_path, 3, 0.4, 0.05, 3.0)
+    data = {"robot": {"urdf": str(urdf)}, "goal": {"joints": {"j0": 1.0}}, "options": {"starts": starts}}
+    monitor = Monitor(60.0)
+    solver = planner._make_solver(prepare(parse_request(data)), monitor, None)
+    goal = Goal.of(solver.body, GoalRequest(poses=(PoseGoalRequest("l2", (9.0, 0.0, 0.0)),)))
+    guesses = [solver.body.nominal + 0.1 * k for k in range(6)]
+    assert not solver.solve_pose("goal pose", guesses, goal.constraints(0)).is_feasible
+    assert monitor.count_attempts("goal pose") == tried

@@ -26,7 +26,7 @@ def arm(tmp_path) -> WholeBody:
 
 def problem_of(body: WholeBody) -> SamplingProblem:
     end = np.array([0.9, 0.0])
-    checker = body.pose_checker([body.nominal, end])
+    checker = body.make_pose_checker([body.nominal, end])
     return SamplingProblem(body, checker, body.nominal, end, free_coordinates(body))
 
 
@@ -36,7 +36,7 @@ def test_a_sampled_path_goes_around_and_keeps_clear_when_sampled_densely(tmp_pat
     path = sample_path(problem, Tree(seed=0, most_checks=3000))
     np.testing.assert_array_equal(path[0], problem.start)
     np.testing.assert_array_equal(path[-1], problem.end)
-    checker = body.checker()
+    checker = body.make_checker()
     dense = np.concatenate([a + (b - a) * np.linspace(0.0, 1.0, 60)[:, None] for a, b in pairwise(path)])
     for q in dense:
         contacts = checker(body.engine(q[None]))

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import RequestError
-from service.request.file import load_request, load_start, parse_request, replace_cloud, request_hash, to_json
-from service.request.schema import PlanRequest, PoseRequest
+from service.request.file import load_request, load_section, parse_request, replace_cloud, request_hash, to_json
+from service.request.schema import PlanRequest, PoseRequest, StartRequest
 
 ROOT = Path(__file__).parents[1]
 ORDERS = [(("neck_ry", 0.1), ("back_bkz", 0.2)), (("back_bkz", 0.2), ("neck_ry", 0.1))]
@@ -116,7 +116,7 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ),
         (
             "start: {base: {position: [0, 0, 862]}}\nscene: {floor: 5000}",
-            "scene.floor: true, false or a height in metres",
+            "scene.floor: expected true, false or a height in metres",
         ),
         ("start: {base: {position: [0, 0, 5000]}}", "start.base.position[2]: expected at most 1000, got 5000"),
         ("options: {wayponts: 3}", "options: unknown key 'wayponts'; expected waypoints, …"),
@@ -141,7 +141,7 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ),
         (
             "scene: {cloud: [{file: a.pcd, yaw: 1}]}",
-            "scene.cloud[0]: unknown key 'yaw'; file, position, quaternion_wxyz",
+            "scene.cloud[0]: unknown key 'yaw'; expected file, position, quaternion_wxyz",
         ),
         ("scene: {cloud: a.pcd, unit: yard}", "scene.unit: expected 'm', 'cm', 'mm', 'km', 'in' or 'ft', got 'yard'"),
         ("scene: {cloud: a.bag, message: last}", "scene.message: expected a whole number or 'all', got 'last'"),
@@ -170,7 +170,10 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
             f"start: {{joint_names: [{'a, ' * 1001}], positions: []}}",
             "start.joint_names: expected at most 1000 entries",
         ),
-        (f"start: {{joints: {{{', '.join(f'j{i}: 0' for i in range(1001))}}}}}", "start.joints: at most 1000 entries"),
+        (
+            f"start: {{joints: {{{', '.join(f'j{i}: 0' for i in range(1001))}}}}}",
+            "start.joints: expected at most 1000 entries",
+        ),
         ("start: {joint_names: [a, b], joints: {b: 0}, positions: [0, 0]}", "start: joint 'b' is given twice"),
         ("keep: [{link: a, relative_to: a}]", "keep[0]: link and relative_to are both 'a'; two links are needed"),
         ("keep: [{link: a, relativ_to: b}]", "keep[0]: unknown key 'relativ_to'; expected relative_to, …"),
@@ -189,7 +192,7 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ("attached: [{name: b, link: a, type: sphere, radius: 1, mass_kg: -1}]", "attached[0].mass_kg: at least 0"),
         (
             "attached: [{name: b, link: a, type: sphere, radius: 1, touch: [c]}]",
-            "attached[0]: unknown key 'touch'; touches",
+            "attached[0]: unknown key 'touch'; expected touches",
         ),
         ("task: {valve: {}}", "exactly one of goal, task is needed, not goal and task"),
         ("folder: /etc", "unknown key 'folder'; expected robot, start, scene, goal, task, keep, …"),
@@ -269,7 +272,10 @@ def test_every_problem_is_told_but_not_without_end(tmp_path: Path) -> None:
 
 def test_files_that_are_no_text_or_too_large_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "request.yaml"
-    for content, problem in ((b"\xff\xfe\x00", "no UTF-8 text"), (b"#" * 1_000_001, "1000001 bytes long; at most")):
+    for content, problem in (
+        (b"\xff\xfe\x00", "no UTF-8 text"),
+        (b"#" * 1_000_001, "1000001 bytes long; expected at most"),
+    ):
         path.write_bytes(content)
         with pytest.raises(RequestError, match=problem):
             load_request(path)
@@ -325,10 +331,10 @@ def test_another_cloud_is_found_from_the_request_folder(tmp_path: Path, monkeypa
 def test_a_start_file_is_read_like_a_request(tmp_path: Path) -> None:
     path = tmp_path / "start.yaml"
     path.write_text("posture: stand\njoints: {neck_ry: 0.1}\n")
-    assert load_start(path).joints == {"neck_ry": 0.1}
+    assert load_section(StartRequest, path).joints == {"neck_ry": 0.1}
     path.write_text("postur: stand\n")
-    with pytest.raises(RequestError, match=r"start\.yaml: unknown key 'postur'; posture, joints, "):
-        load_start(path)
+    with pytest.raises(RequestError, match=r"start\.yaml: unknown key 'postur'; expected posture, joints, "):
+        load_section(StartRequest, path)
 
 
 KEYS = st.sampled_from(

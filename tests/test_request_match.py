@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
     )  # fmt: skip
     (folder / "tool.urdf").write_text(f'<robot name="tool"><link name="tool">{shapes}</link></robot>')
-    tool = join_meshes([box(low, high) for low, high in BODIES]).moved(TURN.as_matrix(), PLACE)
+    tool = join_meshes([box(low, high) for low, high in BODIES]).move(TURN.as_matrix(), PLACE)
     table = (((0.9, -0.6, 0.75), (1.7, 0.6, 0.8)),)
     cloud = scan([*Room(wall_x=2.2, boxes=table).meshes(), tool], Pose(pitch=0.4), Scanner(n_lines=80), seed=3)
     write_pcd(folder / "scan.pcd", cloud.points, (*np.ravel(cloud.origin).tolist(), 1.0, 0.0, 0.0, 0.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from perception.solids import closed
+from perception.solids import mesh as mesh_module
 from service.errors import RequestError
 from service.planner import plan
 from service.request.file import load_request
@@ -188,7 +188,7 @@ def test_a_urdf_that_cannot_be_used_is_refused_by_name(tmp_path: Path, body: str
 
 def test_many_large_meshes_in_one_urdf_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _obj(tmp_path / "cube.obj", [_cube((0, 0, 0), (1, 1, 1))])
-    monkeypatch.setattr(closed, "MAX_TRIANGLES", 30)
+    monkeypatch.setattr(mesh_module, "MAX_TRIANGLES", 30)
     cube = _collision('<mesh filename="cube.obj"/>')
     assert len(read_solid(_urdf(tmp_path, f'<link name="a">{2 * cube}</link>'), "file").closed) == 2
     with pytest.raises(RequestError, match=r"file: thing.urdf: has more than 30 triangles; simplify its meshes"):

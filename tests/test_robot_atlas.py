@@ -248,7 +248,7 @@ def test_links_stay_apart_over_the_working_range(atlas: RobotModel, pose: str) -
 
 
 def test_unknown_names_get_a_suggestion() -> None:
-    with pytest.raises(RobotError, match="unknown robot 'atls'; did you mean 'atlas'"):
+    with pytest.raises(RobotError, match="unknown robot 'atls'; expected atlas"):
         load_robot("atls")
 
 

@@ -52,7 +52,7 @@ def _star(count: int) -> str:
             "'a' is the name of a link and of a joint; rename the joint",
         ),
         (robot(link("a"), link("universe"), joint("j", "a", "universe")), "'universe' is reserved"),
-        (robot(link("a"), link("b"), joint("j", "a", "bb")), "unknown child link 'bb'; did you mean 'b'"),
+        (robot(link("a"), link("b"), joint("j", "a", "bb")), "unknown child link 'bb'; expected a, b"),
         (robot(link("a"), link("b")), "one root link is needed, found 'a', 'b'"),
         (robot(link("a"), link("b"), joint("j", "a", "b"), joint("k", "b", "a")), "form a loop"),
         (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.timing_reference import chain, spline_through
-from service.motion.execute import BESIDE_REST, SAME_TIME_S, SAMPLE_PERIOD_S, _samples
+from service.motion.execute import BESIDE_REST, SAME_TIME_S, SAMPLE_PERIOD_S, _sample_law
 from service.motion.timing import time_curve
 from service.verify.timeline import find_times
 
@@ -15,7 +15,7 @@ def test_samples_are_close_to_rests_and_never_all_but_together() -> None:
     curve = spline_through(robot, np.linspace(0.0, 2.0, 7)[:, None])
     rest = float(curve.knots[3])
     law = time_curve(robot, curve, [rest])
-    samples = _samples(curve.knots, law, np.full(len(curve.knots) - 1, np.inf))
+    samples = _sample_law(curve.knots, law, np.full(len(curve.knots) - 1, np.inf))
     assert np.all(np.isin(curve.knots, samples))
     times = find_times(law, samples)
     assert np.diff(times).max() <= SAMPLE_PERIOD_S + 1e-9

@@ -8,7 +8,7 @@ from tiny_robots import PLANAR, atlas, chain, contact_free_state
 
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.terms import FramePose, PointHalfSpace
-from service.motion.spline import Path, make_spline
+from service.motion.spline import PhasePath, make_spline
 
 FREE = np.full(2, 3.0)
 
@@ -51,7 +51,7 @@ def sliding_arm(n_waypoints=6, noise=1e-3):
 def test_holds_are_kept_at_knots_and_nearly_so_between():
     robot = chain(PLANAR)
     hold = tip_height_hold(robot)
-    path = Path("slide", sliding_arm(), (hold,), drift=5e-4)
+    path = PhasePath("slide", sliding_arm(), (hold,), drift=5e-4)
     spline = make_spline(KinematicsEngine(robot), [path], -FREE, FREE, np.ones(2))
     assert largest_residual(robot, [hold], spline.curve.positions) < 1e-9
     assert largest_residual(robot, [hold], spline.curve(between(spline.curve))) < 5e-4
@@ -64,7 +64,9 @@ def test_planted_feet_of_a_whole_body_are_kept():
     rng = np.random.default_rng(2)
     step = rng.uniform(-0.12, 0.12, robot.n)
     q = stand + np.linspace(0.0, 1.0, 6)[:, None] * step
-    spline = make_spline(KinematicsEngine(robot), [Path("lean", q, holds)], robot.lower, robot.upper, np.ones(robot.n))
+    spline = make_spline(
+        KinematicsEngine(robot), [PhasePath("lean", q, holds)], robot.lower, robot.upper, np.ones(robot.n)
+    )
     assert largest_residual(robot, holds, spline.curve.positions) < 1e-9
     assert largest_residual(robot, holds, spline.curve(between(spline.curve, 9))) < 5e-4
     np.testing.assert_array_equal(spline.curve.positions[0], stand)
@@ -73,7 +75,7 @@ def test_planted_feet_of_a_whole_body_are_kept():
 def test_knot_velocities_do_not_break_the_holds():
     robot = chain(PLANAR)
     hold = tip_height_hold(robot)
-    spline = make_spline(KinematicsEngine(robot), [Path("s", sliding_arm(), (hold,))], -FREE, FREE, np.ones(2))
+    spline = make_spline(KinematicsEngine(robot), [PhasePath("s", sliding_arm(), (hold,))], -FREE, FREE, np.ones(2))
     state = contact_free_state(robot)(spline.curve.positions)
     jacobian = hold(np.arange(len(spline.curve.knots))).linearize(state).jacobian
     assert np.abs(spline.curve.tangents).max() > 0.1
@@ -85,7 +87,7 @@ def test_the_curve_rests_at_the_borders_of_phases_and_moves_on_within():
     out = np.linspace([0.0, 0.0], [1.0, 0.5], 4)
     back = np.linspace([1.0, 0.5], [0.2, -0.5], 5)
     spline = make_spline(
-        KinematicsEngine(robot), [Path("out", out, ()), Path("back", back, ())], -FREE, FREE, np.ones(2)
+        KinematicsEngine(robot), [PhasePath("out", out, ()), PhasePath("back", back, ())], -FREE, FREE, np.ones(2)
     )
     assert spline.ends == (0, 3, 7)
     np.testing.assert_allclose(spline.curve.tangents[list(spline.ends)], 0.0)
@@ -100,7 +102,7 @@ def test_the_curve_stays_within_limits_that_its_waypoints_keep(seed):
     lower, upper = np.array([-1.0, -0.5]), np.array([0.8, 1.0])
     # waypoints crowd against the limits, where the neighbours' slopes pull beyond them
     q = np.clip(rng.uniform(-2.0, 2.0, size=(7, 2)), lower + 0.01, upper - 0.01)
-    spline = make_spline(KinematicsEngine(robot), [Path("q", q, ())], lower, upper, np.ones(2))
+    spline = make_spline(KinematicsEngine(robot), [PhasePath("q", q, ())], lower, upper, np.ones(2))
     dense = spline.curve(between(spline.curve, 50))
     assert (dense >= lower - 1e-9).all()
     assert (dense <= upper + 1e-9).all()
@@ -116,7 +118,7 @@ def test_the_curve_stays_within_limits_while_it_keeps_a_hold(seed):
     motion = arm_with_tip_at(np.linspace(x.min(), x.max(), 200))  # what the hold asks of the joints
     room = rng.uniform(1e-4, 0.02, 2)
     lower, upper = motion.min(axis=0) - room, motion.max(axis=0) + room
-    spline = make_spline(KinematicsEngine(robot), [Path("s", q, (hold,), drift=0.05)], lower, upper, np.ones(2))
+    spline = make_spline(KinematicsEngine(robot), [PhasePath("s", q, (hold,), drift=0.05)], lower, upper, np.ones(2))
     dense = spline.curve(between(spline.curve, 50))
     assert (dense >= lower - 1e-9).all()
     assert (dense <= upper + 1e-9).all()
@@ -125,14 +127,16 @@ def test_the_curve_stays_within_limits_while_it_keeps_a_hold(seed):
 def test_waypoints_are_inserted_where_a_hold_would_drift_and_nowhere_else():
     robot = chain(PLANAR)
     hold = tip_height_hold(robot)
-    coarse = Path("s", sliding_arm(4, noise=0.0), (hold,), drift=1e-4)
+    coarse = PhasePath("s", sliding_arm(4, noise=0.0), (hold,), drift=1e-4)
     spline = make_spline(KinematicsEngine(robot), [coarse], -FREE, FREE, np.ones(2))
     assert spline.is_waypoint.sum() == 4
     assert not spline.is_waypoint.all()
     np.testing.assert_allclose(spline.curve.positions[spline.is_waypoint], coarse.q, atol=1e-6)
-    loose = make_spline(KinematicsEngine(robot), [Path("s", coarse.q, (hold,), drift=1.0)], -FREE, FREE, np.ones(2))
+    loose = make_spline(
+        KinematicsEngine(robot), [PhasePath("s", coarse.q, (hold,), drift=1.0)], -FREE, FREE, np.ones(2)
+    )
     assert loose.is_waypoint.all()
-    free = make_spline(KinematicsEngine(robot), [Path("s", coarse.q, ())], -FREE, FREE, np.ones(2))
+    free = make_spline(KinematicsEngine(robot), [PhasePath("s", coarse.q, ())], -FREE, FREE, np.ones(2))
     assert free.is_waypoint.all()
 
 
@@ -143,7 +147,7 @@ def test_only_the_phase_that_drifts_gets_more_waypoints():
     lift = np.linspace(slide[-1], [0.3, 0.3], 4)
     spline = make_spline(
         KinematicsEngine(robot),
-        [Path("slide", slide, (hold,), drift=1e-4), Path("lift", lift, ())],
+        [PhasePath("slide", slide, (hold,), drift=1e-4), PhasePath("lift", lift, ())],
         -FREE, FREE, np.ones(2),
     )  # fmt: skip
     border = spline.ends[1]
@@ -155,7 +159,7 @@ def test_only_the_phase_that_drifts_gets_more_waypoints():
 def test_the_parameter_runs_at_the_natural_speed_of_the_slowest_joint():
     robot = chain(PLANAR)
     q = np.array([[0.0, 0.0], [1.0, 0.1], [1.0, 1.1], [1.0, 1.1]])
-    spline = make_spline(KinematicsEngine(robot), [Path("q", q, ())], -FREE, FREE, np.array([2.0, 0.5]))
+    spline = make_spline(KinematicsEngine(robot), [PhasePath("q", q, ())], -FREE, FREE, np.array([2.0, 0.5]))
     np.testing.assert_allclose(spline.curve.knots, [0.0, 0.5, 2.5, 2.501])
 
 
@@ -163,5 +167,5 @@ def test_the_parameter_runs_at_the_natural_speed_of_the_slowest_joint():
 def test_the_shortest_paths_make_a_curve(n_waypoints):
     robot = chain(PLANAR)
     q = np.linspace([0.0, 0.0], [1.0, 1.0], n_waypoints)
-    spline = make_spline(KinematicsEngine(robot), [Path("q", q, ())], -FREE, FREE, np.ones(2))
+    spline = make_spline(KinematicsEngine(robot), [PhasePath("q", q, ())], -FREE, FREE, np.ones(2))
     np.testing.assert_allclose(spline.curve(spline.curve.knots), q)

@@ -13,7 +13,7 @@ from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Sense
 from service.body.whole_body import Aims, WholeBody
-from service.tasks.program import with_sight
+from service.tasks.program import fit_body
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.verify import AxisTarget, JointTarget, PoseTarget
 
@@ -28,8 +28,8 @@ def builder_of(
     robot = robot or chain(PLANAR)
     program = program_of(robot, data)
     standing = WholeBody.standing(robot, scene or Scene(), program.start, program.planted, Aims())
-    body = with_sight(standing, program)
-    return Builder(program, timeline or Timeline.of_steps(program.n_steps), body, body.checker()), program
+    body = fit_body(standing, program)
+    return Builder(program, timeline or Timeline.of_steps(program.n_steps), body, body.make_checker()), program
 
 
 def state_of(builder: Builder, x: np.ndarray) -> MotionState:

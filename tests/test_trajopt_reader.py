@@ -197,11 +197,17 @@ def test_evaluators_of_either_numbering_look_between_the_waypoints_or_not(evalua
 @pytest.mark.parametrize(
     ("document", "line"),
     [
-        (changed(("costs", 0, "params", "coefs"), [1]), "costs[0].params.coefs: unknown key; did you mean coeffs?"),
-        (changed(("basic_info", "n_step"), 5), "basic_info.n_step: unknown key; did you mean n_steps?"),
-        (changed(("constraint",), []), "constraint: unknown key; did you mean constraints?"),
-        (changed(("init_info", "type"), "stationery"), "init_info.type: unknown type 'stationery'; did you mean"),
-        (changed(("costs", 4, "type"), "colision"), "costs[4].type: unknown type 'colision'; did you mean collision?"),
+        (changed(("costs", 0, "params", "coefs"), [1]), "costs[0].params.coefs: unknown key; expected coeffs, …"),
+        (changed(("basic_info", "n_step"), 5), "basic_info.n_step: unknown key; expected n_steps, …"),
+        (
+            changed(("constraint",), []),
+            "constraint: unknown key; expected basic_info, init_info",
+        ),
+        (
+            changed(("init_info", "type"), "stationery"),
+            "init_info.type: unknown type 'stationery'; expected",
+        ),
+        (changed(("costs", 4, "type"), "colision"), "costs[4].type: unknown type 'colision'; expected collision, …"),
         (
             changed(("constraints", 6, "params", "timestep"), 5),
             "constraints[6].params.timestep: expected 0 to 4, got 5",

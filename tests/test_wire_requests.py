@@ -8,7 +8,7 @@ from pathlib import Path
 
 import generated_code
 import pytest
-from google.protobuf.descriptor import Descriptor
+from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,35 +31,86 @@ def test_generated_code_is_what_the_protocol_files_say(tmp_path: Path) -> None:
         assert path.read_text() == committed.read_text(), f"python tools/generate_proto.py would mend {committed.name}"
 
 
-def _variants(kind: object) -> list[type]:
-    """The dataclasses somewhere within an annotation."""
+def _read_annotation(kind: object, sections: list[type], choices: set[str]) -> set[object]:
+    """The wire's kinds for an annotation; its dataclasses and the values of its literals are added to the arguments."""
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
-        return [typing.cast(type, kind)]
-    return [one for part in typing.get_args(kind) for one in _variants(part)]
+        sections.append(typing.cast(type, kind))
+        return {"message"}
+    if origin is typing.Literal:
+        choices.update(parts)
+        return {"enum"}
+    if origin is tuple:
+        return {("list", *_read_annotation(parts[0], sections, choices))}
+    if origin is dict:
+        return {("map", *_read_annotation(parts[1], sections, choices))} if parts[1] is float else {"data"}
+    if parts:
+        return {name for part in parts for name in _read_annotation(part, sections, choices)}
+    return set() if kind is type(None) else {kind}
 
 
-def _compare(schema: list[type], message: Descriptor, path: str) -> None:
-    """Every key of the schema is a field of the message, and every field a key, all the way down."""
-    hints: dict[str, list[type]] = {}
+def _read_field(field: FieldDescriptor, messages: list[Descriptor], enums: list[EnumDescriptor]) -> set[object]:
+    """The kinds of a field; a message that stands for a value has the value's kinds."""
+    inner = field.message_type
+    if inner is None:
+        if field.enum_type is not None:
+            enums.append(field.enum_type)
+        kinds: set[object] = {"enum" if field.enum_type is not None else _SCALARS[field.cpp_type]}
+    elif inner.full_name == "google.protobuf.Struct":
+        return {"data"}
+    elif inner.GetOptions().map_entry:
+        return {("map", *_read_field(inner.fields_by_name["value"], messages, enums))}
+    elif "value" in inner.fields_by_name or "value" in inner.oneofs_by_name:
+        kinds = {kind for part in inner.fields for kind in _read_field(part, messages, enums)}
+    else:
+        messages.append(inner)
+        kinds = {"message"}
+    return {("list", *kinds)} if field.is_repeated else kinds
+
+
+_SCALARS = {
+    FieldDescriptor.CPPTYPE_BOOL: bool,
+    FieldDescriptor.CPPTYPE_STRING: str,
+    FieldDescriptor.CPPTYPE_INT32: int,
+    FieldDescriptor.CPPTYPE_UINT32: int,
+    FieldDescriptor.CPPTYPE_DOUBLE: float,
+}
+
+
+def _compare(schema: list[type], message: Descriptor, path: str, values: dict[str, set[str]]) -> None:
+    """Every key of the schema is a field of the same kind, and every field a key, all the way down.
+
+    Values of an enum's literals are collected in ``values``; several fields may share one enum.
+    """
+    hints: dict[str, list[object]] = {}
     for variant in schema:
         for name, kind in typing.get_type_hints(variant).items():
-            hints.setdefault(name, []).extend(one for one in _variants(kind))
+            hints.setdefault(name, []).append(kind)
     hints.pop("folder", None)
     assert set(hints) == set(message.fields_by_name), path
-    for name, variants in hints.items():
-        field = message.fields_by_name[name]
-        inner = field.message_type
-        while inner is not None and "value" in inner.fields_by_name and not inner.GetOptions().map_entry:
-            inner = inner.fields_by_name["value"].message_type
-        if inner is not None and "files" in inner.fields_by_name and "value" in inner.oneofs_by_name:
-            inner = inner.fields_by_name["files"].message_type.fields_by_name["value"].message_type
-        if variants:
-            assert inner is not None, f"{path}.{name}"
-            _compare(variants, inner, f"{path}.{name}")
+    for name, hinted in hints.items():
+        sections: list[type] = []
+        choices: set[str] = set()
+        kinds = {kind for annotation in hinted for kind in _read_annotation(annotation, sections, choices)}
+        messages: list[Descriptor] = []
+        enums: list[EnumDescriptor] = []
+        field_kinds = _read_field(message.fields_by_name[name], messages, enums)
+        if not enums and choices:  # scene.message: a number, or a word as text
+            kinds = {str if kind == "enum" else kind for kind in kinds}
+        assert kinds == field_kinds, f"{path}.{name}"
+        for enum in enums:
+            values.setdefault(enum.full_name, set()).update(choices)
+            assert choices <= {decode_enum(enum, value.number) for value in enum.values if value.number}
+        for inner in messages:
+            _compare(sections, inner, f"{path}.{name}", values)
 
 
-def test_every_key_of_a_request_file_is_on_the_wire_and_nothing_else() -> None:
-    _compare([PlanRequest], MotionRequest.DESCRIPTOR, "request")
+def test_every_key_of_a_request_file_is_on_the_wire_with_its_type_and_values_and_nothing_else() -> None:
+    values: dict[str, set[str]] = {}
+    _compare([PlanRequest], MotionRequest.DESCRIPTOR, "request", values)
+    for name, choices in values.items():
+        enum = MotionRequest.DESCRIPTOR.file.enum_types_by_name[name.rpartition(".")[2]]
+        assert choices == {decode_enum(enum, value.number) for value in enum.values if value.number}, name
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
@@ -159,7 +210,7 @@ def test_whole_numbers_of_a_trajopt_problem_stay_whole() -> None:
         ("goal.joints.sha256:: a finite number is needed, got -inf", "goal.joints"),
         ("keep belongs to a goal; a task knows itself what it holds", "keep"),
         ("exactly one of goal, task is needed, none is given", ""),
-        ("unknown key 'a b': c; robot would do", ""),
+        ("unknown key 'a b': c; expected robot", ""),
     ],
 )
 def test_violation_names_the_field_of_a_problem(problem: str, field: str) -> None:

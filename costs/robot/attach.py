@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float
 from lxml import etree
 
+from costs.names import would_do
 from costs.primitive import make_round_shape
 from costs.robot import shapes
-from costs.robot.errors import RobotError, suggest
+from costs.robot.errors import RobotError
 from costs.robot.hull import find_hull_vertices, make_outer_hull
 from costs.robot.load import build_pinocchio_model, find_body_frame
 from costs.robot.model import LinkBody, RobotModel, RobotSource
@@ -96,7 +97,7 @@ def _check_names(robot: RobotModel, item: AttachedBody) -> None:
         raise RobotError(f"attached body '{item.name}': the name is in use by {robot.name}; choose another")
     for link in (item.link, *item.touching):
         if not robot.model.existFrame(link):
-            raise RobotError(f"attached body '{item.name}': unknown link '{link}'; {suggest(link, links)}")
+            raise RobotError(f"attached body '{item.name}': unknown link '{link}'; expected {would_do(link, links)}")
 
 
 def _make_points(item: AttachedBody) -> Float[np.ndarray, "V 3"]:

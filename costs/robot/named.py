@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from costs.names import would_do
 from costs.robot.atlas import load_atlas
-from costs.robot.errors import RobotError, suggest
+from costs.robot.errors import RobotError
 from costs.robot.load import Root, load_files
 from costs.robot.model import RobotModel
 
@@ -52,7 +53,7 @@ def load_robot(
             raise RobotError("tool_distance_m belongs to bundled robots; with a urdf, put the tool frame into it")
         return load_files(Path(urdf), None if srdf is None else Path(srdf), package_dirs, root or "fixed", locked)
     if name not in _BUNDLED:
-        raise RobotError(f"unknown robot '{name}'; {suggest(str(name), _BUNDLED)}")
+        raise RobotError(f"unknown robot '{name}'; expected {would_do(name, _BUNDLED)}")
     if srdf is not None or package_dirs:
         raise RobotError(f"srdf and package_dirs go with a urdf; '{name}' brings its own")
     return load_atlas(root or "floating", tool_distance_m, locked)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from lxml import etree
 
-from costs.robot.errors import RobotError, suggest
+from costs.names import would_do
+from costs.robot.errors import RobotError
 from costs.robot.urdf import Urdf
 from costs.robot.urdf_elements import MOVABLE
 from costs.robot.xmlfile import parse_numbers, parse_xml, read_attribute
@@ -132,7 +133,7 @@ def _read_states(
         for item in element.findall("joint"):
             joint = read_attribute(item, "name", inside)
             if joint not in urdf.joints and joint != virtual:
-                raise RobotError(f"{inside}: unknown joint '{joint}'; {suggest(joint, urdf.joints)}")
+                raise RobotError(f"{inside}: unknown joint '{joint}'; expected {would_do(joint, urdf.joints)}")
             count = 7 if joint == virtual else 1
             values[joint] = tuple(
                 parse_numbers(read_attribute(item, "value", inside), count, f"{inside}: joint '{joint}'")
@@ -151,5 +152,5 @@ def _read_pair(element: etree._Element, where: str, urdf: Urdf) -> tuple[str, st
 
 def _check_known(name: str, known: Mapping[str, object], what: str) -> str:
     if name not in known:
-        raise RobotError(f"{what} '{name}' is unknown; {suggest(name, known)}")
+        raise RobotError(f"{what} '{name}' is unknown; expected {would_do(name, known) or 'none'}")
     return name

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from lxml import etree
 
-from costs.robot.errors import RobotError, suggest
+from costs.names import would_do
+from costs.robot.errors import RobotError
 from costs.robot.poses import format_numbers, make_origin, parse_origin
 from costs.robot.urdf_elements import MOVABLE, Joint, Shape, lock_joints, parse_joint, parse_shape
 from costs.robot.xmlfile import parse_number, parse_xml, read_attribute
@@ -148,7 +149,9 @@ def _check_tree(links: Mapping[str, object], joints: Mapping[str, Joint], where:
     for joint in joints.values():
         for tag, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
-                raise RobotError(f"{where}: joint '{joint.name}': unknown {tag} link '{link}'; {suggest(link, links)}")
+                raise RobotError(
+                    f"{where}: joint '{joint.name}': unknown {tag} link '{link}'; expected {would_do(link, links)}"
+                )
         if joint.child in parents:
             raise RobotError(f"{where}: link '{joint.child}' has two parent joints; a robot is a tree")
         parents[joint.child] = joint.parent

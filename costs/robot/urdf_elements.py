@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from lxml import etree
 
-from costs.robot.errors import RobotError, suggest
+from costs.names import would_do
+from costs.robot.errors import RobotError
 from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
 from costs.robot.xmlfile import parse_number, parse_numbers, read_attribute
 
@@ -124,7 +125,9 @@ def lock_joints(
     movable = [name for name, joint in joints.items() if joint.kind in MOVABLE]
     for name, position in locked.items():
         if name not in movable:
-            raise RobotError(f"{where}: locked joint '{name}' is not a movable joint; {suggest(name, movable)}")
+            raise RobotError(
+                f"{where}: locked joint '{name}' is not a movable joint; expected {would_do(name, movable) or 'none'}"
+            )
         if not np.isfinite(position):
             raise RobotError(f"{where}: locked joint '{name}' at {position}; a finite position is needed")
     for joint in joints.values():

@@ -9,8 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.clean import row_keys
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest, row_keys
 
 STARTS_APART = 0.1
 RADIUS = 0.03
@@ -54,9 +53,6 @@ def support(
     through it, if that goes on: a point between two surfaces is on a slope to either, but not to what lies beyond.
 
     Args:
-        points: (N, 3) all points that were seen [m].
-        starts: (N, 3) where their rays started [m].
-        queries: which to judge.
         like: of which kind thin things are: for them only these count.
         is_thin: which of the queried points are taken for thin things.
     """
@@ -143,9 +139,7 @@ class _Around:
 def _on_slope(
     around: _Around, counted: Bool[np.ndarray, "K M"], neighbour: int, noise: Float[np.ndarray, "K"]
 ) -> Int[np.ndarray, "K"]:
-    """Return how many counted rays ended on the plane that leads from each point to one neighbour; none where it does
-    not go on, with most rays on one side of the point on it, well beyond the noise.
-    """
+    """Count rays that ended on the plane through each point and one neighbour; 0 where that plane does not go on."""
     poll()
     u, v, depth = around.u, around.v, around.depth
     flat = np.maximum(u[:, neighbour] ** 2 + v[:, neighbour] ** 2, 1e-12)

@@ -1,4 +1,4 @@
-"""Cleaning of points: crop to a reach, exact copies, downsample, the robot's own points."""
+"""Basic steps on points: crop, voxels, exact copies, robot hulls and nearest neighbours."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from costs.stopping import poll
+from costs.threads import thread_count
 from perception.errors import PerceptionError
 
 SELF_MARGIN = 0.025
 _FEW_VOXELS = 4
+# Neighbours that one thread finds between two polls: some 30 ms.
+_AT_ONCE = 50_000
 
 
 @dataclass(frozen=True)
@@ -46,9 +49,7 @@ class Reach:
 
 
 def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.ndarray, "N"], int]:
-    """Return the number of the voxel of each point, counted 0, 1, ... in order of the voxels' coordinates, and how
-    many.
-    """
+    """Return the number of each point's voxel, counted from 0 in order of coordinates, and how many there are."""
     keys = np.zeros(len(points), dtype=np.int64)
     n_keys = 1
     for column in points.T:
@@ -92,12 +93,7 @@ def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
 
 
 def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return which points are not exact copies, ray start included, of one before them.
-
-    Args:
-        points: (N, 3) [m].
-        starts: (N, 3) where their rays started [m].
-    """
+    """Return which points are not exact copies, ray start included, of one before them."""
     constant = starts.strides[0] == 0 or bool((starts == starts[:1]).all())
     keys = row_keys(points if constant else np.hstack([points, starts]))
     ordered = np.sort(keys)
@@ -117,9 +113,7 @@ def inside_hulls(
     taking a point for the robot's own.
 
     Args:
-        points: (N, 3) [m].
         hulls: (V, 3) vertices each, in the frame of the points.
-        margin: [m].
     """
     poll()
     inside = np.zeros(len(points), dtype=bool)
@@ -148,9 +142,7 @@ def _in_box(
 
 
 def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
-    """Return half-spaces of the hull's faces, and between those of faces that meet, so that a margin leaves no
-    spikes.
-    """
+    """Add half-spaces between neighbouring faces of the hull, so that a margin leaves no spikes."""
     hull = _convex_hull(vertices)
     faces, neighbours = hull.equations[:, :3], hull.neighbors
     between = faces[:, None, :] + faces[neighbours]
@@ -170,3 +162,27 @@ def _convex_hull(vertices: Float[np.ndarray, "V 3"]) -> ConvexHull:
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise PerceptionError(f"a hull of {len(vertices)} vertices spans no volume: {reason}") from None
+
+
+def nearest(
+    tree: cKDTree,
+    points: Float[np.ndarray, "N d"],
+    k: int | list[int] | Int[np.ndarray, "K"],
+    within: float = np.inf,
+) -> tuple[Float[np.ndarray, "N *K"], Int[np.ndarray, "N *K"]]:
+    """Return distances and indices as ``tree.query`` does: infinite and ``tree.n`` beyond ``within``.
+
+    It uses as many threads as ``costs.threads`` says; they have ended when it returns, or raises.
+
+    Raises:
+        Stopped: the caller wants to stop (``costs.stopping``).
+    """
+    n_neighbours, n_threads = k if isinstance(k, int) else int(np.max(k, initial=1)), thread_count()
+    step = max(1, n_threads * _AT_ONCE // max(n_neighbours, 4))
+    parts = []
+    for first in range(0, max(len(points), 1), step):
+        poll()
+        parts.append(tree.query(points[first : first + step], k=k, distance_upper_bound=within, workers=n_threads))
+    if len(parts) == 1:
+        return np.asarray(parts[0][0]), np.asarray(parts[0][1])
+    return np.concatenate([distance for distance, _ in parts]), np.concatenate([index for _, index in parts])

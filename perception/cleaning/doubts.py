@@ -89,9 +89,6 @@ def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, miss
     """Return the notes for when a crop took most of a cloud.
 
     Args:
-        points: the whole cloud.
-        n_left: how many points lie in reach.
-        reach: what was kept.
         missing: what the kept points do not show, though a scene would; empty when nothing is missing.
     """
     if n_left >= (1.0 - _MOST) * len(points):
@@ -103,11 +100,9 @@ def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, miss
 
 
 def low_sensor_doubt(starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray, "N"]) -> tuple[str, ...]:
-    """Return the notes for when rays start on the floor or under it, where no sensor is: where they started was not
-    known.
+    """Return a note when rays start on or under the floor: then their starts were not known.
 
     Args:
-        starts: (N, 3) of each point's ray [m].
         lowest: (N,) height of the lowest floor there [m].
     """
     is_low = starts[:, 2] - lowest < _SENSOR_ABOVE_FLOOR
@@ -133,9 +128,7 @@ def nothing_left(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
 
 
 def shift_to_zero(points: Float[np.ndarray, "N 3"], x: float = 0.0, y: float = 0.0) -> str:
-    """Return the transform that brings a cloud's middle over a place and its lowest layer to zero height, as one gives
-    it.
-    """
+    """Return the transform that moves a cloud's middle over a place and its lowest layer to zero height."""
     middle = np.median(points[:, :2], axis=0) - (x, y)
     heights = points[:, 2]
     bottom = float(np.percentile(heights, 1))
@@ -181,9 +174,7 @@ def _likely_units(span: float, least: float, most: float) -> str:
 
 
 def _sensor_frame_hint(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], lowest: float) -> str:
-    """Return a hint when the points look given in the sensor's frame: rays start at zero, yet zero is not on the
-    floor.
-    """
+    """Return a hint when points seem given in the sensor's frame: rays start at zero, off the floor."""
     if len(points) < _FEWEST_POINTS or np.abs(origin).max() > 1e-6:
         return ""
     depth = points[:, 2]

@@ -26,8 +26,6 @@ class LocalJudge:
     """A scan that judges a few of its points.
 
     Attributes:
-        points: (N, 3) all points that were seen [m].
-        starts: (N, 3) where their rays started [m].
         candidates: which are not the floor's.
         directions: (3, N) unit.
         sensor: (N,) number of the place that each ray started at; None where it is the same for all.
@@ -88,9 +86,7 @@ class LocalJudge:
         return everyone
 
     def _cells(self, width: float) -> tuple[Int[np.ndarray, "N"], int]:
-        """Return the number of the bin of directions that each ray lies in, and how many bins there are along each
-        axis.
-        """
+        """Return the number of each ray's bin of directions, and how many bins there are along each axis."""
         # Two cells to all sides of those that directions of unit length may lie in are there, too.
         n_cells = int(np.ceil(2.0 / width)) + 5
         u, v, w = (((column + 1.0) * (1.0 / width)).astype(np.int32) + 2 for column in self.directions)

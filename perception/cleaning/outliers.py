@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.cleaning.beside import RADIUS, RADIUS_SHARE, STARTS_APART, depth_noise, spacing_radius, support
-from perception.cleaning.clean import row_keys, voxel_index
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest, row_keys, voxel_index
 
 _LEAST_NEIGHBOURS = 5
 _WIDE = 0.7
@@ -42,7 +41,6 @@ def inliers(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"])
     """Return points with at least five others within 3 cm plus 2 % of their range.
 
     Args:
-        points: (N, 3) [m].
         origin: (3,) or (N, 3) where the rays started [m].
     """
     if len(points) <= _LEAST_NEIGHBOURS:
@@ -71,8 +69,6 @@ def surface_points(
     surface that rays graze they end far apart, but in one plane.
 
     Args:
-        points: (N, 3) all points that were seen [m].
-        starts: (N, 3) where their rays started [m].
         candidates: which to judge; the others (the floor's) only bear witness and come out False.
         known: which of them are known to be of surfaces.
     """
@@ -104,9 +100,7 @@ def _tree(points: Float[np.ndarray, "N 3"]) -> cKDTree:
 def _voxels(
     points: Float[np.ndarray, "N 3"], radius: Float[np.ndarray, "N"]
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
-    """Return the number of each point's voxel and counts; all points of a voxel lie within each one's radius of each
-    other.
-    """
+    """Return each point's voxel and the counts; points of a voxel lie within each other's radius."""
     level = np.floor(np.log(radius) / np.log(1.3)).astype(np.int64)
     size = 1.3**level / np.sqrt(3.0)
     # Voxels of another level start far away, so that one call numbers all.
@@ -121,9 +115,7 @@ def _voxels(
 def _cones(
     rays: Float[np.ndarray, "N 3"], ranges: Float[np.ndarray, "N"], starts: Float[np.ndarray, "N 3"]
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
-    """Return the number of the piece of a narrow cone each point lies in, and counts: about a radius wide, three radii
-    deep.
-    """
+    """Return each point's piece of a narrow cone, a radius wide and three deep, and the counts."""
     # The radius grows with the range; so many pieces, each _DEEP radii deep, lie before a range.
     poll()
     before = np.log1p(ranges * (RADIUS_SHARE / RADIUS)) / (_DEEP * RADIUS_SHARE)
@@ -175,8 +167,7 @@ def on_grazed_surface(
     surface: Float[np.ndarray, "N 3"],
     apart: Float[np.ndarray, "K"],
 ) -> Bool[np.ndarray, "K"]:
-    """Return points at most 5 mm off a plane, steep to their rays, that four fifths of the 24 surface points nearest
-    lie on.
+    """Return points within 5 mm of a plane, steep to their rays, that holds most of the 24 nearest surface points.
 
     Rays that graze a surface end as far from each other as mixed pixels do, but in one plane, and that plane passes
     the place they started at.  What is found so is of the surface for the points beside it.
@@ -204,7 +195,7 @@ def on_grazed_surface(
 
 @dataclass
 class _Nearest:
-    """The surface points nearest to each of some points, ascending.
+    """Nearest 24 surface points of each of K points, nearest first.
 
     Attributes:
         distance: (K, 24) [m].

@@ -28,13 +28,7 @@ _CELLS_OF_BLOCK = 4
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Cells seen to be free and not beside a measured point.
-
-    Attributes:
-        lower: (3,) lower corner of the grid [m].
-        size: edge of a cell [m].
-        free: (X, Y, Z) which cells are free.
-    """
+    """Cells seen to be free and not beside a measured point."""
 
     lower: Float[np.ndarray, "3"]
     size: float
@@ -69,7 +63,6 @@ class FreeSpace:
         """Count the free cell centres that lie deeper than ``margin`` in a hull.
 
         Args:
-            hull: with its faces.
             most: the count may end as soon as it is above this.
             margin: a quarter of a cell unless given [m].
         """
@@ -101,11 +94,8 @@ def carve(
     """March all rays in step through the grid.
 
     Args:
-        starts: (3,) or (R, 3) where the rays start [m].
         ends: (R, 3) where they ended; the last 5 cm of a ray are no evidence (range noise).
         surface: (M, 3) points whose cells and their six neighbours are never free.
-        lower, upper: (3,) corners of the grid [m].
-        size: edge of a cell [m].
     """
     return Crossing.of(starts, ends, lower, upper, size).mark_free(surface)
 
@@ -116,9 +106,6 @@ class Crossing:
 
     Attributes:
         rays: clipped to the grid.
-        lower: (3,) lower corner of the grid [m].
-        size: edge of a cell [m].
-        shape: (3,) how many cells.
     """
 
     rays: _Rays

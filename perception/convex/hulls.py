@@ -24,10 +24,8 @@ class Hull:
     """A convex hull and the points it was made for.
 
     Attributes:
-        vertices: (V, 3) [m].
         triangles: (F, 3) indices of the vertices of its faces.
         faces: (F, 4) half-spaces ``a . x + b <= 0``, one for each triangle.
-        volume: [m^3].
         members: indices of the points it holds.
     """
 
@@ -49,7 +47,7 @@ class Hull:
 
     @property
     def simplified(self) -> Hull:
-        """The same hull with each plane once in its faces, which then are those of no triangle."""
+        """Return the hull with each face's plane once and without triangles."""
         rounded = np.round(self.faces, 9)
         faces = rounded[np.unique(row_keys(rounded), return_index=True)[1]]
         return replace(self, faces=faces, triangles=self.triangles[:0])

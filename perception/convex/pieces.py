@@ -11,13 +11,12 @@ from jaxtyping import Bool, Float, Int
 
 from costs.scene import ConvexPiece
 from perception.convex.clock import Clock
-from perception.convex.coarse import Coarse, Groups, coarsen
+from perception.convex.coarse import Coarse, Groups, coarsen, measure_spacing, smooth_points
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, limit_vertices, make_hull, thicken
 from perception.convex.piece import Piece, measure_evidence
 from perception.convex.planes import Plane, PlaneSettings, find_planes
 from perception.convex.slabs import FRONT, Slab, attach_hulls, make_slabs
-from perception.convex.smooth import measure_spacing, smooth_points
 from perception.convex.split import find_clusters, merge, refine_hulls, split
 
 VOXEL = 0.015
@@ -59,7 +58,6 @@ def make_pieces(
 
     Args:
         points: (N, 3) obstacle points, cleaned [m].
-        starts: (3,) or (N, 3), where their rays started [m].
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan, those of the floor, of the robot and
             those that met nothing included: evidence of free space [m].
         seed: of the plane search; the same points, in any order, and the same seed give the same pieces.
@@ -141,7 +139,6 @@ def _find_covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Sla
 
     Args:
         points: (N, 3) freed of noise [m].
-        slabs: with their planes.
     """
     covered = np.zeros(len(points), dtype=bool)
     for plane, slab in slabs:
@@ -162,7 +159,6 @@ def _add_skin(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Flo
     Args:
         hull: its members index ``apart``.
         apart: (N,) distance of the points from those beside them [m].
-        free: what was seen free.
     """
     skinned = make_hull(thicken(hull.vertices, SKIN), hull.members)
     skin = min(_SKIN_OF_SPACING * float(np.median(apart[hull.members])), _MOST_SKIN)

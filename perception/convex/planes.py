@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 
 _CELL = 0.04
 _AT_A_TIME = 16
@@ -112,9 +112,6 @@ def find_planes(
     Args:
         points: (N, 3) downsampled [m].
         counts: (N,) measured points each stands for.
-        starts: (3,) or (N, 3), where the points' rays started [m].
-        rng: for the hypotheses.
-        settings: criteria of a plane.
     """
     settings = settings or PlaneSettings()
     planes: list[Plane] = []
@@ -264,9 +261,10 @@ def find_noise(
     left: Int[np.ndarray, "K"],
     settings: PlaneSettings,
 ) -> Bool[np.ndarray, "K"]:
-    """Find those of the points left that are the plane's noise: near it, and few beside the members around them
-    or evenly on both sides; farther off than a slab covers, no more on one side than the tail of the noise,
-    or than some times what lies on the other side: noise has two tails.
+    """Return the points left that are the plane's noise: near it, and few or evenly on both sides of it.
+
+    Farther off than a slab covers they are noise only where one side holds no more than the noise's tail, or than some
+    times what lies on the other side.
 
     Without this, the tails of the range noise are found as further planes before a wall.  A real thing that lies on
     the plane hides it: there the members are missing, and its points are kept.

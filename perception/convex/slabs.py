@@ -72,11 +72,7 @@ def make_slabs(
     """Make convex slabs that cover the plane's members and no opening.
 
     Args:
-        plane: the flat region.
         points: (N, 3) the cloud its members index [m].
-        starts: (3,) or (R, 3), where all rays of the scan started [m].
-        ends: (R, 3) where they ended [m].
-        free: what they saw to be free.
         apart: (N,) distance of the points from those beside them; where it is large, slabs go on half as far [m].
         gaps: further places that are not to be covered, in the plane's basis [m].
     """
@@ -309,9 +305,7 @@ def attach_hulls(
     than the slab did; of several slabs the slab that grows least takes it.
 
     Args:
-        slabs: with their planes.
         hulls: of what no plane explains, without skin.
-        free: what was seen free.
     """
     grown, left = list(slabs), []
     free_before = [_count_free_cells(slab, free) for _, slab in slabs]

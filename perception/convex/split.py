@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import SKIN, Hull, make_hull, thicken
 from perception.convex.towards import Sheaf
@@ -96,7 +96,7 @@ def _may_be_free(hull: Hull, free: FreeSpace, allowed: Allowance) -> bool:
 
 
 def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
-    """The cut whose two boxes have the smallest volume together, along the points' principal or the world's axes."""
+    """Cut the points in two across a principal or world axis, so that the volume of both boxes is least."""
     axes = np.linalg.eigh(np.cov((points - points.mean(axis=0)).T))[1]
     best: tuple[float, Int[np.ndarray, "K"], int] | None = None
     for frame in (axes, np.eye(3)):
@@ -114,7 +114,7 @@ def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np
 
 
 def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
-    """Summed volume of the boxes of the first i + 1 and the remaining points, each 1 cm larger all round."""
+    """Return the summed volume of the boxes of the first i + 1 and the remaining points, each 1 cm larger all round."""
     skin = 0.01
     low, high = np.minimum.accumulate(ordered), np.maximum.accumulate(ordered)
     low_r, high_r = np.minimum.accumulate(ordered[::-1])[::-1], np.maximum.accumulate(ordered[::-1])[::-1]
@@ -129,8 +129,6 @@ def merge(
     """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
 
     Args:
-        hulls: what to join.
-        free: what was seen free.
         gap: boxes farther apart than this, or than the lesser of the two hulls' own, are not neighbours [m].
         allowed: how much seen-free space a joint hull may hold.
     """
@@ -207,10 +205,8 @@ def refine_hulls(
     air before them.
 
     Args:
-        hulls: of some of the points.
         points: (N, 3) that their members index [m].
         surface: (M, 3) all points that surfaces stand for [m].
-        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays [m].
         gap: parts whose boxes are farther apart are not joined again [m].
     """
     is_large = [make_hull(thicken(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]

@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from perception.convex.coarse import Coarse, coarsen
+from perception.convex.coarse import Coarse, coarsen, smooth_points
 from perception.convex.freespace import FreeSpace
 from perception.convex.hulls import Hull
 from perception.convex.piece import Piece
-from perception.convex.smooth import smooth_points
 from perception.convex.split import find_clusters
 
 _WITHIN = 0.01
@@ -40,8 +39,6 @@ class Ground:
 
     Attributes:
         hulls: of its pieces.
-        points: (F, 3) that belong to it [m].
-        starts: (F, 3) where their rays started [m].
     """
 
     hulls: tuple[Hull, ...] = ()
@@ -240,8 +237,6 @@ def make_boxes(
     """Make boxes (lower, upper corner) about groups of points so far apart that no piece is made of two groups [m].
 
     Args:
-        points: (K, 3) [m].
-        starts: (K, 3) where their rays started [m].
         around: how far a box goes on beyond its points [m].
     """
     apart = max(_APART, _APART_OF_RANGE * float(np.linalg.norm(points - starts, axis=1).max(initial=0.0)))

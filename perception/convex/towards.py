@@ -25,7 +25,6 @@ class Bearings:
     Attributes:
         start: (3,) that place [m].
         cell: (R,) number of the cell of directions that each goes to.
-        length: (R,) [m].
     """
 
     start: Float[np.ndarray, "3"]

@@ -55,10 +55,7 @@ def make_unknown_pieces(
     the robot.
 
     Args:
-        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
-        reach: what matters.
         floors: what lies below all of them is left out.
-        robot_hulls: (V, 3) vertices of the robot's links placed in the world [m].
         soles: (S, 3) corners of the planted soles; what lies just over them is left out [m].
     """
     over_soles = [

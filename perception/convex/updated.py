@@ -60,7 +60,6 @@ def update_pieces(
     made of the points that none of those left explains, noise about their surfaces taken as explained.
 
     Args:
-        before: pieces of the scan before.
         points, starts, rays, seed: see ``make_pieces``; the points need not be cleaned if there is a judge.
         ground: what else explains points.
         judge: returns which of the points of these indices lie on surfaces; called only with those that no piece

@@ -52,9 +52,7 @@ def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInS
     is sure only where rays went past both of its ends.
 
     Args:
-        view: the scan, made ready.
         hint: (3,) a point near the lever; weaker evidence is enough then [m].
-        seen: faces of the view near the hint.
     """
     if not len(view.obstacles):
         return []

@@ -66,8 +66,6 @@ def detect(kind: str, view: View, hint: Float[np.ndarray, "3"] | None = None) ->
     """Find objects of a kind, best first.
 
     Args:
-        kind: one of :data:`KINDS`.
-        view: the scan, made ready.
         hint: (3,) a point near the object, as an operator would click it [m].
 
     Raises:
@@ -85,9 +83,6 @@ def detect_kinds(
     """Find objects of several kinds, in the order of the kinds, best first within each.
 
     Args:
-        kinds: of :data:`KINDS`.
-        view: the scan, made ready.
-        hint: (3,) a point near the object, as an operator would click it [m].
         on_kind: called with each kind before its search.
 
     Raises:

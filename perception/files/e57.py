@@ -9,8 +9,7 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.pcd import IDENTITY_VIEWPOINT
-from perception.files.scan import Scan
-from perception.files.thinning import choose_step, note_thinning, pick_rows
+from perception.files.scan import Scan, choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.content import Content, open_stream
-from perception.files.scan import Scan
-from perception.files.thinning import choose_step, note_thinning, pick_rows
+from perception.files.scan import Scan, choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:

@@ -19,12 +19,14 @@ from perception.files.scan import (
     NO_RETURN,
     STARTS,
     Scan,
+    choose_step,
     find_missing_axis,
     index_columns,
+    note_thinning,
     parse_viewpoint,
+    pick_rows,
     quote,
 )
-from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_BYTES, MAX_FILE_POINTS
 
 if TYPE_CHECKING:

@@ -23,8 +23,7 @@ from perception.files.formats import (
     find_format_by_head,
     find_format_by_suffix,
 )
-from perception.files.scan import Scan, quote
-from perception.files.thinning import limit_scan
+from perception.files.scan import Scan, limit_scan, quote
 from perception.limits import MAX_FILE_BYTES
 
 # Where the optional library of a kind is missing: what to install.

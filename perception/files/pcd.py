@@ -16,15 +16,17 @@ from perception.files.content import Content
 from perception.files.scan import (
     NO_RETURN,
     Scan,
+    choose_step,
     find_missing_axis,
     index_columns,
     make_scan,
+    note_thinning,
     parse_natural,
     parse_viewpoint,
+    pick_rows,
     quote,
 )
 from perception.files.text import read_rows, use_line_feeds
-from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
@@ -91,8 +93,6 @@ def write_pcd(
     """Write x y z as float32.
 
     Args:
-        path: file to write.
-        points: (N, 3) [m].
         viewpoint: x y z qw qx qy qz of the sensor in the frame of the points.
         encoding: one of ``ascii``, ``binary``, ``binary_compressed``.
         misses: (M, 3) places up to which rays met nothing [m]; they follow the points, marked by a further field

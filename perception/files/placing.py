@@ -79,7 +79,6 @@ def _guess_sensor(
     """Choose where rays start when the file does not say so, with a note about it.
 
     Args:
-        points: in the world [m].
         zero: the file's zero in the world [m].
         sensor: what the user says [m].
     """

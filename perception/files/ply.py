@@ -12,15 +12,17 @@ from perception.errors import CloudError
 from perception.files.content import Content
 from perception.files.scan import (
     Scan,
+    choose_step,
     find_missing_axis,
     index_columns,
     make_scan,
+    note_thinning,
     parse_natural,
     parse_viewpoint,
+    pick_rows,
     quote,
 )
 from perception.files.text import Rows, read_rows, use_line_feeds
-from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:

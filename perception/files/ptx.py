@@ -11,9 +11,8 @@ import numpy as np
 from perception.errors import CloudError
 from perception.files.content import Content
 from perception.files.pcd import IDENTITY_VIEWPOINT
-from perception.files.scan import Scan, parse_natural, quote
+from perception.files.scan import Scan, choose_step, note_thinning, parse_natural, pick_rows, quote
 from perception.files.text import read_rows, skip_lines, use_line_feeds
-from perception.files.thinning import choose_step, note_thinning, pick_rows
 from perception.limits import LARGEST_COORDINATE, MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from perception.errors import CloudError
 from perception.files.bag import Message
 from perception.files.parse import is_bag, parse_to_values
 from perception.files.placing import PoseInput, place_scan
-from perception.files.scan import Scan
-from perception.files.thinning import pick_rows
+from perception.files.scan import Scan, pick_rows
 from perception.limits import MAX_PARSER_BYTES, MAX_PARSER_CPU_S, MAX_PARSER_WALL_S, MAX_POINTS
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
@@ -37,7 +36,6 @@ def read_cloud(
     ``transform`` does.  The viewpoint's translation, moved likewise, is where the rays started.
 
     Args:
-        path: the file.
         unit: of the file's lengths: m, cm, mm, km, in, ft.
         transform: pose_world_cloud, as ``rigid_pose`` takes it [m, rad]; None: the points are in the world.
         apply_viewpoint: move the points by the viewpoint pose, for files whose points are in the sensor's frame.

@@ -13,8 +13,7 @@ import numpy as np
 
 from perception.errors import CloudError
 from perception.files.content import Content
-from perception.files.scan import parse_natural, quote
-from perception.files.thinning import choose_step, note_thinning, pick_row, pick_rows
+from perception.files.scan import choose_step, note_thinning, parse_natural, pick_row, pick_rows, quote
 from perception.limits import MAX_FILE_POINTS, MAX_WHOLE_BYTES
 
 if TYPE_CHECKING:
@@ -37,7 +36,6 @@ class Rows:
     """Rows of numbers, thinned to as many as are used.
 
     Attributes:
-        values: (R, C) the requested columns.
         n_there: how many rows the text has, as far as it was read.
         step: one of so many was taken.
     """

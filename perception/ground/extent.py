@@ -65,11 +65,6 @@ def convex_patches(
     With holes, all places are covered, up to the farthest that was seen, that are nearer to what was seen than to a
     hole: a floor goes on in a shadow, but not behind its edge.
 
-    Args:
-        seen: (K, 2) places [m].
-        cell: how finely [m].
-        holes: (H, 2) places that are not covered [m].
-
     Returns:
         Corners (4, 2), counter-clockwise, of rectangles that do not overlap and lie along the main direction.
     """

@@ -26,7 +26,6 @@ class FloorPlane:
 
     Attributes:
         normal: (3,) unit, upwards.
-        offset: [m].
         rms: scatter of its points about it [m].
         area: seen area [m^2].
         outlines: (K, 2) corners in the world, counter-clockwise, of convex patches that together are its extent;
@@ -63,10 +62,7 @@ def on_floor(
     """Return points of the floor's extent below it, up to ``clearance`` over it, and up to 3 cm over it under a sole.
 
     Args:
-        points: (N, 3) [m].
-        floor: the plane.
         soles: corners (S, 3) of each convex sole, any order, world [m].
-        clearance: [m].
         depth: how far below it points may lie [m].
     """
     above = floor.above(points)
@@ -111,9 +107,7 @@ def _within(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "
 def _under(
     xy: Float[np.ndarray, "N 2"], polygon: Float[np.ndarray, "S 2"], margin: float = 0.0
 ) -> Bool[np.ndarray, "N"]:
-    """Return which places lie inside the convex polygon, corners in any order, or at most ``margin`` outside its
-    sides.
-    """
+    """Return which places lie inside the convex polygon, or at most ``margin`` outside it."""
     centre = polygon.mean(axis=0)
     order = np.argsort(np.arctan2(*(polygon - centre).T[::-1]))
     corners = polygon[order]

@@ -11,12 +11,11 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 from perception.ground.extent import convex_patches, pierced_cells
 from perception.ground.floor import FloorPlane
-from perception.ground.outlines import outlines_of
+from perception.ground.outlines import is_unbroken, outlines_of
 from perception.ground.patches import MAX_SLOPE_DEG, PATCH, Patches, candidates, least_squares, patches_of, plane_of
-from perception.ground.unbroken import is_unbroken
 
 _BAND = 0.025
 _AROUND = np.ones((3, 3), dtype=bool)
@@ -79,10 +78,8 @@ def find_floors(
 
     Args:
         points: (N, 3) in reach, without the robot's own [m].
-        rays: starts and ends (R, 3) of all rays [m]; those that went through the plane tell where it ends.
         stand: (3,) where the robot stands [m], the world's origin by default.
         extent: how far from there the first level is held against the rays [m].
-        seed: of the choice of candidates.
 
     Returns:
         The first without outlines when nothing says that it ends; all others with outlines.
@@ -163,9 +160,7 @@ def _find_parts(
     offset: float,
     members: Int[np.ndarray, "K"],
 ) -> _Level | None:
-    """Return the parts of a plane that are large enough to stand on; None without any, or where its patches tilt
-    otherwise.
-    """
+    """Return parts of a plane large enough to stand on; None without any, or where its patches tilt."""
     poll()
     cells = np.floor(points[members, :2] / _CELL).astype(int)
     lower = cells.min(axis=0) - 2
@@ -198,9 +193,7 @@ def _find_parts(
 def _from_within(
     points: Float[np.ndarray, "K 3"], normal: Float[np.ndarray, "3"], offset: float
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """Return the plane anew, without the border, where points of what goes up or down from there are taken for its
-    own.
-    """
+    """Return the plane fitted anew without its border, where rising or falling ground was taken in."""
     fine = np.floor(points[:, :2] / (_CELL / 2)).astype(int)
     lower = fine.min(axis=0) - 2
     picture = np.zeros(fine.max(axis=0) - lower + 3, dtype=bool)
@@ -238,7 +231,7 @@ def _under_robot(
 
 
 def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
-    """Return whether in the midst of the plane many points lie under it, as under a table."""
+    """Return whether many points lie under the middle of the plane, as under a table."""
     lower = level.cells.min(axis=0) - 1
     picture = np.zeros(level.cells.max(axis=0) - lower + 2, dtype=bool)
     picture[tuple((level.cells - lower).T)] = True
@@ -250,9 +243,7 @@ def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
 
 
 def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.ndarray, "3"]) -> bool:
-    """Return whether much lies under the plane between it and the robot, as before a shelf, and it is not known to be
-    level with the robot's feet.
-    """
+    """Return whether much lies under the plane near the robot and it is not at the feet's height."""
     if abs(float(level.plane.height(stand[None, :2])[0]) - stand[2]) <= 2 * _BAND:
         return False
     apart = np.linalg.norm(points[:, :2] - stand[:2], axis=1)
@@ -262,9 +253,7 @@ def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.
 
 
 def _reach(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:
-    """Return levels a robot could step to from level to level, and large ground below, each without its broken
-    parts.
-    """
+    """Return levels reached by steps from level to level, and large ground below, without broken parts."""
     open_ends = [main]
     lowest = main.places[:, 2].min()
     # Rougher ones are slices through heaps, or two low steps at once.
@@ -299,8 +288,7 @@ def _outline(
     level: _Level,
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None,
 ) -> FloorPlane:
-    """Return the level with its extent; where it runs into another, as a ramp does into the ground, it goes on a
-    little.
+    """Return the level with its extent, a little longer where it runs into another as ramps do.
 
     A slope does so up and down, but not to its sides.
     """
@@ -330,9 +318,7 @@ def _bound(
     stand: Float[np.ndarray, "3"],
     extent: float,
 ) -> FloorPlane:
-    """Return the first level; where rays went through it, as over a hole, a step down or a slope away, with its
-    extent.
-    """
+    """Return the first level, with its extent where rays went through it, as over a hole or step down."""
     plane = main.plane
     foothold = stand[:2] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([[1.0, 0.0]])
     foothold = (foothold[:, None, :] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([0.0, 1.0])).reshape(

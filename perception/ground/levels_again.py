@@ -37,12 +37,6 @@ def are_there(
 
     The level under the robot is there as well where less of it is seen but nothing under it: a sensor may look
     elsewhere.  Where half is seen it may have moved by 3 mm, else by 1 cm, as levels may that are small and rough.
-
-    Args:
-        floors: of the scan before, the level under the robot first.
-        points: (N, 3) in reach, without the robot's own [m].
-        rays: starts and ends (R, 3) of all rays [m].
-        reach: what matters.
     """
     points = points[:: -(-len(points) // _MOST_POINTS)]
     return len(floors) > 0 and all(_is_there(floor, i == 0, points, rays, reach) for i, floor in enumerate(floors))
@@ -85,9 +79,7 @@ def _area(xy: Float[np.ndarray, "N 2"]) -> float:
 
 
 def _movement(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
-    """Return how far a plane through the points lies off the level, at the worst of them; zero where there are too few
-    [m].
-    """
+    """Return how far the points' plane lies off the level at its worst point; 0 with few points [m]."""
     fitted = least_squares(own, floor.normal, floor.offset, (_BAND, _BAND))
     if fitted is None:
         return 0.0
@@ -111,14 +103,11 @@ def may_be_level(
     ground: Float[np.ndarray, "F 3"],
     known: Sequence[Hull] = (),
 ) -> bool:
-    """Return whether points that are new show so much that is flat, and low enough, that it may be a level of the
-    floor.
+    """Return whether new points show so much flat and low surface that it may be a level of the floor.
 
     What is flat over a place where more of the floor is seen is its noise: a level would hide what lies under it.
 
     Args:
-        points: (N, 3) that no floor explains [m].
-        floors: levels that are known.
         ground: (F, 3) points that belong to them [m].
         known: bodies whose faces are no new levels.
     """

@@ -1,4 +1,4 @@
-"""Convex outlines of a level of the floor: of what was seen of it, cut where rays went through."""
+"""Parts of a level that are one surface to stand on, and their convex outlines, cut where rays went through."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from perception.convex.slabs import make_slabs
 from perception.ground.extent import pierced_cells
 from perception.ground.floor import FloorPlane
 
+_PART_CELL, _MARGIN = 0.05, 3
+_NEAR, _OFF, _OVER = 0.025, 0.04, 0.15  # [m]
+_LEAST_INNER = 0.02  # [m^2]
+_LEAST_SHARE = 0.85
 _CELL = 0.1
 _FINE = 0.06
 _THIN = 0.015
@@ -21,6 +25,41 @@ _AROUND = np.ones((3, 3), dtype=bool)
 _CLOSING = 2
 _NARROWEST = 0.08
 _NOTHING = FreeSpace(np.zeros(3), 1.0, np.zeros((1, 1, 1), dtype=bool))
+
+
+def is_unbroken(
+    points: Float[np.ndarray, "N 3"], own: Float[np.ndarray, "K 3"], plane: FloorPlane
+) -> Bool[np.ndarray, "K"]:
+    """Return which points of a level belong to wide parts with hardly anything just under or over them.
+
+    Beams in a heap have their upper faces at much the same height here and there, but between them one sees what lies
+    lower, and across them what lies higher.  Five centimetres along the border do not count: there are risers.
+
+    Args:
+        own: (K, 3) those of the level [m].
+    """
+    lower = np.floor(own[:, :2].min(axis=0) / _PART_CELL).astype(int) - _MARGIN
+    shape = np.floor(own[:, :2].max(axis=0) / _PART_CELL).astype(int) - lower + _MARGIN + 1
+
+    def counted(places: Float[np.ndarray, "M 3"]) -> np.ndarray:
+        cells = np.floor(places[:, :2] / _PART_CELL).astype(int) - lower
+        cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
+        return np.bincount(cells @ [shape[1], 1], minlength=shape.prod()).reshape(shape)
+
+    above = plane.above(points)
+    n_off = counted(points[(above < -_OFF) | ((above > _OFF) & (above < _OVER))])
+    n_on = counted(points[np.abs(above) < _NEAR])
+    # Gaps between scan lines are no gaps of the level; where something else is seen it has one.
+    closed = ndimage.binary_closing(counted(own) > 0, structure=_AROUND, iterations=2) & (n_on >= n_off)
+    label, n_parts = ndimage.label(ndimage.binary_erosion(closed, structure=_AROUND), structure=_AROUND)
+    size, on, off = (
+        np.bincount(label.ravel(), weights=weights, minlength=n_parts + 1)
+        for weights in (np.ones(label.size), n_on.ravel(), n_off.ravel())
+    )
+    wide = (size * _PART_CELL**2 > _LEAST_INNER) & (on > _LEAST_SHARE * (on + off))
+    wide[0] = False
+    with_border = ndimage.binary_dilation(wide[label], structure=_AROUND, iterations=3)
+    return np.asarray(with_border[tuple((np.floor(own[:, :2] / _PART_CELL).astype(int) - lower).T)])
 
 
 def outlines_of(
@@ -35,10 +74,8 @@ def outlines_of(
     are covered, wider ones are not.
 
     Args:
-        level: the plane.
         points: (N, 3) near it [m].
         core: (C, 2) places that belong to it for sure; what does not hang together with any of them is left out [m].
-        rays: starts and ends (R, 3) of all rays of the scan [m].
     """
     points = points[np.unique(voxel_index(points, _THIN)[0], return_index=True)[1]]
     places = points[:, :2]
@@ -61,9 +98,7 @@ def outlines_of(
 def _parts(
     places: Float[np.ndarray, "N 2"], core: Float[np.ndarray, "C 2"], holes: Float[np.ndarray, "H 2"]
 ) -> list[Int[np.ndarray, "L"]]:
-    """Return indices of the places that hang together, across gaps of scan lines but not across holes, with the
-    core.
-    """
+    """Return indices of places connected to the core across gaps of scan lines, but not across holes."""
     lower, shape = _grid(places, _CELL)
     seen = _picture(places, lower, shape, _CELL)
     joined = _close(seen) & ~_picture(holes, lower, shape, _CELL)

@@ -2,8 +2,7 @@
 
 from perception.simulate.cast import Caster, cast
 from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, hull, join_meshes, lathe, pipe, torus
-from perception.simulate.scanning import scan
-from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState
+from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState, scan
 from perception.simulate.valve_scene import Room, Valve
 
 __all__ = [

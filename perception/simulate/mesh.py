@@ -84,8 +84,6 @@ def lathe(
     Args:
         profile: radius and height above ``base``; starting and ending on the same pair gives a ring without a gap.
         base: where height is zero [m].
-        axis: what it turns about.
-        n_round: corners around.
     """
     direction = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     u, v = _across(direction)
@@ -103,8 +101,6 @@ def pipe(start: Sequence[float], end: Sequence[float], radius: float, wall: floa
     """Make a hollow cylinder, open at both ends.
 
     Args:
-        start: of its axis [m].
-        end: of its axis [m].
         radius: outer [m].
         wall: thickness [m].
     """

@@ -1,4 +1,4 @@
-"""Simulated sensors: a spinning line scanner, a solid-state scanner and a depth camera."""
+"""Simulated sensors (a spinning line scanner, a solid-state scanner, a depth camera) and the scans they take."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from perception.simulate.cast import Hits
+from perception.cloud import Cloud
+from perception.simulate.cast import Caster, Hits
+from perception.simulate.mesh import Mesh, join_meshes
 
 _EDGE = 0.03
 # Turns per second of the two prisms: their ratio is far from a ratio of small whole numbers, so the rosette fills.
@@ -71,9 +73,7 @@ class Sensor(Protocol):
         """Return ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
 
         Args:
-            hits: what the rays' middles met.
             beside: (R,) how far away is what their edges met [m].
-            rng: of the noise.
         """
         ...
 
@@ -87,7 +87,6 @@ def mix_ranges(
         first: what the rays' middles met [m].
         beside: what their edges met [m].
         share: how often an edge mixes both.
-        rng: of the choice.
     """
     place = rng.random(len(first))
     both = np.isfinite(first) & np.isfinite(beside)
@@ -140,14 +139,10 @@ class SolidState:
 
     Attributes:
         n_points: pulses.
-        rate: pulses per second.
         field_deg: full angle of the cone.
         sigma: standard deviation of the range at right angles to the surface [m].
         grazing_gain: further deviation per tangent of the angle of incidence [m].
-        max_range: [m].
-        footprint_deg: width of a beam.
         mixed_share: how often a beam on an edge gives a range between both surfaces.
-        nearest: [m].
     """
 
     n_points: int = 100_000
@@ -185,15 +180,11 @@ class DepthCamera:
     """A pinhole camera that measures disparity in whole steps.
 
     Attributes:
-        width: of the image [pixels].
-        height: of the image [pixels].
         field_deg: horizontal field of view.
         baseline: between its two eyes [m].
         matching: standard deviation of the disparity [pixels].
         step: what disparity is rounded to [pixels].
         correlation: how far the disparity's error reaches, as matching uses windows [pixels].
-        nearest: depth [m].
-        max_range: [m].
         mixed_share: how often a pixel on an edge flies between both surfaces.
         slant_deg: surfaces seen at more than this angle of incidence give holes ever more often.
         hole_share: how often a pixel is a hole for no reason.
@@ -252,3 +243,48 @@ class DepthCamera:
         limit = np.cos(np.radians(self.slant_deg))
         slanted = np.clip(1.0 - hits.cosine / limit, 0.0, 1.0)
         return np.asarray(np.maximum(slanted, self.hole_share))
+
+
+_SCANNER = Scanner()
+
+
+def scan(
+    meshes: Sequence[Mesh],
+    pose: Pose | None = None,
+    sensor: Sensor = _SCANNER,
+    seed: int = 0,
+    *,
+    misses: bool = False,
+) -> Cloud:
+    """Return what a sensor gives of the meshes, in world coordinates.
+
+    Every ray stops at the first surface (real occlusion), and may be mixed up with what is beside it.
+
+    Args:
+        misses: whether rays that met nothing in range are given, as places at ``max_range``; sensors that cannot tell
+            them from failures give none.
+    """
+    pose = pose or Pose()
+    rng = np.random.default_rng(seed)
+    origin = np.array(pose.position)
+    direction = sensor.directions() @ pose.rotation.T
+    caster = Caster(join_meshes(meshes))
+    hits = caster.hits(origin, direction)
+    beside = caster.hits(origin, _aside(direction, sensor.footprint_deg, rng)).distance
+    ranges = sensor.measure(hits, beside, rng)
+    seen = np.isfinite(ranges) & (ranges > sensor.nearest) & (ranges < sensor.max_range)
+    points = origin + ranges[seen, None] * direction[seen]
+    if not misses or not sensor.tells_misses:
+        return Cloud(points, origin)
+    nothing = ~seen & (hits.distance > sensor.max_range) & (beside > sensor.max_range)
+    return Cloud(points, origin, misses=origin + sensor.max_range * direction[nothing])
+
+
+def _aside(
+    direction: Float[np.ndarray, "R 3"], footprint_deg: float, rng: np.random.Generator
+) -> Float[np.ndarray, "R 3"]:
+    """Move each direction to its footprint's edge."""
+    aside = rng.normal(size=direction.shape)
+    aside -= (aside * direction).sum(axis=1, keepdims=True) * direction
+    aside *= np.tan(np.radians(footprint_deg)) / np.linalg.norm(aside, axis=1, keepdims=True)
+    return np.asarray((direction + aside) / np.linalg.norm(direction + aside, axis=1, keepdims=True))

@@ -20,12 +20,7 @@ class Valve:
         centre: of the rim [m].
         axis: unit, from the wall to the person who turns it.
         rim_radius: of the rim's centre line [m].
-        tube_radius: of the rim [m].
-        n_spokes: evenly spaced.
         spin: angle of the first spoke about the axis, from ``wheel_basis(axis)[0]`` [rad].
-        spoke_radius: [m].
-        hub_radius: [m].
-        stem_radius: [m].
         stem_length: from the rim's plane to the wall [m].
     """
 

@@ -16,8 +16,7 @@ from perception.convex.hulls import MAX_VERTICES, limit_vertices
 from perception.errors import MeshError
 from perception.sandbox import ProcessLimits
 from perception.solids.cache import Parts, PartsCache
-from perception.solids.closed import Solid
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, Solid
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import simplify_mesh, wrap_mesh
 
@@ -65,7 +64,6 @@ class CoacdResources:
 
     Attributes:
         cache: of results; None keeps none.
-        limits: of the process.
     """
 
     cache: PartsCache | None = field(default_factory=PartsCache.of_user)
@@ -79,9 +77,6 @@ def split_solid(
 
     Args:
         solid: closed parts are split as they are, open ones as shells.
-        settings: of CoACD.
-        resources: cache and limits.
-        name: of the mesh in errors.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
@@ -157,7 +152,7 @@ def _drop_slivers(parts: Parts) -> Parts:
 
 
 def _grow_to_contain(parts: Parts, mesh: Mesh) -> Parts:
-    """Grow the parts by what thinning their vertices had cut off: every corner and middle of a triangle is inside."""
+    """Grow thinned parts until all corners, edge middles and face middles of the mesh lie inside."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     surface = np.concatenate([mesh.vertices, (a + b + c) / 3.0, (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0])
     if not parts:

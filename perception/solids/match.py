@@ -12,10 +12,18 @@ from scipy.spatial.transform import Rotation
 from perception.convex.split import find_clusters
 from perception.errors import MeshError
 from perception.sightlines import sight_index
-from perception.solids.closed import Solid, make_solid
-from perception.solids.fit import MeshPose, Region, Surface, fit_pose
-from perception.solids.judge import MIN_AGREEING, PoseJudge, find_wide_planes, lie_on_planes, make_pose_judge
-from perception.solids.mesh import Mesh
+from perception.solids.fit import (
+    MIN_AGREEING,
+    MeshPose,
+    PoseJudge,
+    Region,
+    Surface,
+    find_wide_planes,
+    fit_pose,
+    lie_on_planes,
+    make_pose_judge,
+)
+from perception.solids.mesh import Mesh, Solid, make_solid
 from perception.view import View
 
 CONFIDENT = 0.5
@@ -36,7 +44,6 @@ class MeshMatch:
     """A mesh located in a scan.
 
     Attributes:
-        pose_world_mesh: (4, 4).
         confidence: 0 to 1; 0.5 and more is one to act on.
         residuals: ``rms`` and ``median`` distance of the points it explains [m]; ``seen_through``, the share of rays
             that should have met it and went on; ``hidden``, the share that met something before it; ``unexplained``,
@@ -77,7 +84,6 @@ class KnownMesh:
     """An object of known shape, and what is known of its pose.
 
     Attributes:
-        name: of the object.
         solid: its shape in its own frame [m].
         pose_world_mesh: (4, 4), right within 20 degrees and 15 cm unless it ``is_placed``; None: it is searched for.
         hint: (3,) a point on or near it, where there is no pose; None: it is looked for everywhere [m].
@@ -92,12 +98,7 @@ class KnownMesh:
 
 
 def locate(known: KnownMesh, view: View) -> MeshMatch:
-    """Find an object's pose in the scan; the pose of a placed one stays, and only its agreement is measured.
-
-    Args:
-        known: the object.
-        view: the scan, made ready.
-    """
+    """Find an object's pose in the scan; the pose of a placed one stays, and only its agreement is measured."""
     if known.is_placed and known.pose_world_mesh is not None:
         return judge_placed(known.solid, view, known.pose_world_mesh)
     return match_mesh(known.solid, view, hint=known.hint, initial=known.pose_world_mesh)
@@ -115,7 +116,6 @@ def match_mesh(
 
     Args:
         mesh: the object, in its own frame [m]; as a solid where it is checked already.
-        view: the scan, made ready.
         hint: (3,) a point on or near the object; without it and ``initial`` every cluster of its size is tried
             that is left when planes wider than it are taken away.
         initial: (4, 4) about where it stands (20 degrees, 15 cm); only poses near it are tried.
@@ -148,8 +148,6 @@ def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4
 
     Args:
         solid: the object, in its own frame [m].
-        view: the scan, made ready.
-        pose_world_mesh: (4, 4).
     """
     surface, centre, radius = _measure_solid(solid)
     pose = MeshPose(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])

@@ -10,14 +10,13 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest
 from perception.convex.clock import Clock
-from perception.convex.coarse import coarsen
+from perception.convex.coarse import coarsen, smooth_points
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import limit_vertices, make_hull
 from perception.convex.piece import Piece, measure_evidence
 from perception.convex.pieces import Pieces
-from perception.convex.smooth import smooth_points
 from perception.convex.split import is_free_of
 from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdResources, CoacdSettings, decompose
@@ -52,9 +51,6 @@ def make_coacd_pieces(
 
     Args:
         points: (N, 3) obstacle points, cleaned [m].
-        starts: (3,) or (N, 3), where their rays started [m].
-        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan [m].
-        resources: cache, and limits of the CoACD process.
 
     Raises:
         MeshError: CoACD crashed or needs too much.

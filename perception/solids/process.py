@@ -25,8 +25,6 @@ def run_coacd(
     Args:
         meshes: closed, wound outwards, finite.
         options: keyword arguments of ``coacd.run_coacd``.
-        limits: of the process.
-        name: of the meshes in errors.
 
     Raises:
         MeshError: CoACD crashed, or needs more memory or time than the limits allow.
@@ -46,8 +44,6 @@ def split_meshes(n_meshes: int, options: dict[str, Any], **arrays: np.ndarray) -
     """Split each mesh in this process.
 
     Args:
-        n_meshes: number of meshes.
-        options: as for ``run_coacd``.
         arrays: ``vertices_i`` and ``triangles_i`` of each mesh.
 
     Returns:

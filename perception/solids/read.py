@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.errors import MeshError
-from perception.solids.closed import MAX_TRIANGLES
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import MAX_TRIANGLES, Mesh
 
 SUFFIXES = (".stl", ".obj", ".ply")
 MAX_BYTES = 32 * 2**20
@@ -22,7 +21,7 @@ def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> 
     """Read the triangles of a mesh file; faces with more corners come as fans of triangles.
 
     Args:
-        path: the file; its suffix is the format. Text and binary STL are distinguished by content.
+        path: its suffix is the format; text and binary STL are distinguished by content.
         scale: metres per unit of the file, along each axis where there are three.
 
     Raises:

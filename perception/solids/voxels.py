@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.solids.closed import is_closed
-from perception.solids.mesh import Mesh
+from perception.solids.mesh import Mesh, is_closed
 
 _SIMPLER = 0.1  # share of the triangles that is left of a cell's own where the surface is smooth
 _SIMPLER_SHELL = 0.01  # of a shell's, whose cells follow a surface without noise
@@ -22,9 +21,6 @@ def wrap_cells(
     """Make a closed surface, wound outwards, half-way between the middles of occupied and empty cells.
 
     Args:
-        occupied: which cells are; at least one.
-        lower: (3,) lower corner of the grid [m].
-        size: edge of a cell [m].
         simpler: share of the triangles to come down to where the surface is smooth.
     """
     # open3d takes 0.7 s to import; flying edges is marching cubes without doubled corners.

@@ -89,14 +89,14 @@ def run_bench(
     return [rows[problem.name] for problem in problems]
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+def summarize_scenes(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Per scene and in all: problems, certified, CPU time median and 95th percentile, failures by verdict."""
     scenes = sorted({row["scene"] for row in rows})
     groups = [(scene, [row for row in rows if row["scene"] == scene]) for scene in scenes]
     return [_summary(name, group) for name, group in (*groups, ("all", list(rows)))]
 
 
-def failures(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+def list_failures(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Every problem that was not certified: its name, verdict and first reason."""
     return [(row["problem"], row["verdict"], row["reason"]) for row in rows if not row["success_claimed"]]
 

@@ -1,11 +1,11 @@
-"""What watches over one plan: the clock, the stop button, and those who want to see it work."""
+"""Time limit, cancellation and progress of one plan."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,16 +13,16 @@ from jaxtyping import Float
 from scopt import Iteration, Result, Settings, Status
 
 OnIteration = Callable[[str, tuple[str, ...], Iteration, Float[np.ndarray, "T n"]], None]
-"""Told the step at work, the names of its coordinates, a trial of the optimiser, and the waypoints it is at."""
+"""Called after every trial step with the plan's step, the coordinates' names, the iteration and its waypoints."""
 
 OnProgress = Callable[[str, float], None]
-"""Told the step at work and the fraction of the plan that is done."""
+"""Called with the name of the current step and the fraction of the plan that is done."""
 
 INTERRUPTED = (Status.TIME_LIMIT, Status.CANCELLED)
 
 
-class Interrupted(Exception):  # noqa: N818 - it is how a plan ends early, not an error
-    """The clock ran out or somebody pressed stop; ``status`` says which."""
+class Interrupted(Exception):  # noqa: N818 - a way to end a plan early, not an error
+    """The plan ran out of time or was cancelled; ``status`` says which."""
 
     def __init__(self, status: Status) -> None:
         super().__init__(status.value)
@@ -31,13 +31,12 @@ class Interrupted(Exception):  # noqa: N818 - it is how a plan ends early, not a
 
 @dataclass
 class Monitor:
-    """Clock, stop button, progress and the record of one plan.
+    """Time limit, cancellation, progress and record of one plan.
 
     Attributes:
         time_limit_s: wall time for the whole plan.
-        should_stop: asked often; True ends the plan as cancelled.
-        on_progress: told what is being done.
-        on_iteration: told every trial of the optimiser.
+        should_stop: polled often; True ends the plan as cancelled.
+        on_progress, on_iteration: callbacks.
         timings: seconds by step, in the order of the steps.
         history: (step, iterations) of every solve.
     """
@@ -51,50 +50,53 @@ class Monitor:
     started: float = field(default_factory=time.perf_counter)
 
     def remaining_s(self) -> float:
-        """Seconds left."""
+        """Return the seconds left."""
         return self.time_limit_s - (time.perf_counter() - self.started)
 
+    def is_cancelled(self) -> bool:
+        """Return whether the caller has cancelled the plan."""
+        return self.should_stop is not None and self.should_stop()
+
     def is_over(self) -> bool:
-        """Whether the plan shall end."""
-        return self.remaining_s() <= 0.0 or (self.should_stop is not None and self.should_stop())
+        """Return whether the plan is out of time or cancelled."""
+        return self.remaining_s() <= 0.0 or self.is_cancelled()
 
     def check_stop(self) -> None:
         """
         Raises:
-            Interrupted: the stop button was pressed.
+            Interrupted: the plan was cancelled.
         """
-        if self.should_stop is not None and self.should_stop():
+        if self.is_cancelled():
             raise Interrupted(Status.CANCELLED)
 
     def check(self) -> None:
         """
         Raises:
-            Interrupted: time is up or the stop button was pressed.
+            Interrupted: the plan is out of time or was cancelled.
         """
         self.check_stop()
         if self.remaining_s() <= 0.0:
             raise Interrupted(Status.TIME_LIMIT)
 
     def stop_reason(self) -> Status:
-        """Why a poll ended the plan; whoever surrounds it cancels it, too."""
-        is_cancelled = self.should_stop is not None and self.should_stop()
-        return Status.CANCELLED if is_cancelled or self.remaining_s() > 0.0 else Status.TIME_LIMIT
+        """Return why a poll ended the plan; with time left it was cancelled by surrounding work."""
+        return Status.CANCELLED if self.is_cancelled() or self.remaining_s() > 0.0 else Status.TIME_LIMIT
 
     def report(self, step: str, fraction: float) -> None:
-        """Tell whoever watches."""
+        """Report progress."""
         if self.on_progress is not None:
             self.on_progress(step, fraction)
 
-    def iterations_of(
+    def make_callback(
         self, step: str, names: tuple[str, ...]
     ) -> Callable[[Iteration, Float[np.ndarray, "T n"]], None] | None:
-        """What the optimiser tells its trials while it works on a step; None where nobody listens."""
-        tell = self.on_iteration
-        return None if tell is None else lambda iteration, x: tell(step, names, iteration, x)
+        """Return the optimiser's callback while it works on a step; None without ``on_iteration``."""
+        notify = self.on_iteration
+        return None if notify is None else lambda iteration, x: notify(step, names, iteration, x)
 
     @contextmanager
     def step(self, name: str, fraction: float) -> Iterator[None]:
-        """Time a step of the plan; steps of one name add up."""
+        """Report and time a step of the plan; durations of equal names add up."""
         self.check()
         self.report(name, fraction)
         began = time.perf_counter()
@@ -103,19 +105,19 @@ class Monitor:
         finally:
             self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - began
 
-    def attempts(self, step: str) -> int:
-        """How many solves were made for a step; ``turn`` counts for ``turn 2`` as well."""
+    def count_attempts(self, step: str) -> int:
+        """Return the number of solves of a step; ``turn`` counts for ``turn 2`` as well."""
         return sum(step == name or step.startswith(f"{name} ") for name, _ in self.history)
 
-    def settings(self, base: Settings) -> Settings:
-        """Optimiser settings that respect the clock."""
-        return Settings(**{**base.__dict__, "time_limit_s": max(self.remaining_s(), 0.0)})
+    def limit_time(self, settings: Settings) -> Settings:
+        """Return the optimiser's settings with the plan's remaining time as their limit."""
+        return replace(settings, time_limit_s=max(self.remaining_s(), 0.0))
 
-    def note(self, step: str, result: Result) -> None:
-        """Keep a solve's history.
+    def record(self, step: str, result: Result) -> None:
+        """Record a solve's history.
 
         Raises:
-            Interrupted: the solve was stopped by the clock or the button.
+            Interrupted: the solve was stopped.
         """
         self.history.append((step, result.history))
         if result.status in INTERRUPTED:

@@ -1,218 +1,36 @@
-"""Solving single phases: poses and trajectories of a whole body, with what each phase promises."""
+"""Solver of single phases: poses and trajectories of a whole body, and first guesses for them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts
 from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
-from scopt import Constraint, Cost, Problem, Result, Settings, TrustRegionSQP
-from service.body.holds import Hold
-from service.body.monitor import Monitor
-from service.body.sampling import SamplingProblem, Tree, free_coordinates, resample_path, sample_path
-from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
-from service.verify import Motion, Target
+from scopt import Constraint, Cost, Problem, Settings, TrustRegionSQP
+from service.body.monitor import Interrupted, Monitor
+from service.body.sampling import SamplingProblem, Tree, free_coordinates, sample_path
+from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
-MOST_REASONS = 5
-MOST_STARTS = 4
+MOST_GUESSES = 4  # of a step without further starts, as of a pose
 JOINT_SPREAD, BASE_SPREAD = 0.5, 0.1  # of random guesses, standard deviations [rad, m]
-LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
-# A pose that can be had takes some ten steps.
+# A reachable pose takes some ten steps.
 POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
-
-Targets = Callable[[float], tuple[Target, ...]]
-"""What a phase must reach or follow, given the path parameter of its end."""
+# Steps from a local minimum: a constraint that can be met then gives way at once.
+RESTORE_EFFORT: dict[str, Any] = {"penalty": 100.0, "max_penalty_raises": 1, "max_iterations": 30}
 
 Terms = Callable[[str, RobotModel, int], Sequence[Cost[MotionState] | Constraint[MotionState]]]
-"""Terms of the caller's own, given the name of a phase, the robot and how many waypoints there are."""
-
-WaypointTargets = Callable[[Float[np.ndarray, "T"]], tuple[Target, ...]]
-"""What a phase must reach at its waypoints, given the path parameter of each."""
+"""The caller's own terms, given a phase's name, the robot and the number of waypoints."""
 
 Bounds = Callable[[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]], None]
 """Narrows lower and upper bounds in place."""
-
-
-@dataclass(frozen=True)
-class PlannedPhase:
-    """A phase of the motion as the optimiser left it, and what the verifier shall hold it to.
-
-    Attributes:
-        name: as the user sees it.
-        q: (T, n) waypoints.
-        is_feasible: whether the optimiser kept every constraint.
-        holds: what stays put between the waypoints besides the planted links.
-        allowances: pairs that may touch besides planted links and floor.
-        targets: given the path parameter of the phase's end, what it must reach or follow.
-        at_waypoints: given the path parameters of all its waypoints, what it must reach there.
-        is_settling: whether it begins outside the balance margin.
-        resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
-    """
-
-    name: str
-    q: Float[np.ndarray, "T n"]
-    is_feasible: bool
-    holds: tuple[Hold, ...] = ()
-    allowances: tuple[Allowance, ...] = ()
-    targets: Targets = lambda s_last: ()
-    at_waypoints: WaypointTargets = lambda s: ()
-    is_settling: bool = False
-    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
-
-    def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
-        """The phase from a denser trajectory between the same ends; None if it cannot be solved again."""
-        if self.resolve is None:
-            return None
-        solved = self.resolve(q)
-        return replace(self, q=solved.x, is_feasible=solved.is_feasible)
-
-    def for_robot(self, robot: RobotModel) -> PlannedPhase:
-        """The phase of a robot that has got further coordinates, which stay at zero."""
-        q = np.zeros((len(self.q), robot.n))
-        q[:, : self.q.shape[1]] = self.q
-        return replace(self, q=q)
-
-
-@dataclass(frozen=True)
-class TaskPlan:
-    """What a task's planner hands over.
-
-    Attributes:
-        body: the robot (perhaps with a mechanism) in its scene.
-        phases: in order; the last one may be infeasible, then ``stuck`` or ``obstacle`` say what stands in the way.
-        obstacle: sentences; empty when every phase is feasible.
-        stuck: the step that has no solution; None when every phase is feasible.
-        found_from: the start that led to it, in words; empty where a task has but one.
-        measure: numbers the task reports, measured on the finished motion.
-        notes: what was chosen.
-        is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
-    """
-
-    body: WholeBody
-    phases: tuple[PlannedPhase, ...]
-    obstacle: tuple[str, ...] = ()
-    stuck: Stuck | None = None
-    found_from: str = ""
-    measure: Callable[[Motion], Mapping[str, float]] = lambda motion: {}
-    notes: tuple[str, ...] = ()
-    is_impossible: bool = False
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """What stands in the way, in sentences; empty when every phase is feasible."""
-        return (*(() if self.stuck is None else self.stuck.shortcomings), *self.obstacle)
-
-    @property
-    def is_feasible(self) -> bool:
-        """Whether every phase was solved."""
-        return not self.reasons and bool(self.phases) and all(phase.is_feasible for phase in self.phases)
-
-
-@dataclass(frozen=True)
-class Solved:
-    """A solved problem, feasible or not.
-
-    Attributes:
-        result: of the optimiser.
-        problem: what was solved.
-        body: whose motion it is.
-    """
-
-    result: Result
-    problem: Problem[MotionState]
-    body: WholeBody
-
-    @property
-    def x(self) -> Float[np.ndarray, "T n"]:
-        """The best waypoints."""
-        return self.result.x
-
-    @cached_property
-    def is_feasible(self) -> bool:
-        """Whether every constraint is kept; of the clearance margin, which is an aim, only what keeps links apart."""
-        if self.result.is_feasible:
-            return True
-        state = self.problem.state(self.x)
-        contacts = state.contacts
-        asked = np.minimum(contacts.margin - CLEARANCE_TOLERANCE, LEAST_CLEARANCE)
-        return bool(np.all(contacts.distance >= asked)) and all(
-            float(term.measure_violation(term.residual.value(state)).max(initial=0.0)) <= term.tolerance
-            for term in self.problem.constraints
-            if term.name not in CLEARANCE_TERMS
-        )
-
-    @property
-    def shortfall(self) -> float:
-        """Largest violation relative to its tolerance."""
-        violation = self.result.violation
-        return max((violation[c.name] / c.tolerance for c in self.problem.constraints), default=0.0)
-
-    def shortcomings(self, name: str) -> tuple[str, ...]:
-        """What stands in the way at the best waypoints, the worst first, in words."""
-        state = self.problem.state(self.x)
-        lines: list[tuple[float, str]] = []
-        for constraint in self.problem.constraints:
-            short = constraint.measure_violation(constraint.residual.value(state))
-            worst = float(short.max(initial=0.0))
-            if worst <= constraint.tolerance:
-                continue
-            if constraint.name not in CLEARANCE_TERMS:
-                text = f"{name}: '{constraint.name}' is off by {worst:.3g} {constraint.unit}".rstrip()
-                lines.append((worst / constraint.tolerance, text))
-        lines += [(depth / CLEARANCE_TOLERANCE, f"{name}: {text}") for depth, text in self._near_misses(state.contacts)]
-        lines.sort(key=lambda line: -line[0])
-        return tuple(text for _, text in lines[:MOST_REASONS]) or (f"{name}: {self.result.message}",)
-
-    def _near_misses(self, contacts: Contacts) -> list[tuple[float, str]]:
-        """Each pair that is too near, at its worst: by how much, and in words."""
-        worst: dict[tuple[str, str], tuple[float, str]] = {}
-        bodies, pieces = self.body.robot.bodies, self.body.scene.pieces
-        for row in range(len(contacts)):
-            short = float(contacts.margin[row] - contacts.distance[row])
-            if short <= CLEARANCE_TOLERANCE:
-                continue
-            first = bodies[contacts.body[row]].name
-            other = int(contacts.other[row])
-            second = bodies[other].name if contacts.is_self[row] else pieces[other].name
-            distance = 1e3 * float(contacts.distance[row])
-            where = f"between waypoints {contacts.first[row]} and {contacts.second[row]}"
-            if contacts.first[row] == contacts.second[row]:
-                where = "there"
-            how = f"is {-distance:.0f} mm inside" if distance < 0.0 else f"comes within {distance:.0f} mm of"
-            text = f"{first} {how} {second} {where} ({1e3 * float(contacts.margin[row]):.0f} mm are aimed at)"
-            worst[first, second] = max(worst.get((first, second), (0.0, "")), (short, text))
-        return list(worst.values())
-
-
-@dataclass(frozen=True)
-class Stuck:
-    """A step that has no solution.
-
-    Attributes:
-        step: its name.
-        best: the best attempt at it.
-    """
-
-    step: str
-    best: Solved
-
-    @staticmethod
-    def at(step: str, solved: Solved) -> Stuck | None:
-        """None when the step is solved."""
-        return None if solved.is_feasible else Stuck(step, solved)
-
-    @property
-    def shortcomings(self) -> tuple[str, ...]:
-        """What the best attempt falls short of, in sentences."""
-        return self.best.shortcomings(self.step)
 
 
 @dataclass(frozen=True)
@@ -223,21 +41,21 @@ class PhaseSolver:
         body: the robot in its scene.
         monitor: of the plan.
         settings: of the optimiser.
-        overrides: ``(one, other, margin)`` for pairs that are asked for another clearance [m].
-        most_starts: starts of a reach that are tried at most.
+        overrides: ``(body, other body, margin)`` for pairs with another required clearance [m].
+        most_starts: limit of starts per step, at most ``MOST_GUESSES`` in one solve.
         seed: of random draws.
-        terms: of the caller's own, added to every pose and trajectory.
+        terms: the caller's own, added to every pose and trajectory.
     """
 
     body: WholeBody
     monitor: Monitor
     settings: Settings
     overrides: tuple[tuple[BodyRef, BodyRef, float], ...] = ()
-    most_starts: int = MOST_STARTS
+    most_starts: int = MOST_GUESSES
     seed: int = 0
     terms: Terms = lambda phase, robot, n_waypoints: ()
 
-    def pose(
+    def solve_pose(
         self,
         name: str,
         guesses: Sequence[Float[np.ndarray, "n"]],
@@ -245,11 +63,11 @@ class PhaseSolver:
         allowances: Sequence[Allowance] = (),
         fixed: Mapping[int, float] | None = None,
     ) -> Solved:
-        """A single configuration near the nominal posture; the first guess that leads to a feasible one wins.
+        """Solve for a configuration near the nominal posture; the first guess that leads to a feasible one wins.
 
         Args:
             name: of the step.
-            guesses: (n,) starts.
+            guesses: (n,) each.
             constraints: of the task, at waypoint 0.
             allowances: pairs that may touch.
             fixed: value by coordinate index.
@@ -257,11 +75,11 @@ class PhaseSolver:
         lower, upper = self.body.bounds(1, {})
         for index, value in (fixed or {}).items():
             lower[0, index] = upper[0, index] = value
-        checker = self.body.checker(allowances, [self.body.nominal], self.overrides)
-        problem = self.body.problem(lower, upper, checker, *self._with_own(name, 1, (), constraints))
-        return self.with_settings(**POSE_EFFORT)._first_feasible(name, problem, [guess[None] for guess in guesses])
+        checker = self.body.make_checker(allowances, [self.body.nominal], self.overrides)
+        problem = self.body.make_problem(lower, upper, checker, *self._add_own_terms(name, 1, (), constraints))
+        return self.with_settings(**POSE_EFFORT)._solve_in_turn(name, problem, [guess[None] for guess in guesses])
 
-    def trajectory(
+    def solve_trajectory(
         self,
         name: str,
         starts: Sequence[Float[np.ndarray, "T n"]],
@@ -272,53 +90,68 @@ class PhaseSolver:
         bounds: Bounds | None = None,
         balanced: Sequence[int] | None = None,
     ) -> Solved:
-        """A trajectory; the first start that leads to a feasible one wins, else the best is returned.
+        """Solve for a trajectory; the first start that leads to a feasible one wins, else the best is returned.
 
         Args:
             name: of the phase.
-            starts: (T, n) starting trajectories.
+            starts: (T, n) each.
             fixed: configuration by waypoint.
             costs, constraints: of the task.
             allowances: pairs that may touch.
-            bounds: may narrow the bounds in place.
-            balanced: waypoints at which balance is asked; all if not given.
+            bounds: may narrow the bounds.
+            balanced: waypoints with a balance constraint; all if not given.
         """
         lower, upper = self.body.bounds(len(starts[0]), fixed)
         if bounds is not None:
             bounds(lower, upper)
-        checker = self.body.checker(allowances, list(fixed.values()), self.overrides)
-        terms = self._with_own(name, len(lower), costs, constraints)
-        problem = self.body.problem(lower, upper, checker, *terms, balanced)
-        return self._first_feasible(name, problem, starts)
+        checker = self.body.make_checker(allowances, list(fixed.values()), self.overrides)
+        terms = self._add_own_terms(name, len(lower), costs, constraints)
+        problem = self.body.make_problem(lower, upper, checker, *terms, balanced)
+        return self._solve_in_turn(name, problem, starts)
 
-    def sample_start(
-        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], n_waypoints: int, tree: Tree
-    ) -> Float[np.ndarray, "T n"] | None:
-        """A start around the obstacles from a sampling planner; None where base or standing legs must move."""
+    def restore_feasibility(self, step: str, solved: Solved) -> Solved:
+        """Solve an infeasible step on for required constraints only; return it as it is if that fails."""
+        problem = keep_required(solved.problem)
+        settings = self.monitor.limit_time(replace(self.settings, **RESTORE_EFFORT))
+        result = TrustRegionSQP(settings).solve(problem, solved.x, should_stop=self.monitor.should_stop)
+        self.monitor.record(step, result)
+        restored = Solved(result, problem, solved.body)
+        return restored if restored.is_feasible else solved
+
+    def sample_corners(
+        self,
+        start: Float[np.ndarray, "n"],
+        end: Float[np.ndarray, "n"],
+        tree: Tree,
+        movable: Int[np.ndarray, "k"] | None = None,
+    ) -> Float[np.ndarray, "K n"] | None:
+        """Sample a path around the obstacles; None where others than the movable coordinates would have to move."""
         free = free_coordinates(self.body)
+        if movable is not None:
+            free = np.intersect1d(movable, free)
         others = np.setdiff1d(np.arange(len(start)), free)
         if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
             return None
-        problem = SamplingProblem(self.body, self.body.pose_checker([start, end]), start, end, free)
-        corners = sample_path(problem, tree, self.monitor.is_over)
+        problem = SamplingProblem(self.body, self.body.make_pose_checker([start, end]), start, end, free)
+        corners = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
         self.monitor.check()
-        return None if corners is None else resample_path(corners, max(n_waypoints, 2 * len(corners)))
+        return corners
 
     def with_settings(self, **changes: Any) -> PhaseSolver:
-        """The same solver with other settings of the optimiser."""
+        """Return the solver with other settings of the optimiser."""
         return replace(self, settings=replace(self.settings, **changes))
 
-    def _with_own(
+    def _add_own_terms(
         self,
         name: str,
         n_waypoints: int,
         costs: Sequence[Cost[MotionState]],
         constraints: Sequence[Constraint[MotionState]],
     ) -> tuple[Sequence[Cost[MotionState]], Sequence[Constraint[MotionState]]]:
-        """Costs and constraints of a step together with the caller's own.
+        """Return a step's costs and constraints with the caller's own.
 
         Raises:
-            TypeError: the caller's are neither.
+            TypeError: one of the caller's terms is neither.
         """
         own = self.terms(name, self.body.robot, n_waypoints)
         for term in own:
@@ -328,16 +161,17 @@ class PhaseSolver:
         own_constraints = [term for term in own if isinstance(term, Constraint)]
         return (*costs, *own_costs), (*constraints, *own_constraints)
 
-    def _first_feasible(
+    def _solve_in_turn(
         self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]
     ) -> Solved:
+        """Solve a problem from several starts until one is feasible."""
         best: Solved | None = None
-        for start in starts[:MOST_STARTS]:
+        for start in starts[: min(MOST_GUESSES, self.most_starts)]:
             self.monitor.check()
-            solver = TrustRegionSQP(self.monitor.settings(self.settings))
-            tell = self.monitor.iterations_of(name, self.body.robot.joint_names)
-            result = solver.solve(problem, start, tell, self.monitor.should_stop)
-            self.monitor.note(name, result)
+            solver = TrustRegionSQP(self.monitor.limit_time(self.settings))
+            callback = self.monitor.make_callback(name, self.body.robot.joint_names)
+            result = solver.solve(problem, start, callback, self.monitor.should_stop)
+            self.monitor.record(name, result)
             solved = Solved(result, problem, self.body)
             if solved.is_feasible:
                 return solved
@@ -348,20 +182,67 @@ class PhaseSolver:
         return best
 
 
+def report_solutions(
+    solutions: Iterable[tuple[str, Solved]], make_plan: Callable[[str, Solved], TaskPlan]
+) -> Iterator[TaskPlan]:
+    """Yield a plan for every feasible solution; for the best attempt if none is, also when interrupted.
+
+    Args:
+        solutions: name of the start and its solution, solved on demand.
+        make_plan: of both.
+    """
+    best: tuple[str, Solved] | None = None
+    is_solved = False
+    interruption: Interrupted | None = None
+    try:
+        for name, solved in solutions:
+            if solved.is_feasible:
+                is_solved = True
+                yield make_plan(name, solved)
+            elif best is None or solved.shortfall < best[1].shortfall:
+                best = name, solved
+    except Interrupted as error:
+        interruption = error
+    if not is_solved and best is not None:
+        yield make_plan(*best)
+    if interruption is not None:
+        raise interruption
+
+
+def keep_required(problem: Problem[MotionState]) -> Problem[MotionState]:
+    """Return the problem without costs, with clearances reduced to what keeps links apart."""
+    least = LEAST_CLEARANCE + CLEARANCE_TOLERANCE
+
+    def keep_apart(contacts: Contacts) -> Contacts:
+        return replace(contacts, margin=np.minimum(contacts.margin, least))
+
+    return change_contacts(replace(problem, costs=()), keep_apart)
+
+
+def change_contacts(problem: Problem[MotionState], change: Callable[[Contacts], Contacts]) -> Problem[MotionState]:
+    """Return the problem with the contacts of every state changed."""
+
+    def state(x: Float[np.ndarray, "T n"]) -> MotionState:
+        full = problem.state(x)
+        return replace(full, contacts=change(full.contacts))
+
+    return replace(problem, state=state)
+
+
 def posture_guesses(body: WholeBody) -> list[tuple[str, Float[np.ndarray, "n"]]]:
-    """Configurations worth starting from by name: the nominal one, then the robot's postures where it stands."""
-    found = [("nominal", body.nominal.copy())]
+    """Return configurations to start from by name: the nominal one, then the robot's postures where it stands."""
+    guesses = [("nominal", body.nominal.copy())]
     for name, posture in sorted(body.robot.postures.items()):
         guess = posture.copy()
         if body.robot.is_floating:
             guess[: len(BASE_NAMES)] = body.nominal[: len(BASE_NAMES)]
         if not np.array_equal(guess, body.nominal):
-            found.append((name, guess))
-    return found
+            guesses.append((name, guess))
+    return guesses
 
 
 def random_guesses(body: WholeBody, count: int, seed: int) -> list[Float[np.ndarray, "n"]]:
-    """Configurations about the nominal one, within the limits."""
+    """Return random configurations about the nominal one, within the limits."""
     robot, rng = body.robot, np.random.default_rng(seed)
     spread = np.full(robot.n, JOINT_SPREAD)
     if robot.is_floating:
@@ -373,7 +254,7 @@ def random_guesses(body: WholeBody, count: int, seed: int) -> list[Float[np.ndar
 def straight_path(
     first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
 ) -> Float[np.ndarray, "T n"]:
-    """Waypoints on the straight line between two configurations."""
+    """Return waypoints on the straight line between two configurations."""
     return np.asarray(first + (last - first) * np.linspace(0.0, 1.0, n_waypoints)[:, None])
 
 
@@ -383,7 +264,7 @@ def path_via(
     last: Float[np.ndarray, "n"],
     n_waypoints: int,
 ) -> Float[np.ndarray, "T n"]:
-    """Waypoints on two straight lines through a configuration between."""
+    """Return waypoints on two straight lines through a configuration between."""
     half = n_waypoints // 2
     return np.concatenate(
         [straight_path(first, middle, half + 1)[:-1], straight_path(middle, last, n_waypoints - half)]

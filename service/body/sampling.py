@@ -1,4 +1,4 @@
-"""A start from a sampling planner: trees among the obstacles, for what no straight start leads around."""
+"""Paths of a sampling planner, as starts of the optimiser where no straight one leads around the obstacles."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ RANGE = 0.6  # longest extension of a tree [rad, m]
 
 @dataclass(frozen=True)
 class SamplingProblem:
-    """Joints that may move between two configurations while all others stay.
+    """Two configurations to connect by moving some of the coordinates.
 
     Attributes:
         body: the robot in its scene.
-        checker: of the poses along an edge.
+        checker: for the poses along an edge.
         start, end: (n,) configurations that differ in ``free`` only.
         free: indices of the coordinates that move.
     """
@@ -36,26 +36,26 @@ class SamplingProblem:
     free: Int[np.ndarray, "k"]
 
     def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
-        """Whether the free joints' poses are all clear and balanced."""
+        """Return whether poses of the free coordinates are all clear and balanced."""
         q = np.empty((len(poses), len(self.start)))
         q[:] = self.start
         q[:, self.free] = poses
-        placed = self.body.engine.place(q)
+        kinematics = self.body.engine.place(q)
         polygon = self.body.polygon
-        if polygon is not None and polygon.margin(placed.com[:, :2]).min() < self.body.aims.balance_margin:
+        if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < self.body.aims.balance_margin:
             return False
-        return self.checker.are_clear(placed)
+        return self.checker.are_clear(kinematics)
 
 
-def along_edge(first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> Float[np.ndarray, "K k"]:
-    """Poses close to each other on the straight line, the last one included; the first is known to be clear."""
-    way = last - first
-    count = max(int(np.ceil(np.abs(way).max() / EDGE_STEP)), 1)
-    return np.asarray(first + (np.arange(1, count + 1) / count)[:, None] * way)
+def interpolate_edge(first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> Float[np.ndarray, "K k"]:
+    """Return poses close to each other on the straight line, without the first, which is clear already."""
+    step = last - first
+    count = max(int(np.ceil(np.abs(step).max() / EDGE_STEP)), 1)
+    return np.asarray(first + (np.arange(1, count + 1) / count)[:, None] * step)
 
 
 def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
-    """Coordinates that move no planted link: neither base nor legs that stand."""
+    """Return the coordinates that move no planted link: neither base nor standing legs."""
     robot = body.robot
     fixed = set(range(len(BASE_NAMES))) if robot.is_floating else set()
     supports = body.engine.topology.supports
@@ -67,11 +67,11 @@ def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
 
 @dataclass(frozen=True)
 class Tree:
-    """How trees grow and when they are given up; counted, so that equal seeds give equal paths.
+    """Planner and effort of one search; checks are counted, not timed, so that equal seeds give equal paths.
 
     Attributes:
         seed: of the draws.
-        most_checks: edges and states that are looked at.
+        most_checks: limit of checked edges and states.
         planner: RRTConnect (Kuffner and LaValle, ICRA 2000), or LBKPIECE1 (Sucan and Kavraki, WAFR 2008, with lazy
             checks), which gets through narrow shelves with a tenth of the checks and is worse among bars.
     """
@@ -84,20 +84,18 @@ class Tree:
 def sample_path(
     problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool] = lambda: False
 ) -> Float[np.ndarray, "K n"] | None:
-    """Corners of a collision-free polyline from start to end, shortened; None if none was found.
-
-    By a planner of the Open Motion Planning Library.
+    """Return the corners of a collision-free polyline from start to end, shortened; None if OMPL finds none.
 
     Args:
-        problem: what to connect.
+        problem: the ends and the free coordinates.
         tree: seed and effort.
-        is_over: asked often; True ends the search.
+        is_over: polled often; True ends the search.
     """
-    from ompl import util  # takes a while to import and is the last resort
+    from ompl import util  # slow to import, and rarely needed
 
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(tree.seed + 1)
-    corners = _connected(problem, tree, is_over)
+    corners = _connect(problem, tree, is_over)
     if corners is None:
         return None
     corners = _shorten(problem, corners, np.random.default_rng(tree.seed))
@@ -106,23 +104,23 @@ def sample_path(
     return q
 
 
-def _connected(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) -> Float[np.ndarray, "K k"] | None:
-    """Corners of the free coordinates from start to end, as OMPL's planner finds them; None if it does not."""
+def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) -> Float[np.ndarray, "K k"] | None:
+    """Return the corners of OMPL's path in the free coordinates; None if it finds none."""
     from ompl import base, geometric
 
     space = base.RealVectorStateSpace(len(problem.free))
     space.setBounds(_bounds(problem))
-    effort = _Effort(problem, tree.most_checks, is_over)
+    effort = _EffortCounter(problem, tree.most_checks, is_over)
 
-    def corner(state: object) -> Float[np.ndarray, "k"]:
+    def read_state(state: object) -> Float[np.ndarray, "k"]:
         return np.array([state[k] for k in range(len(problem.free))])  # type: ignore[index]
 
     class Edge(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, first: object, last: object, *_: object) -> bool:
-            return effort.is_clear(along_edge(corner(first), corner(last)))
+            return effort.is_clear(interpolate_edge(read_state(first), read_state(last)))
 
     information = base.SpaceInformation(space)
-    information.setStateValidityChecker(lambda state: effort.is_clear(corner(state)[None]))
+    information.setStateValidityChecker(lambda state: effort.is_clear(read_state(state)[None]))
     information.setMotionValidator(Edge(information))
     information.setup()
     definition = base.ProblemDefinition(information)
@@ -138,11 +136,11 @@ def _connected(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]
     if not planner.solve(base.PlannerTerminationCondition(effort.is_enough)) or not definition.hasExactSolution():
         return None
     path = definition.getSolutionPath()
-    return np.array([corner(path.getState(k)) for k in range(path.getStateCount())])
+    return np.array([read_state(path.getState(k)) for k in range(path.getStateCount())])
 
 
 def _bounds(problem: SamplingProblem) -> object:
-    """Of each free coordinate: its limits, and at most half a turn beyond start and end."""
+    """Return the limits of the free coordinates, at most half a turn beyond start and end."""
     from ompl import base
 
     robot = problem.body.robot
@@ -154,24 +152,24 @@ def _bounds(problem: SamplingProblem) -> object:
     return bounds
 
 
-class _Effort:
-    """Counts what a planner looks at, and says when it is enough."""
+class _EffortCounter:
+    """Count of a planner's checks, with their limit."""
 
     def __init__(self, problem: SamplingProblem, most_checks: int, is_over: Callable[[], bool]) -> None:
         self._problem, self._most_checks, self._is_over = problem, most_checks, is_over
-        self._n_checks = self._n_asked = 0
+        self._n_checks = self._n_polls = 0
         self._is_stopped = False
 
     def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
-        """Whether poses of the free coordinates are; counts as one check."""
+        """Return whether poses of the free coordinates are clear; counts as one check."""
         self._n_checks += 1
         return self._problem.is_clear(poses)
 
     def is_enough(self) -> bool:
-        """Whether to give up."""
-        self._n_asked += 1
-        # The planner asks about three times as often as it checks: a look at the clock each time would be felt.
-        self._is_stopped = self._is_stopped or (self._n_asked % CLOCK_EVERY == 0 and self._is_over())
+        """Return whether to give up."""
+        self._n_polls += 1
+        # Polled about three times per check: the clock would take a notable share of the time.
+        self._is_stopped = self._is_stopped or (self._n_polls % CLOCK_EVERY == 0 and self._is_over())
         return self._is_stopped or self._n_checks >= self._most_checks
 
 
@@ -181,18 +179,18 @@ def _shorten(
     rng: np.random.Generator,
     tries: int = 100,
 ) -> Float[np.ndarray, "K k"]:
-    """The polyline with random pairs of its corners joined directly where that is clear."""
+    """Join random pairs of corners directly where the edge is clear."""
     for _ in range(tries):
         if len(corners) < 3:
             break
         first, last = np.sort(rng.choice(len(corners), 2, replace=False))
-        if last - first > 1 and problem.is_clear(along_edge(corners[first], corners[last])):
+        if last - first > 1 and problem.is_clear(interpolate_edge(corners[first], corners[last])):
             corners = np.delete(corners, np.arange(first + 1, last), axis=0)
     return corners
 
 
 def resample_path(corners: Float[np.ndarray, "K n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
-    """Waypoints on a polyline, evenly spread and with every corner among them as far as they suffice."""
+    """Return evenly spread waypoints on a polyline, with every corner among them if there are enough."""
     lengths = np.abs(np.diff(corners, axis=0)).max(axis=1)
     ends = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, 1e-9))])
     at = np.linspace(0.0, ends[-1], n_waypoints)

@@ -1,4 +1,4 @@
-"""What every phase of a motion shares: the robot on its planted feet in a scene, and the terms that keep it there."""
+"""The robot on its planted links in a scene, with the terms that every phase of a motion has."""
 
 from __future__ import annotations
 
@@ -31,27 +31,21 @@ from service.start.standing import sole_corners
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
-SELF_SHARE = 0.5  # of the margin is asked of the robot's own links: their distance is known better than the world's
-CLEARANCE_TOLERANCE = 2e-3  # of the margin that is aimed at [m]
-ACCEPTABLE_SHARE = 0.3  # of the margin may be missing where it takes long to get
+SELF_SHARE = 0.5  # of the margin between the robot's own links: their distance is known better than the world's
+CLEARANCE_TOLERANCE = 2e-3  # of the clearance margin [m]
+ACCEPTABLE_SHARE = 0.3  # of the margin that may be missing when a solve takes long
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
-SAMPLING_CLEARANCE = 5e-3  # kept by a sampled start; the optimiser finds the margin [m]
-BASE_MOBILITY = 0.01  # of the base where a step is corrected: legs and arms give way
+SAMPLING_CLEARANCE = 5e-3  # of a sampled start; the optimiser adds the rest of the margin [m]
+BASE_MOBILITY = 0.01  # of the base when a step is corrected: legs and arms move instead
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
 
 
 @dataclass(frozen=True)
 class PlantedLink:
-    """A link that stays where it is.
-
-    Attributes:
-        link: its name.
-        pose_world_link: (4, 4).
-        sole: (C, 3) contact corners in the link's frame [m].
-    """
+    """A link that does not move, with the contact corners of its sole in the link's frame [m]."""
 
     link: str
     pose_world_link: Float[np.ndarray, "4 4"]
@@ -59,19 +53,14 @@ class PlantedLink:
 
     @property
     def sole_in_world(self) -> Float[np.ndarray, "C 3"]:
-        """Contact corners in the world [m]."""
+        """(C, 3) contact corners in the world [m]."""
         pose = self.pose_world_link
         return np.asarray(self.sole @ pose[:3, :3].T + pose[:3, 3])
 
 
 @dataclass(frozen=True)
 class Aims:
-    """What a plan aims at.
-
-    Attributes:
-        margin: clearance from the world and between links [m].
-        balance_margin: how far inside the support polygon the centre of mass stays [m].
-    """
+    """Margins of a plan: clearance, and distance of the centre of mass inside the support polygon [m]."""
 
     margin: float = 0.02
     balance_margin: float = 0.02
@@ -83,15 +72,15 @@ class WholeBody:
 
     Attributes:
         robot: possibly augmented by a mechanism, whose coordinates come last.
-        scene: convex pieces.
+        scene: of convex pieces.
         engine: kinematics of ``robot``.
-        planted: links that stay where they are.
+        planted: links that do not move.
         polygon: support polygon of the planted links; None for a fixed base.
         nominal: (n,) the posture to stay near.
         aims: margins.
         kept: relative poses that hold in every phase.
-        has_habits: whether to move smoothly, upright and near the nominal posture; a task may bring all costs itself.
-        sight: how far beyond its margin the optimiser sees a pair [m].
+        has_default_costs: whether to move smoothly, upright and near the nominal posture.
+        sight: distance beyond its margin at which a pair enters the problem [m].
     """
 
     robot: RobotModel
@@ -102,34 +91,37 @@ class WholeBody:
     nominal: Float[np.ndarray, "n"]
     aims: Aims
     kept: tuple[KeptPose, ...] = ()
-    has_habits: bool = True
+    has_default_costs: bool = True
     sight: float = 0.03
 
     @staticmethod
     def standing(
         robot: RobotModel, scene: Scene, q: Float[np.ndarray, "n"], feet: Sequence[str], aims: Aims
     ) -> WholeBody:
-        """The robot planted at configuration ``q`` on the links ``feet`` (none for a fixed base)."""
+        """Return the robot planted at configuration ``q`` on the links ``feet`` (none for a fixed base)."""
         engine = KinematicsEngine(robot)
         poses = locate_links(engine, q, feet)
-        planted = tuple(PlantedLink(link, pose, _sole_of(robot, q, link, pose)) for link, pose in poses.items())
+        planted = tuple(
+            PlantedLink(link, pose, np.asarray((sole_corners(robot, q, link) - pose[:3, 3]) @ pose[:3, :3]))
+            for link, pose in poses.items()
+        )
         polygon = SupportPolygon.of_soles([foot.sole_in_world for foot in planted]) if planted else None
         return WholeBody(robot, scene, engine, planted, polygon, q, aims)
 
     def with_robot(self, robot: RobotModel, nominal: Float[np.ndarray, "n"]) -> WholeBody:
-        """The same stance of an augmented robot."""
+        """Return the same stance of an augmented robot."""
         return replace(self, robot=robot, engine=KinematicsEngine(robot), nominal=nominal)
 
-    def checker(
+    def make_checker(
         self,
         allowances: Sequence[Allowance] = (),
         ends: Sequence[Float[np.ndarray, "n"]] = (),
         overrides: Sequence[tuple[BodyRef, BodyRef, float]] = (),
     ) -> SweptCollisionChecker:
-        """A checker whose margins fit the given fixed configurations.
+        """Return a checker whose margins fit the given fixed configurations.
 
-        A pair that is nearer than its margin at a configuration that cannot move is asked for no more than it has
-        there; otherwise no trajectory through it would be feasible.
+        The required clearance of a pair is at most its distance at a configuration that cannot move; otherwise no
+        trajectory through it would be feasible.
         """
         margins = PairMargins.of(
             self.robot,
@@ -140,46 +132,46 @@ class WholeBody:
             SELF_SHARE * self.aims.margin,
         )
         checker = SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
-        return self._fitting(checker, ends, CLEARANCE_TOLERANCE)
+        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE)
 
-    def pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
-        """A checker that asks for a few millimetres, or for what a pair has at the ends where that is less."""
+    def make_pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
+        """Return a checker of poses that requires a few millimetres, or a pair's distance at the ends if less."""
         allowances = self.standing_allowances()
         margins = PairMargins.of(self.robot, self.scene, SAMPLING_CLEARANCE, allowances)
         checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
-        fitting = self._fitting(checker, ends, 0.5 * CLEARANCE_TOLERANCE)
+        fitting = self._fit_margins(checker, ends, 0.5 * CLEARANCE_TOLERANCE)
         return PoseChecker(self.robot, self.scene, fitting.margins)
 
-    def _fitting(
+    def _fit_margins(
         self, checker: SweptCollisionChecker, ends: Sequence[Float[np.ndarray, "n"]], reserve: float
     ) -> SweptCollisionChecker:
-        """The checker with no pair asked for more than it has at the given ends, less a reserve [m]."""
+        """Limit the margin of every pair to its distance at the given ends less a reserve [m]."""
         margins = checker.margins
         for q in ends:
             margins = margins.relax_to(checker(self.engine(q[None])), reserve)
         return checker.with_margins(margins)
 
     def holds(self) -> tuple[Hold, ...]:
-        """What stays put along every phase: planted links and kept poses."""
+        """Return the holds of every phase: planted links and kept poses."""
         planted: list[Hold] = [
             lambda waypoints, foot=foot: FramePose(self.robot, foot.link, waypoints, foot.pose_world_link)  # type: ignore[misc]
             for foot in self.planted
         ]
         return (*planted, *(hold for kept in self.kept for hold in kept.holds(self.robot)))
 
-    def on_holds(self, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
-        """The nearest waypoints that keep what stays put; the first is as it is."""
+    def project_onto_holds(self, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
+        """Return the nearest waypoints that keep the holds; the first is not moved."""
         return np.concatenate([q[:1], project_onto_holds(self.engine, q[1:], self.holds())])
 
     def drift(self) -> float:
-        """How far a row of the holds may be off between waypoints [m, rad]."""
+        """Return the largest residual of a hold between waypoints [m, rad]."""
         return min([DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
-        """Planted links rest on the floor."""
+        """Return the allowances of planted links that rest on the floor."""
         return make_standing_allowances([foot.link for foot in self.planted], self.scene)
 
-    def problem(
+    def make_problem(
         self,
         lower: Float[np.ndarray, "T n"],
         upper: Float[np.ndarray, "T n"],
@@ -188,13 +180,13 @@ class WholeBody:
         constraints: Sequence[Constraint[MotionState]] = (),
         balanced: Sequence[int] | None = None,
     ) -> Problem[MotionState]:
-        """The standing terms and further ones as one problem.
+        """Return the terms of every phase and the task's as one problem.
 
         Args:
             lower, upper: bounds, equal where a variable is fixed.
-            checker: swept collision.
+            checker: of swept collisions.
             costs, constraints: of the task.
-            balanced: waypoints at which the centre of mass is inside; all if not given.
+            balanced: waypoints with a balance constraint; all if not given.
         """
         n_waypoints = len(lower)
         everywhere = np.arange(n_waypoints)
@@ -225,13 +217,13 @@ class WholeBody:
             kinematics = self.engine(x)
             return MotionState(kinematics, checker(kinematics))
 
-        habits: tuple[Cost[MotionState], ...] = ()
-        if self.has_habits:
-            habits = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere))
+        defaults: tuple[Cost[MotionState], ...] = ()
+        if self.has_default_costs:
+            defaults = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere))
         return Problem(
             lower,
             upper,
-            (*habits, *costs),
+            (*defaults, *costs),
             (*standing, *constraints),
             state,
             self.step_scale(),
@@ -242,7 +234,7 @@ class WholeBody:
     def bounds(
         self, n_waypoints: int, fixed: Mapping[int, Float[np.ndarray, "n"]]
     ) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]]:
-        """Joint limits with a reserve at free waypoints, the given configurations at fixed ones."""
+        """Return joint limits with a reserve at free waypoints, the given configurations at fixed ones."""
         reserve = np.minimum(LIMIT_RESERVE, 0.05 * (self.robot.upper - self.robot.lower))
         lower = np.tile(self.robot.lower + reserve, (n_waypoints, 1))
         upper = np.tile(self.robot.upper - reserve, (n_waypoints, 1))
@@ -251,21 +243,21 @@ class WholeBody:
         return lower, upper
 
     def step_scale(self) -> Float[np.ndarray, "n"]:
-        """How far a coordinate may step relative to the trust radius."""
+        """Return each coordinate's largest step relative to the trust radius."""
         scale = np.ones(self.robot.n)
         if self.robot.is_floating:
             scale[: len(BASE_NAMES)] = BASE_STEP
         return scale
 
     def _mobility(self) -> Float[np.ndarray, "n"]:
-        """How readily a coordinate moves to correct a step: the base stays, or every link would leave its place."""
+        """Return each coordinate's weight in step corrections; low for the base, since it moves every link."""
         mobility = np.ones(self.robot.n)
         if self.robot.is_floating:
             mobility[: len(BASE_NAMES)] = BASE_MOBILITY
         return mobility
 
     def _smoothness(self, n_waypoints: int) -> tuple[Cost[MotionState], ...]:
-        """Joint displacement, scaled so that a finer trajectory of the same motion costs the same."""
+        """Return costs of joint displacement, the same for a finer trajectory of the same motion."""
         weights = np.ones(self.robot.n)
         if self.robot.is_floating:
             weights[: len(BASE_NAMES)] = BASE_WEIGHTS
@@ -279,7 +271,7 @@ class WholeBody:
         return tuple(costs)
 
     def _upright(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
-        """Pelvis and torso stay upright, as far as the robot names an upright group."""
+        """Return costs that keep the links of the robot's upright group upright."""
         up = np.array([0.0, 0.0, 1.0])
         return tuple(
             Cost(
@@ -291,15 +283,8 @@ class WholeBody:
         )
 
     def _comfort(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
-        """The centre of mass stays near the middle of the feet where it can: a faster motion is then balanced too."""
+        """Return a cost that keeps the centre of mass near the middle of the feet, for balance of faster motions."""
         if self.polygon is None:
             return ()
         middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
         return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
-
-
-def _sole_of(
-    robot: RobotModel, q: Float[np.ndarray, "n"], link: str, pose: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, "C 3"]:
-    """Corners of a standing link's sole in the link's frame, whose pose is given [m]."""
-    return np.asarray((sole_corners(robot, q, link) - pose[:3, 3]) @ pose[:3, :3])

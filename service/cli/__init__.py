@@ -1,1 +1,17 @@
-"""The command line: one module per command, `app` on top."""
+"""The command line ``scopt``.
+
+A command is a function of the module named below; its parameters are its options.  A new option is one more parameter
+there, with its help text, and is used in the body of the same function.  Options that several commands share are fields
+of ``options.CloudOptions`` and ``options.ServerOptions``.  A new command is a function with the decorator
+``command.command``, registered in ``app``.
+
+| command | module |
+| --- | --- |
+| plan, verify, view, robots | ``plan`` |
+| bench | ``bench`` |
+| scene, detect | ``scene`` |
+| serve, token | ``serve`` |
+| request, review, top: clients of a server, on ``connect`` | ``request``, ``review``, ``top`` |
+
+``run`` turns errors into exit codes, ``report`` prints results.
+"""

@@ -11,7 +11,7 @@ from pathlib import Path
 from grpc import StatusCode
 from rich.console import Console
 
-from service.cli.remote import ServerOptions
+from service.cli.options import ServerOptions
 from service.cli.run import EXIT_CODES, EXIT_INTERNAL, INTERNAL_ERROR, EndedError
 from service.client import PlannerClient, PlannerError, Retry
 from service.errors import RequestError
@@ -44,8 +44,8 @@ ENDINGS: Mapping[StatusCode, tuple[str, int]] = {
 
 
 @contextmanager
-def connect(server: ServerOptions, err: Console) -> Iterator[PlannerClient]:
-    """Yield a client of a server; further attempts are reported on ``err``.
+def connect(server: ServerOptions, stderr: Console, attempts: int = 3) -> Iterator[PlannerClient]:
+    """Yield a client of a server; further attempts are reported on ``stderr``.
 
     Raises:
         EndedError: a call failed.
@@ -55,7 +55,7 @@ def connect(server: ServerOptions, err: Console) -> Iterator[PlannerClient]:
 
     def report_retry(error: PlannerError, delay_s: float) -> None:
         line = f"{ENDINGS[error.code][0]}: {error.problems[0]}; trying again in {delay_s:.1f} s"
-        err.print(line, style="yellow", markup=False, soft_wrap=True)
+        stderr.print(line, style="yellow", markup=False, soft_wrap=True)
 
     try:
         client = PlannerClient(
@@ -64,7 +64,7 @@ def connect(server: ServerOptions, err: Console) -> Iterator[PlannerClient]:
             tls_cert=server.tls_cert,
             tls_key=server.tls_key,
             token=token,
-            retry=Retry(attempts=server.attempts),
+            retry=Retry(attempts=attempts),
             on_retry=report_retry,
         )
     except RequestError as error:

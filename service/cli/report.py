@@ -1,4 +1,4 @@
-"""Verdicts and scenes as a person reads them in a terminal."""
+"""Output of results, verdicts and scenes on a terminal."""
 
 from __future__ import annotations
 
@@ -9,25 +9,34 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-SEEN_TOUCH_M = 1e-4  # feet that rest on a floor are that near to it
+SEEN_TOUCH_M = 1e-4  # smaller overlaps are those of feet that rest on a floor
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
-NAMED_LINKS = 3  # links without shape that the verdict's line names
-SMALL_LINK_M = 0.05  # the verifier's, without its imports (tests/test_cli_report.py compares them)
+NAMED_LINKS = 3  # links without shape that are named in the verdict's line
+SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/test_cli_report.py compares them)
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
 
 
-def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
-    """The checks as a table, what stands in the way, and the notes.
+def print_result(out: Console, summary: Mapping[str, Any], lines: Mapping[str, object] | None = None) -> None:
+    """Print findings, figures, ``lines`` with their labels, and the verdict of a summary (``summary_json``)."""
+    print_findings(out, summary)
+    print_figures(out, summary)
+    for label, value in (lines or {}).items():
+        print_line(out, label, value)
+    print_verdict(out, summary)
 
-    Args:
-        out: where to.
-        summary: the keys of ``result.json`` that it shows; the others may be missing.
-    """
+
+def print_line(out: Console, label: str, value: object) -> None:
+    """Print a value in the column of the figures."""
+    out.print(f"{label:<16} {value}", markup=False, soft_wrap=True)
+
+
+def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
+    """Print the table of checks, the pairs that touch, the explanation and the notes; missing keys are skipped."""
     checks = summary.get("checks") or []
     if checks:
-        out.print(_checks(_tightest(checks)))
-    touching = _deepest(summary.get("exempt") or [])
+        out.print(_make_check_table(_select_tightest(checks)))
+    touching = _select_deepest(summary.get("exempt") or [])
     if touching:
         print_table(out, ("pair that may touch", "deepest", "allowed", "phase"), touching)
     for sentence in summary.get("explanation") or []:
@@ -37,133 +46,130 @@ def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
 
 
 def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
-    """The last line of a command, which starts with the verdict; then what stands in the way, or how it went."""
+    """Print the last line of a command: the verdict, then the explanation or, if there is none, the main figures."""
     verdict = str(summary["verdict"])
-    sentence = _first_sentence(summary.get("explanation") or [])
+    sentence = _join_first_sentence(summary.get("explanation") or [])
     if not sentence:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
         held_to = f", {summary['held_to']}" if summary.get("held_to") else ""
-        sentence = f"clearance {_millimetres(summary.get('min_clearance_m'))}{planned}{held_to}"
-    sentence += uncovered(summary.get("coverage"))
+        sentence = f"clearance {_format_mm(summary.get('min_clearance_m'))}{planned}{held_to}"
+    sentence += describe_omissions(summary.get("coverage"))
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
     out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
 
 
-def uncovered(coverage: Mapping[str, Any] | None) -> str:
-    """What a verdict does not cover, as clauses that begin with a semicolon; empty where there is nothing to say.
-
-    Pairs of joint neighbours and of links that never move against each other are counted, no others expected.
-    """
+def describe_omissions(coverage: Mapping[str, Any] | None) -> str:
+    """Return clauses, each after a semicolon, on what a verdict does not cover; empty if it covers everything."""
     if coverage is None:
         return ""
     clauses = []
     left_out = coverage["left_out"]
-    others = [one for one in left_out if not one["is_neighbour"] and one["reason"] != "same joint"]
+    others = [pair for pair in left_out if not pair["is_neighbour"] and pair["reason"] != "same joint"]
     if left_out:
-        told = f", {len(others)} of them no neighbours" if others else ""
-        clauses.append(f"{_count(len(left_out), 'pair')} of links left out{told}")
-    shapeless = [one for one in coverage["shapeless"] if one["reach_m"] != 0.0]
-    large = [one["link"] for one in shapeless if one["reach_m"] is None or one["reach_m"] > SMALL_LINK_M]
+        unexpected = f", {len(others)} of them no neighbours" if others else ""
+        clauses.append(f"{_format_count(len(left_out), 'pair')} of links left out{unexpected}")
+    shapeless = [link for link in coverage["shapeless"] if link["reach_m"] != 0.0]
+    large = [link["link"] for link in shapeless if link["reach_m"] is None or link["reach_m"] > SMALL_LINK_M]
     if len(shapeless) > len(large):
-        clauses.append(f"{_count(len(shapeless) - len(large), 'small link')} without shape")
+        clauses.append(f"{_format_count(len(shapeless) - len(large), 'small link')} without shape")
     if large:
         rest = len(large) - NAMED_LINKS
         more = f" and {rest} more" if rest > 0 else ""
-        clauses.append(f"{_count(len(large), 'link')} without shape: {', '.join(large[:NAMED_LINKS])}{more}")
+        clauses.append(f"{_format_count(len(large), 'link')} without shape: {', '.join(large[:NAMED_LINKS])}{more}")
     if coverage["not_checked"]:
         clauses.append(f"not checked: {', '.join(coverage['not_checked'])}")
     return "".join(f"; {clause}" for clause in clauses)
 
 
-def _count(number: int, noun: str) -> str:
+def _format_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def _first_sentence(lines: Sequence[str]) -> str:
-    """What stands in the way in one line; a line that announces others is followed by them."""
-    said: list[str] = []
+def _join_first_sentence(lines: Sequence[str]) -> str:
+    """Return the first line, joined with the next ones while it ends with a colon or semicolon."""
+    words: list[str] = []
     for line in lines:
-        said += line.split()
+        words += line.split()
         if not line.rstrip().endswith((":", ";")):
             break
-    return " ".join(said)
+    return " ".join(words)
 
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
-    """Phases, times, smallest clearance and between what, smallest balance margin."""
+    """Print phases, planning time, smallest clearance with its pair, and smallest balance margin."""
     names = [phase["name"] for phase in summary.get("phases") or []]
     if names:
         out.print(f"phases           {', '.join(names)}", markup=False)
     if "planning_time_s" in summary:
         seconds = float(summary["planning_time_s"])
-        out.print(f"planning time    {seconds:.2f} s{_slowest(summary.get('timings') or {})}", markup=False)
+        out.print(f"planning time    {seconds:.2f} s{_format_slowest(summary.get('timings') or {})}", markup=False)
     clearance, pair = summary.get("min_clearance_m"), summary.get("min_clearance_pair")
     between = f" between {pair[0]} and {pair[1]}" if pair else ""
     touching = any(entry["deepest_m"] > SEEN_TOUCH_M for entry in summary.get("exempt") or [])
     aside = ", pairs that may touch aside" if touching else ""
-    out.print(f"clearance        {_millimetres(clearance)}{between}{aside}", markup=False)
-    out.print(f"balance margin   {_millimetres(summary.get('min_balance_margin_m'))}", markup=False)
+    out.print(f"clearance        {_format_mm(clearance)}{between}{aside}", markup=False)
+    out.print(f"balance margin   {_format_mm(summary.get('min_balance_margin_m'))}", markup=False)
 
 
 def print_table(out: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A plain table."""
+    """Print a table without lines; cells may hold text of others."""
     table = Table(box=None, pad_edge=False)
     for column in columns:
         table.add_column(column, overflow="fold")
     for row in rows:
-        table.add_row(*(Text(_printable(cell)) for cell in row))
+        table.add_row(*(Text(_escape_controls(cell)) for cell in row))
     out.print(table)
 
 
-def _printable(text: str) -> str:
-    """A text that others wrote, without what would have a terminal do anything but show it."""
-    return "".join(one if one.isprintable() or one == "\n" else repr(one)[1:-1] for one in text)
+def _escape_controls(text: str) -> str:
+    """Escape characters that would control the terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
-def _deepest(exempt: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:
-    """Each pair that touched, in the phase in which it was deepest; the deepest pairs first."""
+def _select_deepest(exempt: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:
+    """Return a row for each pair that touched, of its deepest phase; the deepest pairs first."""
     rows: dict[str, tuple[str, str, str, str]] = {}
     for entry in sorted(exempt, key=lambda entry: -entry["deepest_m"]):
         pair = " and ".join(entry["pair"])
         if entry["deepest_m"] > 0.0:
-            depths = _millimetres(entry["deepest_m"]), _millimetres(entry["allowed_m"])
+            depths = _format_mm(entry["deepest_m"]), _format_mm(entry["allowed_m"])
             rows.setdefault(pair, (pair, *depths, str(entry["phase"])))
     return list(rows.values())
 
 
-def _tightest(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Every check that fails, and of those that hold the tightest of its kind; the result file has them all."""
+def _select_tightest(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Select every failed or unproven check and, of those that hold, the tightest of its kind."""
     kinds: dict[str, list[Mapping[str, Any]]] = {}
     shown: list[dict[str, Any]] = []
     for check in checks:
         if check["ok"] and check.get("basis") != "unproven":
-            kinds.setdefault(_kind(str(check["name"])), []).append(check)
+            kinds.setdefault(_get_kind(str(check["name"])), []).append(check)
         else:
             shown.append(dict(check))
     for kind, held in kinds.items():
-        tightest = min(held, key=_slack)
+        tightest = min(held, key=_measure_slack)
         count = "" if len(held) == 1 else f"  (tightest of {len(held)})"
         shown.append({**tightest, "name": kind, "text": f"{tightest['text']}{count}"})
     return shown
 
 
-def _kind(name: str) -> str:
-    """``planted.turn.l_foot.waypoints`` is of the kind ``planted.waypoints``; limits are kinds of their own."""
+def _get_kind(name: str) -> str:
+    """Return a check's kind: ``planted.waypoints`` of ``planted.turn.l_foot.waypoints``; a limit is its own kind."""
     first, *rest = name.split(".")
     if first == "limits":
         return name
     return f"{first}.waypoints" if rest[-1:] == ["waypoints"] else first
 
 
-def _slack(check: Mapping[str, Any]) -> float:
-    """How far a check that holds is from its limit, as a share of the limit where there is one."""
+def _measure_slack(check: Mapping[str, Any]) -> float:
+    """Return the distance of a check's value from its limit, relative to the limit unless that is 0."""
     value, limit = check["value"], check["limit"]
     if value is None or limit is None:
         return float("inf")
     return float(abs(value - limit) / abs(limit) if limit else abs(value))
 
 
-def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
+def _make_check_table(checks: Sequence[Mapping[str, Any]]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("check")
     table.add_column("")
@@ -178,14 +184,14 @@ def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
         table.add_row(
             Text(str(check["name"])),
             mark,
-            _in_unit(check["value"], unit),
-            _in_unit(check["limit"], unit),
+            _format_value(check["value"], unit),
+            _format_value(check["limit"], unit),
             Text(str(check["text"])),
         )
     return table
 
 
-def _in_unit(value: float | None, unit: str) -> str:
+def _format_value(value: float | None, unit: str) -> str:
     if value is None:
         return ""
     if unit == "1":
@@ -193,41 +199,41 @@ def _in_unit(value: float | None, unit: str) -> str:
     return f"{1000.0 * value:.4g} mm" if unit == "m" else f"{value:.4g} {unit}"
 
 
-def _millimetres(value: float | None) -> str:
+def _format_mm(value: float | None) -> str:
     return "none proven" if value is None else f"{1000.0 * value:.1f} mm"
 
 
-def _slowest(timings: Mapping[str, float]) -> str:
+def _format_slowest(timings: Mapping[str, float]) -> str:
     steps = sorted(timings.items(), key=lambda entry: -entry[1])[:4]
     return f" ({', '.join(f'{name} {seconds:.2f}' for name, seconds in steps)})" if steps else ""
 
 
-def hit_row(hit: Mapping[str, Any]) -> tuple[str, ...]:
-    """A detection in one line of a table; of its residuals, which the files hold, the first: how far points lie off."""
+def make_hit_row(hit: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a detection as a row of ``HIT_COLUMNS``; its fit is the first residual."""
     return (
         str(hit["kind"]),
         f"{hit['confidence']:.2f}",
-        _position(hit["pose_world_object"]),
-        _listed(hit["sizes"]),
-        _listed(dict(list(hit["residuals"].items())[:1])),
+        _format_position(hit["pose_world_object"]),
+        _format_values(hit["sizes"]),
+        _format_values(dict(list(hit["residuals"].items())[:1])),
     )
 
 
-def mesh_row(mesh: Mapping[str, Any]) -> tuple[str, ...]:
-    """What became of a known mesh in one line of a table."""
+def make_mesh_row(mesh: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a known mesh as a row of ``MESH_COLUMNS``."""
     return (
         str(mesh["name"]),
         str(mesh["placing"]),
         f"{mesh['confidence']:.2f}",
-        _position(mesh["pose_world_mesh"]),
+        _format_position(mesh["pose_world_mesh"]),
         str(len(mesh["pieces"])),
-        _listed(mesh["residuals"]),
+        _format_values(mesh["residuals"]),
     )
 
 
-def _position(pose: Sequence[Sequence[float]] | None) -> str:
+def _format_position(pose: Sequence[Sequence[float]] | None) -> str:
     return "-" if pose is None else " ".join(f"{row[3]:.3f}" for row in pose[:3])
 
 
-def _listed(values: Mapping[str, float | None]) -> str:
+def _format_values(values: Mapping[str, float | None]) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in values.items() if value is not None)

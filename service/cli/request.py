@@ -3,65 +3,75 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from service.cli.connect import connect
-from service.cli.remote import ServerOptions
-from service.cli.report import print_figures, print_findings, print_verdict
-from service.cli.run import consoles, print_json, progress
-from service.client.answers import summarize
-from service.client.local_files import find_local_files
-from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress, PlanResponse
-from service.request.file import load_request
-from service.request.schema import check_task_has_planner
-from service.result.folder import ResultFiles, check_folder
+import typer
+
+from service.cli.command import command
+from service.cli.options import Json, ServerOptions
+from service.cli.report import print_result
+from service.cli.run import Report, consoles, ended_by_sigterm, print_json, progress
+
+if TYPE_CHECKING:
+    from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress, PlanResponse
 
 LOG_PERIOD_S = 1.0  # between two iterations if stderr is no terminal
 
 
-def request_plan(
+@command(has_verdict=True)
+def request_command(
+    request: Annotated[Path, typer.Argument(help="Request file (YAML or JSON).", metavar="REQUEST")],
     server: ServerOptions,
-    request_file: Path,
-    folder: Path,
-    deadline_s: float | None,
-    request_id: str | None,
-    as_json: bool,
+    out: Annotated[Path | None, typer.Option(help="Result folder; by default out/NAME of the request.")] = None,
+    deadline: Annotated[float | None, typer.Option(help="Time limit in seconds, queue included.", min=0.01)] = None,
+    request_id: Annotated[
+        str | None, typer.Option(help="Id of the request; the same id gives the same plan again.", metavar="ID")
+    ] = None,
+    attempts: Annotated[int, typer.Option(help="Attempts if the server is unreachable or overloaded.", min=1)] = 3,
+    as_json: Json = False,
 ) -> str:
-    """Plan a request, print the result and return the verdict."""
-    out, err = consoles()
-    with progress(err, "read request") as report:
+    """Plan a request on a server, write the result.
+
+    The result folder is the one that plan writes. Local cloud, mesh and scene files of the request are uploaded. Ctrl-C
+    stops the plan.
+    """
+    from service.cli.connect import connect
+    from service.client.answers import summarize
+    from service.client.local_files import find_local_files
+    from service.request.file import load_request
+    from service.request.schema import check_task_has_planner
+    from service.result.folder import ResultFiles, check_folder
+
+    folder = out if out is not None else Path("out") / request.stem
+    stdout, stderr = consoles()
+    with ended_by_sigterm(), progress(stderr, "read request") as report:
         report("read request", 0.0)
-        request = load_request(request_file)
-        check_task_has_planner(request)
+        plan_request = load_request(request)
+        check_task_has_planner(plan_request)
         check_folder(folder)
-        with connect(server, err) as client:
-            names = ", ".join(find_local_files(request))
+        with connect(server, stderr, attempts) as client:
+            names = ", ".join(find_local_files(plan_request))
             report(f"upload {names}, send request" if names else "send request", 0.0)
-            show_event = _EventReport(report, 0.0 if err.is_terminal else LOG_PERIOD_S)
+            show_event = _EventReport(report, 0.0 if stderr.is_terminal else LOG_PERIOD_S)
             plan = client.plan(
-                request, request_id=request_id, out=folder, on_progress=show_event, deadline_s=deadline_s
+                plan_request, request_id=request_id, out=folder, on_progress=show_event, deadline_s=deadline
             )
     summary = summarize(plan.result)
     files = None if plan.folder is None else ResultFiles(plan.folder)
     if as_json:
-        paths = {} if files is None else {"result": str(files.result), "viewer": str(files.viewer)}
+        paths = {} if files is None else files.to_json()
         print_json({**summary, "plan_id": plan.plan_id, "request_id": plan.request_id, **paths})
-        return plan.verdict
-    print_findings(out, summary)
-    print_figures(out, summary)
-    out.print(f"plan             {plan.plan_id}", markup=False, soft_wrap=True)
-    if files is not None:
-        out.print(f"viewer           {files.viewer}", markup=False, soft_wrap=True)
-        out.print(f"trajectory       {files.trajectory}", markup=False, soft_wrap=True)
-    print_verdict(out, summary)
+    else:
+        paths = {} if files is None else {"viewer": str(files.viewer), "trajectory": str(files.trajectory)}
+        print_result(stdout, summary, {"plan": plan.plan_id, **paths})
     return plan.verdict
 
 
 class _EventReport:
     """Report of a plan's events, one line each; at most one iteration per ``period_s``."""
 
-    def __init__(self, report: Callable[[str, float], None], period_s: float) -> None:
+    def __init__(self, report: Report, period_s: float) -> None:
         self._report = report
         self._period_s = period_s
         self._last_iteration_s = time.monotonic()

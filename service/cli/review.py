@@ -3,47 +3,57 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from rich.console import Console
+import typer
 
-from service.cli.connect import connect
-from service.cli.remote import ServerOptions
-from service.cli.report import print_figures, print_findings, print_table, print_verdict
+from service.cli.command import command
+from service.cli.options import Json, ServerOptions
+from service.cli.report import print_result, print_table
 from service.cli.run import consoles, print_json
-from service.client.answers import summarize
 from service.errors import RequestError
-from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, Review
-from service.result.folder import ResultFiles
+
+if TYPE_CHECKING:
+    from service.proto.planner.v1.planner_pb2 import Review
 
 _COLUMNS = ("decision", "reviewer", "time", "comment")
 
 
-def review_plan(
+@command()
+def review_command(
+    plan_id: Annotated[str, typer.Argument(help="Id that scopt request printed.", metavar="PLAN_ID")],
     server: ServerOptions,
-    plan_id: str,
-    is_accepted: bool | None,
-    comment: str,
-    folder: Path | None,
-    as_json: bool,
+    is_accepted: Annotated[
+        bool | None, typer.Option("--accept/--reject", help="Your decision.", show_default=False)
+    ] = None,
+    comment: Annotated[str, typer.Option(help="Reason of the decision.")] = "",
+    out: Annotated[Path | None, typer.Option(help="Folder for the plan's files, viewer.html among them.")] = None,
+    as_json: Json = False,
 ) -> None:
-    """Show a plan and, unless ``is_accepted`` is None, review it.
+    """Accept or reject a plan of a server.
 
-    Args:
-        folder: folder for the plan's files; None to leave them on the server.
-
-    Raises:
-        RequestError: the plan has not finished.
-        ResultError: the folder holds something other than an earlier result, or cannot be written.
+    The review is bound to the hashes of the trajectory and the certificate that are shown. Without --accept or
+    --reject, the plan and its reviews are shown. With --out, its files are fetched.
     """
-    out, err = consoles()
-    with connect(server, err) as client:
-        stored = client.get_plan(plan_id, out=folder)
+    from service.cli.connect import connect
+    from service.client.answers import summarize
+    from service.proto.planner.v1.planner_pb2 import PlanState
+    from service.result.folder import ResultFiles
+
+    stdout, stderr = consoles()
+    with connect(server, stderr) as client:
+        stored = client.get_plan(plan_id, out=out)
         record, files = stored.record, None if stored.folder is None else ResultFiles(stored.folder)
         if not record.HasField("result"):
             state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
             raise RequestError(f"plan {plan_id} is {state}; expected a finished plan")
         if not as_json:
-            _show(out, record, files)
+            lines = {
+                "trajectory": record.result.trajectory.sha256 or "none",
+                "certificate": record.result.certificate.sha256 or "none",
+                **({} if files is None else {"viewer": files.viewer}),
+            }
+            print_result(stdout, summarize(record.result), lines)
         if is_accepted is not None:
             client.review(record, accept=is_accepted, comment=comment)
             record = client.get_plan(plan_id).record
@@ -52,7 +62,7 @@ def review_plan(
             {
                 **summarize(record.result),
                 "plan_id": record.plan_id,
-                **({} if files is None else {"result": str(files.result), "viewer": str(files.viewer)}),
+                **({} if files is None else files.to_json()),
                 "trajectory_sha256": record.result.trajectory.sha256,
                 "certificate_sha256": record.result.certificate.sha256,
                 "is_approved": record.is_approved,
@@ -61,23 +71,14 @@ def review_plan(
         )
         return
     if record.reviews:
-        print_table(out, _COLUMNS, [_make_row(review) for review in record.reviews])
+        print_table(stdout, _COLUMNS, [_make_row(review) for review in record.reviews])
     state = "approved" if record.is_approved else "not approved"
-    out.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
-
-
-def _show(out: Console, record: PlanRecord, files: ResultFiles | None) -> None:
-    summary = summarize(record.result)
-    print_findings(out, summary)
-    print_figures(out, summary)
-    out.print(f"trajectory       {record.result.trajectory.sha256 or 'none'}", markup=False, soft_wrap=True)
-    out.print(f"certificate      {record.result.certificate.sha256 or 'none'}", markup=False, soft_wrap=True)
-    if files is not None:
-        out.print(f"viewer           {files.viewer}", markup=False, soft_wrap=True)
-    print_verdict(out, summary)
+    stdout.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
 
 
 def _make_row(review: Review) -> tuple[str, str, str, str]:
+    from service.proto.planner.v1.planner_pb2 import Decision
+
     decision = Decision.Name(review.decision).removeprefix("DECISION_")
     when = review.time.ToDatetime().isoformat(" ", "seconds")
     return decision, review.reviewer, f"{when} UTC", review.comment

@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, one line for an error, cancelling with Ctrl-C, progress on stderr."""
+"""Run of a command: exit code, one line per error, cancellation with Ctrl-C, progress on stderr."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from contextvars import ContextVar
 from types import FrameType
 from typing import Any
 
+import typer
 from rich.console import Console
 
 from costs.stopping import Stopped
@@ -32,10 +33,12 @@ EXIT_INTERNAL = 70
 INTERNAL_ERROR = "INTERNAL_ERROR"
 MIN_WIDTH = 120  # a table in a log file need not be squeezed into 80 columns
 TRACEBACK_VARIABLE = "SCOPT_TRACEBACK"
+Report = Callable[[str, float | None], None]
+"""Report of progress: step, and the fraction that is done, None if unknown."""
 
 
 def consoles() -> tuple[Console, Console]:
-    """Where results go (stdout) and where everything else goes (stderr)."""
+    """Return stdout for results and stderr for everything else."""
     pair = Console(highlight=False), Console(stderr=True, highlight=False)
     for console in pair:
         if not console.is_terminal:
@@ -44,29 +47,17 @@ def consoles() -> tuple[Console, Console]:
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    """One object, and nothing else, on stdout."""
+    """Write a JSON object as one line on stdout."""
     sys.stdout.write(json.dumps(data, allow_nan=False) + "\n")
     sys.stdout.flush()
 
 
-def without_result(verdict: str, explanation: tuple[str, ...], **more: object) -> dict[str, Any]:
-    """What ``--json`` prints when there is no plan to speak of."""
-    return {
-        "verdict": verdict,
-        "explanation": list(explanation),
-        "planning_time_s": 0.0,
-        "timings": {},
-        "min_clearance_m": None,
-        "phases": [],
-        **more,
-    }
-
-
 class EndedError(Exception):
-    """A command that ended for a reason with an exit code of its own.
+    """End of a command with an exit code of its own.
 
     Attributes:
-        verdict: one word for it; lines: what to say on stderr.
+        verdict: one word for the reason.
+        lines: messages for stderr.
     """
 
     def __init__(self, verdict: str, lines: tuple[str, ...], exit_code: int) -> None:
@@ -77,34 +68,40 @@ class EndedError(Exception):
 
 
 def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: bool = False) -> int:
-    """Run a command that returns a verdict, or None where there is nothing to judge; its exit code, whatever happens.
+    """Run a command that returns a verdict, or None without one; return its exit code, whatever happens.
 
-    Wrong input is one line per problem on stderr. On stdout, such an end too is an object with ``as_json``, else, with
+    Wrong input is one line per problem on stderr.  Then stdout, too, gets an object with ``as_json``, else, with
     ``has_verdict``, a line that starts with the verdict.
+
+    Raises:
+        typer.BadParameter: options that exclude each other.
     """
 
-    def tell(ended: EndedError) -> None:
-        """Say why there is no result."""
-        out, err = consoles()
+    def print_end(ended: EndedError) -> None:
+        """Print why there is no result."""
+        stdout, stderr = consoles()
         for line in ended.lines:
-            err.print(line, style="red", markup=False, soft_wrap=True)
+            stderr.print(line, style="red", markup=False, soft_wrap=True)
         if as_json:
-            print_json(without_result(ended.verdict, ended.lines))
+            figures = {"planning_time_s": 0.0, "timings": {}, "min_clearance_m": None, "phases": []}
+            print_json({"verdict": ended.verdict, "explanation": ended.lines, **figures})
         elif has_verdict:
-            print_verdict(out, {"verdict": ended.verdict, "explanation": ended.lines})
+            print_verdict(stdout, {"verdict": ended.verdict, "explanation": ended.lines})
 
-    token = _TELL.set(tell)
+    token = _PRINT_END.set(print_end)
     try:
-        given = command()
-        return 0 if given is None else EXIT_CODES[given]
+        verdict = command()
+        return 0 if verdict is None else EXIT_CODES[verdict]
+    except typer.BadParameter:
+        raise
     except EndedError as error:
         ended = error
     except ServiceError as error:
-        ended = _ended("INVALID_REQUEST", *str(error).splitlines())
+        ended = EndedError("INVALID_REQUEST", tuple(str(error).splitlines()), EXIT_CODES["INVALID_REQUEST"])
     except (KeyboardInterrupt, Stopped):
         ended = _CANCELLED
     except BrokenPipeError:
-        # The reader of stdout has gone; nobody is left to tell.
+        # Nobody reads stdout any more; without this, Python fails again when it flushes it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_INTERNAL
     except Exception as error:
@@ -113,36 +110,31 @@ def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: b
         line = " ".join(f"internal error, please report it: {type(error).__name__}: {error}".split())
         ended = EndedError(INTERNAL_ERROR, (f"{line} ({TRACEBACK_VARIABLE}=1 shows where)",), EXIT_INTERNAL)
     finally:
-        _TELL.reset(token)
-    tell(ended)
+        _PRINT_END.reset(token)
+    print_end(ended)
     return ended.exit_code
 
 
-def _ended(verdict: str, *lines: str) -> EndedError:
-    return EndedError(verdict, lines, EXIT_CODES[verdict])
-
-
-_CANCELLED = _ended("CANCELLED", "cancelled")
-_TELL: ContextVar[Callable[[EndedError], None]] = ContextVar("tell", default=lambda _: None)
+_CANCELLED = EndedError("CANCELLED", ("cancelled",), EXIT_CODES["CANCELLED"])
+_PRINT_END: ContextVar[Callable[[EndedError], None]] = ContextVar("print_end", default=lambda _: None)
 
 
 @contextmanager
-def cancellable(err: Console) -> Iterator[Callable[[], bool]]:
-    """The first Ctrl-C asks the work in the body to stop and hand over its best; the second ends this process.
+def cancellable(stderr: Console) -> Iterator[Callable[[], bool]]:
+    """Stop the work of the body, which returns its best result, on Ctrl-C; the second Ctrl-C ends this process.
 
-    Neither raises anything where the work is: that could be in native code whose threads go on.
-
-    Yields what that work asks: whether to stop.
+    Neither raises an exception in the body, which may run native code whose threads would go on.  Yields a function
+    that returns whether to stop.
     """
     stop = threading.Event()
 
-    def ask(signum: int, frame: FrameType | None) -> None:
+    def request_stop(signum: int, frame: FrameType | None) -> None:
         if stop.is_set():
             _end_at_once()
         stop.set()
-        err.print("stopping; Ctrl-C again stops at once", style="yellow")
+        stderr.print("stopping; Ctrl-C again stops at once", style="yellow")
 
-    earlier = signal.signal(signal.SIGINT, ask)
+    earlier = signal.signal(signal.SIGINT, request_stop)
     try:
         yield stop.is_set
     finally:
@@ -150,15 +142,15 @@ def cancellable(err: Console) -> Iterator[Callable[[], bool]]:
 
 
 def _end_at_once() -> None:
-    with suppress(RuntimeError, OSError):  # what is being written just now cannot be written into
-        _TELL.get()(_CANCELLED)
+    with suppress(RuntimeError, OSError):  # a write may be in progress
+        _PRINT_END.get()(_CANCELLED)
         sys.stdout.flush()
     os._exit(_CANCELLED.exit_code)
 
 
 @contextmanager
 def ended_by_sigterm() -> Iterator[None]:
-    """SIGTERM is Ctrl-C while the body runs, so that nothing half done stays behind."""
+    """Treat SIGTERM as Ctrl-C in the body, so that no partial output is left."""
     earlier = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -167,25 +159,22 @@ def ended_by_sigterm() -> Iterator[None]:
 
 
 @contextmanager
-def progress(err: Console, first_step: str) -> Iterator[Callable[[str, float | None], None]]:
-    """A progress bar on stderr; yields ``report(step, fraction done)``, None where nobody can tell how much is done.
-
-    Where stderr is no terminal, each new step is one line.
-    """
-    if not err.is_terminal:
+def progress(stderr: Console, first_step: str) -> Iterator[Report]:
+    """Show a progress bar, or one line per new step if stderr is no terminal."""
+    if not stderr.is_terminal:
         seen: set[str] = set()
 
-        def say(step: str, fraction: float | None) -> None:
+        def print_step(step: str, fraction: float | None) -> None:
             if step not in seen:
                 seen.add(step)
-                err.print(step if fraction is None else f"{100.0 * fraction:3.0f} % {step}", markup=False)
+                stderr.print(step if fraction is None else f"{100.0 * fraction:3.0f} % {step}", markup=False)
 
-        yield say
+        yield print_step
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
+    with Progress(*columns, console=stderr, transient=True) as bar:
         task = bar.add_task(first_step, total=None)
 
         def show(step: str, fraction: float | None) -> None:

@@ -1,22 +1,24 @@
-"""``scopt scene`` and ``scopt detect``: what a scan shows."""
+"""``scopt scene`` and ``scopt detect``: pieces and objects of a scan."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+from rich.console import Console
 
 from costs.stopping import stops_when
 from costs.threads import use_all_cores
-from service.cli.clouds import CloudOptions, with_cloud_options
-from service.cli.report import HIT_COLUMNS, MESH_COLUMNS, hit_row, mesh_row, print_table
-from service.cli.run import EXIT_CODES, EndedError, cancellable, consoles, print_json, progress, run
+from service.cli.command import command
+from service.cli.options import CloudOptions, Json
+from service.cli.report import HIT_COLUMNS, MESH_COLUMNS, make_hit_row, make_mesh_row, print_line, print_table
+from service.cli.run import EXIT_CODES, EndedError, cancellable, consoles, print_json, progress
 from service.request.choices import EVERY_KIND, KINDS, Method, Unknown
 
 KIND_HELP = f"{', '.join(KINDS)}, or {EVERY_KIND}"
-Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
 Hint = Annotated[
     tuple[float, float, float] | None,
     typer.Option("--hint", help="A point near the object.", metavar="X Y Z", show_default=False),
@@ -30,8 +32,8 @@ TimeLimit = Annotated[
         max=3600.0,
     ),
 ]
-# What an update takes from the scene before, and the options that say it otherwise.
-_OF_BEFORE = {
+# Settings that an update takes from the earlier scene unless these options give others.
+_KEPT_BY_UPDATE = {
     "reach_m": "--reach",
     "top_m": "--top",
     "bottom_m": "--bottom",
@@ -41,7 +43,7 @@ _OF_BEFORE = {
 }
 
 
-@with_cloud_options
+@command()
 def scene_command(
     context: typer.Context,
     clouds: CloudOptions,
@@ -77,7 +79,7 @@ def scene_command(
     ] = None,
     time_limit: TimeLimit = None,
     as_json: Json = False,
-) -> None:
+) -> str | None:
     """Turn point clouds into convex pieces, floor and objects, and show them."""
     if hint is not None and not detect:
         raise typer.BadParameter(
@@ -85,122 +87,102 @@ def scene_command(
         )
     if mesh_scale != 1.0 and not mesh:
         raise typer.BadParameter("--mesh-scale needs --mesh")
-    chosen = {"kinds": tuple(detect or ()), "hint": hint, "method": method, "unknown": unknown}
-    meshes = [(text, mesh_scale) for text in mesh or ()]
-    given = {name for name in _OF_BEFORE if _is_given(context, name)}
-    raise typer.Exit(run(lambda: _scene(clouds, out, chosen, meshes, (update, given), time_limit, as_json), as_json))
+    stdout, stderr = consoles()
+    use_all_cores()
+    with progress(stderr, "read cloud") as report, cancellable(stderr) as should_stop:
+        from service.result.scene_output import check_out, write_scene
+        from service.scan.cloud import parse_cloud_options
+        from service.scan.earlier import read_earlier_scene
+        from service.scan.known_meshes import parse_mesh_option
+        from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene
+
+        cloud_input = parse_cloud_options(clouds.to_settings())
+        meshes = tuple(parse_mesh_option(text, mesh_scale) for text in mesh or ())
+        scene_input = SceneInput(cloud_input, tuple(detect or ()), hint, unknown, method, meshes)
+        check_out(out, [*clouds.inputs, *(mesh.file for mesh in meshes), *([] if update is None else [update])])
+        if update is not None:
+            explicit = {name: option for name, option in _KEPT_BY_UPDATE.items() if _is_explicit(context, name)}
+            scene_input = apply_earlier_settings(read_earlier_scene(update), scene_input, explicit, "--update")
+        with _stop_in_time(should_stop):
+            scene = build_scene(scene_input, lambda step: report(step, None), time_limit)
+        report("write pieces", None)
+        page = write_scene(scene, out)
+    summary = {key: value for key, value in scene.data.items() if key != "pieces"}
+    if as_json:
+        print_json({**summary, "scene": str(out), "viewer": str(page)})
+    else:
+        figures = [(name, "-" if value is None else str(value)) for name, value in summary["figures"].items()]
+        print_table(stdout, ("figure", "value"), figures)
+        if summary["detections"]:
+            print_table(stdout, HIT_COLUMNS, [make_hit_row(hit) for hit in summary["detections"]])
+        if summary["meshes"]:
+            print_table(stdout, MESH_COLUMNS, [make_mesh_row(row) for row in summary["meshes"]])
+        _print_notes(stdout, summary["notes"])
+        print_line(stdout, "viewer", page)
+        print_line(stdout, "pieces", out)
+        _print_unfinished(stdout, summary["unfinished"], time_limit)
+    return "TIME_LIMIT" if summary["unfinished"] else None
 
 
-@with_cloud_options
+@command()
 def detect_command(
     kind: Annotated[str, typer.Argument(help=f"What to look for: {KIND_HELP}.", metavar="KIND")],
     clouds: CloudOptions,
     hint: Hint = None,
     time_limit: TimeLimit = None,
     as_json: Json = False,
-) -> None:
+) -> str | None:
     """Find objects in point clouds, best first.
 
     A confidence of 0.5 and more is one to act on.
     """
-    raise typer.Exit(run(lambda: _detect(kind, clouds, hint, time_limit, as_json), as_json))
-
-
-def _scene(
-    clouds: CloudOptions,
-    out: Path,
-    chosen: Mapping[str, Any],
-    meshes: list[tuple[str, float]],
-    before: tuple[Path | None, set[str]],
-    time_limit: float | None,
-    as_json: bool,
-) -> str | None:
-    screen, err = consoles()
-    update, given = before
+    stdout, stderr = consoles()
     use_all_cores()
-    with progress(err, "read cloud") as report, cancellable(err) as should_stop:
-        from service.result.scene_output import check_out, write_scene
+    with progress(stderr, "read cloud") as report, cancellable(stderr) as should_stop, _stop_in_time(should_stop):
         from service.scan.cloud import parse_cloud_options
-        from service.scan.earlier import read_earlier_scene
-        from service.scan.known_meshes import parse_mesh_option
-        from service.scan.make_scene import SceneInput, apply_earlier_settings, build_scene
-        from service.scan.time_limit import OutOfTimeError
+        from service.scan.detect import detect_file
 
-        known = tuple(parse_mesh_option(text, scale) for text, scale in meshes)
-        asked = SceneInput(parse_cloud_options(clouds.asked()), **chosen, meshes=known)
-        check_out(out, [*clouds.inputs, *(one.file for one in known), *([] if update is None else [update])])
-        if update is not None:
-            said = {name: option for name, option in _OF_BEFORE.items() if name in given}
-            asked = apply_earlier_settings(read_earlier_scene(update), asked, said, "--update")
-        try:
-            with stops_when(should_stop):
-                seen = build_scene(asked, lambda step: report(step, None), time_limit)
-        except OutOfTimeError as error:
-            raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
-        report("write pieces", None)
-        page = write_scene(seen, out)
-    shown = {key: value for key, value in seen.data.items() if key != "pieces"}
-    late = ", ".join(shown["unfinished"])
-    ended = "TIME_LIMIT" if late else None
+        cloud_input = parse_cloud_options(clouds.to_settings())
+        summary = detect_file(cloud_input, kind, hint, lambda step: report(step, None), time_limit)
     if as_json:
-        print_json({**shown, "scene": str(out), "viewer": str(page)})
-        return ended
-    figures = [(name, "-" if value is None else str(value)) for name, value in shown["figures"].items()]
-    print_table(screen, ("figure", "value"), figures)
-    if shown["detections"]:
-        print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in shown["detections"]])
-    if shown["meshes"]:
-        print_table(screen, MESH_COLUMNS, [mesh_row(one) for one in shown["meshes"]])
-    for note in shown["notes"]:
-        screen.print(f"note: {note}", markup=False, soft_wrap=True)
-    screen.print(f"viewer           {page}", markup=False, soft_wrap=True)
-    screen.print(f"pieces           {out}", markup=False, soft_wrap=True)
-    if late:
-        line = f"TIME_LIMIT  {time_limit:g} s were over before these were looked for to the end: {late}"
-        screen.print(line, markup=False, soft_wrap=True)
-    return ended
+        print_json(summary)
+    else:
+        if summary["hits"]:
+            print_table(stdout, HIT_COLUMNS, [make_hit_row(hit) for hit in summary["hits"]])
+        elif summary["searched"]:
+            objects = f"no {kind}" if kind != EVERY_KIND else f"nothing ({', '.join(summary['searched'])})"
+            place = "" if hint is None else f" near ({', '.join(f'{value:g}' for value in hint)})"
+            stdout.print(f"{objects} was found{place}", markup=False)
+        _print_notes(stdout, summary["notes"])
+        _print_unfinished(stdout, summary["unfinished"], time_limit)
+    return "TIME_LIMIT" if summary["unfinished"] else None
 
 
-def _is_given(context: typer.Context, name: str) -> bool:
-    """Whether an option stands on the command line."""
+def _is_explicit(context: typer.Context, name: str) -> bool:
+    """Return whether an option stands on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _detect(
-    kind: str,
-    clouds: CloudOptions,
-    hint: tuple[float, float, float] | None,
-    time_limit: float | None,
-    as_json: bool,
-) -> str | None:
-    screen, err = consoles()
-    use_all_cores()
-    with progress(err, "read cloud") as report, cancellable(err) as should_stop:
-        from service.scan.cloud import parse_cloud_options
-        from service.scan.detect import detect_file
-        from service.scan.time_limit import OutOfTimeError
+@contextmanager
+def _stop_in_time(should_stop: Callable[[], bool]) -> Iterator[None]:
+    """Stop the body on Ctrl-C; a time limit that was reached without any result ends the command."""
+    from service.scan.time_limit import OutOfTimeError
 
-        try:
-            wanted = parse_cloud_options(clouds.asked())
-            with stops_when(should_stop):
-                found = detect_file(wanted, kind, hint, lambda step: report(step, None), time_limit)
-        except OutOfTimeError as error:
-            raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
-    late = ", ".join(found["unfinished"])
-    ended = "TIME_LIMIT" if late else None
-    if as_json:
-        print_json(found)
-        return ended
-    if found["hits"]:
-        print_table(screen, HIT_COLUMNS, [hit_row(hit) for hit in found["hits"]])
-    elif found["searched"]:
-        what = f"no {kind}" if kind != EVERY_KIND else f"nothing ({', '.join(found['searched'])})"
-        where = "" if hint is None else f" near ({', '.join(f'{value:g}' for value in hint)})"
-        screen.print(f"{what} was found{where}", markup=False)
-    for note in found["notes"]:
-        screen.print(f"note: {note}", markup=False, soft_wrap=True)
-    if late:
-        line = f"TIME_LIMIT  {time_limit:g} s were over before these were looked for to the end: {late}"
-        screen.print(line, markup=False, soft_wrap=True)
-    return ended
+    try:
+        with stops_when(should_stop):
+            yield
+    except OutOfTimeError as error:
+        raise EndedError("TIME_LIMIT", (str(error),), EXIT_CODES["TIME_LIMIT"]) from None
+
+
+def _print_notes(stdout: Console, notes: Sequence[str]) -> None:
+    for note in notes:
+        stdout.print(f"note: {note}", markup=False, soft_wrap=True)
+
+
+def _print_unfinished(stdout: Console, unfinished: Sequence[str], time_limit_s: float | None) -> None:
+    """Print which kinds of objects were not searched to the end."""
+    if unfinished:
+        line = f"{time_limit_s:g} s were over before these were looked for to the end: {', '.join(unfinished)}"
+        stdout.print(f"TIME_LIMIT  {line}", markup=False, soft_wrap=True)

@@ -1,18 +1,19 @@
-"""``scopt serve`` and ``scopt token``: the planning service, and who may come in."""
+"""``scopt serve`` and ``scopt token``: the planning service and its access tokens."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from service.cli.run import run
+from service.cli.command import command
 
 DEFAULT_LISTEN = "127.0.0.1:50051"
 
 
+@command()
 def serve_command(
     listen: Annotated[
         str, typer.Option(help="Where: HOST:PORT (port 0: any), [IPV6]:PORT or unix:PATH.")
@@ -50,71 +51,47 @@ def serve_command(
     Without TLS and tokens only this machine is listened to. The first SIGTERM or Ctrl-C lets running plans finish, the
     second one does not.
     """
-    settings: dict[str, Any] = {
-        "data": data,
-        "workers": workers or os.cpu_count() or 1,
-        "spread": spread,
-        "queue": queue,
-        "allowed": tuple(allow or ()),
-        "robots": robots,
-        "drain_s": drain,
-    }
-    tls = (tls_cert, tls_key, client_ca)
-    told = listen, settings, tuple(budget or ()), tls, tokens, metrics, executor, requests_per_s
-    raise typer.Exit(run(lambda: _serve(*told)))
+    # Before anything loads BLAS: its threads cost more than they bring, here and in the workers.
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    import asyncio
+
+    from service.server.launch import ServeOptions, launch
+
+    options = ServeOptions(
+        listen=listen,
+        settings={
+            "data": data,
+            "workers": workers or os.cpu_count() or 1,
+            "spread": spread,
+            "queue": queue,
+            "allowed": tuple(allow or ()),
+            "robots": robots,
+            "drain_s": drain,
+        },
+        budgets=tuple(budget or ()),
+        tls=(tls_cert, tls_key, client_ca),
+        tokens=tokens,
+        metrics=metrics,
+        executor=executor,
+        requests_per_s=requests_per_s,
+    )
+    asyncio.run(launch(options, lambda address: typer.echo(f"listening on {address}")))
 
 
+@command()
 def token_command(
     name: Annotated[str, typer.Argument(help="Of the client.", metavar="NAME")],
     role: Annotated[list[str], typer.Option(help="plan, review or admin; may be given again.", metavar="ROLE")],
 ) -> None:
     """Make a token: it is printed once, with the lines that the server's --tokens file needs."""
-    raise typer.Exit(run(lambda: _token(name, role)))
-
-
-def _serve(
-    listen: str,
-    given: dict[str, Any],
-    budgets: tuple[str, ...],
-    tls: tuple[Path | None, Path | None, Path | None],
-    tokens: Path | None,
-    metrics: str | None,
-    executor: str,
-    requests_per_s: float,
-) -> None:
-    # Before anything loads BLAS: its threads cost more than they bring, here and in the workers.
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # its C core writes lines of its own; what matters is logged here
-    import asyncio
-
-    from service.server.launch import ServeOptions, launch
-
-    asyncio.run(
-        launch(
-            ServeOptions(
-                listen=listen,
-                settings=given,
-                budgets=budgets,
-                tls=tls,
-                tokens=tokens,
-                metrics=metrics,
-                executor=executor,
-                requests_per_s=requests_per_s,
-            ),
-            lambda address: typer.echo(f"listening on {address}"),
-        )
-    )
-
-
-def _token(name: str, roles: list[str]) -> None:
     from service.errors import RequestError, would_do
     from service.trust import Role, make_token
 
-    known = [role.value for role in Role]
-    for role in roles:
-        if role not in known:
-            raise RequestError(f"--role: unknown role {role!r}; expected {would_do(role, known)}")
-    token, lines = make_token(name, [Role(role) for role in roles])
+    known = [known_role.value for known_role in Role]
+    for name_of_role in role:
+        if name_of_role not in known:
+            raise RequestError(f"--role: unknown role {name_of_role!r}; expected {would_do(name_of_role, known)}")
+    token, lines = make_token(name, [Role(name_of_role) for name_of_role in role])
     typer.echo(token)
     typer.echo(lines, err=True)

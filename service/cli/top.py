@@ -3,40 +3,51 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.console import Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from service.cli.connect import connect
-from service.cli.remote import ServerOptions
+from service.cli.command import command
+from service.cli.options import Json, ServerOptions
 from service.cli.run import consoles, print_json
-from service.client import PlannerError
-from service.proto.planner.v1.planner_pb2 import GetStatusResponse
+
+if TYPE_CHECKING:
+    from service.proto.planner.v1.planner_pb2 import GetStatusResponse
 
 MIB = 2**20
 
 
-def watch(server: ServerOptions, every_s: float, once: bool, as_json: bool) -> None:
-    """Show a server's state until Ctrl-C; once with ``as_json`` or if stdout is no terminal.
+@command()
+def top_command(
+    server: ServerOptions,
+    every: Annotated[float, typer.Option(help="Seconds between updates.", min=0.1)] = 1.0,
+    once: Annotated[bool, typer.Option("--once", help="Print once; always so if stdout is no terminal.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Show the workers, queue, verdicts and latencies of a server.
 
-    Raises:
-        EndedError: the server could not be reached the first time.
+    Updated until Ctrl-C.
     """
-    out, err = consoles()
-    with connect(server, err) as client:
+    from rich.live import Live
+
+    from service.cli.connect import connect
+    from service.client import PlannerError
+
+    stdout, stderr = consoles()
+    with connect(server, stderr, attempts=1) as client:
         status = client.status()
         if as_json:
             print_json(status_to_json(status))
-        elif once or not out.is_terminal:
-            out.print(draw_status(status, server.target))
+        elif once or not stdout.is_terminal:
+            stdout.print(draw_status(status, server.target))
         else:
             try:
-                with Live(draw_status(status, server.target), console=out, auto_refresh=False) as live:
+                with Live(draw_status(status, server.target), console=stdout, auto_refresh=False) as live:
                     while True:
-                        time.sleep(every_s)
+                        time.sleep(every)
                         try:
                             status, problem = client.status(), ""
                         except PlannerError as error:

@@ -1,4 +1,4 @@
-"""What stands against each other where no solution was found, as data and in words."""
+"""Conflicting demands at a step without a solution, as data and in words."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from typing import Any
 
 
 class DemandKind(Enum):
-    """What asks for something."""
+    """The source of a demand."""
 
     CONSTRAINT = "constraint"  # of the task or of the stance
-    OBSTACLE = "obstacle"  # a piece of the scene, or what the task moves: links stay off it
-    LINKS = "links"  # two links of the robot stay off each other
+    OBSTACLE = "obstacle"  # a piece of the scene or a moved mechanism, that links keep clear of
+    LINKS = "links"  # two links of the robot that keep clear of each other
     LIMITS = "limits"  # joints stay within their limits
 
 
-class Search(Enum):
-    """How far the demands were narrowed down."""
+class FilterOutcome(Enum):
+    """How far the deletion filter reduced the demands."""
 
-    REDUCED = "reduced"  # leaving out any one of them, the others were kept
-    CUT_SHORT = "cut_short"  # time was up before each had been left out once
+    REDUCED = "reduced"  # each remaining demand was left out once
+    CUT_SHORT = "cut_short"  # out of time before that
     NO_HELP = "no_help"  # leaving them out did not help within a few steps
-    GIVES_WAY = "gives_way"  # all of them were kept once nothing else was asked for
+    GIVES_WAY = "gives_way"  # all were met with required constraints only
 
 
 @dataclass(frozen=True)
 class Demand:
-    """One of the demands that stand against each other at the best attempt.
+    """A demand in conflict with others at the best attempt.
 
     Attributes:
-        kind: what asks.
+        kind: its source.
         name: of the constraint, the piece or the two links; ``joint limits``.
-        multiplier: summed over its rows, as a share of the largest there.
-        shortfall: how far the worst of its rows is from what is asked, 0 where it is just kept, in ``unit``.
-        text: one clause for a person.
+        multiplier: summed over its rows, as a share of the largest demand's.
+        shortfall: largest violation of its rows in ``unit``, 0 where it is just met.
+        text: a clause for the user.
         links, joints: of the robot, the most loaded first.
-        waypoints: first and last one of the worst row; None where there is a single configuration or nothing to name.
-        is_decisive: whether leaving out this one alone, everything else was kept; None where that was not tried.
+        waypoints: first and last waypoint of the worst row; None where there is no waypoint to name.
+        is_decisive: whether all other demands were met without it; None where that was not tried.
     """
 
     kind: DemandKind
@@ -54,28 +54,28 @@ class Demand:
 
 @dataclass(frozen=True)
 class Conflict:
-    """The demands that stand against each other at the best attempt at a step: local evidence, no proof.
+    """The conflicting demands at the best attempt at a step: local evidence, no proof.
 
     Attributes:
         step: of the plan that found no solution.
-        n_attempts: how many attempts were made at it.
-        standing_on: planted links, which stay where they are.
+        n_attempts: number of attempts at it.
+        standing_on: planted links.
         demands: at least one, the most loaded first.
-        search: how far they were narrowed down.
-        n_solves: problems that were solved for it.
-        cut_short_after_s: seconds spent on it where the search was cut short, else None.
+        search: how far they were reduced.
+        n_solves: problems solved by the filter.
+        cut_short_after_s: seconds spent where the filter was cut short, else None.
     """
 
     step: str
     n_attempts: int
     standing_on: tuple[str, ...]
     demands: tuple[Demand, ...]
-    search: Search
+    search: FilterOutcome
     n_solves: int
     cut_short_after_s: float | None = field(default=None, compare=False)
 
     def sentences(self) -> tuple[str, ...]:
-        """For a person: where it failed, each demand, what leaving demands out does, and what this does not show."""
+        """Return sentences for the user: the step, each demand, the effect of leaving demands out, and a caveat."""
         tried = "the one attempt failed; at its end"
         if self.n_attempts > 1:
             both = "both" if self.n_attempts == 2 else f"all {self.n_attempts}"
@@ -90,7 +90,7 @@ class Conflict:
         return (
             f"{self.step}{stance}: {tried}, {stand}:",
             *clauses,
-            f"{self._learnt()} This was met there; it does not prove that there is no motion.",
+            f"{self._describe_outcome()} This was met there; it does not prove that there is no motion.",
         )
 
     @property
@@ -110,13 +110,13 @@ class Conflict:
             "demands": [{**asdict(demand), "kind": demand.kind.value} for demand in self.demands],
         }
 
-    def _learnt(self) -> str:
-        """What was found by leaving demands out."""
-        if self.search is Search.GIVES_WAY:
+    def _describe_outcome(self) -> str:
+        """Return a sentence about the effect of leaving demands out."""
+        if self.search is FilterOutcome.GIVES_WAY:
             return "Asked for nothing else, the robot kept all of it there: more options.starts may help."
-        if self.search is Search.CUT_SHORT:
-            return self._learnt_in_time()
-        if self.search is Search.NO_HELP:
+        if self.search is FilterOutcome.CUT_SHORT:
+            return self._describe_cut_short()
+        if self.search is FilterOutcome.NO_HELP:
             return "Giving them up did not help within a few steps."
         decisive = [demand.name for demand in self.demands if demand.is_decisive]
         if not decisive:
@@ -128,8 +128,8 @@ class Conflict:
             return f"Without {'either' if len(decisive) == 2 else 'any one'} of them everything else was kept."
         return f"Without {' or without '.join(decisive)} everything else was kept."
 
-    def _learnt_in_time(self) -> str:
-        """What was found before the search was cut short."""
+    def _describe_cut_short(self) -> str:
+        """Return a sentence about the effects that were tried in time."""
         if not self.n_solves:
             return "There was no time to find out which of them to give up."
         spent = f"{self.cut_short_after_s or 0.0:.1f} s"
@@ -143,5 +143,5 @@ class Conflict:
 
 
 def join_names(words: tuple[str, ...] | list[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
+    """Return ``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -1,4 +1,4 @@
-"""From a task's phases to the motion that is executed: spline, time law, samples, and its certificate."""
+"""The executed motion of a task's phases: spline, time law and samples; repair where its certificate fails."""
 
 from __future__ import annotations
 
@@ -10,38 +10,34 @@ from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
 from service.body.holds import DRIFT
-from service.body.phases import PlannedPhase, TaskPlan
+from service.body.monitor import Monitor
+from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import WholeBody
-from service.motion.spline import Path, Spline, make_spline
+from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
-from service.verify import Motion, Phase, PlantedContact, SupportPolygon
+from service.verify import Basis, Certificate, Motion, Phase, PlantedContact, SupportPolygon
 from service.verify.coverage.required import list_waived_checks
 from service.verify.timeline import find_times
 
 SAMPLE_PERIOD_S = 0.01
-# Samples beside a rest, as shares of the knot interval: the robot leaves it at once, and a start that touches something
-# has no room for the chord of a whole sample period.
+# Samples beside a rest, as shares of the knot interval: the robot accelerates at once, and a start in contact has no
+# room for the chord of a whole sample period.
 BESIDE_REST = np.array([0.01, 0.03, 0.06])
-SAME_TIME_S = 1e-5  # no two samples are nearer to each other
-ZMP_RESERVE = 0.015  # how far inside the feet the motion is slowed to keep the ZMP [m]
+SAME_TIME_S = 1e-5  # least distance of two samples
+ZMP_RESERVE = 0.015  # of the ZMP inside the support polygon; the motion is slowed to keep it [m]
 CHORD_TOLERANCE = 1e-3  # of an untimed path's samples, read linearly [rad, m]
-HELD_CHORD_SHARE = 0.05  # the same where something is held, of what that may drift: all joints of its chain add up
+HELD_CHORD_SHARE = 0.05  # the same with holds, of their drift: all joints of a chain add up
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 
 
 def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
-    """The sampled motion of a task's phases.
-
-    Args:
-        plan: at least one phase.
-        timing: how it is timed; None for a path without a time law.
-    """
+    """Make the sampled motion of a task's phases (at least one), without a time law if ``timing`` is None."""
     body = plan.body
-    spline = _spline(body, plan.phases)
+    spline = _fit_spline(body, plan.phases)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
     phases = tuple(
-        _phase(body, phase, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
+        _make_phase(body, phase, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
         for phase, a, b in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True)
     )
     motion = Motion(
@@ -57,26 +53,26 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     if timing is None:
         is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)
         chord = HELD_CHORD_SHARE * body.drift() if is_held else CHORD_TOLERANCE
-        return replace(motion, samples=_path_samples(spline.curve, chord))
+        return replace(motion, samples=_sample_path(spline.curve, chord))
     planted = tuple(foot.link for foot in body.planted)
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
     motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
-    # What is kept more tightly than feet are needs samples closer than the usual ones.
+    # Holds with a smaller drift than planted feet need closer samples.
     chord = HELD_CHORD_SHARE * body.drift() if body.drift() < DRIFT else np.inf
-    return replace(motion, law=law, samples=_samples(knots, law, _chord_steps(spline.curve, chord)))
+    return replace(motion, law=law, samples=_sample_law(knots, law, _chord_steps(spline.curve, chord)))
 
 
-def _spline(body: WholeBody, phases: Sequence[PlannedPhase]) -> Spline:
+def _fit_spline(body: WholeBody, phases: Sequence[PlannedPhase]) -> Spline:
     robot = body.robot
     standing, drift = body.holds(), body.drift()
-    paths = [Path(phase.name, phase.q, (*standing, *phase.holds), drift) for phase in phases]
+    paths = [PhasePath(phase.name, phase.q, (*standing, *phase.holds), drift) for phase in phases]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
 
 
-def _phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> Phase:
-    """What a phase whose waypoints are at the path parameters ``s`` promises."""
+def _make_phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> Phase:
+    """Return the verifier's phase, given the path parameters of its waypoints."""
     first, last = float(s[0]), float(s[-1])
     margin = 0.0 if phase.is_settling else body.aims.balance_margin
     support = None
@@ -94,8 +90,8 @@ def _phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> P
     )
 
 
-def _path_samples(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
-    """Path parameters of an untimed path's samples: all knots, and as many between as keep the curve to its chords."""
+def _sample_path(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
+    """Return path parameters of an untimed path's samples: all knots, and points between for the chord tolerance."""
     steps = np.diff(curve.knots)
     counts = np.maximum(np.ceil(steps / _chord_steps(curve, chord)), 1.0).astype(int)
     parts = [s + step * np.arange(count) / count for s, step, count in zip(curve.knots, steps, counts, strict=False)]
@@ -103,20 +99,22 @@ def _path_samples(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
 
 
 def _chord_steps(curve: Curve, chord: float) -> Float[np.ndarray, "K-1"]:
-    """Longest steps of the path parameter, per knot interval, over which no coordinate leaves its chord by more."""
+    """Return the longest step of the path parameter per knot interval within a chord tolerance [rad, m]."""
     _, _, c2, c3 = curve.coefficients()
     steps = np.diff(curve.knots)
     bend = np.maximum(np.abs(2.0 * c2), np.abs(2.0 * c2 + 6.0 * c3 * steps[:, None])).max(axis=1)
     return np.asarray(np.sqrt(8.0 * chord / np.maximum(bend, 1e-12)))
 
 
-def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw, longest: Float[np.ndarray, "K-1"]) -> Float[np.ndarray, "M"]:
-    """Path parameters of the exported samples: all knots, more beside rests, and one at least every sample period.
+def _sample_law(
+    knots: Float[np.ndarray, "K"], law: TimeLaw, longest: Float[np.ndarray, "K-1"]
+) -> Float[np.ndarray, "M"]:
+    """Return path parameters of the exported samples: all knots, points beside rests, and at least one per period.
 
     Args:
         knots: of the curve.
-        law: of its time.
-        longest: per knot interval, the longest step of the path parameter between two samples.
+        law: its time law.
+        longest: step of the path parameter between two samples, per knot interval.
     """
     times = find_times(law, knots)
     is_rest = np.isin(knots, law.path[law.speed == 0.0])
@@ -134,3 +132,35 @@ def _samples(knots: Float[np.ndarray, "K"], law: TimeLaw, longest: Float[np.ndar
         is_apart = np.abs(even[:, None] - find_times(law, extra)).min(axis=1) > SAME_TIME_S
         samples += [law.at(even[is_apart])[0], extra]
     return np.unique(np.concatenate(samples))
+
+
+def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monitor: Monitor) -> TaskPlan | None:
+    """Solve phases again with waypoints added where the motion's checks fail; None when no failing phase can be."""
+    failures = [
+        check.where.s
+        for check in certificate.checks
+        if check.where is not None
+        and (not check.ok or check.basis is Basis.UNPROVEN)
+        and not check.name.startswith("coverage.")  # waypoints cannot add a missing check
+    ]
+    phases = list(plan.phases)
+    is_changed = False
+    for index, (phase, promise) in enumerate(zip(plan.phases, motion.phases, strict=True)):
+        inside = [s for s in failures if promise.first < s < promise.last]
+        if not inside:
+            continue
+        with monitor.step(f"repair {phase.name}", 0.9):
+            repaired = phase.solve_again(_add_waypoints(motion, promise.first, promise.last, inside))
+        if repaired is not None:
+            phases[index] = repaired
+            is_changed = True
+    return replace(plan, phases=tuple(phases)) if is_changed else None
+
+
+def _add_waypoints(motion: Motion, first: float, last: float, failures: Sequence[float]) -> Float[np.ndarray, "T n"]:
+    """Return the phase's knots with the middle of every interval that has a failure added."""
+    knots = motion.curve.knots
+    knots = knots[(knots >= first) & (knots <= last)]
+    rows = np.clip(np.searchsorted(knots, failures, side="right") - 1, 0, len(knots) - 2)
+    middle = 0.5 * (knots[rows] + knots[rows + 1])
+    return motion.curve(np.union1d(knots, middle))

@@ -1,4 +1,4 @@
-"""From waypoints to the executed curve: projected onto the holds, smooth within a phase, at rest between phases."""
+"""The executed curve through the waypoints: projected onto the holds, smooth within a phase, at rest between."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ MAX_INSERTIONS = 6  # rounds; each halves the intervals that drift
 
 
 @dataclass(frozen=True)
-class Path:
-    """The waypoints of one phase and what holds along it.
+class PhasePath:
+    """Waypoints and holds of a phase.
 
     Attributes:
         name: of the phase.
         q: (T, n) waypoints; the first is the last of the phase before.
-        holds: what is kept at zero all along (planted feet, a hand on a wheel).
+        holds: residuals kept at zero (planted feet, a hand on a wheel).
         drift: largest residual of a hold between waypoints [m, rad].
     """
 
@@ -43,7 +43,7 @@ class Spline:
     Attributes:
         curve: through all waypoints.
         ends: (F + 1,) knot index at which each phase begins, and the last knot.
-        stiff: (K,) whether a knot is one of the phases' own waypoints, not inserted.
+        is_waypoint: (K,) whether a knot is one of the phases' own waypoints, not inserted.
     """
 
     curve: Curve
@@ -53,12 +53,12 @@ class Spline:
 
 def make_spline(
     engine: KinematicsEngine,
-    paths: Sequence[Path],
+    paths: Sequence[PhasePath],
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
     speed: Float[np.ndarray, "n"],
 ) -> Spline:
-    """A C1 cubic spline through all phases, with waypoints inserted where a hold would drift.
+    """Make a C1 cubic spline through all phases, with waypoints inserted where a hold would drift.
 
     Args:
         engine: kinematics.
@@ -67,7 +67,7 @@ def make_spline(
         speed: (n,) natural speed of each coordinate; the path parameter runs in about seconds at these speeds.
     """
     originals: list[np.ndarray] = []
-    refined: list[Path] = []
+    refined: list[PhasePath] = []
     tangents: list[np.ndarray] = []
     knots: list[np.ndarray] = []
     for index, path in enumerate(paths):
@@ -77,8 +77,8 @@ def make_spline(
         is_original = np.ones(len(q), dtype=bool)
         q[1:] = project_onto_holds(engine, q[1:], path.holds)
         for _ in range(MAX_INSERTIONS):
-            s = _parameter(q, speed)
-            v = _tangents(engine, q, s, path.holds, lower, upper)
+            s = _parametrise(q, speed)
+            v = _compute_tangents(engine, q, s, path.holds, lower, upper)
             middle = Curve(s, q, v)(0.5 * (s[1:] + s[:-1]))
             drifting = np.flatnonzero(largest_hold_error(engine, middle, path.holds) > path.drift)
             if not len(drifting):
@@ -86,21 +86,21 @@ def make_spline(
             inserted = project_onto_holds(engine, middle[drifting], path.holds)
             q = np.insert(q, drifting + 1, inserted, axis=0)
             is_original = np.insert(is_original, drifting + 1, False)
-        s = _parameter(q, speed)
+        s = _parametrise(q, speed)
         refined.append(replace(path, q=q))
-        tangents.append(_tangents(engine, q, s, path.holds, lower, upper))
+        tangents.append(_compute_tangents(engine, q, s, path.holds, lower, upper))
         knots.append(s)
         originals.append(is_original)
-    return _joined(refined, knots, tangents, originals)
+    return _join_phases(refined, knots, tangents, originals)
 
 
-def _joined(
-    paths: Sequence[Path],
+def _join_phases(
+    paths: Sequence[PhasePath],
     knots: Sequence[np.ndarray],
     tangents: Sequence[np.ndarray],
     originals: Sequence[np.ndarray],
 ) -> Spline:
-    """One curve of all phases; they share their border knots, where the tangents vanish."""
+    """Join the phases to a curve; they share their border knots, where the tangents vanish."""
     s, q, v = [knots[0]], [paths[0].q], [tangents[0]]
     is_waypoint = [originals[0]]
     ends = [0, len(knots[0]) - 1]
@@ -114,13 +114,13 @@ def _joined(
     return Spline(curve, tuple(ends), np.concatenate(is_waypoint))
 
 
-def _parameter(q: Float[np.ndarray, "T n"], speed: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T"]:
-    """Cumulative time of the slowest coordinate at its natural speed."""
+def _parametrise(q: Float[np.ndarray, "T n"], speed: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T"]:
+    """Return the cumulative time of the slowest coordinate at its natural speed."""
     steps = np.maximum((np.abs(np.diff(q, axis=0)) / speed).max(axis=1), SMALLEST_STEP)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _tangents(
+def _compute_tangents(
     engine: KinematicsEngine,
     q: Float[np.ndarray, "T n"],
     s: Float[np.ndarray, "T"],
@@ -128,7 +128,7 @@ def _tangents(
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "T n"]:
-    """dq/ds at the waypoints: three-point differences that neither overshoot nor break the holds; zero at the ends."""
+    """Return dq/ds at the waypoints: three-point differences within limits and along the holds; zero at the ends."""
     poll()
     slopes = np.diff(q, axis=0) / np.diff(s)[:, None]
     tangents = np.zeros_like(q)
@@ -136,7 +136,7 @@ def _tangents(
     tangents[1:-1] = (h[1:] * slopes[:-1] + h[:-1] * slopes[1:]) / (h[1:] + h[:-1])
     least, most = _tangent_limits(q, h, lower, upper)
     tangents = np.clip(tangents, least, most)
-    tangents[1:-1] = _along_holds(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1])
+    tangents[1:-1] = _project_tangents(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1])
     return np.asarray(tangents)
 
 
@@ -146,7 +146,7 @@ def _tangent_limits(
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
 ) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]]:
-    """Least and greatest tangents with which no interval leaves the limits.
+    """Return the least and greatest tangents with which no interval leaves the limits.
 
     With ``h v <= 3 (upper - q)`` at its first knot and ``-h v <= 3 (upper - q)`` at its last, a cubic stays below
     ``upper``, since ``u (1-u)^2`` is at most a third of ``(1 + 2u) (1-u)^2``; the lower limit mirrors it.
@@ -159,7 +159,7 @@ def _tangent_limits(
     return least, most
 
 
-def _along_holds(
+def _project_tangents(
     engine: KinematicsEngine,
     q: Float[np.ndarray, "S n"],
     v: Float[np.ndarray, "S n"],
@@ -167,10 +167,10 @@ def _along_holds(
     least: Float[np.ndarray, "S n"],
     most: Float[np.ndarray, "S n"],
 ) -> Float[np.ndarray, "S n"]:
-    """Velocities near the given ones that neither break the holds nor pass their limits.
+    """Return velocities near the given ones along the holds and within the limits.
 
-    Joints that the holds would drive past a limit stay at it while the others keep the holds; where that is not
-    enough, all slow down together.
+    Joints that would pass a limit stay at it while the others keep the holds; where that is not enough, all are scaled
+    down together.
     """
     if not holds or not len(q):
         return v

@@ -14,13 +14,13 @@ from costs.robot.model import RobotModel
 from costs.stopping import poll
 from service.verify.motion import SupportPolygon
 
-# Share of the effort limit that is left alone, for what happens between grid points.
+# Share of the effort limit that is used at grid points, with a reserve for points between them.
 _TORQUE_SHARE = 0.98
-# The ZMP's reserve is this much greater at grid points than what is kept between them.
+# Ratio of the ZMP's reserve at grid points to that between them.
 _RESERVE_SHARE = 1.1
-# Where in a cell speed and acceleration are held against their limits.
+# Points of a cell at which speed and acceleration are limited.
 _INSIDE = (0.0, 0.25, 0.5, 0.75, 1.0)
-# Coefficients below this (in units of the limit) count as none.
+# Coefficients below this (in units of the limit) are zero.
 _FLAT = 1e-10
 _NEWTON_STEPS = 100
 
@@ -42,7 +42,7 @@ class Cells:
 
     @staticmethod
     def of(curve: Curve, grid: Float[np.ndarray, "M"]) -> Cells:
-        """No knot may lie within a cell."""
+        """Return the cells of a grid that contains every knot."""
         width = np.append(np.diff(grid), 0.0)[:, None]
         middle = np.append(0.5 * (grid[:-1] + grid[1:]), grid[-1])
         # q' is a parabola and q'' linear inside a cell: both follow from the middle and the third derivative.
@@ -60,7 +60,7 @@ class Cells:
 
 
 def motion_rows(robot: RobotModel, cells: Cells) -> Iterator[HalfRows]:
-    """Speed and acceleration within their limits at points of every cell.
+    """Yield the limits of speed and acceleration at points of every cell.
 
     A reach r into the cell ``x`` is ``x + 2 r u``, which makes a row's ``a`` there ``a + 2 r b``.
     """
@@ -69,7 +69,7 @@ def motion_rows(robot: RobotModel, cells: Cells) -> Iterator[HalfRows]:
     for share, slope, bend in zip(_INSIDE, cells.slopes, cells.bends, strict=True):
         reach = share * cells.width
         a, b = slope[:, is_limited] / scale, bend[:, is_limited] / scale
-        yield HalfRows.both_ways(a + 2.0 * reach * b, b, np.zeros_like(a), 1.0)
+        yield HalfRows.two_sided(a + 2.0 * reach * b, b, np.zeros_like(a), 1.0)
         fastest = ((slope / robot.velocity) ** 2).max(axis=1, keepdims=True)
         yield HalfRows(2.0 * reach * fastest, fastest, np.ones_like(fastest))
 
@@ -82,26 +82,27 @@ def force_rows(
     support: SupportPolygon | None,
     reserve_m: float,
 ) -> Iterator[HalfRows]:
-    """Torques within their limits and the ZMP within its polygon at both ends of every cell.
+    """Yield the limits of torques and ZMP at both ends of every cell.
 
     Args:
-        robot: its efforts are the limits.
-        curve: what the cells lie on.
-        cells: grid.
+        robot: with the effort limits.
+        curve, cells: the grid's.
         torque_rows: coordinates whose torque follows from the motion alone.
-        support: where the ZMP must stay, or None.
-        reserve_m: how far inside, or half as far as the robot at rest where that is less.
+        support: polygon of the ZMP, or None.
+        reserve_m: of the ZMP inside the polygon, at most half of that at rest.
     """
     if not np.any(torque_rows) and support is None:
         return
     q = curve(cells.grid)
-    rest, gain = _at_rest(robot, q, cells.slopes[0])
-    bend = _of_speed(robot, q, cells.slopes[0], cells.bends[0], rest)
+    rest, gain = _compute_at_rest(robot, q, cells.slopes[0])
+    bend = _compute_speed_share(robot, q, cells.slopes[0], cells.bends[0], rest)
     later = np.append(np.arange(1, len(q)), len(q) - 1)
     far = bend[later]
     # The second derivative jumps at knots only; elsewhere a cell ends as the next one begins.
     jumps = np.flatnonzero(~np.isclose(cells.bends[-1], cells.bends[0][later], rtol=1e-9, atol=1e-12).all(axis=1))
-    far[jumps] = _of_speed(robot, q[later[jumps]], cells.slopes[-1][jumps], cells.bends[-1][jumps], rest[later[jumps]])
+    far[jumps] = _compute_speed_share(
+        robot, q[later[jumps]], cells.slopes[-1][jumps], cells.bends[-1][jumps], rest[later[jumps]]
+    )
     n = robot.n
     for a, b, c, reach in ((gain, bend, rest, 0.0 * cells.width), (gain[later], far, rest[later], cells.width)):
         if np.any(torque_rows):
@@ -109,7 +110,7 @@ def force_rows(
             # A joint that its own weight overloads cannot be helped by timing.
             light = torque_rows & np.all(np.abs(c[:, :n]) < limit, axis=0)
             part = (a[:, :n][:, light], b[:, :n][:, light], c[:, :n][:, light])
-            yield HalfRows.both_ways(part[0] + 2.0 * reach * part[1], part[1], part[2], limit[light])
+            yield HalfRows.two_sided(part[0] + 2.0 * reach * part[1], part[1], part[2], limit[light])
         if support is not None:
             yield _balance_rows(a[:, n:], b[:, n:], c[:, n:], reach, support, _RESERVE_SHARE * reserve_m)
 
@@ -122,7 +123,7 @@ def _balance_rows(
     support: SupportPolygon,
     reserve_m: float,
 ) -> HalfRows:
-    """Per edge of the polygon ``normal . zmp <= offset - reserve``, times the force that presses on the ground."""
+    """Return ``normal . zmp <= offset - reserve`` per edge of the polygon, times the vertical ground force."""
     along = np.roll(support.polygon, -1, axis=0) - support.polygon
     length = np.linalg.norm(along, axis=1)
     is_edge = length > 1e-12
@@ -141,30 +142,30 @@ def _balance_rows(
     return HalfRows(turn_a + 2.0 * reach * turn_b, turn_b, room)
 
 
-def _at_rest(
+def _compute_at_rest(
     robot: RobotModel, q: Float[np.ndarray, "M n"], slope: Float[np.ndarray, "M n"]
 ) -> tuple[Float[np.ndarray, "M n+6"], Float[np.ndarray, "M n+6"]]:
-    """Torques and ground wrench of the resting robot, and what d2s/dt2 = 1 adds [Nm, N]."""
+    """Return torques and ground wrench of the resting robot, and the increase by d2s/dt2 = 1 [Nm, N]."""
     still = np.zeros_like(q)
-    rest = _loads(robot, q, still, still)
-    return rest, _loads(robot, q, still, slope) - rest
+    rest = _compute_loads(robot, q, still, still)
+    return rest, _compute_loads(robot, q, still, slope) - rest
 
 
-def _of_speed(
+def _compute_speed_share(
     robot: RobotModel,
     q: Float[np.ndarray, "M n"],
     slope: Float[np.ndarray, "M n"],
     bend: Float[np.ndarray, "M n"],
     rest: Float[np.ndarray, "M n+6"],
 ) -> Float[np.ndarray, "M n+6"]:
-    """What (ds/dt)^2 = 1 adds: inertia times q'' plus Coriolis of q' [Nm, N]."""
-    return np.asarray(_loads(robot, q, slope, bend) - rest)
+    """Return the increase by (ds/dt)^2 = 1: inertia times q'' plus Coriolis forces of q' [Nm, N]."""
+    return np.asarray(_compute_loads(robot, q, slope, bend) - rest)
 
 
-def _loads(
+def _compute_loads(
     robot: RobotModel, q: Float[np.ndarray, "M n"], v: Float[np.ndarray, "M n"], a: Float[np.ndarray, "M n"]
 ) -> Float[np.ndarray, "M n+6"]:
-    """Generalised forces, and the wrench about the world's origin that bears the robot without what the task moves."""
+    """Return generalised forces, and the ground wrench about the world's origin without the mechanism's share."""
     model = robot.model
     data = model.createData()
     apart = {body.joint for body in robot.bodies if body.link in robot.mechanism_links}
@@ -192,13 +193,13 @@ class HalfRows:
     room: Float[np.ndarray, "M m"]
 
     @staticmethod
-    def both_ways(a: np.ndarray, b: np.ndarray, c: np.ndarray, limit: np.ndarray | float) -> HalfRows:
-        """``|a u + b x + c| <= limit`` where ``|c| < limit``."""
+    def two_sided(a: np.ndarray, b: np.ndarray, c: np.ndarray, limit: np.ndarray | float) -> HalfRows:
+        """Return ``|a u + b x + c| <= limit`` where ``|c| < limit``."""
         return HalfRows(np.hstack([a, -a]), np.hstack([b, -b]), np.hstack([limit - c, limit + c]))
 
 
 class Limits:
-    """All rows of ``M`` cells, and ``x <= limit``, ready to be asked cell by cell.
+    """All rows of ``M`` cells and ``x <= limit``, for evaluation cell by cell.
 
     Attributes:
         highest: (M,) largest x that the rows without u allow.
@@ -216,7 +217,7 @@ class Limits:
         self.highest = np.minimum(limit, room.min(axis=1, initial=np.inf))
 
     def bounds(self, i: int, x: float, width: float, highest: float) -> tuple[float, float, float, float]:
-        """Least and greatest u at ``x`` that keep the rows and ``0 <= x + 2 width u <= highest``, and their slopes."""
+        """Return least and greatest u at ``x`` by the rows and ``0 <= x + 2 width u <= highest``, and their slopes."""
         shift = self._slope[i] * x
         low, high = self._low[i] + shift, self._high[i] + shift
         k, j = low.argmax(), high.argmin()
@@ -230,7 +231,7 @@ class Limits:
 
 
 def fastest_speed(limits: Limits, width: Float[np.ndarray, "M-1"]) -> Float[np.ndarray, "M"]:
-    """Greatest ds/dt from rest to rest: controllable sets backwards, then greedily forwards.
+    """Return the greatest ds/dt from rest to rest: controllable sets backwards, then greedily forwards.
 
     Rest is always controllable (u = x = 0 keeps every row), so each set is ``[0, reachable]``.
     """

@@ -1,9 +1,8 @@
-"""Timing of a curve: as fast as speed, acceleration and torque limits allow, and slow enough to keep its balance.
+"""Time law of a curve: as fast as its limits of speed, acceleration, torque and ZMP allow.
 
-Forces and peaks are the verifier's own (``service.verify.dynamics.compute_forces``,
-``service.verify.limits.measure_timed_peaks``): a mistake in them would make a law as well as the check that passes it.
-So the certificate's ZMP, torques and peaks are no second opinion on the timing; the tests hold them against forces and
-peaks computed by other means.
+Forces and peaks are the verifier's own (``compute_forces`` of ``service.verify.dynamics``, ``measure_timed_peaks`` of
+``service.verify.limits``): a mistake in them would affect law and check alike.  The certificate's ZMP, torques and
+peaks are therefore no independent check of the timing; the tests compare them with figures computed by other means.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from service.verify.limits import measure_timed_peaks
 from service.verify.motion import Motion, Phase, SupportPolygon
 from service.verify.stance_checks import outside_polygon
 
-# A motionless stretch has no limit of its own: no knot interval is passed faster than this [s].
+# Shortest duration of a knot interval, for stretches without motion [s].
 _SHORTEST_KNOT_TIME = 0.01
-# Grid cells from rest to rest, at least; points within the first and last of them, as shares of their length.
+# Least number of grid cells from rest to rest; points within the first and last of them, as shares of their length.
 _CELLS_PER_STRETCH = 100
 _NEAR_REST = np.array([0.01, 0.03, 0.1, 0.3])
 
@@ -37,17 +36,16 @@ class TimingError(ValueError):
 
 @dataclass(frozen=True)
 class TimingSettings:
-    """How a curve is timed.
+    """Limits and grid of the timing.
 
     Attributes:
         velocity_scale, acceleration_scale: shares of the limits to be used, in (0, 1].
         cells_per_interval: least grid cells of the time law per knot interval; a stretch between two rests with few
             knots gets more.
-        support_links: links planted on the ground; joints between them and the base carry contact forces that timing
-            does not know, so their torques are left to the verifier (:func:`slow_until_zmp_inside`).
-        use_torques: whether the other joints' torque limits count.
-        zmp_reserve_m: how far inside its polygon the ZMP shall be, or half as far as the robot at rest where that is
-            less.
+        support_links: planted links; contact forces in the joints between them and the base are unknown here, so their
+            torques are limited afterwards (:func:`slow_until_zmp_inside`).
+        use_torques: whether the other joints' torque limits apply.
+        zmp_reserve_m: of the ZMP inside its polygon, at most half of that at rest.
     """
 
     velocity_scale: float = 1.0
@@ -65,12 +63,12 @@ def time_curve(
     settings: TimingSettings | None = None,
     phases: Sequence[Phase] = (),
 ) -> TimeLaw:
-    """Time law that is as fast as the limits allow, at rest at both ends and at ``rest_at`` (path parameters).
+    """Make the fastest time law within the limits, at rest at both ends and at ``rest_at`` (path parameters).
 
     TOPP-RA (Pham & Pham, T-RO 2018) on a grid that holds every knot, with the curve's second derivative taken from
     both sides, since it jumps there, and limits kept at points within the cells as well.  Speed and acceleration limits
-    then hold everywhere: the little that is missed between those points is made up for by slowing the stretch between
-    two rests as a whole.  Torque limits hold at the grid points, and so does the ZMP where a phase with a support
+    then hold everywhere: what is missed between those points is corrected by slowing the whole stretch between two
+    rests.  Torque limits hold at the grid points, and so does the ZMP where a phase with a support
     polygon covers the stretch, as far as it does at rest.
 
     Raises:
@@ -85,29 +83,29 @@ def time_curve(
     if not (np.all(limited.velocity > 0.0) and np.all(limited.acceleration > 0.0)):
         raise TimingError("speed and acceleration limits must be positive to time a curve")
     rests = [float(s) for s in rest_at if curve.knots[0] < s < curve.knots[-1]]
-    grid = _grid(curve, rests, settings.cells_per_interval)
+    grid = _make_grid(curve, rests, settings.cells_per_interval)
     ends = np.concatenate([[0], np.searchsorted(grid, np.unique(rests)), [len(grid) - 1]]).astype(int)
-    torque_rows = _unsupported(robot, settings) if settings.use_torques else np.zeros(robot.n, dtype=bool)
+    torque_rows = _find_free_torques(robot, settings) if settings.use_torques else np.zeros(robot.n, dtype=bool)
     speed = np.zeros(len(grid))
     for a, b in pairwise(ends):
         cells = grid[a : b + 1]
-        support = _support_between(phases, float(cells[0]), float(cells[-1]))
-        speed[a : b + 1] = _segment_speed(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)
-    law = _law(grid, speed)
+        support = _find_support(phases, float(cells[0]), float(cells[-1]))
+        speed[a : b + 1] = _time_segment(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)
+    law = _make_law(grid, speed)
     return _slow_to_limits(limited, curve, law)
 
 
 def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: float = 0.0) -> TimeLaw:
-    """The motion's law, slowed between rests until ZMP (and torques) hold at all samples, if slowness can do that.
+    """Slow the motion's law between rests until ZMP and torques hold at all samples, if that is possible.
 
-    With all speeds divided by c the ZMP moves towards where it is for the resting robot as 1/c^2 (the vertical
-    acceleration's part aside), so one solve per pass suffices; a robot that would fall or overload a joint even at
-    rest is left as it is, for the verifier to say so.
+    With all speeds divided by c the ZMP approaches that of the resting robot as 1/c^2 (except for the vertical
+    acceleration), so one solve per pass suffices.  A stretch that would fail at rest is not slowed; the verifier
+    reports it.
 
     Args:
-        motion: timed.
+        motion: with a time law.
         time_step_s: between samples.
-        reserve_m: how far inside the polygon the ZMP shall be, or half as far as the robot at rest where that is less.
+        reserve_m: of the ZMP inside the polygon, at most half of that at rest.
 
     Raises:
         TimingError: when the motion has no time law.
@@ -120,18 +118,18 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: 
         poll()
         factor = np.ones(len(law.times) - 1)
         for a, b in pairwise(rests):
-            factor[a:b] = _needed_slowness(motion, law, float(law.path[a]), float(law.path[b]), time_step_s, reserve_m)
+            factor[a:b] = _compute_slowdown(motion, law, float(law.path[a]), float(law.path[b]), time_step_s, reserve_m)
         if np.all(factor <= 1.0):
             break
-        law = _stretched(law, factor)
+        law = _stretch_law(law, factor)
     return law
 
 
-def _grid(curve: Curve, rests: Sequence[float], least_cells: int) -> Float[np.ndarray, "M"]:
-    """Knots, rests, and points between them.
+def _make_grid(curve: Curve, rests: Sequence[float], least_cells: int) -> Float[np.ndarray, "M"]:
+    """Return knots, rests, and points between them.
 
-    Points are denser towards the knots, where q'' jumps, and much denser towards rests: where the tangent vanishes, the
-    robot is fastest off when ds/dt rises at once.  Stretches with few knots get more cells for each interval.
+    Points are denser towards the knots, where q'' jumps, and much denser towards rests, where the tangent vanishes and
+    the fastest law raises ds/dt at once.  Stretches with few knots get more cells for each interval.
     """
     knots = curve.knots
     stops = np.unique(np.concatenate([knots[:1], rests, knots[-1:]]))
@@ -153,8 +151,8 @@ def _grid(curve: Curve, rests: Sequence[float], least_cells: int) -> Float[np.nd
     return np.unique(np.concatenate([grid, behind.ravel(), before.ravel()]))
 
 
-def _unsupported(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray, "n"]:
-    """Coordinates whose torque follows from the motion alone: neither base nor between a planted link and the base."""
+def _find_free_torques(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray, "n"]:
+    """Return coordinates whose torque follows from the motion alone: not the base or a planted link's chain."""
     model = robot.model
     rows = np.isfinite(robot.effort) & (robot.effort > 0.0)
     rows[: 6 if robot.is_floating else 0] = False
@@ -167,14 +165,14 @@ def _unsupported(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray
     return np.asarray(rows)
 
 
-def _support_between(phases: Sequence[Phase], first: float, last: float) -> SupportPolygon | None:
-    """The support polygon of the one phase that covers the stretch."""
+def _find_support(phases: Sequence[Phase], first: float, last: float) -> SupportPolygon | None:
+    """Return the support polygon of the phase that covers the stretch, if there is exactly one."""
     slack = 1e-9 * max(1.0, abs(last))
     covering = [phase for phase in phases if phase.first - slack <= first and last <= phase.last + slack]
     return covering[0].support if len(covering) == 1 else None
 
 
-def _segment_speed(
+def _time_segment(
     robot: RobotModel,
     curve: Curve,
     grid: Float[np.ndarray, "M"],
@@ -182,7 +180,7 @@ def _segment_speed(
     support: SupportPolygon | None,
     reserve_m: float,
 ) -> Float[np.ndarray, "M"]:
-    """ds/dt on the grid from rest to rest."""
+    """Return ds/dt on the grid from rest to rest; without force limits where these leave no law."""
     cells = Cells.of(curve, grid)
     shortest = np.diff(curve.knots).min() / _SHORTEST_KNOT_TIME
     slope = np.abs(curve(grid, 1)) / robot.velocity
@@ -195,13 +193,13 @@ def _segment_speed(
     raise TimingError(f"no time law found between s = {grid[0]} and s = {grid[-1]}")
 
 
-def _law(grid: Float[np.ndarray, "M"], speed: Float[np.ndarray, "M"]) -> TimeLaw:
+def _make_law(grid: Float[np.ndarray, "M"], speed: Float[np.ndarray, "M"]) -> TimeLaw:
     durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
     return TimeLaw(np.concatenate([[0.0], np.cumsum(durations)]), grid, speed)
 
 
-def _stretched(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:
-    """The law with every cell's duration multiplied; the factor may only change where the path rests."""
+def _stretch_law(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:
+    """Multiply every cell's duration; the factor may only change at rests."""
     times = np.concatenate([law.times[:1], law.times[0] + np.cumsum(np.diff(law.times) * factor)])
     return TimeLaw(times, law.path, law.speed / np.append(factor, factor[-1]))
 
@@ -217,20 +215,20 @@ def _slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
     for a, b in pairwise(rests):
         inside = (peaks.s >= law.path[a]) & (peaks.s < law.path[b])
         factor[a:b] = max(1.0, float(excess[inside].max()))
-    return _stretched(law, factor)
+    return _stretch_law(law, factor)
 
 
-def _needed_slowness(
+def _compute_slowdown(
     motion: Motion, law: TimeLaw, first: float, last: float, time_step_s: float, reserve_m: float
 ) -> float:
-    """By how much the stretch between two rests must be slowed for balance and torque."""
+    """Return the factor by which the stretch between two rests must be slowed for balance and torque."""
     needed = 1.0
     timed = replace(motion, law=law)
     for phase in motion.phases:
         start, end = max(first, phase.first), min(last, phase.last)
         if end <= start:
             continue
-        moving, resting = _loads(timed, law, phase, start, end, time_step_s, reserve_m)
+        moving, resting = _compare_with_rest(timed, law, phase, start, end, time_step_s, reserve_m)
         curable = (moving > 0.0) & (resting < -1e-6)
         if np.any(curable):
             needed = max(needed, float(np.max((moving[curable] - resting[curable]) / -resting[curable])))
@@ -238,23 +236,23 @@ def _needed_slowness(
     return float(np.sqrt(needed) * (1.01 if needed > 1.0 else 1.0))
 
 
-def _loads(
+def _compare_with_rest(
     motion: Motion, law: TimeLaw, phase: Phase, first: float, last: float, time_step_s: float, reserve_m: float
 ) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k"]]:
-    """How far ZMP and torques are beyond their limits (negative: within), moving and at rest in the same poses.
+    """Return ZMP and torques relative to their limits (positive: beyond), moving and at rest in the same poses.
 
-    Nothing where nothing is beyond: the robot at rest is looked at only where that may help.
+    Samples within all limits are left out.
     """
     times = list_sample_times(motion, law, first, last, time_step_s)
     robot, support = motion.robot, phase.support
     rows = np.isfinite(robot.effort) & (robot.effort > 0.0)
 
     def measure(timing: TimeLaw, at: Float[np.ndarray, "R"]) -> tuple[np.ndarray, np.ndarray]:
-        found = compute_forces(motion, timing, phase, at)
+        loads = compute_forces(motion, timing, phase, at)
         outside = np.full(len(at), -np.inf)
         if support is not None:
-            outside = np.nan_to_num(outside_polygon(support.polygon, found.zmp(support.height)), nan=1e3)
-        return np.abs(found.torque[:, rows]) / robot.effort[rows] - 1.0, outside
+            outside = np.nan_to_num(outside_polygon(support.polygon, loads.zmp(support.height)), nan=1e3)
+        return np.abs(loads.torque[:, rows]) / robot.effort[rows] - 1.0, outside
 
     torque, outside = measure(law, times)
     beyond = np.flatnonzero((torque > 0.0).any(axis=1) | (outside > -reserve_m))

@@ -112,9 +112,9 @@ def _wheel(request: PlanRequest, seen: Sequence[ValveDetection]) -> Wheel | None
     task = None if request.task is None else request.task.valve
     if task is None:
         return None
-    from service.tasks.valve_task import given_valve
+    from service.tasks.valve_task import read_given_valve
 
-    valve = given_valve(task) or next(iter(seen), None)
+    valve = read_given_valve(task) or next(iter(seen), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
     return make_wheel(valve)

@@ -7,28 +7,23 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
-from service.request.scene import KnownRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, StartRequest
+from service.request.scene import ObstacleRequest
+from service.request.schema import AttachedRequest, PlanRequest
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
 
 T = TypeVar("T")
-_ADAPTER = TypeAdapter(PlanRequest)
-_START_ADAPTER = TypeAdapter(StartRequest)
-_ROBOT_ADAPTER = TypeAdapter(RobotRequest)
-_SCENE_ADAPTER = TypeAdapter(SceneRequest)
-_KNOWN_ADAPTER = TypeAdapter(KnownRequest)
-# Our words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
+# Words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
 _WORDS = {
     "float_type": "a number is needed",
     "int_type": "a whole number is needed",
@@ -53,7 +48,7 @@ _SPEAK_FOR_THEMSELVES = {"unknown_key", "exactly_one", "quaternion", "unit"}
 
 
 class _Loader(yaml.CSafeLoader):
-    """YAML without repeated keys, and with 1e-3 read as a number as everybody expects."""
+    """YAML loader that refuses repeated keys and reads 1e-3 as a number."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()
@@ -78,25 +73,19 @@ def load_request(path: str | Path) -> PlanRequest:
         RequestError: one line per problem.
     """
     path = Path(path)
-    return _from_file(path, lambda data: parse_request(data, path.parent))
+    return dataclasses.replace(load_section(PlanRequest, path), folder=path.parent)
 
 
-def load_start(path: str | Path) -> StartRequest:
-    """Read and check a file that holds what a request's ``start`` holds.
-
-    Raises:
-        RequestError: one line per problem.
-    """
-    return _from_file(Path(path), parse_start)
-
-
-def load_scene(path: str | Path) -> SceneRequest:
-    """Read and check a file that holds what a request's ``scene`` holds.
+def load_section(kind: type[T], path: Path) -> T:
+    """Read and check a file that holds one section of a request (``StartRequest`` for ``start``).
 
     Raises:
         RequestError: one line per problem.
     """
-    return _from_file(Path(path), parse_scene)
+    try:
+        return parse_section(kind, _read_yaml(_read_text(path)))
+    except RequestError as error:
+        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
 
 
 def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
@@ -105,98 +94,67 @@ def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
     Raises:
         RequestError: one line per problem.
     """
-    return dataclasses.replace(_validated(data, _ADAPTER), folder=Path(folder))
+    return dataclasses.replace(parse_section(PlanRequest, data), folder=Path(folder))
 
 
-def parse_start(data: object) -> StartRequest:
-    """Check what a request's ``start`` holds, given as ``parse_request`` takes it.
-
-    Raises:
-        RequestError: one line per problem.
-    """
-    return _validated(data, _START_ADAPTER)
-
-
-def parse_robot(data: object) -> RobotRequest:
-    """Check what a request's ``robot`` holds, given as ``parse_request`` takes it.
+def parse_section(kind: type[T], data: object) -> T:
+    """Check one section of a request, given as ``parse_request`` takes it.
 
     Raises:
         RequestError: one line per problem.
     """
-    return _validated(data, _ROBOT_ADAPTER)
-
-
-def parse_scene(data: object) -> SceneRequest:
-    """Check what a request's ``scene`` holds, given as ``parse_request`` takes it.
-
-    Raises:
-        RequestError: one line per problem.
-    """
-    return _validated(data, _SCENE_ADAPTER)
-
-
-def parse_known(data: object) -> KnownRequest:
-    """Check known meshes and the scene to update, given as ``parse_request`` takes them.
-
-    Raises:
-        RequestError: one line per problem.
-    """
-    return _validated(data, _KNOWN_ADAPTER)
-
-
-def replace_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
-    """The request with another cloud file, given relative to the working directory."""
-    path = os.path.relpath(cloud.absolute(), request.folder.absolute())
-    return dataclasses.replace(request, scene=dataclasses.replace(request.scene, cloud=path))
-
-
-def replace_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
-    """The request with its own cloud files, or its scene's file, at other places relative to the working directory.
-
-    Raises:
-        RequestError: the request names another number of files.
-    """
-    paths = [os.path.relpath(path.absolute(), request.folder.absolute()) for path in clouds]
-    scene = request.scene
-    names = [scene.file] if scene.file is not None else [one.file for one in scene.cloud_files]
-    if len(paths) != len(names):
-        listed = ", ".join(shown(name) for name in names) or "no scan"
-        raise RequestError(f"--cloud: {len(paths)} files given; the request's scene has {listed}")
-    if scene.file is not None:
-        return dataclasses.replace(request, scene=dataclasses.replace(scene, file=paths[0]))
-    if isinstance(scene.cloud, str):
-        return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=paths[0]))
-    files = tuple(dataclasses.replace(one, file=path) for one, path in zip(scene.cloud_files, paths, strict=True))
-    return dataclasses.replace(request, scene=dataclasses.replace(scene, cloud=files))
-
-
-def to_json(request: PlanRequest) -> dict[str, Any]:
-    """The request as plain JSON data, defaults filled in, without the folder."""
-    return dict(_ADAPTER.dump_python(request, mode="json"))
-
-
-def request_hash(request: PlanRequest) -> str:
-    """``sha256:`` of the canonical JSON: sorted keys, no blanks."""
-    text = json.dumps(to_json(request), sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
-
-
-def _from_file(path: Path, parse: Callable[[object], T]) -> T:
-    try:
-        return parse(_read_yaml(_read_text(path)))
-    except RequestError as error:
-        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
-
-
-def _validated(data: object, adapter: TypeAdapter[T]) -> T:
     if not isinstance(data, Mapping):
         raise RequestError(f"a mapping is needed, got {shown(data)}; docs/request-format.md lists its keys")
     try:
-        return adapter.validate_python(dict(data))
+        return TypeAdapter(kind).validate_python(dict(data))
     except ValidationError as error:
         raise RequestError([_line(data, detail) for detail in error.errors(include_url=False)]) from None
     except RecursionError:
         raise RequestError(f"nested deeper than {MAX_DEPTH} levels") from None
+
+
+def replace_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
+    """Return the request with another cloud file, given relative to the working directory."""
+    return _with_scene(request, cloud=_relative(request, cloud))
+
+
+def replace_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
+    """Return the request with its cloud files, or its scene file, at other places relative to the working directory.
+
+    Raises:
+        RequestError: the request names another number of files.
+    """
+    paths = [_relative(request, path) for path in clouds]
+    scene = request.scene
+    names = [scene.file] if scene.file is not None else [file.file for file in scene.cloud_files]
+    if len(paths) != len(names):
+        listed = ", ".join(shown(name) for name in names) or "no scan"
+        raise RequestError(f"--cloud: {len(paths)} files given; the request's scene has {listed}")
+    if scene.file is not None:
+        return _with_scene(request, file=paths[0])
+    if isinstance(scene.cloud, str):
+        return _with_scene(request, cloud=paths[0])
+    files = tuple(dataclasses.replace(file, file=path) for file, path in zip(scene.cloud_files, paths, strict=True))
+    return _with_scene(request, cloud=files)
+
+
+def _relative(request: PlanRequest, path: Path) -> str:
+    return os.path.relpath(path.absolute(), request.folder.absolute())
+
+
+def _with_scene(request: PlanRequest, **changes: Any) -> PlanRequest:
+    return dataclasses.replace(request, scene=dataclasses.replace(request.scene, **changes))
+
+
+def to_json(request: PlanRequest) -> dict[str, Any]:
+    """Return the request as plain JSON data, defaults filled in, without the folder."""
+    return dict(TypeAdapter(PlanRequest).dump_python(request, mode="json"))
+
+
+def request_hash(request: PlanRequest) -> str:
+    """Return ``sha256:`` and the hash of the canonical JSON: sorted keys, no blanks."""
+    text = json.dumps(to_json(request), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
 
 
 def _read_text(path: Path) -> str:
@@ -248,7 +206,7 @@ def _refuse_bombs(text: str) -> None:
 
 
 def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
-    """One line of ours for one error of pydantic's: ``field: what is needed, got value``."""
+    """Return the line for an error of pydantic: ``field: what is needed, got value``."""
     kind, location, value = detail["type"], detail["loc"], detail["input"]
     context = detail.get("ctx", {})
     is_short = kind == "missing" and isinstance(location[-1], int)  # of a list, the entry at that index is missing
@@ -258,7 +216,11 @@ def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
     elif kind == "missing":
         return f"{field}: is missing"
     elif kind.startswith("union_tag"):
-        return f"{field}: {_union_problem(value, context)}"
+        union = AttachedRequest if "attached" in location else ObstacleRequest
+        known = [get_args(get_type_hints(shape)["type"])[0] for shape in get_args(get_args(union)[0])]
+        tag = context.get("tag")
+        words = f"a type is needed, got {shown(value)}" if tag is None else f"unknown type {shown(tag)}"
+        return f"{field}: {words}; expected {would_do(tag, known)}"
     else:
         words = _WORDS[kind].format(**context) if kind in _WORDS else detail["msg"]
     if kind not in _SPEAK_FOR_THEMSELVES and isinstance(value, str | int | float | list | tuple | None):
@@ -266,15 +228,8 @@ def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
     return f"{field}: {words}" if field else words
 
 
-def _union_problem(value: object, context: Mapping[str, Any]) -> str:
-    expected = [tag.strip("'") for tag in str(context.get("expected_tags", "")).split(", ")]
-    if not context.get("expected_tags"):
-        return f"a type is needed, got {shown(value)}; expected box, sphere, cylinder, capsule, convex or mesh"
-    return f"unknown type {shown(context.get('tag'))}; expected {would_do(context.get('tag'), expected)}"
-
-
 def _field_path(data: object, location: tuple[int | str, ...], is_missing: bool) -> str:
-    """``scene.obstacles[0].size``; the name of a union's variant, which pydantic inserts, is left out."""
+    """Return ``scene.obstacles[0].size``, without the names of union variants that pydantic inserts."""
     text = ""
     for index, step in enumerate(location):
         is_last = index == len(location) - 1

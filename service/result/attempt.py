@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from service.body.monitor import Monitor
-from service.body.phases import TaskPlan
+from service.body.task_plan import TaskPlan
 from service.explain.conflict import Conflict
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup

@@ -28,13 +28,13 @@ BEGINNING = b'{"format": "' + FORMAT.rsplit("/", 1)[0].encode()
 
 @dataclass(frozen=True)
 class ResultFiles:
-    """Where the files of a result are."""
+    """Paths of a result's files."""
 
     folder: Path
 
     @property
     def result(self) -> Path:
-        """What a stranger needs to check the motion."""
+        """Everything needed to check the motion."""
         return self.folder / RESULT_NAME
 
     @property
@@ -44,8 +44,12 @@ class ResultFiles:
 
     @property
     def viewer(self) -> Path:
-        """The motion to look at."""
+        """The page that shows the motion."""
         return self.folder / VIEWER_NAME
+
+    def to_json(self) -> dict[str, str]:
+        """Return the paths that ``--json`` prints."""
+        return {"result": str(self.result), "viewer": str(self.viewer)}
 
 
 def check_folder(folder: Path) -> None:

@@ -76,8 +76,8 @@ def _end_of(setup: PlanSetup) -> _End | None:
     if request.goal is not None:
         body = WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims())
         goal = Goal.of(body, request.goal)
-        poses = [(one.link, np.array(one.position), make_goal_rotation(one)) for one in goal.poses]
-        q = goal.applied_to(setup.start) if goal.joints else None
+        poses = [(one.link, np.array(one.position), make_goal_rotation(one)) for one in goal.request.poses]
+        q = goal.apply_joints(setup.start) if goal.joints else None
         return _End(goal.targets(0.0), q, _turned_as_at_start(setup, poses))
     if setup.program is not None:
         return _end_of_program(setup)

@@ -13,7 +13,7 @@ import numpy as np
 from costs.robot import RobotError, load_robot
 from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read_clouds, rigid_pose
 from service.errors import RequestError, would_do
-from service.request.file import load_start, parse_robot, parse_start
+from service.request.file import load_section, parse_section
 from service.request.schema import RobotRequest, StartRequest
 from service.start.configuration import make_start_configuration
 from service.start.standing import FEET_GROUP, place_bodies, sole_corners
@@ -203,7 +203,7 @@ def _robot(text: str) -> RobotRequest:
     path = Path(text)
     if path.suffix != ".urdf":
         try:
-            return parse_robot({"name": text})
+            return parse_section(RobotRequest, {"name": text})
         except RequestError as error:
             raise RequestError([f"--robot: {problem}" for problem in error.problems]) from None
     if not os.path.isfile(path):
@@ -213,8 +213,8 @@ def _robot(text: str) -> RobotRequest:
 
 def _start(posture: Path) -> StartRequest:
     if posture.suffix or os.path.exists(posture):
-        return load_start(posture)
-    return parse_start({"posture": str(posture)})
+        return load_section(StartRequest, posture)
+    return parse_section(StartRequest, {"posture": str(posture)})
 
 
 def _robot_in_the_way(asked: RobotRequest, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:

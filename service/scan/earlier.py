@@ -12,8 +12,8 @@ from jaxtyping import Float
 from costs.scene import ConvexPiece, Scene
 from perception import Earlier, Evidence, Perceived, Piece, Reach
 from perception.convex.hulls import make_hull
-from perception.solids.closed import Solid
 from perception.solids.match import KnownMesh
+from perception.solids.mesh import Solid
 from service.errors import RequestError, shown
 from service.scan.known_meshes import KIND, PlacedMesh, explain_low_confidence
 from service.scan.meshes import hull_mesh

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 from costs.scene import ConvexPiece
 from perception import CONFIDENT, PerceptionError, rigid_pose
 from perception.perceive import FRINGE
-from perception.solids.closed import Solid
 from perception.solids.match import KnownMesh, MeshMatch
+from perception.solids.mesh import Solid
 from service.errors import RequestError
 from service.json_data import plain
 from service.request.scene import KnownMeshRequest

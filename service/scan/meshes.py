@@ -13,8 +13,7 @@ from costs.robot import RobotError, StillShape, read_object_shapes
 from service.errors import RequestError
 
 if TYPE_CHECKING:
-    from perception.solids.closed import Solid
-    from perception.solids.mesh import Mesh
+    from perception.solids.mesh import Mesh, Solid
 
 URDF = ".urdf"
 FORMATS = (".stl", ".obj", ".ply", URDF)
@@ -32,7 +31,7 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         RequestError: naming ``field``: no such file, another format, too large or broken.
     """
     from perception import PerceptionError  # takes a while, and most scenes need none
-    from perception.solids.closed import make_solid, unite_solids
+    from perception.solids.mesh import make_solid, unite_solids
     from perception.solids.read import read_mesh
 
     if not path.is_file():
@@ -88,8 +87,8 @@ def _body(shape: StillShape, scale: float) -> Mesh:
     pose = shape.pose_object_shape.copy()
     pose[:3, 3] *= scale
     if shape.mesh is not None:
-        return read_mesh(shape.mesh, shape.scale * scale).placed(pose)
-    return hull_mesh(np.asarray(shape.points) * scale).placed(pose)
+        return read_mesh(shape.mesh, shape.scale * scale).place(pose)
+    return hull_mesh(np.asarray(shape.points) * scale).place(pose)
 
 
 def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:

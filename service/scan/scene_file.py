@@ -206,7 +206,7 @@ def _read_json(path: Path, field: str, if_scan: str) -> Mapping[str, Any]:
     named = data.get("format") if isinstance(data, Mapping) else None
     if named != FORMAT:
         scan = if_scan if named is None else ""
-        raise RequestError(f"{field}: {path} is no scene, its format is {shown(named)}, expected {FORMAT}{scan}")
+        raise RequestError(f"{field}: {path} is no scene, its format is {shown(named)}; expected {FORMAT}{scan}")
     return dict(data)
 
 

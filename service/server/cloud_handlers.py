@@ -22,9 +22,9 @@ from service.proto.planner.v1.planner_pb2 import (
     UploadCloudRequest,
     UploadCloudResponse,
 )
-from service.request.file import parse_scene, parse_start
+from service.request.file import parse_section
 from service.request.scene import SceneRequest
-from service.request.schema import RobotRequest
+from service.request.schema import RobotRequest, StartRequest
 from service.scan.cloud import CloudInput
 from service.server.cloud_requests import (
     KnownReader,
@@ -248,7 +248,7 @@ class CloudHandlers:
         problems += check_robot(clouds.get("robot"))
         problems += check_start(clouds.get("start", {}))
         try:
-            scene = parse_scene({**data, "cloud": clouds.get("clouds") or None})
+            scene = parse_section(SceneRequest, {**data, "cloud": clouds.get("clouds") or None})
         except RequestError as error:
             raise refuse_invalid(map(_to_message_field, (*problems, *error.problems))) from None
         for field, problem in self._folders.find_scene_problems(scene):
@@ -275,7 +275,7 @@ class CloudHandlers:
                 top_m=top,
                 bottom_m=bottom,
                 robot=self._robot(given.robot) if given.HasField("robot") else None,
-                start=parse_start(to_plain(given.start)) if given.HasField("start") else None,
+                start=parse_section(StartRequest, to_plain(given.start)) if given.HasField("start") else None,
                 seed=given.seed,
             )
 

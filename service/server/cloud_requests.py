@@ -9,8 +9,9 @@ from pathlib import Path
 
 from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import BuildSceneRequest
-from service.request.file import parse_known, parse_robot, parse_start
+from service.request.file import parse_section
 from service.request.scene import KnownRequest
+from service.request.schema import RobotRequest, StartRequest
 from service.server.refusals import refuse_invalid
 from service.server.requests import select_uploads
 from service.store import CloudStore, Scenes
@@ -73,7 +74,7 @@ class KnownReader:
         """
         plain = to_plain(message)
         try:
-            known = parse_known({key: plain[key] for key in ("meshes", "update") if key in plain})
+            known = parse_section(KnownRequest, {key: plain[key] for key in ("meshes", "update") if key in plain})
         except RequestError as error:
             raise refuse_invalid(error.problems) from None
         checks = {f"meshes[{k}].file": self.folders.check(mesh.file, "mesh") for k, mesh in enumerate(known.meshes)}
@@ -121,7 +122,7 @@ def check_robot(name: str | None) -> tuple[str, ...]:
     """Return the problems of a robot's name, each beginning with the field."""
     try:
         if name is not None:
-            parse_robot({"name": name})
+            parse_section(RobotRequest, {"name": name})
     except RequestError as error:
         return tuple(f"robot: {make_violation(problem).description}" for problem in error.problems)
     return ()
@@ -130,7 +131,7 @@ def check_robot(name: str | None) -> tuple[str, ...]:
 def check_start(data: object) -> tuple[str, ...]:
     """Return the problems of the robot's start, each beginning with the field."""
     try:
-        parse_start(data)
+        parse_section(StartRequest, data)
     except RequestError as error:
         return tuple(f"start{'.' if make_violation(problem).field else ': '}{problem}" for problem in error.problems)
     return ()

@@ -31,8 +31,8 @@ from service.scan.meshes import read_solid, split_convex
 from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
-    from perception.solids.closed import Solid
     from perception.solids.match import KnownMesh, MeshMatch
+    from perception.solids.mesh import Solid
 
 if TYPE_CHECKING:
     from perception import Perceived, ValveDetection

@@ -5,56 +5,44 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from service.body.phases import PhaseSolver, TaskPlan
+from service.body.phases import PhaseSolver
+from service.body.task_plan import TaskPlan
 from service.errors import RequestError
 from service.setup.prepare import PlanSetup
-from service.tasks.escape import escape
+from service.tasks.leave_start import leave_start
 from service.tasks.reach import plan_reach
-from service.tasks.settle import needs_settling, settle
 
 
 def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
-    """Plan what the request asks for, leaving a collision and settling first where the start needs it.
+    """Yield plans of the request's task, with phases that leave an unfit start first.
 
-    Every plan is another way to do the whole task; the next is worked out when it is asked for.
+    Every plan does the whole task; the next is made on demand.
 
     Raises:
-        RequestError: the request asks for nothing that is known here.
+        RequestError: the request has no task with a planner.
     """
+    request = setup.request
     if setup.unresolved:
         yield TaskPlan(solver.body, (), setup.unresolved)
         return
-    if setup.program is not None:  # says itself where its waypoints are, the first among them
-        from service.tasks.program import plan_program  # what few requests need is read when it is needed
+    if setup.program is not None:  # its waypoints include the start
+        from service.tasks.program import plan_program  # few requests need it
 
         yield from plan_program(solver, setup.program)
         return
-    lead = _lead(setup, solver)
+    lead = leave_start(solver, setup.overlaps)
     if lead.stuck is not None:
         yield lead
         return
-    for rest in _plan(setup, replace(solver, body=lead.body)):
-        phases = (phase.for_robot(rest.body.robot) for phase in lead.phases)
-        yield replace(rest, phases=(*phases, *rest.phases))
-
-
-def _lead(setup: PlanSetup, solver: PhaseSolver) -> TaskPlan:
-    """What comes before the task: out of what the start is in, then into balance; no phase where neither is needed."""
-    lead = TaskPlan(solver.body, ())
-    if setup.overlaps:
-        lead = escape(solver, setup.overlaps)
-    if lead.stuck is None and needs_settling(lead.body):
-        settled = settle(replace(solver, body=lead.body))
-        lead = replace(settled, phases=(*lead.phases, *settled.phases))
-    return lead
-
-
-def _plan(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
-    request = setup.request
+    solver = replace(solver, body=lead.body)
     if request.goal is not None:
-        return plan_reach(solver, request.goal, request.options.waypoints)
-    if request.task is not None and request.task.valve is not None:
+        plans = plan_reach(solver, request.goal, request.options.waypoints)
+    elif request.task is not None and request.task.valve is not None:
         from service.tasks.valve_task import plan_valve
 
-        return iter([plan_valve(setup, solver, request.task.valve)])
-    raise RequestError("request: goal, task.valve or task.trajopt is needed")
+        plans = iter([plan_valve(setup, solver, request.task.valve)])
+    else:
+        raise RequestError("request: goal, task.valve or task.trajopt is needed")
+    for rest in plans:
+        phases = (phase.for_robot(rest.body.robot) for phase in lead.phases)
+        yield replace(rest, phases=(*phases, *rest.phases))

@@ -1,4 +1,4 @@
-"""A problem file as one phase: its costs and constraints and no others, but that links stay apart."""
+"""Solve a problem file as one phase: with its own costs and constraints, and links kept apart."""
 
 from __future__ import annotations
 
@@ -10,92 +10,74 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Float
 
-from service.body.phases import (
-    LEAST_CLEARANCE,
-    PhaseSolver,
-    PlannedPhase,
-    Solved,
-    Stuck,
-    TaskPlan,
-    path_via,
-    posture_guesses,
-    straight_path,
-)
-from service.body.reach import find_out_of_reach
-from service.body.sampling import SamplingProblem, Tree, free_coordinates, resample_path, sample_path
+from service.body.phases import PhaseSolver, path_via, posture_guesses, report_solutions, straight_path
+from service.body.sampling import Tree, resample_path
+from service.body.task_plan import LEAST_CLEARANCE, PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
-from service.errors import RequestError
+from service.errors import RequestError, would_do
+from service.explain.distance import find_out_of_reach
 from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
 from service.trajopt import Builder, Program, Promises, Timeline
-from service.trajopt.json_fields import did_you_mean
 from service.trajopt.problem import CollisionTerm, PoseTerm
 
 PHASE = "trajopt"
-APART = LEAST_CLEARANCE + CLEARANCE_TOLERANCE  # kept of all pairs, whatever the file's own collision terms ask [m]
-SIGHT = 0.03  # beyond the largest distance that is asked [m]
+APART = LEAST_CLEARANCE + CLEARANCE_TOLERANCE  # clearance of all pairs, besides the file's own collision terms [m]
+SIGHT = 0.03  # beyond the largest distance of a collision term [m]
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
     Tree(1, 1500, "RRTConnect"),
     Tree(2, 2000, "LBKPIECE1"),
     Tree(3, 4000, "RRTConnect"),
 )
-# As in TrajOpt, the optimiser goes on until its costs are low; elsewhere the first feasible motion will do.
+# As in TrajOpt, the optimiser goes on until its costs are low; elsewhere the first feasible motion is enough.
 LEAST_GAIN = 1e-3
 
 
 def plan_program(solver: PhaseSolver, program: Program) -> Iterator[TaskPlan]:
-    """The program solved from its own start, then from others, as often as one is feasible.
+    """Yield a plan for every start that solves the program, its own first.
 
     Raises:
         RequestError: a collision term names what is neither a link nor a piece of the scene.
     """
-    body = with_sight(solver.body, program)
+    body = fit_body(solver.body, program)
     _check_pairs(program, body)
-    impossible = _impossible(program, body)
+    impossible = _find_impossible(program, body)
     if impossible:
         yield TaskPlan(body, (), impossible, is_impossible=True, notes=program.notes)
         return
-    unresolved = _unresolved(program, body)
+    unresolved = _find_unresolved(program, body)
     if unresolved:
         yield TaskPlan(body, (), unresolved, notes=program.notes)
         return
     settings = {"min_improvement_feasible": LEAST_GAIN, **program.problem.opt.settings}
-    search = _Search(replace(solver, body=body).with_settings(**settings), program, Promises.of(program, body.robot))
-    best: tuple[str, Solved] | None = None
-    is_found = False
-    for name, solved in islice(search.solutions(), solver.most_starts):
-        if solved.is_feasible:
-            is_found = True
-            yield search.plan(name, solved)
-        elif best is None or solved.shortfall < best[1].shortfall:
-            best = name, solved
-    if not is_found and best is not None:
-        yield search.plan(*best)
+    solver = replace(solver, body=body).with_settings(**settings)
+    search = _ProgramSearch(solver, program, Promises.of(program, body.robot))
+    yield from report_solutions(islice(search.solutions(), solver.most_starts), search.make_plan)
 
 
-def with_sight(body: WholeBody, program: Program) -> WholeBody:
-    """The robot without habits of its own, seeing as far as the file asks, balanced if the file asks for that."""
-    asked = [
+def fit_body(body: WholeBody, program: Program) -> WholeBody:
+    """Return the robot without default costs, with the file's collision distances, balanced if the file says so."""
+    distances = [
         distance
         for term in program.problem.terms
         if isinstance(term, CollisionTerm)
-        for distances in (term.dist_pen, *(pair.dist_pen for pair in term.pairs))
-        for distance in distances
+        for listed in (term.dist_pen, *(pair.dist_pen for pair in term.pairs))
+        for distance in listed
     ]
     return replace(
         body,
         aims=Aims(APART, body.aims.balance_margin),
         polygon=body.polygon if program.is_balanced else None,
-        has_habits=False,
-        sight=max([0.0, *asked]) + SIGHT,
+        has_default_costs=False,
+        sight=max([0.0, *distances]) + SIGHT,
     )
 
 
 def _check_pairs(program: Program, body: WholeBody) -> None:
-    links = {name for each in body.robot.bodies for name in (each.link, each.name)}
+    links = {name for member in body.robot.bodies for name in (member.link, member.name)}
     known = [*sorted(links), *(piece.name for piece in body.scene.pieces)]
     problems = [
-        f"{pair.path}.pair[{k}]: {other!r} is neither a link nor a piece of the scene; {did_you_mean(other, known)}"
+        f"{pair.path}.pair[{k}]: {other!r} is no link and no piece of the scene; expected {would_do(other, known)}"
         for term in program.problem.terms
         if isinstance(term, CollisionTerm)
         for pair in term.pairs
@@ -106,13 +88,13 @@ def _check_pairs(program: Program, body: WholeBody) -> None:
         raise RequestError(problems)
 
 
-def _impossible(program: Program, body: WholeBody) -> tuple[str, ...]:
-    """Reasons that hold for every motion: a fixed waypoint in collision, a pose beyond the chain."""
+def _find_impossible(program: Program, body: WholeBody) -> tuple[str, ...]:
+    """Return reasons that hold for every motion: a fixed waypoint in collision, a pose out of reach."""
     planted = [foot.link for foot in body.planted]
     lines = [
         f"waypoint {step}, which is fixed, is in collision: {line}"
         for step, q in sorted(program.fixed.items())
-        if step  # the start was looked at before
+        if step  # the start is checked by the set-up
         for line in describe_collisions(body.robot, q, body.scene, planted)
     ]
     for term in program.problem.terms:
@@ -123,8 +105,8 @@ def _impossible(program: Program, body: WholeBody) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _unresolved(program: Program, body: WholeBody) -> tuple[str, ...]:
-    """Fixed waypoints that are clear while hulls overlap there, so that no motion through them can be certified."""
+def _find_unresolved(program: Program, body: WholeBody) -> tuple[str, ...]:
+    """Return fixed waypoints where only hulls overlap, so that no motion through them can be certified."""
     planted = [foot.link for foot in body.planted]
     return tuple(
         f"waypoint {step}, which is fixed, is too near to plan through: {overlap.nearness}"
@@ -135,18 +117,18 @@ def _unresolved(program: Program, body: WholeBody) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class _Search:
-    """The starts of one program, the file's own first, and what the optimiser makes of them."""
+class _ProgramSearch:
+    """Starts of one program, the file's own first, solved on demand."""
 
     solver: PhaseSolver
     program: Program
     promises: Promises
 
     def solutions(self) -> Iterator[tuple[str, Solved]]:
-        """Solved starts by name, feasible or not; every one asked for costs its solve."""
+        """Yield solved starts by name, feasible or not."""
         program = self.program
         yield "init_info", self.solve(program.init)
-        end = self._end()
+        end = self._find_end()
         if end is None:
             return
         start, count = program.init[0], program.n_steps
@@ -155,12 +137,12 @@ class _Search:
             yield "straight line", self.solve(straight_path(start, end, count))
         yield from self._around(start, end, TREES[1])
         for name, posture in posture_guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self.solve(path_via(start, self._moved(posture), end, count))
+            yield f"via posture '{name}'", self.solve(path_via(start, self._move_free(posture), end, count))
         for tree in TREES[2:]:
             yield from self._around(start, end, tree)
 
-    def plan(self, name: str, solved: Solved) -> TaskPlan:
-        """A solution as a task's plan."""
+    def make_plan(self, name: str, solved: Solved) -> TaskPlan:
+        """Return a solution as the task's plan."""
         promises = self.promises
         phase = ProgramPhase(
             PHASE,
@@ -176,39 +158,39 @@ class _Search:
         return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name, notes=notes)
 
     def solve(self, q: Float[np.ndarray, "T n"], timeline: Timeline | None = None) -> Solved:
-        """The program from a start; without a timeline every waypoint is a step."""
+        """Solve the program from a start; without a timeline every waypoint is a step."""
         program, body = self.program, self.solver.body
         timeline = Timeline.of_steps(program.n_steps) if timeline is None else timeline
         fixed = {int(timeline.rows[step]): at for step, at in program.fixed.items()}
-        builder = Builder(program, timeline, body, body.checker())
+        builder = Builder(program, timeline, body, body.make_checker())
         with self.solver.monitor.step(PHASE, 0.4):
-            return self.solver.trajectory(
+            return self.solver.solve_trajectory(
                 PHASE, [q], fixed, builder.make_costs(), builder.make_constraints(), bounds=builder.narrow_bounds
             )
 
-    def _end(self) -> Float[np.ndarray, "n"] | None:
-        """A configuration for the last waypoint: the one that is asked for, or one that keeps its constraints."""
+    def _find_end(self) -> Float[np.ndarray, "n"] | None:
+        """Return a configuration for the last waypoint: the fixed one, or one that keeps its constraints; else None."""
         program, solver = self.program, self.solver
         last = program.n_steps - 1
         if last in program.fixed:
             return program.fixed[last]
         alone = program.restrict_to(last)
-        builder = Builder(alone, Timeline.of_steps(1), solver.body, solver.body.checker())
+        builder = Builder(alone, Timeline.of_steps(1), solver.body, solver.body.make_checker())
         constraints = builder.make_constraints()
         if not constraints:
             return None
         lower, upper = solver.body.bounds(1, {})
         builder.narrow_bounds(lower, upper)
         fixed = {i: float(lower[0, i]) for i in np.flatnonzero(lower[0] == upper[0]).tolist()}
-        for guess in (program.init[last], *(self._moved(posture) for _, posture in posture_guesses(solver.body))):
+        for guess in (program.init[last], *(self._move_free(posture) for _, posture in posture_guesses(solver.body))):
             with solver.monitor.step("goal pose", 0.1):
-                solved = solver.pose("goal pose", [guess], constraints, fixed=fixed)
+                solved = solver.solve_pose("goal pose", [guess], constraints, fixed=fixed)
             if solved.is_feasible:
                 return np.asarray(solved.x[0])
         return None
 
-    def _moved(self, posture: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """A posture of the coordinates that may move; the others are where they start."""
+    def _move_free(self, posture: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return the start with the posture's values of the coordinates that may move."""
         q = self.program.start.copy()
         q[self.program.free] = posture[self.program.free]
         return q
@@ -216,41 +198,35 @@ class _Search:
     def _around(
         self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], tree: Tree
     ) -> Iterator[tuple[str, Solved]]:
-        """From the path of a sampling planner, on the waypoints that the file allows: optimised, or as it is."""
-        solver, body = self.solver, self.solver.body
-        free = np.intersect1d(self.program.free, free_coordinates(body))
-        others = np.setdiff1d(np.arange(body.robot.n), free)
-        if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
-            return
+        """Yield the solve from a sampled path; the path itself where the solve fails and the path does not."""
+        solver = self.solver
         with solver.monitor.step("sampling", 0.5):
-            problem = SamplingProblem(body, body.pose_checker([start, end]), start, end, free)
-            corners = sample_path(problem, replace(tree, seed=tree.seed + solver.seed), solver.monitor.is_over)
-            solver.monitor.check()
+            corners = solver.sample_corners(start, end, tree, self.program.free)
         if corners is None:
             return
         path = resample_path(corners, self.program.n_steps)
         solved = self.solve(path)
         if not solved.is_feasible:
-            as_it_is = replace(self, solver=solver.with_settings(max_iterations=0)).solve(path)
-            solved = as_it_is if as_it_is.is_feasible else solved
+            unchanged = replace(self, solver=solver.with_settings(max_iterations=0)).solve(path)
+            solved = unchanged if unchanged.is_feasible else solved
         yield f"path of {tree.planner}, tree {tree.seed + 1}", solved
 
 
 @dataclass(frozen=True)
 class ProgramPhase(PlannedPhase):
-    """The one phase of a program; when it is solved anew, it knows where the file's steps are among more waypoints."""
+    """The phase of a program; solved anew, its timeline maps the file's steps to the denser waypoints."""
 
-    search: _Search | None = None
+    search: _ProgramSearch | None = None
     timeline: Timeline | None = None
 
     def with_waypoint_targets(self) -> ProgramPhase:
-        """The phase with what it promises of its waypoints."""
+        """Return the phase with its waypoints' targets."""
         if self.search is None or self.timeline is None:
             return self
         return replace(self, at_waypoints=partial(self.search.promises.make_waypoint_targets, self.timeline))
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
-        """The program solved on from a denser trajectory."""
+        """Solve the program on from a denser trajectory."""
         if self.search is None or self.timeline is None:
             return None
         timeline = self.timeline.insert_waypoints(self.q, q)

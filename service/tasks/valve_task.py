@@ -1,55 +1,70 @@
-"""From a valve request to the wheel and the hands it is turned with."""
+"""Plan a valve request: wheel and hands to try, the turn, and advice where to stand if the rim is out of reach."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from costs.allowance import BodyRef
 from costs.kinematics import locate_links
+from costs.scene import Scene
+from costs.terms import AxisDirection, FramePose, WithinTolerance
 from perception import ValveDetection, has_clear_spokes
-from service.body.phases import PhaseSolver, TaskPlan
-from service.body.reach import find_out_of_reach
+from scopt import Constraint, Sense
+from service.body.holds import POSITION
+from service.body.phases import PhaseSolver
+from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.wheel import HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, make_wheel
+from service.demands.wheel import HAND_AXIS, HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, add_wheel_joint, make_wheel
 from service.errors import RequestError
+from service.explain.distance import find_out_of_reach
+from service.request.names import VALVE_LINK
 from service.request.schema import ValveRequest
 from service.scan.scene_file import wheel_from_circle
 from service.setup.prepare import PlanSetup
-from service.tasks.stance import stance_advice
-from service.tasks.valve import plan_turn
+from service.tasks.valve import REACH_WAYPOINTS, ValveTurn
 
-SURE = 0.5  # confidence from which a detection is acted on
-TUBE_RADIUS = 0.015  # of a valve given by its circle alone [m]
+SURE = 0.5  # least confidence of a detection that is used
+TUBE_RADIUS = 0.015  # when the request gives only the rim circle [m]
+HOOK_MARGIN = 5e-3  # between the hook and the wheel it reaches into [m]
+MOST_GAPS = 3  # tried with each hand, the nearest first
+SHIFTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # of the pelvis [m]
+ANGLES = np.deg2rad([0.0, 120.0, 240.0])  # of the rim that must be in reach after a shift
+# A solvable shift takes few steps.
+ADVICE_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
+ADVICE_AXIS_AIM = np.deg2rad(1.5)
 
 
 def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> TaskPlan:
-    """Turn the valve of a request: detected in the scan, or given by centre, axis and radius."""
-    found = _valve(setup, request)
-    if isinstance(found, str):
-        return TaskPlan(solver.body, (), (found,))
-    hands = _hands(solver.body, request, found)
-    farthest = found.rim_radius + RIM_TOLERANCE
-    reasons = [find_out_of_reach(solver.body, hand.tool, found.centre, farthest) for hand in hands]
+    """Plan to turn the request's valve, detected in the scan or given by centre, axis and radius."""
+    valve = _find_valve(setup, request)
+    if isinstance(valve, str):
+        return TaskPlan(solver.body, (), (valve,))
+    hands = _choose_hands(solver.body, request, valve)
+    farthest = valve.rim_radius + RIM_TOLERANCE
+    reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, farthest) for hand in hands]
     if all(reasons):
         return TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
-    wheel = _wheel(solver.body, found, hands[0])
-    count = setup.request.options.waypoints
-    effort = {} if count is None else {"reach_waypoints": count}
-    plan = plan_turn(solver, wheel, hands, request.mode, np.deg2rad(request.turn_deg), **effort)
+    wheel = _make_wheel(solver.body, valve, hands[0])
+    plan = _plan_turn(solver, wheel, hands, request, setup.request.options.waypoints or REACH_WAYPOINTS)
     note = (
-        f"valve at {np.round(found.centre, 3).tolist()}, axis {np.round(found.axis, 3).tolist()}, "
-        f"rim radius {found.rim_radius:.3f} m, confidence {found.confidence:.2f}"
+        f"valve at {np.round(valve.centre, 3).tolist()}, axis {np.round(valve.axis, 3).tolist()}, "
+        f"rim radius {valve.rim_radius:.3f} m, confidence {valve.confidence:.2f}"
     )
-    if not has_clear_spokes(found):
+    if not has_clear_spokes(valve):
         note += f"; its spokes are not known, it is taken as solid up to {HOOK_ROOM:.2f} m from the rim's centre line"
     if plan.is_feasible:
         return replace(plan, notes=(note, *plan.notes))
-    return replace(plan, obstacle=(*plan.obstacle, stance_advice(solver, wheel, hands[0])), notes=(note, *plan.notes))
+    return replace(plan, obstacle=(*plan.obstacle, _advise_stance(solver, wheel, hands[0])), notes=(note, *plan.notes))
 
 
-def given_valve(request: ValveRequest) -> ValveDetection | None:
-    """The valve that a request gives by its circle; None where it is to be found in the scan.
+def read_given_valve(request: ValveRequest) -> ValveDetection | None:
+    """Return the valve that a request gives by its rim circle; None where the scan must show it.
 
     Raises:
         RequestError: some of centre, axis and radius are missing.
@@ -61,9 +76,9 @@ def given_valve(request: ValveRequest) -> ValveDetection | None:
     return wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
 
 
-def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
-    """The valve to turn, or a sentence that says why there is none."""
-    given = given_valve(request)
+def _find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
+    """Return the valve to turn, or a sentence why there is none."""
+    given = read_given_valve(request)
     if given is not None:
         return given
     scene = setup.request.scene
@@ -83,8 +98,8 @@ def _valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
     return valves[0]
 
 
-def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> list[Hand]:
-    """The hands to try, the one on the valve's side first."""
+def _choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> list[Hand]:
+    """Return the hands to try, the nearest to the valve first."""
     known = [hand for hand in HANDS.values() if body.robot.model.existFrame(hand.tool)]
     if request.hand != "auto":
         known = [hand for hand in known if hand.side == request.hand]
@@ -96,9 +111,91 @@ def _hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> lis
     return sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - valve.centre)))
 
 
-def _wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
-    """The wheel as a mechanism, its gaps ordered by how near they are to the hand."""
+def _make_wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
+    """Return the wheel as a mechanism, with its gaps ordered by distance from the hand."""
     wheel = make_wheel(valve)
     at = locate_links(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
     gaps = sorted(wheel.gaps, key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
     return replace(wheel, gaps=tuple(gaps))
+
+
+def _plan_turn(
+    solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], request: ValveRequest, reach_waypoints: int
+) -> TaskPlan:
+    """Try hands and gaps in turn; return the first plan that works, else the one with most phases.
+
+    Raises:
+        RequestError: a link of the robot is in the wheel at the start.
+    """
+    body = solver.body
+    solver = replace(
+        solver,
+        body=body.with_robot(add_wheel_joint(body.robot, wheel), np.append(body.nominal, 0.0)),
+        overrides=tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands),
+    )
+    collisions = tuple(_find_collisions(solver.body))
+    if collisions:
+        raise RequestError(collisions)
+    best: TaskPlan | None = None
+    for hand, entry in product(hands, wheel.gaps[:MOST_GAPS]):
+        turn = np.deg2rad(request.turn_deg)
+        plan = ValveTurn(solver, wheel, hand, request.mode, turn, entry, reach_waypoints).plan()
+        if plan.is_feasible:
+            return plan
+        if best is None or len(plan.phases) > len(best.phases):
+            best = plan
+    if best is None:
+        raise ValueError("a wheel needs a gap and the robot a hand")
+    return best
+
+
+def _find_collisions(body: WholeBody) -> Iterator[str]:
+    """Yield a sentence for each link that is in the wheel at the start."""
+    contacts = body.make_checker()(body.engine(body.nominal[None]))
+    bodies = body.robot.bodies
+    for row in np.flatnonzero(contacts.is_self & (contacts.distance < 0.0)):
+        pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
+        if any(member.link == VALVE_LINK for member in pair):
+            link, part = (member.name for member in sorted(pair, key=lambda member: member.link == VALVE_LINK))
+            depth = -float(contacts.distance[row])
+            yield f"start is in collision: {link} is {depth:.3f} m inside {part}; start farther away"
+
+
+def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:
+    """Return a sentence about the pelvis shift that would bring the whole rim into reach within limits and balance.
+
+    Obstacles are left out: a plan from the new stance shows whether it is free.
+    """
+    quick = replace(solver, body=replace(solver.body, scene=Scene())).with_settings(**ADVICE_EFFORT)
+    yaw = solver.body.nominal[3]
+    forward, left = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    signed = [-shift for shift in SHIFTS[1:4]] + list(SHIFTS)
+    for ahead, aside in sorted(product(signed, (-0.2, 0.0, 0.2)), key=lambda shift: np.hypot(*shift)):
+        if _is_reachable(quick, wheel, hand, ahead * forward + aside * left):
+            if ahead == aside == 0.0:
+                return f"the rim is within reach of the {hand.side} hand from here; what stands around it is in the way"
+            words = [f"{abs(ahead):.1f} m {'forward' if ahead > 0 else 'back'}"] if ahead else []
+            words += [f"{abs(aside):.1f} m to the {'left' if aside > 0 else 'right'}"] if aside else []
+            return f"moving the pelvis (and the feet) {' and '.join(words)} would bring the rim within reach"
+    return f"no shift of the pelvis by up to {max(SHIFTS):.1f} m brings the rim within reach of the {hand.side} hand"
+
+
+def _is_reachable(solver: PhaseSolver, wheel: Wheel, hand: Hand, shift: Float[np.ndarray, "3"]) -> bool:
+    """Return whether the hand reaches points all round the rim, with the wheel shifted instead of the robot."""
+    body = solver.body
+    waypoints = np.arange(len(ANGLES))
+    targets = np.tile(np.eye(4), (len(ANGLES), 1, 1))
+    targets[:, :3, 3] = [wheel.rim_point(angle) - shift for angle in ANGLES]
+    position = FramePose(body.robot, hand.tool, waypoints, targets, POSITION)
+    direction = AxisDirection(body.robot, hand.tool, waypoints, HAND_AXIS, -wheel.axis)
+    aim = ADVICE_AXIS_AIM
+    result = solver.solve_trajectory(
+        "stance",
+        [np.tile(body.nominal, (len(ANGLES), 1))],
+        {},
+        constraints=(
+            Constraint("tool on the rim", position, Sense.EQUAL_ZERO, 2e-3),
+            Constraint("hand axis", WithinTolerance(direction, aim), tolerance=0.2 * aim),
+        ),
+    )
+    return result.is_feasible

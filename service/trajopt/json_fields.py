@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -14,7 +13,6 @@ from service.errors import RequestError, shown, would_do
 MAX_BYTES = 20_000_000
 MAX_DEPTH = 20
 LARGEST_NUMBER = 1e9  # a larger number is a mistake
-SIMILARITY = 0.6  # smallest ratio of difflib at which a name is suggested
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -55,15 +53,6 @@ def parse_document(text: str, name: str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise RequestError(f"{name}: an object is needed, got {shown(data)}")
     return data
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return ``did you mean x?`` if a known name is similar, else the known names."""
-    names = list(known)
-    similar = difflib.get_close_matches(name, names, n=1, cutoff=SIMILARITY)
-    if similar:
-        return f"did you mean {similar[0]}?"
-    return f"expected {would_do(name, names)}" if names else "there is none"
 
 
 class Fields:
@@ -146,7 +135,7 @@ class Fields:
         value = self.text(key)
         names = {name.lower(): name for name in known}
         if value and value.lower() not in names:
-            self.refuse(self.at(key), f"unknown {key} {value!r}; {did_you_mean(value, names.values())}")
+            self.refuse(self.at(key), f"unknown {key} {value!r}; expected {would_do(value, names.values())}")
         return names.get(value.lower())
 
     def numbers(
@@ -208,7 +197,7 @@ class Fields:
         for key in self._data:
             if key not in self._known:
                 name = key if key.isprintable() and len(key) <= 60 else shown(key)
-                self.refuse(self.at(name), f"unknown key; {did_you_mean(key, self._known)}")
+                self.refuse(self.at(name), f"unknown key; expected {would_do(key, self._known)}")
 
     def _is_present(self, key: str, fallback: object | None) -> bool:
         if self.has(key):

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from costs.robot import BASE_NAMES, RobotModel, bundled_robots
-from service.errors import RequestError
-from service.request.file import load_scene, load_start, parse_request
+from service.errors import RequestError, would_do
+from service.request.file import load_section, parse_request
+from service.request.scene import SceneRequest
 from service.request.schema import PlanRequest, StartRequest
 from service.start.configuration import make_start_configuration
-from service.trajopt.json_fields import did_you_mean, read_document
+from service.trajopt.json_fields import read_document
 from service.trajopt.problem import Problem
 from service.trajopt.program import Program
 from service.trajopt.reader import read_problem, read_robot_name
@@ -60,9 +61,9 @@ def load_trajopt_request(problem: Path, files: TrajoptFiles) -> PlanRequest:
         problem.parent if files.scene is None else files.scene.parent,
     )
     if files.scene is not None:
-        request = replace(request, scene=load_scene(files.scene))
+        request = replace(request, scene=load_section(SceneRequest, files.scene))
     if files.start is not None:
-        request = replace(request, start=load_start(files.start))
+        request = replace(request, start=load_section(StartRequest, files.start))
     return request
 
 
@@ -79,7 +80,7 @@ def _make_robot_section(files: TrajoptFiles, problem_robot: str, folder: Path) -
     path = folder / robot if files.robot is None else Path(robot)
     if not path.is_file():
         raise RequestError(
-            f"{source}: {robot!r} is neither a bundled robot nor a file; {did_you_mean(robot, bundled_robots())}"
+            f"{source}: {robot!r} is neither a bundled robot nor a file; expected {would_do(robot, bundled_robots())}"
         )
     section: dict[str, Any] = {"urdf": str(path.resolve()), **root}
     if files.srdf is not None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from costs.robot import BASE_NAMES, RobotModel
-from service.trajopt.json_fields import did_you_mean
+from service.errors import would_do
 from service.trajopt.problem import (
     CartVelTerm,
     CollisionTerm,
@@ -41,7 +41,7 @@ def parse_manip(robot: RobotModel, manip: str) -> tuple[tuple[int, ...], tuple[s
         if joints is None:
             known = [*(group for group, members in robot.groups.items() if members), *robot.joint_names, ACTIVE]
             problems.append(
-                f"{PATH}: {robot.name} has no group or joint {part!r}; {did_you_mean(part, known)}",
+                f"{PATH}: {robot.name} has no group or joint {part!r}; expected {would_do(part, known)}",
             )
         elif not joints:
             problems.append(f"{PATH}: the base of {robot.name} is fixed; leave 'base' out")
@@ -78,9 +78,9 @@ def find_unknown_links(problem: Problem, robot: RobotModel) -> Iterator[str]:
     with_shape = {body.link for body in robot.bodies}
     for path, link, needs_shape in _list_named_links(problem):
         if link not in known:
-            yield f"{path}: {robot.name} has no link {link!r}; {did_you_mean(link, known)}"
+            yield f"{path}: {robot.name} has no link {link!r}; expected {would_do(link, known)}"
         elif needs_shape and link not in with_shape:
-            yield f"{path}: link {link!r} has no collision shape to stand on; {did_you_mean(link, with_shape)}"
+            yield f"{path}: link {link!r} has no collision shape; expected {would_do(link, with_shape) or 'none'}"
 
 
 def _list_named_links(problem: Problem) -> Iterator[tuple[str, str, bool]]:

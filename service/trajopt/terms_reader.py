@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from service.trajopt.json_fields import Fields, did_you_mean
+from service.errors import would_do
+from service.trajopt.json_fields import Fields
 from service.trajopt.problem import (
     ONES,
     UPRIGHT,
@@ -70,7 +71,7 @@ def read_term(fields: Fields, is_cost: bool, n_steps: int, rate: float, notes: l
         if kind in NOT_PLANNED:
             fields.refuse(fields.at("type"), f"{kind!r} is not planned with ({NOT_PLANNED[kind]}); leave it out")
         elif kind:
-            fields.refuse(fields.at("type"), f"unknown type {kind!r}; {did_you_mean(kind, READERS)}")
+            fields.refuse(fields.at("type"), f"unknown type {kind!r}; expected {would_do(kind, READERS)}")
         fields.has("params")  # not read: only the type tells which keys it may have
         fields.close()
         return None

@@ -1,5 +1,4 @@
-"""Detection of sawn beams (2x4 and the like) in debris: straight runs of points, cuboids fitted to the rays, evidence
-weighed into a confidence."""
+"""Detection of sawn beams (2x4 and the like) in debris: cuboids fitted to the rays about straight runs of points."""
 
 from __future__ import annotations
 
@@ -77,12 +76,11 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
     Sizes are length, width and thickness.  A beam of which one face is seen may be thicker than it looks: residuals
     hold ``doubt``, how far off its centre may then be [m].  Where something lies over its ends or before them,
-    ``hidden_length`` says by how much it may be longer [m], and the confidence is low.  An end that is hidden along up
-    to 20 cm is taken for the middle of that, so it may be as much shorter; of one that may be anywhere further on, the
-    length is that of what is seen, and 10 cm are told.
+    ``hidden_length`` says by how much it may be longer [m], and the confidence is low.  An end hidden along up to 20 cm
+    is placed in the middle of that stretch, so the beam may be shorter by as much.  With a longer hidden stretch the
+    length is the seen one, and ``hidden_length`` is 10 cm.
 
     Args:
-        view: the scan.
         hint: (3,) a point near the beam: only what lies within 0.7 m of it is looked at [m].
     """
     if not len(view.obstacles):
@@ -258,9 +256,7 @@ def _span(bar: Bar, run: Run) -> Bar:
 
 
 def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
-    """Return whether rays went past a strip's edges on both sides, or past places further out: it may be part of a
-    face.
-    """
+    """Return whether rays went past a strip's edges on both sides; else it may be part of a face."""
     frame = np.stack([strip.axis, cross(strip.normal, strip.axis), strip.normal])
     looks = [
         weigh_bar(rays, Bar(frame, strip.place, (strip.half + more, _BEHIND), strip.first, strip.last))
@@ -270,9 +266,7 @@ def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
 
 
 def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: float) -> float:
-    """Return the product of: solid, air on both sides, seen along its length, a timber's proportions and sizes, depths
-    that agree, an axis that its rays hold, a centre that is sure, and ends that are seen or bound to be near.
-    """
+    """Return the product of all evidence: solid, free aside, seen along its length, usual sizes, sure ends."""
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(

@@ -81,9 +81,6 @@ def find_strips(
 
     Args:
         points: (N, 3) thinned evenly [m].
-        towards: (3,) the sensor's place [m].
-        rng: for where to look.
-        most: how many to return.
     """
     points = points[~_in_walls(points)]
     if len(points) < 20:
@@ -255,9 +252,7 @@ def _grow(
 
 
 def middle_and_half(spread: Float[np.ndarray, "K"]) -> tuple[float, float]:
-    """Return where the middle of a strip is and half its width, by its points' places across, but the outermost ones
-    [m].
-    """
+    """Return a strip's middle and half its width from its points' places across, outermost left out [m]."""
     left, right = np.percentile(spread, [4.0, 96.0])
     return 0.5 * float(left + right), 0.5 * float(right - left) / 0.92
 
@@ -272,9 +267,7 @@ def _clear(
     low: float,
     high: float,
 ) -> Int[np.ndarray, "K"]:
-    """Return for each bin along the strip: 1 if it holds points and nothing lies beside them in its plane, -1 if
-    something does, 0 if it is empty.
-    """
+    """Return for each bin: 1 if it holds points and its plane is empty beside them, -1 if not, 0 without points."""
     offset = points - place
     near = offset[np.abs(offset @ normal) < _THICK]
     along, across = near @ axis, np.abs(near @ side)
@@ -302,9 +295,7 @@ def _run(along: Float[np.ndarray, "K"], middle: float) -> tuple[float, float]:
 
 
 def straight_parts(strip: Strip) -> list[Strip]:
-    """Return the strip, or both its parts where middle line, width or height change along it better explained by a
-    break.
-    """
+    """Return the strip, or its two parts where a break explains its course or width better."""
     side = cross(strip.normal, strip.axis)
     local = (strip.members - strip.place) @ np.stack([strip.axis, side, strip.normal], axis=1)
     number = np.floor((local[:, 0] - strip.first) / _BEND_BIN).clip(0).astype(np.int64)
@@ -324,9 +315,7 @@ def straight_parts(strip: Strip) -> list[Strip]:
 def _course(
     number: Int[np.ndarray, "N"], local: Float[np.ndarray, "N 3"]
 ) -> tuple[Int[np.ndarray, "B"], Float[np.ndarray, "B 3"]]:
-    """Return bins along a strip that hold points, and the middle, half the width and the height of what they hold
-    [m].
-    """
+    """Return bins with points, and the middle, half width and height of what each holds [m]."""
     n = np.bincount(number)
     bins = np.flatnonzero(n >= _FEWEST_IN_BIN)
     across, square, over = (np.bincount(number, weight)[bins] / n[bins] for weight in _moments(local))

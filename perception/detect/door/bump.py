@@ -30,9 +30,7 @@ class DoorFace:
     """A face that may have a handle.
 
     Attributes:
-        plane: of it.
         low, high: its side edges along the plane [m].
-        ground: world z of the floor [m].
         sigma: how far rays that end on it do so from its plane [m].
     """
 
@@ -101,8 +99,6 @@ def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
     """Return the best box near each side edge of a face, and the best across it, where there is enough of one.
 
     Args:
-        face: the face.
-        rays: all of the scan.
         prefer: side on which it must be (-1 low, 1 high); 0 either.
     """
     best: dict[str, Bump] = {}

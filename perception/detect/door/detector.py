@@ -59,7 +59,6 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     the hinge, +1 away, 0 for knobs and upright bars.
 
     Args:
-        view: the scan, made ready.
         hint: (3,) a point near the leaf or its handle [m].
     """
     ground = _ground(view)
@@ -88,9 +87,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def _ground(view: View) -> float:
-    """Return world z of the floor before the robot; without a floor the lowest points stand for it, or zero below
-    them.
-    """
+    """Return world z of the floor before the robot; without one, of the lowest points, at most zero."""
     if view.floor is not None:
         return float(view.floor.height(np.array([[view.reach.x, view.reach.y]]))[0])
     return min(float(np.percentile(view.near.points[:, 2], 1.0)), 0.0)

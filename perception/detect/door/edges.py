@@ -27,9 +27,9 @@ class Edge:
 
     Attributes:
         at: along the plane [m].
-        jump: how far what stands beside it lies out of the face's plane [m]; NaN when nothing does.
-        step: how far something right beside it surely stands out of that plane or lies behind it [m].
-        open_share: share of the storeys beside it in which rays went on behind the face's plane.
+        jump: distance of the surface beside it from the face's plane [m]; NaN without one.
+        step: sure distance of anything right beside it from that plane [m].
+        open_share: share of the height bands beside it in which rays went on behind the face's plane.
         is_seen: whether anything is known of what is beside it.
     """
 
@@ -57,7 +57,6 @@ def side_edge(
         end: the column it is at.
         side: where it looks to, -1 or 1.
         local: (N, 3) points along the plane, up, and out of it [m].
-        ground: world z of the floor [m].
         uneven: how far the face's own columns lie off its plane (:func:`unevenness`) [m].
     """
     n_beside = round(_BESIDE / BIN)
@@ -88,8 +87,7 @@ def side_edge(
 
 
 def unevenness(profile: Profile, first: int, last: int) -> float:
-    """Return how far columns of a face lie off its plane for more than the noise of their points, which is each one's
-    own.
+    """Return by how much more than its own noise each column of a face lies off the plane.
 
     A stereo camera's noise is shared by neighbours, so that a flat face looks wavy [m].
     """
@@ -101,9 +99,7 @@ def unevenness(profile: Profile, first: int, last: int) -> float:
 
 
 def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"], uneven: float) -> float:
-    """Return how far two neighbouring columns lie out of the plane beyond doubt: a casing is hardly wider than that
-    [m].
-    """
+    """Return how far two neighbouring columns both lie off the plane beyond doubt [m]."""
     pairs = columns[:-1][np.abs(np.diff(columns)) == 1]
     if not len(pairs):
         return 0.0
@@ -115,7 +111,7 @@ def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"], uneven: float) -
 
 
 def _wall_before(profile: Profile, end: int, side: int) -> int | None:
-    """Return the border of the column where a nearer wall begins that hides the face's edge; None when none does."""
+    """Return the border of the column where a nearer wall begins that hides the face's edge; None without one."""
     for n in range(round(_HIDDEN / BIN)):
         at = end + n if side > 0 else end - 1 - n
         if not 0 <= at < len(profile.depth) or profile.open_storeys[at] > 2:
@@ -152,9 +148,7 @@ def _end_at(at: float, side: int, local: Float[np.ndarray, "N 3"]) -> float:
 
 
 def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float) -> tuple[float, bool, float, bool]:
-    """Return the lowest and highest height to which the face goes without a break, and whether anything else lies
-    beyond each.
-    """
+    """Return the height range of the unbroken face, and whether anything else lies beyond each end."""
     at, end, heading = rays.crossing(plane)
     # Rays that stopped far before the face tell nothing of it.
     mine = heading & (at[:, 0] > low + 0.03) & (at[:, 0] < high - 0.03) & (end < _BEFORE)

@@ -63,16 +63,7 @@ def find_frame(
     ground: float,
     uprights: list[Upright],
 ) -> Frame | None:
-    """Return the wall that best holds the leaf; None when no plane does.
-
-    Args:
-        leaf: the face.
-        points: (N, 3) obstacles [m].
-        rays: all of the scan.
-        origin: (3,) of the rays [m].
-        ground: world z of the floor [m].
-        uprights: planes seen anywhere.
-    """
+    """Return the wall that best holds the leaf; None when no plane does."""
     best: tuple[float, Frame] | None = None
     for plane in (*_beside(leaf, points, origin, ground), *uprights):
         frame = _hang(leaf, plane, points, rays, origin, ground)
@@ -196,7 +187,6 @@ def _opening(profile: Profile, wall: Float[np.ndarray, "N"], middle: float, widt
     """Return the distance between the ends of the wall on both sides of the opening's middle; NaN when not seen.
 
     Args:
-        profile: of the wall's plane.
         wall: (N,) where along the plane points lie on it [m].
         middle, width: of the opening, roughly [m].
     """

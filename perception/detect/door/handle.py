@@ -73,11 +73,8 @@ def find_handle(
     """Return the best handle near a side edge of a face, or a bar across it; None when nothing stands out.
 
     Args:
-        plane: of the face.
         low, high: its side edges along the plane [m].
         rms: scatter of its points [m].
-        ground: world z of the floor [m].
-        rays: all of the scan.
         prefer: side on which it must be (-1 low, 1 high); 0 either.
     """
     face = DoorFace(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
@@ -178,9 +175,7 @@ def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, 
 
 
 def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
-    """Return the share of the rays just beside it that met the face; a pipe or post before the face goes on above and
-    below.
-    """
+    """Return the share of rays beside it that met the face; low for a pipe, which goes on up and down."""
     on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
     beside = [seen.within(_RING) & ~seen.within(_ABOUT)]
     if is_pull:
@@ -193,9 +188,7 @@ def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
 
 
 def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:
-    """Return the distance from either end to the first ray that went past at the height of the bar, or to just before
-    the edge [m].
-    """
+    """Return the gap from either end to the first ray that went past beside it, or to the edge [m]."""
     middle, half = 0.5 * (seen.low[1] + seen.high[1]), max(0.35 * seen.size[1], 0.005)
     past = seen.at[(seen.vote < 0.0) & (np.abs(seen.at[:, 1] - middle) < half), 0]
     below, above = seen.low[0] - past[past < seen.low[0]], past[past > seen.high[0]] - seen.high[0]

@@ -33,8 +33,6 @@ class Leaf:
         top_is_seen: whether something else was seen above it.
         rms: scatter of its points about the plane [m].
         sigma: uncertainty of the plane's yaw [rad].
-        profile: of its plane.
-        points: (K, 3) on it [m].
     """
 
     plane: Upright
@@ -65,10 +63,6 @@ def find_leaves(
     """Return faces of a leaf's width with their edges, each once, widest seen first.
 
     Args:
-        points: (N, 3) obstacles [m].
-        rays: all of the scan.
-        origin: (3,) of the rays [m].
-        ground: world z of the floor [m].
         uprights: planes to look along.
     """
     leaves: list[Leaf] = []
@@ -214,9 +208,7 @@ def _settle_leaf(
 
 
 def _refit(plane: Upright, members: Float[np.ndarray, "K 3"], origin: Float[np.ndarray, "3"]) -> Upright:
-    """Return the plane that most of the members lie on; what stands out (handle, seals) pulls at it no more than
-    noise.
-    """
+    """Return the plane through most members, hardly pulled by handle and seals."""
     for _ in range(4):
         off = members @ plane.normal - plane.offset
         scatter = max(1.4826 * float(np.median(np.abs(off - np.median(off)))), 0.004)

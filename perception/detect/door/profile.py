@@ -27,11 +27,7 @@ _PIECE_COST = 30.0
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays and where they ended, those without a return included.
-
-    Attributes:
-        starts, ends: (R, 3) [m].
-    """
+    """Rays and where they ended, those without a return included."""
 
     starts: Float[np.ndarray, "R 3"]
     ends: Float[np.ndarray, "R 3"]

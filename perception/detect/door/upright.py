@@ -24,7 +24,6 @@ class Upright:
 
     Attributes:
         normal: (3,) unit, horizontal, towards the sensor.
-        offset: [m].
     """
 
     normal: Float[np.ndarray, "3"]
@@ -76,7 +75,6 @@ def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3
 
     Args:
         points: (N, 3) without floor [m].
-        origin: (3,) of the rays [m].
     """
     if len(points) < 20:
         return []

@@ -1,5 +1,4 @@
-"""Detection of cordless drills that stand on a shelf or table: clusters on level surfaces, held against the shape of a
-drill by the rays that should end on it and those that should pass its notches."""
+"""Detection of cordless drills that stand on a shelf or table, by the rays that meet or pass a drill's shape."""
 
 from __future__ import annotations
 
@@ -42,7 +41,6 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     Sizes are grip_length and body_length.
 
     Args:
-        view: the scan.
         hint: (3,) a point near the drill: only what stands within 0.4 m of it is looked at [m].
     """
     if not len(view.obstacles):
@@ -81,7 +79,6 @@ class _Begun:
     """A cluster held against drills that stand there, before any is fitted.
 
     Attributes:
-        cluster: what stands there.
         supported: share of what was seen about its foot in which its support goes on.
         least: height over which a ray may have ended on it: what ended on its support passed beside it [m].
         rays: that pass it; ``few`` of them suffice to fit.
@@ -168,9 +165,7 @@ def _may_end(rays: Sightlines, least: float) -> Bool[np.ndarray, "N"]:
 
 
 def _cost(rays: Sightlines, least: float, level: float, shape: Shape) -> float:
-    """Return mean squared residual of depth and outline, none worse than three standard deviations, and what is
-    usual.
-    """
+    """Return mean squared residual of depth and outline, bounded at three deviations, with the prior's."""
     outside, depth = meet(rays, shape, level)
     gap = rays.length - depth
     ended = (np.abs(gap) < 0.12) & _may_end(rays, least)

@@ -57,7 +57,6 @@ class Solids:
 
     Attributes:
         first, last: (S, 3) ends of the segments, in the drill's frame on its support [m].
-        radius: (S,) [m].
     """
 
     first: Float[np.ndarray, "S 3"]
@@ -84,9 +83,7 @@ def solids_of(shape: Shape) -> Solids:
 
 
 def meet(rays: Sightlines, shape: Shape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Return how far outside the drill each ray passes (negative inside), and how deep along it the nearest part lies
-    [m].
-    """
+    """Return each ray's distance outside the drill (negative inside) and depth to its nearest part [m]."""
     poll()
     rotation = about_up(-shape.yaw)
     start = (rays.start - (shape.x, shape.y, level)) @ rotation.T

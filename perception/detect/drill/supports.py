@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.cleaning.clean import voxel_downsample
-from perception.cleaning.neighbours import nearest
+from perception.cleaning.clean import nearest, voxel_downsample
 from perception.detect.shared.arithmetic import sum_about
 from perception.sightlines import SightIndex
 from perception.view import View
@@ -50,7 +49,7 @@ class StandingCluster:
 
 
 def standing_clusters(view: View) -> list[StandingCluster]:
-    """Return what stands on boards, tables and the floor, largest first."""
+    """Return clusters of points that stand on boards, tables or the floor, largest first."""
     points, _ = voxel_downsample(view.obstacles, _VOXEL)
     levels = level_heights(points)
     if view.floor is not None:
@@ -108,9 +107,7 @@ def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
 
 
 def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
-    """Return groups of points within 3 cm of a neighbour, 12 cm above or below it: what overhangs hides what is under
-    it.
-    """
+    """Return groups of points within 3 cm of each other, or 12 cm above: overhangs hide what is below."""
     poll()
     if len(points) < _LEAST_POINTS:
         return []
@@ -144,14 +141,9 @@ def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float
 
 
 def support_share(index: SightIndex, cluster: StandingCluster) -> float:
-    """Return, of the rays that come down to its level right beside its foot, the share that ended there; 1 where few
-    did.
+    """Return the share of rays beside a cluster's foot that ended at its level; 1 with few rays.
 
     Rays beside a leg or a post go on below.
-
-    Args:
-        index: all rays of the scan.
-        cluster: with the level it seems to stand on.
     """
     foot = cluster.points[cluster.points[:, 2] < cluster.level + _FOOTING_HEIGHT, :2]
     centre = foot.mean(axis=0)

@@ -65,7 +65,6 @@ class _Candidate:
     """A tube to be fitted.
 
     Attributes:
-        tube: where it may be.
         rays: that pass near its mouth.
         mine: those that ended on it, whatever it is.
         misfit: how badly it explains them.
@@ -90,13 +89,12 @@ class _End:
 def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
     """Find hose ends and standpipes, best first; origin the centre of the opening, z out of it, x horizontal.
 
-    The size is the outer radius at the opening.  An end that is not looked into is none to act on without a hint; a
-    vessel that stands on a board and opens upwards is none at all.
+    The size is the outer radius at the opening.  Without a hint, an end that rays do not enter
+    gets a low confidence.  A vessel that stands on a board and opens upwards is not reported.
 
     Args:
-        view: the scan.
-        hint: (3,) a point near the opening: only what lies within half a metre of it is looked at, and what cannot be
-            seen of it is taken for granted sooner [m].
+        hint: (3,) a point near the opening: only points within half a metre of it are searched, and hidden parts lower
+            the confidence less [m].
     """
     if not len(view.obstacles):
         return []
@@ -201,9 +199,7 @@ def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
 
 
 def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
-    """Return the product of: a solid wall, an opening that rays go into and nothing else in it, a wall all about it,
-    little that the tube does not explain, air beside it, depths that agree, a hose's radius, within reach.
-    """
+    """Return the product of all evidence: wall, opening, free sides, agreeing depths, usual radius, within reach."""
     unseen = 0.8 if is_hinted else 0.4
     sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.2, 0.35)
     is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)

@@ -45,7 +45,6 @@ def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"]
     Args:
         points: (N, 3) thinned evenly [m].
         places: (K, 3) some of them, at which ends are looked for [m].
-        widest: the largest radius [m].
     """
     if not len(places) or len(points) < _LEAST_POINTS:
         return []

@@ -118,15 +118,12 @@ def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
 
 
 def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]) -> Float[np.ndarray, "B"]:
-    """Return how badly each tube explains rays about its mouth: squared residuals, none worse than three deviations,
-    for each ray that should meet it.
+    """Return each tube's mean squared residual per ray that should meet it, bounded at three deviations.
 
     What should end on the wall, outside or inside, should end at its depth; what goes in deep may end anywhere deeper.
 
     Args:
-        rays: that pass near the mouth.
         mine: those that ended on what is to be explained: they should meet the tube.
-        tubes: which are to explain it.
     """
     met = meet_tubes(rays, tubes)
     gap = rays.length - met.depth
@@ -257,21 +254,14 @@ def _sectors(rays: Sightlines, tube: Tube, depth: Float[np.ndarray, "N"]) -> np.
 
 
 def settle_tube(rays: Sightlines, tube: Tube) -> Tube:
-    """Return the tube of least squares through the returns from its wall, as long as they most likely go.
-
-    Args:
-        rays: all that pass its end.
-        tube: near it.
-    """
+    """Return the tube of least squares through the returns from its wall, as long as they most likely go."""
     for near in _ROUNDS:
         tube = settle_mouth(rays, _through_returns(rays, tube, near))
     return tube
 
 
 def _through_returns(rays: Sightlines, tube: Tube, near: float) -> Tube:
-    """Return the tube turned, moved aside and widened to lie through the returns near its wall, each as sure as its ray
-    is along the wall; those on its inside lie deeper than those on its outside.
-    """
+    """Return the tube moved, turned and widened to fit the returns from its outer and inner wall."""
     across, over = square_to(tube.axis)
     ends = rays.ends - tube.mouth
     place = ends @ np.column_stack([across, over, tube.axis])

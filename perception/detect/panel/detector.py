@@ -49,9 +49,7 @@ def detect_panel(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInS
     A button is claimed where the scan shows a round relief of 5 mm or more that its noise does not explain.
 
     Args:
-        view: the scan, made ready.
         hint: (3,) a point near the panel; fewer of its edges need be seen then [m].
-        seen: faces of the view near the hint.
     """
     if not len(view.obstacles):
         return []
@@ -110,9 +108,7 @@ def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None
 
 
 def _closed_share(face: Face, edges: _Edges, seen: FaceRays) -> float:
-    """Return, of the rays that cross the face well within its edges, how many went no further: a panel has no gaps,
-    while a plane through a few parts of something else has air between them.
-    """
+    """Return the share of rays across the face that went no further; parts of other things leave gaps."""
     within = ((seen.at > edges.low + _WITHIN) & (seen.at < edges.high - _WITHIN)).all(axis=1)
     past = _went_past(face, seen)[within]
     return float(1.0 - past.mean()) if len(past) else 0.0
@@ -158,9 +154,7 @@ def _is_button(disc: Disc) -> bool:
 
 
 def _stands_alone(disc: Disc, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> bool:
-    """Return whether the face was seen between it and any other relief, so that they are no parts of one larger
-    thing.
-    """
+    """Return whether bare face was seen between it and any other relief."""
     return all(other is disc or _is_apart(disc, other, ends) for other in discs)
 
 
@@ -222,9 +216,7 @@ def _as_detection(
     ends: Float[np.ndarray, "K 3"],
     is_hinted: bool,
 ) -> Detection:
-    """Return a confidence that rises with more edges seen, clearer buttons, no gaps in the face, and nothing else that
-    stands out.
-    """
+    """Return the panel with its confidence: edges seen, clear buttons, closed face, nothing else on it."""
     middle = 0.5 * (edges.low + edges.high)
     pose = np.eye(4)
     pose[:3, :3] = face.frame.T

@@ -25,10 +25,8 @@ class Disc:
 
     Attributes:
         centre: (2,) [m].
-        radius: [m].
         height: mean height of its points [m].
         gain: how much better the points are explained by it than by the bare face [log odds].
-        n_points: in it.
         roundness: smaller over larger spread of its raised points, 0 to 1.
         around: mean height of the points around it over its own.
     """
@@ -54,8 +52,6 @@ def find_discs(
     Args:
         points: (N, 3) in the face's frame [m].
         low, high: (2,) corners of the face [m].
-        sigma: scatter of the points along z [m].
-        least_gain: of a disc.
     """
     discs: list[Disc] = []
     left, kernels = points, _kernels(low, high)
@@ -75,7 +71,6 @@ class _Kernels:
     Attributes:
         shape: of the face's grid.
         padded: of the transforms.
-        radii: (R,) [m].
         spectra: (R, ...) of the discs, moved so that sums come out at their centres.
     """
 

@@ -16,9 +16,7 @@ def cross(u: Float[np.ndarray, "*n 3"], v: Float[np.ndarray, "*n 3"]) -> Float[n
 
 
 def median_of_known(values: Float[np.ndarray, "B N"], unknown: float) -> Float[np.ndarray, "B"]:
-    """Return the median of what is not NaN in each row, ``unknown`` where all is; a tenth of the time of
-    ``np.nanmedian``.
-    """
+    """Return each row's median without NaN, else ``unknown``; ten times as fast as ``np.nanmedian``."""
     ordered = np.sort(values, axis=1)
     count = values.shape[1] - np.isnan(values).sum(axis=1)
     last = np.maximum(count - 1, 0)

@@ -1,5 +1,4 @@
-"""Ends of a bar: the place along it behind which what rays met and where they went through is best explained by
-nothing, and how far off that place may be."""
+"""Most likely ends of a bar, by what rays met and where they went through, and their uncertainty."""
 
 from __future__ import annotations
 
@@ -50,9 +49,7 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
     """Follow the bar from its middle to both ends.
 
     Args:
-        rays: that pass near the bar and beyond its ends.
         bar: its ends are where to begin.
-        floor: below everything.
     """
     crossing = cross_bar(rays, bar)
     outcome = sort_rays(rays, crossing)
@@ -109,9 +106,7 @@ class _End:
         return self.nearest + (self.hidden if self.hidden < _MOST_HIDDEN else 0.0)
 
     def above(self, height: float, descent: float) -> _End:
-        """Bound the end of a bar that is at this height above what it cannot enter and comes nearer to it by so much a
-        metre.
-        """
+        """Bound the end of a bar at this height above an obstacle that descends to it by so much a metre."""
         if descent <= _DESCENDS:
             return self
         return replace(self, furthest=min(self.furthest, self.nearest + height / descent))

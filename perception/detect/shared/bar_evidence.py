@@ -150,12 +150,7 @@ def weigh_bar(rays: SurroundingRays, bar: Bar) -> BarEvidence:
 
 
 def in_line(bar: Bar, rays: Sightlines) -> Bool[np.ndarray, "N"]:
-    """Return which rays ended beside a bar, level with one of its faces that is seen; a round bar has none.
-
-    Args:
-        bar: of any section.
-        rays: about it.
-    """
+    """Return which rays ended beside a bar, level with one of its faces that is seen; a round bar has none."""
     if bar.section == "round" or not len(rays):
         return np.zeros(len(rays), dtype=bool)
     half, frame = np.array(bar.half), bar.frame[1:]
@@ -174,8 +169,7 @@ def runs_on(
     part: Int[np.ndarray, "K"],
     n_parts: int,
 ) -> Bool[np.ndarray, "P"]:
-    """Return in which parts of a bar's side most rays beside it met a surface level with its face, and met it before
-    air.
+    """Return the parts of a bar's side where most rays beside it met a surface level with its face.
 
     What looks like a board there is the rim of a panel, or the narrow side of a slab; where air comes first, few rays
     met it or it is along little of the bar, what is level with the face is another thing.
@@ -185,7 +179,6 @@ def runs_on(
         free: which of the others went on.
         outside: how far each passes the bar [m].
         part: of the bar's length that each passes.
-        n_parts: how many there are.
     """
     n_level, n_free = (np.bincount(part[those], minlength=n_parts) for those in (level, free))
     of_level, of_free = (np.bincount(part[those], outside[those], n_parts) for those in (level, free))

@@ -73,9 +73,7 @@ def fit_bars(
     """Refine axis, place, turn and size of bars of one section; the ends stay.
 
     Args:
-        rays: that pass near the bars.
         starts: bars, and for each the half sizes it is likely to have: what is not seen is taken from them.
-        most_rays: more are thinned.
         n_rounds: which rays are hits is decided anew in each.
     """
     if not starts:
@@ -133,15 +131,9 @@ def _spreads(curvature: Float[np.ndarray, "B n n"]) -> list[tuple[float, float]]
 
 
 def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> tuple[float, float]:
-    """Return the standard deviations of tilt [rad] and place across [m] where rays just inside the outline and just
-    outside hold a bar as well.
+    """Return deviations of tilt [rad] and place across [m] that rays near the outline allow as well.
 
     A bar that all its rays agree with can move until one does not; the residuals' curvature says nothing of it.
-
-    Args:
-        rays: that pass near the bar.
-        fit: fitted to them.
-        most_rays: more are thinned.
     """
     bar = _centre(fit.bar)
     chosen, hit, counts = _relevant(rays, [bar], most_rays)
@@ -207,8 +199,7 @@ def _linearize(
     section: Section,
     slack: float = 0.0,
 ) -> tuple[Float[np.ndarray, "B M"], Float[np.ndarray, "B n M"]]:
-    """Return residuals in standard deviations and their derivatives: depth of the hits, edge of hits and passes, and
-    what is usual of the sizes.
+    """Return residuals in standard deviations (depth, edge, usual size) and their derivatives.
 
     An edge on the right side of a ray has no residual; its derivative is given up to ``slack`` from the ray [m], in
     units that grow with the distance.

@@ -51,13 +51,7 @@ class Pivot:
 
 
 def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
-    """Return the end where the bar is held, by the rays through the gap behind it.
-
-    Args:
-        face: what the bar is before.
-        seen: rays that reach it.
-        bar: with its ends.
-    """
+    """Return the end where the bar is held, by the rays through the gap behind it."""
     centre = face.local(bar.centre[None])[0]
     axis = face.frame @ bar.axis
     flat = axis[:2] / max(float(np.hypot(axis[0], axis[1])), 1e-6)
@@ -145,8 +139,8 @@ def _passes_behind(
 def _zone(held: Float[np.ndarray, "K"], free: Float[np.ndarray, "M"], end: float, bar: Bar) -> tuple[float, float]:
     """Return how surely the bar is free, and how surely it is held, at one of its ends.
 
-    Where hardly any ray went past further inwards there is a neck, and those that went past nearer to the bar's end, as
-    from above past a neck at the top, do not deny it.
+    Where hardly any ray went past further inwards the bar has a neck; rays that went past nearer to its end, for
+    example over the top of the neck, are then not counted.
     """
     depths = [np.abs(x[(np.abs(x - end) < _ZONE) & (x > bar.first) & (x < bar.last)] - end) for x in (held, free)]
     n_held, n_free = float(len(depths[0])), len(depths[1]) / len(_LEVELS)

@@ -42,7 +42,6 @@ class Stock:
     """Sizes that a kind of bar comes in.
 
     Attributes:
-        section: outline across the axis.
         halves: half width and half thickness of each [m].
         rarity: squared standard deviations by which one has to explain better to be believed, in the order of halves.
     """
@@ -61,7 +60,6 @@ class Choice:
     """The bar that explains best.
 
     Attributes:
-        fit: it.
         doubt: how far across the axis the centres of others lie that explain nearly as well [m].
     """
 
@@ -95,13 +93,8 @@ def choose_bar(
     """Fit bars of all sizes about a run and take the one that explains best.
 
     Args:
-        rays: that pass near the run.
-        run: where to look.
         radius: of the tube about the run whose points are to be explained [m].
-        stock: sizes to try.
         floor: nothing lies in it, and hardly anything just over it.
-        n_starts: how many to fit.
-        most_rays: for each fit.
         also: a further start, and others from where it lies.
     """
     few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))
@@ -178,10 +171,7 @@ def rivalry(rays: SurroundingRays, bar: Bar, rivals: Sequence[tuple[float, float
     """Return how much better a bar explains what is about it than bars of another section fitted to the same.
 
     Args:
-        rays: that pass near the bar.
-        bar: fitted.
         rivals: half sizes to start from [m].
-        section: of the rivals.
     """
     run, radius = run_of(bar), max(bar.half) + 0.02
     few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))

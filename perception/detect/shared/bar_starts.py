@@ -36,7 +36,6 @@ class Run:
 
     Attributes:
         place: (3,) on it [m].
-        axis: (3,) unit.
         first, last: its ends, from ``place`` along ``axis`` [m].
         away: (3,) unit, square to the axis, into the face that is seen; None: nothing is known of faces.
     """
@@ -78,8 +77,6 @@ def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> S
     """Return rays between the ends of a run; None when too few ended there or all look along it.
 
     Args:
-        rays: that pass near the run.
-        run: the stretch.
         radius: of the tube about it whose points are to be explained [m].
         most: rays of either sort; more are thinned.
     """
@@ -129,9 +126,7 @@ Start = tuple[Bar, tuple[float, float]]
 def starts_about(
     sample: Sample, run: Run, halves: Sequence[tuple[float, float]], section: Section, most: int
 ) -> list[Start]:
-    """Return bars of every size, each at the turn that explains the sample best, then the next best; each with its half
-    sizes [m].
-    """
+    """Return bars of every size at the turns that explain the sample best, with their half sizes [m]."""
     across = cross(sample.away, run.axis)
     seen = (sample.rays.ends - run.place)[sample.mine] @ across
     low, high = np.percentile(seen, [4, 96])

@@ -141,8 +141,8 @@ class SurroundingRays(Sightlines):
     """Rays about a bar.
 
     Attributes:
-        elsewhere: (N,) which ended on something known not to be the bar, as the floor.
-        taken: (N,) which ended on a bar that is known already; None: none is.
+        elsewhere: (N,) whether it ended on something that is not the bar, as the floor.
+        taken: (N,) whether it ended on a bar found before; None: there is no such bar.
     """
 
     elsewhere: Bool[np.ndarray, "N"]

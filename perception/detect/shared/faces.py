@@ -52,7 +52,7 @@ class Face:
 
     @property
     def size(self) -> Float[np.ndarray, "2"]:
-        """[m]."""
+        """Extent along x and y [m]."""
         return np.asarray(self.high - self.low)
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
@@ -69,7 +69,6 @@ class FaceRays:
     """Rays that reach a face.
 
     Attributes:
-        rays: they.
         at: (N, 2) where each crosses the face's plane, in x and y [m].
         ends: (N, 3) where each ended, in the face's frame [m].
     """
@@ -89,7 +88,6 @@ class FacesInSight:
 
     Attributes:
         faces: upright and slanting ones in arm's reach or so, refined by the rays that ended on them, largest first.
-        index: all rays of the scan.
     """
 
     faces: tuple[Face, ...]
@@ -213,7 +211,6 @@ def fit_face(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
     """Return the face moved and turned onto what is flat of some ends of rays; None when little is.
 
     Args:
-        face: as known so far.
         ends: (K, 3) in its frame [m].
     """
     ends = ends[np.abs(ends[:, 2]) < _BAND]

@@ -47,7 +47,6 @@ def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Fl
     """Return variances of the points around each, from the least [m^2]; None where they are spread too far for a grid.
 
     Args:
-        points: (N, 3) [m].
         cell: the 3 x 3 x 3 cells of this size about a point are what is around it [m].
     """
     if not len(points):
@@ -85,7 +84,6 @@ def slim_places(
 
     Args:
         points: (N, 3) thinned evenly [m].
-        tree: of them.
         ball: radius about each within which others count [m].
     """
     poll()

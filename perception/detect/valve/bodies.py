@@ -29,13 +29,11 @@ class ValveDetection:
         centre: (3,) of the rim [m].
         axis: (3,) unit, towards the sensor.
         rim_radius: of the rim's centre line [m].
-        outer_radius: [m].
         tube_radius: half width of the rim along the radius [m].
         half_depth: half thickness of the rim along the axis [m].
         spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
         hub_radius: inside it nothing was seen through [m].
         inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
-        confidence: 0 to 1.
         rms: of the rim's depth residuals [m].
         n_inliers: rays that ended on the rim.
         spoke_half_width: of the spokes [m].
@@ -63,9 +61,7 @@ class ValveDetection:
         return Ring(self.centre, self.axis, self.rim_radius, self.tube_radius, self.half_depth)
 
     def as_detection(self) -> Detection:
-        """Return the valve as all detectors report: z of its frame is the axis, x horizontal, the origin the rim's
-        centre.
-        """
+        """Return the valve in its frame: z the axis, x horizontal, origin at the rim's centre."""
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = wheel_basis(self.axis).T, self.centre
         sizes = {"outer_radius": self.outer_radius, "rim_radius": self.rim_radius, "tube_radius": self.tube_radius}
@@ -98,7 +94,6 @@ def valve_bodies(
     seen, and otherwise ``hub`` alone, a disc out to the rim.
 
     Args:
-        detection: the wheel.
         n_segments: of the rim, at least 3.
         margin: added all round [m].
     """
@@ -186,13 +181,7 @@ def wheel_points(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) ->
 
 
 def stem_of(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> ConvexPiece | None:
-    """Return the stem from the wheel back to what carries it, a prism ``stem``; None when nothing is seen behind the
-    wheel.
-
-    Args:
-        detection: the wheel.
-        points: (N, 3) obstacle points [m].
-    """
+    """Return the prism ``stem`` from the wheel back to what carries it; None when nothing is behind."""
     distance, height = _in_wheel(detection, points)
     back = -_depth(detection, 0.0)[0]
     behind = (height < -back - _CUT) & (height > -_STEM_BEHIND)

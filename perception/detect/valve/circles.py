@@ -31,9 +31,6 @@ class Circle:
     """A circle and how well points agree with it.
 
     Attributes:
-        centre: (3,) [m].
-        axis: (3,) unit.
-        radius: [m].
         coverage: share of its 24 sectors with a point on it.
         score: its square times the share of the points in its disc that lie on it.
     """
@@ -53,7 +50,6 @@ def find_circles(
 
     Args:
         points: (N, 3) downsampled, without walls and floor [m].
-        rng: for the triples.
     """
     if len(points) < 12:
         return []
@@ -73,8 +69,7 @@ def find_circles(
 
 
 def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:
-    """Return where to look: half of the places anywhere, half where points spread along one direction, as those of a
-    rim do.
+    """Return places to look at: half of them random, half where points spread along one direction.
 
     Among many other things a rim has few of all places, but a good part of the slim ones.
     """
@@ -144,7 +139,6 @@ def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least
 
     Args:
         circles: best first.
-        most: how many to return.
         apart: centres further apart than this are not the same place, as a share of the larger radius; neither are
             radii whose ratio differs from one by nearly twice that.
         least_cosine: between axes that are taken for the same.
@@ -167,13 +161,7 @@ def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least
 
 @dataclass(frozen=True)
 class Circles:
-    """Circles in space.
-
-    Attributes:
-        centres: (C, 3) [m].
-        axes: (C, 3) unit.
-        radii: (C,) [m].
-    """
+    """Circles in space."""
 
     centres: Float[np.ndarray, "C 3"]
     axes: Float[np.ndarray, "C 3"]
@@ -231,8 +219,7 @@ def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
 def scores(
     points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement
 ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C"]]:
-    """Return the share of each circle's 24 sectors with a point on it, and its score: that squared, times the share of
-    the points about its disc that lie on it.
+    """Return the share of each circle's 24 sectors with a point, and its score: that squared, times the share on it.
 
     Sampling noise of few points must not look like a full circle.
     """
@@ -241,8 +228,7 @@ def scores(
 
 
 def refit_circles(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> Circles:
-    """Move each circle by one step of least squares on the points that lie on it: their plane, and in it the algebraic
-    circle fit of Kasa, IEEE Trans. Instrum. Meas. 25, 1976.
+    """Move each circle by one least-squares step (Kasa, IEEE Trans. Instrum. Meas. 25, 1976).
 
     The axis of a circle through three points of a small noisy rim is off by tens of degrees.
     """

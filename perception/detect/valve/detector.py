@@ -2,26 +2,133 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
+from perception.detect.shared.arithmetic import cross, rising
+from perception.detect.shared.bar_pivot import Pivot
+from perception.detect.shared.bars import Bar
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.foreground import Foreground
-from perception.detect.valve.lever import detect_lever_valve
+from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes
+from perception.detect.valve.lever_joint import Joint, joint_of, settle_joint
 from perception.detect.valve.wheel import find_wheels
+from perception.ground.floor import FloorPlane
+from perception.sightlines import SightIndex
 from perception.view import View
 
+_REPORTED, _HOPELESS = 0.05, 0.02
+_SLIM = (5.5, 8.5)  # length by radius; a hose's coupling on its standpipe is stouter
+_END_UNSEEN = 0.4
+_AIR_ABOUT_A_PIPE = (0.5, 0.7)  # the edge of a box has it on one of two sides
+# Of a pipe's length, what rays tell of the air: of a box laid over by a pipe they tell it at its corners alone.
+_KNOWN_OF_IT = (0.25, 0.5)
+_SPREADS = (np.radians(1.8), np.radians(3.2))  # of an axis that is sure, and of one that is not
 _SURE = 0.8  # with a hint, which makes weak evidence enough
 _BESIDE = 0.05
 
 
-def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Find valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers.
+@dataclass(frozen=True)
+class _Lever:
+    """A lever on a pipe."""
+
+    fitted: FittedBar
+    bar: Bar
+    joint: Joint
+    confidence: float
+
+
+def detect_lever_valve(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
+) -> list[Detection]:
+    """Find lever valves, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
+
+    The pivot's axis is square to lever and pipe; where these cross, the pivot lies where they come nearest to each
+    other, and otherwise at the end behind which rays do not pass.
 
     Args:
-        view: the scan, made ready.
-        hint: (3,) a point near the valve [m].
+        hint: (3,) a point near the valve: only what lies within 0.6 m of it is looked at [m].
     """
+    if not len(view.obstacles):
+        return []
+    foreground = foreground or Foreground.of(view)
+    valves: list[_Lever] = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        levers = find_levers(foreground, view.floor, hint)
+        pipes = find_pipes(foreground, view.floor, hint) if levers else []
+        for lever in levers:
+            valves += [
+                valve for pipe in pipes if (valve := _join(lever, pipe, foreground.index, view.floor)) is not None
+            ]
+    valves.sort(key=lambda valve: -valve.confidence)
+    apart: list[_Lever] = []
+    for valve in valves:
+        if all(np.linalg.norm(valve.bar.middle - other.bar.middle) > 0.1 for other in apart):
+            apart.append(valve)
+    detections = [_as_detection(valve, hint is not None) for valve in apart]
+    return [valve for valve in detections if valve.confidence >= _REPORTED]
+
+
+def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
+    """Return a bar and a pipe as a valve; None when they do not lie as lever and pipe do."""
+    joint = joint_of(lever.bar, pipe.bar, (lever.fit.spread[0], pipe.fit.spread[0]), index)
+    if joint is None:
+        return None
+    confidence = (
+        rising(lever.evidence.solid, 0.6, 0.85)
+        * rising(lever.evidence.air, 0.15, 0.4)
+        * rising(lever.evidence.visible, 0.6, 0.85)
+        * rising(-lever.evidence.rms, -0.02, -0.016)
+        * rising(float(lever.evidence.n_hits), 12.0, 40.0)
+        * rising(pipe.evidence.solid, 0.5, 0.75)
+        * rising(pipe.evidence.air, *_AIR_ABOUT_A_PIPE)
+        * rising(pipe.evidence.known, *_KNOWN_OF_IT)
+    )
+    if confidence * _as_a_lever(joint.pivot, lever.bar.half[0]) < _HOPELESS:
+        return None
+    both = settle_joint(lever.bar, pipe.bar, joint.pivot.along, joint.axis, index, floor)
+    tilts = [(new or old).spread[0] for new, old in zip(both.fits, (lever.fit, pipe.fit), strict=True)]
+    again = joint_of(both.lever, both.pipe, (tilts[0], tilts[1]), index)
+    if again is None or (again.pivot.far > again.pivot.along) != (joint.pivot.far > joint.pivot.along):
+        return None
+    far_seen = both.is_seen and lever.ends.seen[joint.pivot.far == lever.bar.last]
+    confidence *= _as_a_lever(again.pivot, both.lever.half[0]) * (1.0 if far_seen else _END_UNSEEN)
+    return _Lever(lever, both.lever, again, float(confidence * rising(-again.spread, -_SPREADS[1], -_SPREADS[0])))
+
+
+def _as_a_lever(pivot: Pivot, radius: float) -> float:
+    """Return how much a bar held like this is like a lever: long enough, slim, held at one end."""
+    length = abs(pivot.far - pivot.along)
+    return rising(length, LENGTHS[0], LENGTHS[0] + 0.03) * rising(length / radius, *_SLIM) * pivot.confidence
+
+
+def _as_detection(valve: _Lever, is_hinted: bool) -> Detection:
+    """Return the valve in the words all detectors share."""
+    bar, pivot = valve.bar, valve.joint.pivot
+    x = np.sign(pivot.far - pivot.along) * bar.axis
+    z = valve.joint.axis - (valve.joint.axis @ x) * x
+    z /= np.linalg.norm(z)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([x, cross(z, x), z])
+    pose[:3, 3] = bar.centre + pivot.along * bar.axis
+    sizes = {"lever_length": abs(pivot.far - pivot.along), "lever_radius": bar.half[0]}
+    residuals = {
+        "rms": valve.fitted.evidence.rms,
+        "solid_share": valve.fitted.evidence.solid,
+        "air_share": valve.fitted.evidence.air,
+        "pivot_score": pivot.confidence,
+        "n_hits": float(valve.fitted.evidence.n_hits),
+        "axis_rad": valve.joint.spread,
+    }
+    confidence = float(np.sqrt(valve.confidence)) if is_hinted else valve.confidence
+    return Detection("valve", pose, sizes, confidence, residuals, bar.places(0.01))
+
+
+def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Find valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers."""
     if not len(view.obstacles):
         return []
     foreground = Foreground.of(view)

@@ -136,8 +136,7 @@ def _openings(inside: Inside, blur: float) -> float:
 
 
 def _spoke_evidence(inside: Inside) -> float:
-    """Weigh narrow spokes between hub and rim; where rays are too few to tell, a hub with openings about it may just
-    do.
+    """Weigh narrow spokes between hub and rim; with few rays, a hub with openings about it counts.
 
     Things close behind the wheel hide openings, so that neither what the spokes leave unexplained nor their number
     speaks against them; one broad solid part does.
@@ -160,8 +159,7 @@ def _over_floor(ring: Ring, floor: FloorPlane | None) -> float:
 
 
 def _free_aside(rays: Sightlines, ring: Ring) -> float:
-    """Return whether rays through the disc get out between the rim and 10 cm behind it; as little as is seen counts as
-    free.
+    """Return whether rays through the disc leave behind the rim; too few rays count as free.
 
     A ray leaves the tube that the rim would be the mouth of where it is as far from the axis as the rim for the
     second time.

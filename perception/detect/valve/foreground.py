@@ -27,7 +27,6 @@ class Foreground:
 
     Attributes:
         points: (N, 3) obstacle points that no wall explains [m].
-        index: all rays of the scan.
         rng: as the search for walls left it.
     """
 
@@ -63,9 +62,6 @@ def before_walls(
 
     Args:
         points: (N, 3) without the floor [m].
-        starts: (N, 3) where their rays started [m].
-        rays: of the whole scan.
-        rng: for the planes.
     """
     if not len(points):
         return np.zeros(0, dtype=bool)

@@ -26,7 +26,6 @@ class Inside:
 
     Attributes:
         spoke_angles: of the spokes [rad].
-        spoke_half_width: [m].
         spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
         spokes_known: whether rays are dense enough there to tell spokes from openings.
         widest_spoke: angle of the widest solid part in the rim's plane [rad].
@@ -158,9 +157,7 @@ def _runs(these: Bool[np.ndarray, "A"]) -> tuple[Int[np.ndarray, "R 2"], int]:
 
 
 def _rejoin(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
-    """Return runs of angles, those taken for one that are but a few steps apart with some hits all the way between
-    them.
-    """
+    """Return runs of angles, joined where a gap of few steps holds hits."""
     joined: list[tuple[int, int]] = []
     for low, high in runs.tolist():
         if joined and low - joined[-1][1] <= _MOST_APART and share[joined[-1][1] : low].min() > _BETWEEN:

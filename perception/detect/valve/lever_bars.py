@@ -62,8 +62,6 @@ def find_levers(
     """Return slim bars with air about them and at least one end that was seen.
 
     Args:
-        foreground: what stands before walls, and all rays.
-        floor: below everything.
         hint: (3,) only what comes near it is looked at, and more closely [m].
     """
     lines = _lines(foreground, hint, _LEVER_TUBE, LENGTHS[0], _LEVER_PAIRS, _LEVER_BALL)
@@ -103,9 +101,7 @@ def _lines(
     n_pairs: int,
     ball: float | None,
 ) -> list[Line]:
-    """Return lines of points; with a hint those of the whole scan that come near it, and those of the points near
-    it.
-    """
+    """Return lines of points; with a hint only those that come near it, of the scan and of what is near."""
     points, _ = voxel_downsample(foreground.points, _VOXEL)
     lines = find_lines(points, foreground.generator(), tubes, least_length, n_pairs=n_pairs, slim_ball=ball)
     if hint is None:
@@ -125,9 +121,9 @@ def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
 def _in_air(
     lines: Sequence[Line], index: SightIndex, floor: FloorPlane | None, radii: Sequence[tuple[float, float]]
 ) -> list[Line]:
-    """Return lines on which, for bars of one of the sizes, most rays that reach them end and beside which most go on.
+    """Return lines that may be bars in air: for one of the sizes most rays end on the bar, and most beside it go on.
 
-    A row of a scan on a wall is a line as well, and there are many; looking at the rays takes a hundredth of a fit.
+    Each scan row on a wall is a line as well.  This check takes a hundredth of the time of a fit.
     """
     kept = []
     for line in lines:
@@ -171,11 +167,8 @@ def best_round(
     """Return the round bar that explains best what is seen about a run; None where too little is.
 
     Args:
-        rays: that pass near the run.
-        run: where to look.
         radii: to start from, each twice [m].
         tube: radius about the run whose points are to be explained [m].
-        most: rays; more are thinned.
     """
     sample = sample_about(rays, run, tube, most)
     if sample is None:

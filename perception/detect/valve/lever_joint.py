@@ -63,10 +63,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
     counts most.
 
     Args:
-        bar: with its ends.
-        pipe: with its ends.
         tilts: standard deviations of their directions [rad].
-        index: all rays.
     """
     if pipe.half[0] < 1.2 * bar.half[0] or pipe.length < bar.length:
         return None
@@ -107,9 +104,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
 
 
 def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Return the direction that is as square to both, and as much along the way from the pipe to the pivot, as is known
-    of each; and its standard deviation [rad].
-    """
+    """Return the direction most nearly square to both bars and along the way between them, and its deviation [rad]."""
     out = bar.centre + at * bar.axis - pipe.centre
     out = out - (out @ pipe.axis) * pipe.axis
     apart = float(np.linalg.norm(out))
@@ -171,8 +166,6 @@ def settle_joint(
         pipe: roughly.
         pivot: where the lever is held, from its centre along its axis [m].
         up: (3,) unit, from the pipe to the lever.
-        index: all rays.
-        floor: below everything.
     """
     place = lever.centre + pivot * lever.axis
     rays = _rays_near(index, lever, floor)
@@ -216,8 +209,7 @@ def _between_ends(fitted: Bar, rough: Bar) -> Bar:
 
 
 def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar, bool]:
-    """Return the bar with its free end rounded, halfway between the last ray that met it and the first that went past,
-    and whether any went past beyond.
+    """Return the bar with its free end between the last hit and the first pass, and whether it is seen.
 
     A ray that leans on the bar goes past its end nearer to its middle than it would cross its near side.
     """

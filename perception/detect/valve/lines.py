@@ -1,6 +1,4 @@
-"""Hypotheses of straight long things in a cloud: random pairs of neighbours and the ways in which slim surroundings
-spread, scored by how much the points about their line stand out from what is around them, grown along it as far as
-points go on."""
+"""Hypotheses of straight slender things in a cloud, scored by how much they stand out, grown along their line."""
 
 from __future__ import annotations
 
@@ -32,7 +30,6 @@ class Line:
 
     Attributes:
         place: (3,) on it [m].
-        axis: (3,) unit.
         first, last: where it begins and ends, from ``place`` along ``axis`` [m].
         radius: of the tube its points lie in [m].
         members: indices of its points.
@@ -60,10 +57,7 @@ def find_lines(
 
     Args:
         points: (N, 3) thinned evenly, without large planes [m].
-        rng: for the pairs.
         radii: of the tubes to try [m].
-        least_length: [m].
-        n_pairs: directions tried at each.
         slim_ball: what is sought is so slim that points in balls of this radius about it spread along it [m]: only
             such places are looked at, and that direction is tried as well; None: it may be thick.
     """

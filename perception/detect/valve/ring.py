@@ -40,7 +40,6 @@ class Ring:
     """A torus of elliptic section.
 
     Attributes:
-        centre: (3,) [m].
         axis: (3,) unit, towards the sensor.
         radius: of the section's centre line [m].
         half_width: of the section along the radius [m].
@@ -166,7 +165,7 @@ CLOSE = Gate(0.03, 0.004)
 
 
 def rough_gate(ring: Ring) -> Gate:
-    """Return the gate of a ring that is only a guess: the larger it is the further off it may be."""
+    """Return the gate for a first guess of a ring, wider for larger rings."""
     return Gate(0.04 + 0.1 * ring.radius, 0.008 + 0.06 * ring.radius)
 
 
@@ -266,9 +265,7 @@ def move_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
 def linearize_ring(
     rays: Sightlines, hit: Bool[np.ndarray, "N"], ring: Ring
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "8 M"]]:
-    """Return residuals in standard deviations and their derivatives by the unknowns of :func:`move_ring`: depth of the
-    hits, edge of hits and misses on the wrong side of it, and what is usual of a rim's thickness.
-    """
+    """Return residuals (depth, edge, usual thickness) in deviations and derivatives by :func:`move_ring`'s unknowns."""
     poll()
     met = cross_ring(rays, ring)
     a, b = ring.half_width, ring.half_depth

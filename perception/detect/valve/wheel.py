@@ -54,10 +54,6 @@ def detect_wheels(view: View, hint: Float[np.ndarray, "3"] | None = None) -> lis
     """Find wheel valves, best first; each with its ``ValveDetection`` as model.
 
     z of a hit's frame is the axis, x horizontal, the origin the rim's centre.
-
-    Args:
-        view: the scan, made ready.
-        hint: (3,) a point near the valve [m].
     """
     return [valve.as_detection() for valve in find_wheels(view, hint)]
 
@@ -79,9 +75,7 @@ def detect_valves(
 def find_wheels(
     view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
 ) -> list[ValveDetection]:
-    """Find wheel valves as :func:`detect_valves` does, in a scan made ready; the foreground is made where none is
-    given.
-    """
+    """Find wheel valves as :func:`detect_valves` does; makes the foreground where none is given."""
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)

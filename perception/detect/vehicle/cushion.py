@@ -90,9 +90,7 @@ def _cells(flat: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "C 2"]:
 
 
 def square_up(patch: Patch, about: Surround) -> Patch:
-    """Return the patch with the rectangle about it that holds the least of what is open, turned along the edges that
-    were seen: a shadow's edge is none of its own.
-    """
+    """Return the patch with the rectangle about it that holds least open space, along its seen edges."""
     few = patch.points[:: max(1, len(patch.points) // _MOST_POINTS), :2] - patch.centre[:2]
     opened = about.opened - patch.centre[:2]
     yaw = float(YAWS[np.argmin(_costs(few, opened, YAWS))])
@@ -132,9 +130,7 @@ def _ways(yaws: Float[np.ndarray, "A"]) -> Float[np.ndarray, "2 2 A"]:
 
 
 def _turn_of_edges(few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2"], yaw: float) -> float:
-    """Return how far the edges that rays went down past are turned from a yaw [rad]: median slope of each, long ones
-    first.
-    """
+    """Return how far seen edges are turned from a yaw: the median of their slopes, long ones first [rad]."""
     way = _ways(np.array([yaw]))[:, :, 0]
     top, free = few @ way.T, opened @ way.T
     slopes, weights = [], []
@@ -157,9 +153,7 @@ def _turn_of_edges(few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2
 def _row_ends(
     top: Float[np.ndarray, "K 2"], free: Float[np.ndarray, "J 2"], axis: int, sign: float
 ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R"]]:
-    """Return, along an edge and out of it: where the patch ends in each row across the edge beyond which rays went down
-    [m].
-    """
+    """Return, along an edge and out of it, where rows of the patch end before a drop [m]."""
     other = 1 - axis
     low = float(top[:, other].min())
     n_rows = int((top[:, other].max() - low) / _ROW) + 1
@@ -178,7 +172,6 @@ def as_cushion(patch: Patch, about: Surround, turn: int) -> Cushion:
     """Return the patch as a cushion that looks along its rectangle, turned by quarter turns.
 
     Args:
-        patch: its seen part.
         about: what the scan tells of the place about it.
         turn: quarter turns from the rectangle's first direction.
     """
@@ -220,9 +213,7 @@ def _is_edge(
     sign: float,
     half: Float[np.ndarray, "2"],
 ) -> bool:
-    """Return whether the patch was seen to end on a side: in rows across it, something known follows its last
-    points.
-    """
+    """Return whether a side's end was seen: in its rows something known follows the last points."""
     other = 1 - axis
     n_rows = max(round(2.0 * half[other] / _ROW), 1)
     row_of = [np.floor((flat[:, other] / (2.0 * half[other]) + 0.5) * n_rows).astype(int) for flat in (top, known)]

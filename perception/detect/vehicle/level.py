@@ -125,9 +125,7 @@ def _patch(members: Float[np.ndarray, "K 3"], area: float) -> Patch | None:
 
 
 def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return yaw, lower and upper corner (in turned coordinates) of the smallest rectangle, a stray point not
-    counted.
-    """
+    """Return yaw, lower and upper corner (in turned coordinates) of the smallest rectangle, strays left out."""
     few = flat[:: max(1, len(flat) // 3000)]
     first = few @ np.stack([np.cos(YAWS), np.sin(YAWS)])
     second = few @ np.stack([-np.sin(YAWS), np.cos(YAWS)])

@@ -69,7 +69,6 @@ def detect_opening(view: View, hint: Float[np.ndarray, "3"] | None = None) -> li
     height of the vehicle's floor over the ground [m].
 
     Args:
-        view: the scan, made ready.
         hint: (3,) a point near the sill or in the opening [m].
     """
     starts, ends = view.cloud.rays
@@ -167,8 +166,6 @@ def side_of(width: float, local: Float[np.ndarray, "N 3"], floor: float) -> floa
 
     Args:
         width: of the seat's cushion [m].
-        local: (N, 3) points [m].
-        floor: height of the vehicle's floor [m].
     """
     near, far = 0.5 * width - 0.06, 0.5 * width + _BESIDE
     beyond = far + _GOES_ON
@@ -198,9 +195,7 @@ def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: f
 
 
 def crossings(starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], at: float) -> Float[np.ndarray, "K 2"]:
-    """Return x and z of where rays went through the vehicle's side, further than a panel a little askew lies off it
-    [m].
-    """
+    """Return x and z of where rays went clearly through the vehicle's side [m]."""
     crosses = ((starts[:, 1] - at) * (ends[:, 1] - at) < 0.0) & (np.abs(ends[:, 1] - at) > _THROUGH)
     share = (at - starts[crosses, 1]) / (ends[crosses, 1] - starts[crosses, 1])
     return np.asarray((starts[crosses] + share[:, None] * (ends[crosses] - starts[crosses]))[:, [0, 2]])
@@ -209,14 +204,11 @@ def crossings(starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], 
 def edges_of(
     local: Float[np.ndarray, "N 3"], through: Float[np.ndarray, "K 2"], at: float, floor: float, depth: float
 ) -> tuple[float, float, int]:
-    """Return where what stands at the vehicle's side ends behind the seat and begins before it [m], and how many were
-    seen.
+    """Return where the parts behind and before the opening end [m], and how many were seen.
 
     Args:
-        local: (N, 3) points [m].
         through: (K, 2) where rays went through the side [m].
         at: y of the side [m].
-        floor: height of the vehicle's floor [m].
         depth: of the seat's cushion [m].
     """
     low, high = np.array([-_BEHIND, floor + _WAIST[0]]), np.array([_AHEAD, floor + _WAIST[1]])
@@ -269,8 +261,7 @@ def openness(
     floor: float,
     top: float,
 ) -> tuple[float, float, float]:
-    """Return the share of the opening's cells seen in which rays went through, share that was seen, and how high they
-    went.
+    """Return the share of seen cells that rays went through, the seen share, and their top.
 
     Args:
         ends: (R, 3) of all rays [m].

@@ -47,7 +47,6 @@ class Seat:
         width, depth: of the cushion's top [m].
         floor: world z of the vehicle's floor before it [m]; NaN when not seen.
         back_share: share of what was seen of the place of its back that is solid.
-        confidence: 0 to 1.
         patch: the cushion's top.
     """
 
@@ -74,7 +73,6 @@ def detect_seat(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     is none to act on.
 
     Args:
-        view: the scan, made ready.
         hint: (3,) a point near the cushion [m].
     """
     seats = find_seats(view)
@@ -134,8 +132,7 @@ def _head_of(view: View) -> Float[np.ndarray, "3"]:
 
 
 def ground_of(view: View) -> float:
-    """Return world z of the ground a vehicle stands on: below its floor, which may be the one the view took for the
-    floor.
+    """Return world z of the ground below the vehicle's floor, which the view may take for the floor.
 
     Where no ground was seen it is not above zero, the height at which a robot stands.
     """
@@ -205,9 +202,7 @@ def _ends_ahead(seat: Seat, local: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _floor_share(floor: float, ground: float, top: float) -> float:
-    """Return how much the floor before it speaks for a vehicle: a cushion at seat height over a floor over the
-    ground.
-    """
+    """Return how well the floor fits a vehicle: seat height above it, and it above the ground."""
     maybe_chair = _MAYBE_CHAIR * rising(top - ground, SEAT_HEIGHT[0], 0.3) * rising(ground - top, -SEAT_HEIGHT[1], -0.6)
     if np.isnan(floor):
         return max(_UNSEEN_FLOOR * rising(top - ground, 0.6, 0.7), maybe_chair)

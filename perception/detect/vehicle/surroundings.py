@@ -97,9 +97,7 @@ def back_of(
 
 
 def _reach_up(local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> float:
-    """Return how high what is behind the cushion goes on without a gap: a wall goes on far above where seats end
-    [m].
-    """
+    """Return how high the back goes on without a gap; a wall ends far above seats [m]."""
     tall = local[is_inside(local, np.array([low[0], low[1], 0.3]), np.array([high[0], high[1], 1.6])), 2]
     steps = np.bincount(np.floor((tall - 0.3) / 0.1).astype(int), minlength=14) >= 5
     return 0.3 + 0.1 * float(np.argmin(np.concatenate([steps, [False]])))
@@ -192,9 +190,7 @@ def _passing(
 
 
 def _drops(solid: Bool[np.ndarray, "A B"], opened: Bool[np.ndarray, "A B"], risen: Bool[np.ndarray, "A B"]) -> float:
-    """Return, of the rows along the first axis that hold floor, the share in which it ends in a drop: rays go down
-    right behind its last cell, and nothing rises between.
-    """
+    """Return the share of floor rows that end in a drop: rays go down behind the last cell."""
     rows = np.flatnonzero(solid.any(axis=0))
     if not len(rows):
         return 0.0

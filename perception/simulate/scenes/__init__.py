@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from perception.errors import PerceptionError
-from perception.simulate.objects.placed import Truth
 from perception.simulate.scenes import cars, clutter, debris, doors, fixtures, shelves, valves
-from perception.simulate.scenes.scene import VARIANTS, Recipe, SimulatedScene
+from perception.simulate.scenes.scene import VARIANTS, Recipe, SimulatedScene, Truth
 
 SCENES: Mapping[str, Recipe] = {
     **valves.SCENES,
@@ -26,7 +25,6 @@ def make_scene(name: str, seed: int = 0) -> SimulatedScene:
     """Return a scene by name.
 
     Args:
-        name: one of :data:`SCENES`.
         seed: of its details: places, tilts, what stands about.
 
     Raises:

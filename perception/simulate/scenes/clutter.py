@@ -8,10 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.simulate.mesh import box, cylinder, torus
-from perception.simulate.objects.loose import bucket, can, cart, chair, cupboard, pot, radiator, shelf, table, tyre
-from perception.simulate.objects.placed import Placed, things
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
-from perception.simulate.scenes.surroundings import carton, cartons, floor, make_room, upright_pipe, wall
+from perception.simulate.scenes.loose import bucket, can, cart, chair, cupboard, pot, radiator, shelf, table, tyre
+from perception.simulate.scenes.scene import (
+    PlacedObjects,
+    Recipe,
+    SimulatedScene,
+    assemble,
+    carton,
+    cartons,
+    floor,
+    generator,
+    make_room,
+    things,
+    upright_pipe,
+    wall,
+)
 
 
 @dataclass(frozen=True)
@@ -20,10 +31,9 @@ class Clutter:
 
     Attributes:
         arrange: gives the things for a generator of details.
-        look_at: what the robot looks at [m].
     """
 
-    arrange: Callable[[np.random.Generator], list[Placed]]
+    arrange: Callable[[np.random.Generator], list[PlacedObjects]]
     look_at: tuple[float, float, float] = (0.9, 0.0, 1.0)
 
     def make(self, name: str, seed: int) -> SimulatedScene:
@@ -31,7 +41,7 @@ class Clutter:
         return assemble(name, seed, [floor(), *self.arrange(generator(name, seed))], self.look_at)
 
 
-def kitchen(rng: np.random.Generator) -> list[Placed]:
+def kitchen(rng: np.random.Generator) -> list[PlacedObjects]:
     """Make a rack of pots, buckets and tins, a cart beside it, a picture and a round frame on the wall."""
     parts = [wall(1.25), shelf((0.75, -0.6, 0.0), 1.2, 0.42, (0.1, 0.45, 0.9, 1.35), 1.8)]
     for level in (0.1, 0.45, 0.9, 1.35):
@@ -43,7 +53,7 @@ def kitchen(rng: np.random.Generator) -> list[Placed]:
     return [*parts, things(box((1.22, -1.2, 1.2), (1.25, -0.75, 1.6)), frame)]
 
 
-def pipes(rng: np.random.Generator) -> list[Placed]:
+def pipes(rng: np.random.Generator) -> list[PlacedObjects]:
     """Make upright and level pipes with flanges and elbows, without a valve."""
     parts = [wall(1.1)]
     for y in (-0.7, -0.4, 0.1, 0.5):
@@ -57,7 +67,7 @@ def pipes(rng: np.random.Generator) -> list[Placed]:
     return parts
 
 
-def workshop(rng: np.random.Generator) -> list[Placed]:
+def workshop(rng: np.random.Generator) -> list[PlacedObjects]:
     """Make two carts, tyres on the floor and against the wall, buckets, a plain cupboard."""
     parts = [
         wall(1.9),
@@ -69,7 +79,7 @@ def workshop(rng: np.random.Generator) -> list[Placed]:
     return parts
 
 
-def office(rng: np.random.Generator) -> list[Placed]:
+def office(rng: np.random.Generator) -> list[PlacedObjects]:
     """Make a closed room: desk with screen, chairs, pictures, cupboard, radiator."""
     parts = [make_room(1.9, -2.2, 1.8), table((1.0, -0.8, 0.0), 1.5, 0.7, 0.74)]
     parts += [chair((0.75, 0.2, 0.0), rng.uniform(-0.5, 0.5)), chair((0.3, -1.2, 0.0), rng.uniform(0.0, 6.0))]
@@ -79,7 +89,7 @@ def office(rng: np.random.Generator) -> list[Placed]:
     return [*parts, cupboard((1.4, 0.95, 0.0), 0.8, 0.45), radiator((-0.4, 1.72, 0.12))]
 
 
-def corridor(rng: np.random.Generator) -> list[Placed]:
+def corridor(rng: np.random.Generator) -> list[PlacedObjects]:
     """Make a bare corridor with a niche, a pillar and a skirting board."""
     width = rng.uniform(0.75, 0.95)
     parts = [make_room(3.5, -4.0, width), carton(1.8, -0.45, (0.3, 0.35, 0.25), 0.3)]
@@ -87,7 +97,7 @@ def corridor(rng: np.random.Generator) -> list[Placed]:
     return [*parts, things(*skirting, box((1.2, width - 0.12, 0.0), (1.6, width, 2.6)))]
 
 
-def boxes(rng: np.random.Generator) -> list[Placed]:
+def boxes(rng: np.random.Generator) -> list[PlacedObjects]:
     """Make stacks of cartons before a wall."""
     parts = [wall(1.6)]
     for y in (-0.7, -0.15, 0.4):
@@ -99,7 +109,7 @@ def boxes(rng: np.random.Generator) -> list[Placed]:
     return [*parts, *cartons(rng, 3, (1.0, 1.3), 0.3)]
 
 
-def rounds(rng: np.random.Generator) -> list[Placed]:
+def rounds(rng: np.random.Generator) -> list[PlacedObjects]:
     """Make a clock, a porthole, a round sign on a post, a coil of hose on a hook, plates in a rack."""
     parts = [wall(1.0), upright_pipe(0.9, 0.62, 0.03, 1.2)]
     clock = [cylinder((0.96, -0.55, 1.5), (1.0, -0.55, 1.5), 0.15), torus((0.965, -0.55, 1.5), (1, 0, 0), 0.15, 0.012)]

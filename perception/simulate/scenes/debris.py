@@ -9,10 +9,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from perception.simulate.objects.loose import Beam
-from perception.simulate.objects.placed import Placed
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
-from perception.simulate.scenes.surroundings import cartons, floor, wall
+from perception.simulate.scenes.loose import Beam
+from perception.simulate.scenes.scene import (
+    PlacedObjects,
+    Recipe,
+    SimulatedScene,
+    assemble,
+    cartons,
+    floor,
+    generator,
+    wall,
+)
 
 _SECTIONS = ((0.089, 0.038), (0.089, 0.038), (0.14, 0.038), (0.089, 0.089))
 _STEP = 0.004
@@ -23,10 +30,7 @@ class Debris:
     """A heap before the robot.
 
     Attributes:
-        n_beams: in it.
-        middle: x, y [m].
         spread: of the beams' middles before they fall, each way [m].
-        n_boxes: beside it.
     """
 
     n_beams: int
@@ -37,7 +41,7 @@ class Debris:
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
         rng = generator(name, seed)
-        parts: list[Placed] = [floor(), wall(2.1), *heap(rng, self.n_beams, self.middle, self.spread)]
+        parts = [floor(), wall(2.1), *heap(rng, self.n_beams, self.middle, self.spread)]
         parts += cartons(rng, self.n_boxes, (1.2, 1.3), 0.3)
         return assemble(name, seed, parts, (*self.middle, 0.2))
 
@@ -50,7 +54,7 @@ SCENES: Mapping[str, Recipe] = {
 }
 
 
-def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], spread: float) -> list[Placed]:
+def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], spread: float) -> list[PlacedObjects]:
     """Drop beams one after the other: each sinks until it touches, then tips over until it touches again."""
     boxes: list[tuple[np.ndarray, np.ndarray]] = []
     placed = []

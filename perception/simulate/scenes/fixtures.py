@@ -7,11 +7,132 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.simulate.objects.fixtures import BoxLever, Panel, Standpipe
-from perception.simulate.objects.placed import Placed
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
-from perception.simulate.scenes.surroundings import cartons, floor, upright_pipe, wall
+from perception.simulate.mesh import bent_bar, box, cylinder, lathe, pipe
+from perception.simulate.scenes.scene import (
+    PlacedObjects,
+    Recipe,
+    SimulatedScene,
+    Truth,
+    assemble,
+    cartons,
+    floor,
+    frame,
+    generator,
+    pose_of,
+    upright_pipe,
+    wall,
+)
 from perception.simulate.scenes.valves import Vector, tilt_axis
+
+_PIPE_WALL = 0.004
+_STRAIGHT = 0.15  # from the mouth to the elbow [m]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A box on a wall with round buttons that stand out.
+
+    Attributes:
+        centre: of the front face [m].
+        normal: of the front face, out.
+        depth: from the front face to the wall [m].
+        buttons: x, y, radius of each, in the panel's frame [m].
+        proud: how far a button stands out [m].
+    """
+
+    centre: tuple[float, float, float]
+    normal: tuple[float, float, float] = (-1.0, 0.0, 0.0)
+    width: float = 0.22
+    height: float = 0.3
+    depth: float = 0.1
+    buttons: tuple[tuple[float, float, float], ...] = ((0.0, 0.06, 0.03), (0.0, -0.06, 0.03))
+    proud: float = 0.025
+
+    def build(self) -> PlacedObjects:
+        """Build it; z of its frame is the normal, y is up."""
+        z = np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
+        pose = frame(self.centre, np.cross([0.0, 0.0, 1.0], z).tolist(), z.tolist())
+        w, h = 0.5 * self.width, 0.5 * self.height
+        meshes = [box((-w, -h, -self.depth), (w, h, 0.0))]
+        sizes = {"width": self.width, "height": self.height, "n_buttons": float(len(self.buttons))}
+        for i, (x, y, radius) in enumerate(self.buttons):
+            head = [
+                (0.0, self.proud),
+                (0.8 * radius, self.proud - 0.001),
+                (radius, self.proud - 0.006),
+                (radius, 0.004),
+            ]
+            meshes.append(lathe([*head, (1.2 * radius, 0.004), (1.2 * radius, 0.0)], (x, y, 0.0)))
+            sizes |= {f"button_{i}_x": x, f"button_{i}_y": y, f"button_{i}_radius": radius}
+        return PlacedObjects(tuple(mesh.place(pose) for mesh in meshes), (Truth("panel", pose, sizes),))
+
+
+@dataclass(frozen=True)
+class BoxLever:
+    """A switch box with a lever on its front, as on breakers and emergency shut-offs.
+
+    Attributes:
+        pivot: where the lever's middle line meets its pivot axis [m].
+        normal: of the box's front, the pivot axis.
+        angle: of the lever about the pivot axis, from the horizontal x of the box [rad].
+        length: from the pivot to the lever's end [m].
+        stand_off: of the lever's middle line over the front [m].
+    """
+
+    pivot: tuple[float, float, float]
+    normal: tuple[float, float, float] = (-1.0, 0.0, 0.0)
+    angle: float = 1.2
+    length: float = 0.2
+    radius: float = 0.012
+    stand_off: float = 0.055
+    width: float = 0.3
+    height: float = 0.4
+    depth: float = 0.15
+
+    def build(self) -> PlacedObjects:
+        """Return box, hub and lever."""
+        z = np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
+        front = frame(self.pivot, np.cross([0.0, 0.0, 1.0], z).tolist(), z.tolist())
+        w, h, off = 0.5 * self.width, 0.5 * self.height, self.stand_off
+        end = (self.length - self.radius) * np.array([np.cos(self.angle), np.sin(self.angle), 0.0])
+        meshes = [
+            box((-w, -h, -off - self.depth), (w, h, -off)),
+            cylinder((0.0, 0.0, -off), (0.0, 0.0, 0.5 * self.radius), 1.6 * self.radius, 24),
+            bent_bar([(0.0, 0.0, 0.0), end.tolist()], self.radius),
+        ]
+        pose = front @ pose_of((0.0, 0.0, 0.0), yaw=self.angle)
+        truth = Truth("lever", pose, {"length": self.length, "radius": self.radius})
+        return PlacedObjects(tuple(mesh.place(front) for mesh in meshes), (truth,))
+
+
+@dataclass(frozen=True)
+class Standpipe:
+    """A pipe from the floor with an elbow, a coupling ring and an open end.
+
+    Attributes:
+        direction: out of the opening, unit.
+        radius: outer, of the end [m].
+    """
+
+    mouth: tuple[float, float, float]
+    direction: tuple[float, float, float] = (-1.0, 0.0, 0.0)
+    radius: float = 0.035
+
+    def build(self) -> PlacedObjects:
+        """Build it; z of its frame points out; ``radius`` is the outer one at the mouth."""
+        out = np.asarray(self.direction, dtype=float) / np.linalg.norm(self.direction)
+        mouth = np.array(self.mouth)
+        back = mouth - _STRAIGHT * out
+        meshes = [
+            pipe(back.tolist(), mouth.tolist(), self.radius, _PIPE_WALL),
+            bent_bar([back.tolist(), [back[0], back[1], 0.0]], self.radius),
+        ]
+        ring = mouth - 0.4 * _STRAIGHT * out
+        wall_of_ring = 0.3 * self.radius + _PIPE_WALL
+        meshes.append(pipe((ring - 0.03 * out).tolist(), ring.tolist(), 1.3 * self.radius, wall_of_ring))
+        sideways = np.cross([0.0, 0.0, 1.0], out) if abs(out[2]) < 0.95 else np.array([0.0, 1.0, 0.0])
+        truth = Truth("hose", frame(self.mouth, sideways.tolist(), out.tolist()), {"radius": self.radius})
+        return PlacedObjects(tuple(meshes), (truth,))
 
 
 @dataclass(frozen=True)
@@ -20,7 +141,6 @@ class ButtonPanel:
 
     Attributes:
         buttons: x, y, radius of each in the panel's frame [m].
-        size: width and height [m].
         turned_deg: of its face aside from the robot, within 3 degrees.
     """
 
@@ -36,7 +156,7 @@ class ButtonPanel:
             (x, y, z), tilt_axis(self.turned_deg + rng.uniform(-3.0, 3.0), 0.0), *self.size, 0.1, self.buttons
         )
         behind = x + 0.08 + 0.5 * self.size[0] * abs(np.sin(np.radians(self.turned_deg)))
-        parts: list[Placed] = [panel.build(), floor(), wall(behind), upright_pipe(x + 0.04, y + 0.6, 0.03)]
+        parts = [panel.build(), floor(), wall(behind), upright_pipe(x + 0.04, y + 0.6, 0.03)]
         parts += cartons(rng, 1, (0.5, -1.0), 0.1)
         return assemble(name, seed, parts, (x, y, z))
 
@@ -47,7 +167,6 @@ class SwitchBox:
 
     Attributes:
         angle: of the lever from the horizontal, within 0.2 [rad].
-        length: of the lever [m].
         turned_deg: of the box aside from the robot.
     """
 
@@ -74,15 +193,11 @@ class HoseEnd:
         mouth: centre of the opening, within 5 cm [m].
         direction: out of it, within a few degrees.
         radius: outer [m].
-        foot: height its pipe comes from [m].
-        wall_x: of the wall behind [m].
     """
 
     mouth: Vector
     direction: Vector = (-1.0, 0.0, 0.0)
     radius: float = 0.035
-    foot: float = 0.0
-    wall_x: float = 1.2
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
@@ -90,8 +205,8 @@ class HoseEnd:
         x, y, z = np.array(self.mouth) + rng.uniform(-0.05, 0.05, 3)
         out = np.array(self.direction) + rng.normal(0.0, 0.06, 3)
         a, b, c = out / np.linalg.norm(out)
-        hose = Standpipe((x, y, z), (a, b, c), self.radius, foot=self.foot)
-        parts = [hose.build(), floor(), wall(self.wall_x), upright_pipe(self.wall_x - 0.1, y + 0.6, 0.05)]
+        hose = Standpipe((x, y, z), (a, b, c), self.radius)
+        parts = [hose.build(), floor(), wall(1.2), upright_pipe(1.2 - 0.1, y + 0.6, 0.05)]
         return assemble(name, seed, parts, (x, y, z))
 
 

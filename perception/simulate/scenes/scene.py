@@ -1,20 +1,19 @@
-"""A simulated scene: meshes, truth, and where sensors look from."""
+"""A simulated scene: objects with the truth about them, its surroundings, and where sensors look from."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from perception.cloud import Cloud
-from perception.simulate.mesh import Mesh
-from perception.simulate.objects.placed import Placed, Truth, join_placed
-from perception.simulate.scanning import scan
-from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState
+from perception.simulate.mesh import Mesh, box, cylinder
+from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState, scan
 
 VARIANTS: Mapping[str, Sensor] = {
     "dense": Scanner(),
@@ -27,14 +26,120 @@ VARIANTS: Mapping[str, Sensor] = {
 
 
 @dataclass(frozen=True)
+class Truth:
+    """An object as it is, in the words of :class:`perception.Detection`.
+
+    Attributes:
+        pose_world_object: (4, 4); the frame of the detector of that kind.
+        sizes: lengths [m] and angles [rad] by the names that detector uses.
+    """
+
+    kind: str
+    pose_world_object: Float[np.ndarray, "4 4"]
+    sizes: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PlacedObjects:
+    """Objects in the world.
+
+    Attributes:
+        lookalikes: (kind, place) of what a detector may take for a kind without being wrong, as a door's handle is a
+            lever and a steering wheel a wheel; a place is (3,) [m].
+    """
+
+    meshes: tuple[Mesh, ...]
+    truth: tuple[Truth, ...] = ()
+    lookalikes: tuple[tuple[str, Float[np.ndarray, "3"]], ...] = ()
+
+
+def join_objects(parts: Sequence[PlacedObjects]) -> PlacedObjects:
+    """Join several as one."""
+    return PlacedObjects(
+        tuple(mesh for part in parts for mesh in part.meshes),
+        tuple(truth for part in parts for truth in part.truth),
+        tuple(alike for part in parts for alike in part.lookalikes),
+    )
+
+
+def things(*meshes: Mesh) -> PlacedObjects:
+    """Return meshes no detector should find anything in."""
+    return PlacedObjects(meshes)
+
+
+def pose_of(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
+    """Return a (4, 4) pose: turned by roll about x, pitch about y, yaw about z, then moved."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    pose[:3, 3] = position
+    return pose
+
+
+def frame(position: Sequence[float], x: Sequence[float], z: Sequence[float]) -> np.ndarray:
+    """Return a (4, 4) pose with the given z axis, its x axis as near to ``x`` as it can be."""
+    third = np.asarray(z, dtype=float) / np.linalg.norm(z)
+    first = np.asarray(x, dtype=float) - (np.asarray(x) @ third) * third
+    first /= np.linalg.norm(first)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([first, np.cross(third, first), third])
+    pose[:3, 3] = position
+    return pose
+
+
+def floor(half: float = 6.0) -> PlacedObjects:
+    """Return a floor at zero."""
+    return things(box((-half, -half, -0.1), (half, half, 0.0)))
+
+
+def wall(x: float, low: float = -3.0, high: float = 3.0, height: float = 2.6, yaw: float = 0.0) -> PlacedObjects:
+    """Return a wall whose seen face is square to x at ``x``, from y ``low`` to ``high``, turned about the origin."""
+    return PlacedObjects((box((x, low, 0.0), (x + 0.12, high, height)).place(pose_of((0.0, 0.0, 0.0), yaw=yaw)),))
+
+
+def side_walls(y: float, front: float, back: float = -3.0, height: float = 2.6) -> PlacedObjects:
+    """Return walls left and right."""
+    return things(box((back, y, 0.0), (front, y + 0.12, height)), box((back, -y - 0.12, 0.0), (front, -y, height)))
+
+
+def make_room(front: float, back: float, half: float, height: float = 2.6) -> PlacedObjects:
+    """Make four walls and a ceiling."""
+    return PlacedObjects(
+        (
+            *wall(front, -half, half, height).meshes,
+            *side_walls(half, front, back, height).meshes,
+            box((back - 0.12, -half, 0.0), (back, half, height)),
+            box((back, -half, height), (front, half, height + 0.1)),
+        )
+    )
+
+
+def upright_pipe(x: float, y: float, radius: float, height: float = 2.6) -> PlacedObjects:
+    """Make a pipe from the floor up."""
+    return things(cylinder((x, y, 0.0), (x, y, height), radius))
+
+
+def carton(x: float, y: float, size: tuple[float, float, float], yaw: float = 0.0, z: float = 0.0) -> PlacedObjects:
+    """Return a box on the floor or on another, by the middle of its foot."""
+    a, b, c = size
+    mesh = box((-0.5 * a, -0.5 * b, 0.0), (0.5 * a, 0.5 * b, c))
+    return PlacedObjects((mesh.place(pose_of((x, y, z), yaw=yaw)),))
+
+
+def cartons(rng: np.random.Generator, n: int, near: tuple[float, float], spread: float) -> list[PlacedObjects]:
+    """Return a few boxes on the floor around a place; they may touch."""
+    parts = []
+    for _ in range(n):
+        x, y = np.array(near) + rng.uniform(-spread, spread, 2)
+        size = rng.uniform(0.2, 0.5, 3)
+        parts.append(carton(x, y, (size[0], size[1], size[2]), rng.uniform(0.0, np.pi)))
+    return parts
+
+
+@dataclass(frozen=True)
 class SimulatedScene:
     """A world with its truth; the robot stands at the origin on the floor z = 0 and faces +x.
 
     Attributes:
-        name: of the scene.
-        seed: its details were drawn from.
-        meshes: all there is.
-        truth: what detectors should find.
         lookalikes: (kind, place) of what a detector may take for a kind without being wrong.
         poses: of the sensor; the first is where the scan is taken from, others judge it.
     """
@@ -47,13 +152,7 @@ class SimulatedScene:
     poses: tuple[Pose, ...]
 
     def scan(self, variant: str = "dense", pose: int = 0, *, misses: bool = False) -> Cloud:
-        """Return what a sensor gives of it; the same arguments give the same scan.
-
-        Args:
-            variant: one of :data:`VARIANTS`.
-            pose: which of the poses.
-            misses: whether rays that met nothing are given.
-        """
+        """Return what a sensor gives of it; the same arguments give the same scan."""
         noise = zlib.crc32(f"{self.name}/{self.seed}/{variant}/{pose}".encode())
         return scan(self.meshes, self.poses[pose], VARIANTS[variant], noise, misses=misses)
 
@@ -74,13 +173,13 @@ def generator(name: str, seed: int) -> np.random.Generator:
 def assemble(
     name: str,
     seed: int,
-    parts: Sequence[Placed],
+    parts: Sequence[PlacedObjects],
     look_at: Sequence[float],
     position: tuple[float, float, float] = (0.12, 0.0, 1.62),
 ) -> SimulatedScene:
     """Return the parts with two sensor poses, both looking nearly at ``look_at``; the second one is 40 cm aside."""
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed, 1])
-    whole = join_placed(parts)
+    whole = join_objects(parts)
     poses = []
     for shift in ((0.0, 0.0, 0.0), (-0.1, 0.4, -0.12)):
         place = tuple((np.array(position) + shift + rng.normal(0.0, 0.02, 3)).tolist())

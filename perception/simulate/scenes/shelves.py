@@ -8,13 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.simulate.mesh import bent_bar, box, cylinder
-from perception.simulate.objects.loose import Drill, bucket, can, pot, shelf, table
-from perception.simulate.objects.placed import Placed, things
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
-from perception.simulate.scenes.surroundings import floor, wall
+from perception.simulate.scenes.loose import Drill, bucket, can, pot, shelf, table
+from perception.simulate.scenes.scene import (
+    PlacedObjects,
+    Recipe,
+    SimulatedScene,
+    assemble,
+    floor,
+    generator,
+    things,
+    wall,
+)
 
 
-def tools(x: float, y: float, z: float) -> Placed:
+def tools(x: float, y: float, z: float) -> PlacedObjects:
     """Return a hammer and a screwdriver, lying on a board about the place given."""
     return things(
         bent_bar([(x - 0.1, y, z + 0.018), (x + 0.18, y + 0.05, z + 0.018)], 0.015),
@@ -38,7 +45,11 @@ class ToolRack:
         """See :class:`Recipe`."""
         rng = generator(name, seed)
         x = 0.62 + rng.uniform(-0.04, 0.04)
-        parts: list[Placed] = [floor(), wall(x + 0.5), shelf((x, -0.6, 0.0), 1.2, 0.42, (0.1, 0.45, 0.9, 1.35), 1.8)]
+        parts = [
+            floor(),
+            wall(x + 0.5),
+            shelf((x, -0.6, 0.0), 1.2, 0.42, (0.1, 0.45, 0.9, 1.35), 1.8),
+        ]
         for y, z, yaw in self.drills:
             place = (x + 0.16 + rng.uniform(-0.03, 0.03), y + rng.uniform(-0.05, 0.05), z)
             parts.append(Drill(place, np.radians(yaw + rng.uniform(-15.0, 15.0))).build())
@@ -61,7 +72,7 @@ class Workbench:
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
         rng = generator(name, seed)
-        parts: list[Placed] = [floor(), wall(1.4), table((0.5, -0.7, 0.0), 1.4, 0.7, 0.8)]
+        parts = [floor(), wall(1.4), table((0.5, -0.7, 0.0), 1.4, 0.7, 0.8)]
         place = (0.7, 0.08 + rng.uniform(-0.1, 0.1), 0.8)
         parts.append(Drill(place, np.radians(self.yaw + rng.uniform(-20.0, 20.0))).build())
         parts += [tools(0.7, -0.3, 0.8), can((0.9, 0.4, 0.8)), things(box((0.95, -0.2, 0.8), (1.15, 0.2, 1.0)))]

@@ -1,4 +1,4 @@
-"""Valves: wheels of several sizes and tilts, levers on ball valves."""
+"""Wheel and lever valves on pipes: sizes, tilts, crossed rims, side by side."""
 
 from __future__ import annotations
 
@@ -6,15 +6,131 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-from perception.simulate.objects.placed import Placed
-from perception.simulate.objects.valves import LeverValve, PipedWheel
-from perception.simulate.scenes.scene import Recipe, SimulatedScene, assemble, generator
-from perception.simulate.scenes.surroundings import cartons, floor, upright_pipe, wall
+from perception.detect.valve.ring import wheel_basis
+from perception.simulate.mesh import Mesh, bent_bar, cylinder, lathe
+from perception.simulate.scenes.scene import (
+    PlacedObjects,
+    Recipe,
+    SimulatedScene,
+    Truth,
+    assemble,
+    cartons,
+    floor,
+    frame,
+    generator,
+    upright_pipe,
+    wall,
+)
 from perception.simulate.valve_scene import Valve
 
 Vector = tuple[float, float, float]
+# y, z, outer radius [m] and number of spokes of each wheel.
+_MANIFOLD = ((0.28, 1.05, 0.15, 5), (-0.2, 1.1, 0.09, 3), (0.05, 1.5, 0.11, 4))
+_STEM, _LEVER_PIPE_RADIUS, _PIPE_LENGTH = 0.11, 0.04, 1.0  # of lever valves [m]
 _UP, _ACROSS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PipedWheel:
+    """A wheel valve whose stem leads into a body on a straight pipe.
+
+    Attributes:
+        pipe_direction: of the pipe; made square to the wheel's axis.
+        pipe_radius: outer [m].
+        pipe_length: each way from the body [m].
+    """
+
+    wheel: Valve
+    pipe_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    pipe_radius: float = 0.045
+    pipe_length: float = 1.0
+
+    def build(self) -> PlacedObjects:
+        """Build it; the pipe runs ``stem_length`` behind the wheel."""
+        axis = np.array(self.wheel.axis) / np.linalg.norm(self.wheel.axis)
+        body = np.array(self.wheel.centre) - self.wheel.stem_length * axis
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = wheel_basis(axis).T, self.wheel.centre
+        sizes = {
+            "outer_radius": self.wheel.outer_radius,
+            "rim_radius": self.wheel.rim_radius,
+            "tube_radius": self.wheel.tube_radius,
+        }
+        fitting = valve_body(body, axis, self.pipe_direction, self.pipe_radius, self.pipe_length)
+        bonnet = 0.6 * self.wheel.stem_length
+        neck = lathe(
+            [(0.0, bonnet), (0.018, bonnet), (0.022, 0.6 * bonnet), (0.7 * self.pipe_radius, 0.0)],
+            body.tolist(),
+            axis.tolist(),
+        )
+        return PlacedObjects((*self.wheel.meshes(), *fitting, neck), (Truth("valve", pose, sizes),))
+
+
+@dataclass(frozen=True)
+class LeverValve:
+    """A ball valve: a lever on a short stem on a pipe.
+
+    Attributes:
+        pivot: where the stem's axis meets the lever's middle line [m].
+        axis: unit, of the stem, from the pipe to the person who turns it.
+        along: where the lever points; made square to the axis.
+        length: of the lever, from the pivot [m].
+    """
+
+    pivot: tuple[float, float, float]
+    axis: tuple[float, float, float] = (-1.0, 0.0, 0.0)
+    along: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    length: float = 0.25
+    radius: float = 0.013
+    pipe_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def build(self) -> PlacedObjects:
+        """Build it; the lever also looks like a lever."""
+        pose = frame(self.pivot, self.along, self.axis)
+        pivot, axis, along = pose[:3, 3], pose[:3, 2], pose[:3, 0]
+        body = pivot - _STEM * axis
+        end = pivot + (self.length - self.radius) * along
+        meshes = (
+            bent_bar([pivot.tolist(), end.tolist()], self.radius),
+            cylinder((body).tolist(), (pivot + (self.radius + 0.004) * axis).tolist(), 0.014, 24),
+            lathe(
+                [(0.0, 0.7 * _STEM), (0.02, 0.7 * _STEM), (0.03, 0.0)],
+                body.tolist(),
+                axis.tolist(),
+            ),
+            *valve_body(body, axis, self.pipe_direction, _LEVER_PIPE_RADIUS, _PIPE_LENGTH),
+        )
+        sizes = {"lever_length": self.length, "lever_radius": self.radius}
+        alike = (("lever", pivot), ("lever", 0.5 * (pivot + end)))
+        return PlacedObjects(meshes, (Truth("valve", pose, sizes),), alike)
+
+
+def valve_body(
+    place: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+    direction: tuple[float, float, float],
+    radius: float,
+    length: float,
+) -> tuple[Mesh, ...]:
+    """Return a swollen body between two flanges on a pipe whose direction is made square to the stem's axis."""
+    along = np.asarray(direction) - (np.asarray(direction) @ axis) * axis
+    along /= np.linalg.norm(along)
+    half = 1.6 * radius
+    profile = [
+        (radius, -half),
+        (1.25 * radius, -0.6 * half),
+        (1.4 * radius, 0.0),
+        (1.25 * radius, 0.6 * half),
+        (radius, half),
+    ]
+    meshes = [lathe(profile, place.tolist(), along.tolist())]
+    for side in (-1.0, 1.0):
+        flange = place + side * half * along
+        meshes.append(cylinder(flange.tolist(), (flange + side * 0.03 * along).tolist(), 1.7 * radius))
+        meshes.append(cylinder(flange.tolist(), (place + side * length * along).tolist(), radius))
+    return tuple(meshes)
 
 
 def tilt_axis(yaw_deg: float, pitch_deg: float) -> Vector:
@@ -32,10 +148,7 @@ class Wheel:
         angles: of its axis: aside and up, within 4 degrees.
         outer: radius [m].
         tube: radius of the rim's section [m].
-        n_spokes: evenly spaced.
         stem: from the rim's plane to the pipe's middle [m].
-        pipe: direction of the pipe.
-        pipe_radius: [m].
         wall_x: where the wall is; None: 20 cm behind the pipe [m].
         is_crossed: whether a thin pipe stands before the wheel.
     """
@@ -72,23 +185,13 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Manifold:
-    """Three wheels of different sizes on pipes side by side.
-
-    Attributes:
-        rows: y, z, outer radius and number of spokes of each.
-    """
-
-    rows: tuple[tuple[float, float, float, int], ...] = (
-        (0.28, 1.05, 0.15, 5),
-        (-0.2, 1.1, 0.09, 3),
-        (0.05, 1.5, 0.11, 4),
-    )
+    """Three wheels of different sizes on pipes side by side."""
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
         rng = generator(name, seed)
-        parts: list[Placed] = [floor(), wall(1.15)]
-        for y, z, outer, n_spokes in self.rows:
+        parts = [floor(), wall(1.15)]
+        for y, z, outer, n_spokes in _MANIFOLD:
             centre = (0.8 + rng.uniform(-0.03, 0.03), y, z)
             axis = tilt_axis(rng.uniform(-8.0, 8.0), rng.uniform(-5.0, 10.0))
             wheel = Valve(centre, axis, outer - 0.012, 0.012, n_spokes, rng.uniform(0.0, 2.0), stem_length=0.17)
@@ -109,7 +212,7 @@ class BallValves:
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
         rng = generator(name, seed)
-        parts: list[Placed] = [floor(), wall(1.05), upright_pipe(0.98, -0.75, 0.05)]
+        parts = [floor(), wall(1.05), upright_pipe(0.98, -0.75, 0.05)]
         for pivot, along, length, direction in self.levers:
             x, y, z = np.array(pivot) + rng.uniform(-0.03, 0.03, 3)
             a, b, c = np.array(along) + rng.normal(0.0, 0.08, 3)

@@ -1,15 +1,14 @@
-"""The options that choose, place and crop clouds, the same for every command that reads them."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable
-from dataclasses import MISSING, asdict, dataclass, fields
-from functools import wraps
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
 
 Clouds = Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD...")]
 Unit = Annotated[
@@ -48,7 +47,7 @@ Seed = Annotated[int, typer.Option("--seed", help="Of all random choices.", min=
 
 @dataclass(frozen=True)
 class CloudOptions:
-    """Cloud files and how they are to be read, as they stand on a command line."""
+    """Cloud files and how to read them."""
 
     files: Clouds
     unit: Unit = None
@@ -65,26 +64,22 @@ class CloudOptions:
     seed: Seed = 0
 
     def __post_init__(self) -> None:
-        """
-        Raises:
-            typer.BadParameter: options that do not go together, or one twice that holds for all files.
-        """
+        """Raise ``typer.BadParameter`` for options that exclude each other or are repeated."""
         if self.posture is not None and self.robot is None:
             raise typer.BadParameter("--posture needs --robot")
-        for option, given in (("--unit", self.unit), ("--sensor", self.sensor)):
-            if len(given or ()) > 1:
+        for option, values in (("--unit", self.unit), ("--sensor", self.sensor)):
+            if values is not None and len(values) > 1:
                 raise typer.BadParameter(
-                    f"{option} is given {len(given or ())} times; it holds for all clouds, give it once"
+                    f"{option} is given {len(values)} times; it holds for all clouds, give it once"
                 )
 
     @property
     def inputs(self) -> list[Path]:
         """Every file that is read."""
-        beside = [self.posture, None if self.robot is None else Path(self.robot)]
-        return [*self.files, *(path for path in beside if path is not None)]
+        return [*self.files, *(Path(path) for path in (self.posture, self.robot) if path is not None)]
 
-    def asked(self) -> dict[str, Any]:
-        """What ``cloud_asked`` takes."""
+    def to_settings(self) -> dict[str, Any]:
+        """Return the settings for ``parse_cloud_options``."""
         return {
             **asdict(self),
             "files": tuple(self.files),
@@ -94,26 +89,20 @@ class CloudOptions:
         }
 
 
-def with_cloud_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as typer is to see it: the files in place of its parameter ``clouds``, all else at the end."""
-    hints = get_type_hints(CloudOptions, include_extras=True)
-    shared = [
-        inspect.Parameter(
-            one.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if one.default is MISSING else one.default,
-            annotation=hints[one.name],
-        )
-        for one in fields(CloudOptions)
+@dataclass(frozen=True)
+class ServerOptions:
+    """Server of a client command, and the client's credentials."""
+
+    target: Annotated[
+        str, typer.Option(help="Server: HOST:PORT or unix:PATH.", envvar="SCOPT_TARGET", show_default=False)
     ]
-    own = inspect.signature(command, eval_str=True).parameters.values()
-    parameters = [*(shared[0] if one.name == "clouds" else one for one in own), *shared[1:]]
-
-    @wraps(command)
-    def called(**given: Any) -> None:
-        clouds = CloudOptions(**{one.name: given.pop(one.name) for one in shared})
-        command(**given, clouds=clouds)
-
-    only_by_name = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in parameters]
-    called.__signature__ = inspect.Signature(only_by_name)  # type: ignore[attr-defined]
-    return called
+    tls_ca: Annotated[Path | None, typer.Option(help="Authority of the server's certificate (PEM); turns TLS on.")] = (
+        None
+    )
+    tls_cert: Annotated[
+        Path | None, typer.Option(help="Certificate of this client (PEM), if the server requires one.")
+    ] = None
+    tls_key: Annotated[Path | None, typer.Option(help="Private key of that certificate (PEM).")] = None
+    token_file: Annotated[
+        Path | None, typer.Option(help="File with the token; by default the variable SCOPT_TOKEN.")
+    ] = None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, lathe, torus
-from perception.simulate.objects.placed import Placed, Truth, pose_of, things
+from perception.simulate.scenes.scene import PlacedObjects, Truth, pose_of, things
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Drill:
     body_length: float = 0.2
     lean: float = 0.0
 
-    def build(self) -> Placed:
+    def build(self) -> PlacedObjects:
         """Build it; its frame: the middle of the grip, z up along it, x along the chuck."""
         half, battery = 0.5 * self.grip_length, 0.055
         top = half + 0.03
@@ -57,7 +57,7 @@ class Drill:
         foot = pose_of(self.foot, yaw=self.yaw, roll=self.lean)
         pose = foot @ pose_of((0.0, 0.0, half + battery))
         truth = Truth("drill", pose, {"grip_length": self.grip_length, "body_length": self.body_length})
-        return Placed(tuple(mesh.placed(pose) for mesh in meshes), (truth,))
+        return PlacedObjects(tuple(mesh.place(pose) for mesh in meshes), (truth,))
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,6 @@ class Beam:
 
     Attributes:
         pose: (4, 4) of its centre, x along, z along its smallest side.
-        length: [m].
-        width: [m].
-        thickness: [m].
     """
 
     pose: np.ndarray
@@ -76,15 +73,15 @@ class Beam:
     width: float = 0.089
     thickness: float = 0.038
 
-    def build(self) -> Placed:
+    def build(self) -> PlacedObjects:
         """Make a box."""
         half = 0.5 * np.array([self.length, self.width, self.thickness])
         sizes = {"length": self.length, "width": self.width, "thickness": self.thickness}
-        mesh = box((-half).tolist(), half.tolist()).placed(self.pose)
-        return Placed((mesh,), (Truth("beam", self.pose, sizes),))
+        mesh = box((-half).tolist(), half.tolist()).place(self.pose)
+        return PlacedObjects((mesh,), (Truth("beam", self.pose, sizes),))
 
 
-def pot(place: Sequence[float], radius: float = 0.12, height: float = 0.14) -> Placed:
+def pot(place: Sequence[float], radius: float = 0.12, height: float = 0.14) -> PlacedObjects:
     """Make a cooking pot without its lid, two handles."""
     x, y, z = place
     section = [
@@ -101,7 +98,7 @@ def pot(place: Sequence[float], radius: float = 0.12, height: float = 0.14) -> P
     return things(lathe(section, place), *ears)
 
 
-def bucket(place: Sequence[float], radius: float = 0.14, height: float = 0.28) -> Placed:
+def bucket(place: Sequence[float], radius: float = 0.14, height: float = 0.28) -> PlacedObjects:
     """Make a bucket with a rolled rim and its bail down."""
     x, y, z = place
     section = [
@@ -122,13 +119,13 @@ def bucket(place: Sequence[float], radius: float = 0.14, height: float = 0.28) -
     )
 
 
-def can(place: Sequence[float], radius: float = 0.05, height: float = 0.16) -> Placed:
+def can(place: Sequence[float], radius: float = 0.05, height: float = 0.16) -> PlacedObjects:
     """Make a closed tin."""
     x, y, z = place
     return things(cylinder((x, y, z), (x, y, z + height), radius, 32))
 
 
-def shelf(corner: Sequence[float], width: float, depth: float, levels: Sequence[float], height: float) -> Placed:
+def shelf(corner: Sequence[float], width: float, depth: float, levels: Sequence[float], height: float) -> PlacedObjects:
     """Make an open rack: four posts and boards; ``corner`` is its front right foot, x into it, y along it."""
     x, y, z = corner
     post = 0.03
@@ -141,7 +138,7 @@ def shelf(corner: Sequence[float], width: float, depth: float, levels: Sequence[
     return things(*posts, *boards)
 
 
-def table(corner: Sequence[float], length: float = 1.2, depth: float = 0.7, height: float = 0.75) -> Placed:
+def table(corner: Sequence[float], length: float = 1.2, depth: float = 0.7, height: float = 0.75) -> PlacedObjects:
     """Make four legs and a top; ``corner`` is its front right foot, x into it, y along it."""
     x, y, z = corner
     leg = 0.05
@@ -153,15 +150,15 @@ def table(corner: Sequence[float], length: float = 1.2, depth: float = 0.7, heig
     return things(*legs, box((x, y, z + height - 0.03), (x + depth, y + length, z + height)))
 
 
-def chair(place: Sequence[float], yaw: float = 0.0) -> Placed:
+def chair(place: Sequence[float], yaw: float = 0.0) -> PlacedObjects:
     """Make four legs, seat board and back."""
     parts: list[Mesh] = [box((x, y, 0.0), (x + 0.035, y + 0.035, 0.44)) for x in (-0.2, 0.165) for y in (-0.2, 0.165)]
     parts += [box((-0.21, -0.21, 0.44), (0.21, 0.21, 0.465)), box((-0.21, -0.2, 0.6), (-0.19, 0.2, 0.9))]
     parts += [box((-0.21, y, 0.46), (-0.185, y + 0.03, 0.9)) for y in (-0.2, 0.17)]
-    return Placed(tuple(mesh.placed(pose_of(place, yaw=yaw)) for mesh in parts))
+    return PlacedObjects(tuple(mesh.place(pose_of(place, yaw=yaw)) for mesh in parts))
 
 
-def cart(place: Sequence[float], yaw: float = 0.0, wheel: float = 0.15) -> Placed:
+def cart(place: Sequence[float], yaw: float = 0.0, wheel: float = 0.15) -> PlacedObjects:
     """Make a flat cart on four wheels, whose discs lie back between their tyres, with a push bar."""
     parts: list[Mesh] = [box((-0.45, -0.28, wheel + 0.03), (0.45, 0.28, wheel + 0.07))]
     half = [(0.0, 0.015), (0.025, 0.015), (0.025, 0.006), (0.72 * wheel, 0.006), (0.75 * wheel, 0.025), (wheel, 0.025)]
@@ -172,10 +169,10 @@ def cart(place: Sequence[float], yaw: float = 0.0, wheel: float = 0.15) -> Place
     parts.append(
         bent_bar([(-0.44, -0.25, wheel), (-0.55, -0.25, 0.95), (-0.55, 0.25, 0.95), (-0.44, 0.25, wheel)], 0.015)
     )
-    return Placed(tuple(mesh.placed(pose_of(place, yaw=yaw)) for mesh in parts))
+    return PlacedObjects(tuple(mesh.place(pose_of(place, yaw=yaw)) for mesh in parts))
 
 
-def tyre(place: Sequence[float], axis: Sequence[float], radius: float = 0.32, width: float = 0.2) -> Placed:
+def tyre(place: Sequence[float], axis: Sequence[float], radius: float = 0.32, width: float = 0.2) -> PlacedObjects:
     """Make a car tyre without its wheel."""
     inner, half = 0.6 * radius, 0.5 * width
     section = [(inner, -0.8 * half), (0.95 * radius, -half), (radius, -0.7 * half), (radius, 0.7 * half)]
@@ -184,7 +181,7 @@ def tyre(place: Sequence[float], axis: Sequence[float], radius: float = 0.32, wi
     return things(lathe(section, place, axis))
 
 
-def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, height: float = 1.9) -> Placed:
+def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, height: float = 1.9) -> PlacedObjects:
     """Make a plain cupboard with two flush fronts and a gap between; ``corner`` is its front right foot, x into it."""
     x, y, z = corner
     middle = y + 0.5 * width
@@ -194,7 +191,7 @@ def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, he
     return things(box((x + 0.02, y, z), (x + depth, y + width, z + height)), *fronts)
 
 
-def radiator(corner: Sequence[float], length: float = 1.0, height: float = 0.6) -> Placed:
+def radiator(corner: Sequence[float], length: float = 1.0, height: float = 0.6) -> PlacedObjects:
     """Make upright ribs along y between two pipes; ``corner`` is its right foot."""
     x, y, z = corner
     ribs = [capsule((x, y + at, z), (x, y + at, z + height), 0.018) for at in np.arange(0.0, length, 0.055)]

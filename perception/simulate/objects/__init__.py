@@ -1,1 +1,0 @@
-"""Things a simulated scene is made of, each with the truth about itself."""

@@ -1,0 +1,183 @@
+"""A task's phases as planned: waypoints, what the verifier holds them to, and what a step without a solution lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.collision import Contacts
+from costs.robot import RobotModel
+from costs.state import MotionState
+from scopt import Problem, Result
+from service.body.holds import Hold
+from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
+from service.verify import Motion, Target
+
+MOST_REASONS = 5
+LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
+
+Targets = Callable[[float], tuple[Target, ...]]
+"""A phase's targets, given the path parameter of its end."""
+
+WaypointTargets = Callable[[Float[np.ndarray, "T"]], tuple[Target, ...]]
+"""A phase's targets at its waypoints, given the path parameter of each."""
+
+
+@dataclass(frozen=True)
+class PlannedPhase:
+    """A phase of the motion as solved, and what the verifier holds it to.
+
+    Attributes:
+        name: as the user sees it.
+        q: (T, n) waypoints.
+        is_feasible: whether every constraint is kept.
+        holds: residuals kept at zero between the waypoints besides the planted links'.
+        allowances: pairs that may touch besides planted links and floor.
+        targets: made from the path parameter of the phase's end.
+        at_waypoints: targets made from the path parameters of all its waypoints.
+        is_settling: whether it begins outside the balance margin.
+        resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
+    """
+
+    name: str
+    q: Float[np.ndarray, "T n"]
+    is_feasible: bool
+    holds: tuple[Hold, ...] = ()
+    allowances: tuple[Allowance, ...] = ()
+    targets: Targets = lambda s_last: ()
+    at_waypoints: WaypointTargets = lambda s: ()
+    is_settling: bool = False
+    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
+
+    def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
+        """Solve the phase from a denser trajectory between the same ends; None if it cannot be solved again."""
+        if self.resolve is None:
+            return None
+        solved = self.resolve(q)
+        return replace(self, q=solved.x, is_feasible=solved.is_feasible)
+
+    def for_robot(self, robot: RobotModel) -> PlannedPhase:
+        """Return the phase for a robot with further coordinates, which stay at zero."""
+        q = np.zeros((len(self.q), robot.n))
+        q[:, : self.q.shape[1]] = self.q
+        return replace(self, q=q)
+
+
+@dataclass(frozen=True)
+class TaskPlan:
+    """The result of a task's planner.
+
+    Attributes:
+        body: the robot (perhaps with a mechanism) in its scene.
+        phases: in order; the last may be infeasible, then ``stuck`` or ``obstacle`` gives the reason.
+        obstacle: sentences; empty when every phase is feasible.
+        stuck: the step that has no solution; None when every phase is feasible.
+        found_from: the start of the optimiser that led to it, in words; empty where a task has a single start.
+        measure: figures of the task, measured on the finished motion.
+        notes: choices that were made.
+        is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
+    """
+
+    body: WholeBody
+    phases: tuple[PlannedPhase, ...]
+    obstacle: tuple[str, ...] = ()
+    stuck: Stuck | None = None
+    found_from: str = ""
+    measure: Callable[[Motion], Mapping[str, float]] = lambda motion: {}
+    notes: tuple[str, ...] = ()
+    is_impossible: bool = False
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences why the task is not solved; empty when every phase is feasible."""
+        return (*(() if self.stuck is None else self.stuck.best.describe_violations(self.stuck.step)), *self.obstacle)
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether every phase was solved."""
+        return not self.reasons and bool(self.phases) and all(phase.is_feasible for phase in self.phases)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A problem with the optimiser's result, feasible or not."""
+
+    result: Result
+    problem: Problem[MotionState]
+    body: WholeBody
+
+    @property
+    def x(self) -> Float[np.ndarray, "T n"]:
+        """The best waypoints."""
+        return self.result.x
+
+    @cached_property
+    def is_feasible(self) -> bool:
+        """Whether every constraint is kept; of the clearance margin only ``LEAST_CLEARANCE`` is required."""
+        if self.result.is_feasible:
+            return True
+        state = self.problem.state(self.x)
+        contacts = state.contacts
+        required = np.minimum(contacts.margin - CLEARANCE_TOLERANCE, LEAST_CLEARANCE)
+        return bool(np.all(contacts.distance >= required)) and all(
+            float(term.measure_violation(term.residual.value(state)).max(initial=0.0)) <= term.tolerance
+            for term in self.problem.constraints
+            if term.name not in CLEARANCE_TERMS
+        )
+
+    @property
+    def shortfall(self) -> float:
+        """Largest violation relative to its tolerance."""
+        violation = self.result.violation
+        return max((violation[c.name] / c.tolerance for c in self.problem.constraints), default=0.0)
+
+    def describe_violations(self, step: str) -> tuple[str, ...]:
+        """Return the violations at the best waypoints as sentences, the worst first."""
+        state = self.problem.state(self.x)
+        lines: list[tuple[float, str]] = []
+        for constraint in self.problem.constraints:
+            worst = float(constraint.measure_violation(constraint.residual.value(state)).max(initial=0.0))
+            if worst > constraint.tolerance and constraint.name not in CLEARANCE_TERMS:
+                text = f"{step}: '{constraint.name}' is off by {worst:.3g} {constraint.unit}".rstrip()
+                lines.append((worst / constraint.tolerance, text))
+        lines += [(depth / CLEARANCE_TOLERANCE, f"{step}: {text}") for depth, text in self._near_misses(state.contacts)]
+        lines.sort(key=lambda line: -line[0])
+        return tuple(text for _, text in lines[:MOST_REASONS]) or (f"{step}: {self.result.message}",)
+
+    def _near_misses(self, contacts: Contacts) -> list[tuple[float, str]]:
+        """Return each pair that is too near, at its worst: missing clearance [m] and a clause."""
+        worst: dict[tuple[str, str], tuple[float, str]] = {}
+        bodies, pieces = self.body.robot.bodies, self.body.scene.pieces
+        for row in range(len(contacts)):
+            short = float(contacts.margin[row] - contacts.distance[row])
+            if short <= CLEARANCE_TOLERANCE:
+                continue
+            first = bodies[contacts.body[row]].name
+            other = int(contacts.other[row])
+            second = bodies[other].name if contacts.is_self[row] else pieces[other].name
+            distance = 1e3 * float(contacts.distance[row])
+            where = f"between waypoints {contacts.first[row]} and {contacts.second[row]}"
+            if contacts.first[row] == contacts.second[row]:
+                where = "there"
+            how = f"is {-distance:.0f} mm inside" if distance < 0.0 else f"comes within {distance:.0f} mm of"
+            text = f"{first} {how} {second} {where} ({1e3 * float(contacts.margin[row]):.0f} mm are aimed at)"
+            worst[first, second] = max(worst.get((first, second), (0.0, "")), (short, text))
+        return list(worst.values())
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """A step that has no solution, with the best attempt at it."""
+
+    step: str
+    best: Solved
+
+    @staticmethod
+    def at(step: str, solved: Solved) -> Stuck | None:
+        """Return None when the step is solved."""
+        return None if solved.is_feasible else Stuck(step, solved)

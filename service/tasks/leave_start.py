@@ -1,0 +1,168 @@
+"""Leave an unfit start before the task begins: first out of collision, then into balance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance, BodyIndex, BodyRef
+from costs.collision import Contacts, SweptCollisionChecker
+from costs.state import MotionState
+from scopt import Constraint, Cost, Problem
+from service.body.phases import PhaseSolver, change_contacts, straight_path
+from service.body.sampling import free_coordinates
+from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
+from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, make_escape_allowances
+from service.start.overlaps import Overlap
+
+ESCAPE = "escape"
+ESCAPE_WAYPOINTS, SETTLE_WAYPOINTS = 10, 6
+SPREADS = (0.2, 0.2, 0.4, 0.4, 0.8, 0.8)  # of random guesses about the start [rad, m]
+
+
+def leave_start(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
+    """Plan the phases before the task, none where the start is fit; the plan's body stands at their end."""
+    lead = TaskPlan(solver.body, ())
+    if overlaps:
+        lead = _escape(solver, overlaps)
+    if lead.stuck is None and _needs_settling(lead.body):
+        settling = _settle(replace(solver, body=lead.body))
+        lead = replace(settling, phases=(*lead.phases, *settling.phases))
+    return lead
+
+
+@dataclass(frozen=True)
+class LeavingBody(WholeBody):
+    """A robot with overlaps at its start, whose depth must fall along the motion; other pairs keep their margins."""
+
+    overlaps: tuple[Overlap, ...] = ()
+
+    @staticmethod
+    def of(body: WholeBody, overlaps: Sequence[Overlap]) -> LeavingBody:
+        """Return a body with its overlaps."""
+        same = {field.name: getattr(body, field.name) for field in fields(WholeBody)}
+        return LeavingBody(**same, overlaps=tuple(overlaps))
+
+    def make_checker(
+        self,
+        allowances: Sequence[Allowance] = (),
+        ends: Sequence[Float[np.ndarray, "n"]] = (),
+        overrides: Sequence[tuple[BodyRef, BodyRef, float]] = (),
+    ) -> SweptCollisionChecker:
+        """Return the usual checker, but with the whole margin of pairs that overlap at the start."""
+        whole = super().make_checker(allowances, (), overrides).margins
+        fitting = super().make_checker(allowances, ends, overrides)
+        world, own = fitting.margins.world.copy(), fitting.margins.own.copy()
+        overlaps_world = np.isfinite(self._depths[:, len(self.robot.bodies) :])
+        world[overlaps_world] = whole.world[overlaps_world]
+        first, second = whole.self_pairs.T
+        overlaps_own = np.isfinite(self._depths[first, second])
+        own[overlaps_own] = whole.own[overlaps_own]
+        return fitting.with_margins(replace(fitting.margins, world=world, own=own))
+
+    def make_problem(
+        self,
+        lower: Float[np.ndarray, "T n"],
+        upper: Float[np.ndarray, "T n"],
+        checker: SweptCollisionChecker,
+        costs: Sequence[Cost[MotionState]] = (),
+        constraints: Sequence[Constraint[MotionState]] = (),
+        balanced: Sequence[int] | None = None,
+    ) -> Problem[MotionState]:
+        """Return the usual problem, but with overlaps whose depth falls at least linearly over the intervals."""
+        problem = super().make_problem(lower, upper, checker, costs, constraints, balanced)
+        return change_contacts(problem, lambda contacts: self._raise_margins(contacts, len(lower)))
+
+    def _raise_margins(self, contacts: Contacts, n_waypoints: int) -> Contacts:
+        """Raise the margins of overlaps from minus their depth at the start to the usual ones on the last interval."""
+        if n_waypoints == 1:
+            return contacts
+        other = np.where(contacts.is_self, contacts.other, contacts.other + len(self.robot.bodies))
+        depth = self._depths[contacts.body, other]
+        share = 1.0 - contacts.first / max(n_waypoints - 2, 1)
+        # A contact is feasible within a tolerance of its margin.
+        rising = -depth * share + CLEARANCE_TOLERANCE - 0.5 * DEPTH_ROUNDING
+        is_rising = np.isfinite(depth) & (contacts.first < n_waypoints - 2)
+        margin = np.where(is_rising, np.minimum(contacts.margin, rising), contacts.margin)
+        return replace(contacts, margin=margin)
+
+    @cached_property
+    def _depths(self) -> Float[np.ndarray, "B B+P"]:
+        """Depth at the start by body and by other body or piece [m]; NaN without overlap."""
+        index = BodyIndex(self.robot.bodies, self.robot.mechanism_links, self.scene.pieces)
+        depths = np.full(index.shape, np.nan)
+        for overlap in self.overlaps:
+            index.fill(depths, *overlap.pair, overlap.depth)
+        return depths
+
+
+def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
+    """Plan a phase from the start to a nearby configuration without collision.
+
+    Only the pairs that overlap at the start may touch in it, no deeper than there, less and less on the way, and apart
+    at its end.
+    """
+    body = solver.body
+    leaving = replace(solver, body=LeavingBody.of(body, overlaps))
+    with solver.monitor.step(ESCAPE, 0.05):
+        out = _find_free_pose(leaving)
+        if out.is_feasible:
+            line = straight_path(body.nominal, out.x[0], ESCAPE_WAYPOINTS - 1)
+            out = _solve_escape(leaving, np.concatenate([line, line[-1:]]))
+    phase = PlannedPhase(
+        ESCAPE,
+        out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),
+        out.is_feasible,
+        allowances=make_escape_allowances(overlaps),
+        is_settling=_needs_settling(body),
+        resolve=lambda q: _solve_escape(leaving, q, is_end_fixed=True),
+    )
+    return TaskPlan(replace(body, nominal=out.x[-1]), (phase,), stuck=Stuck.at(ESCAPE, out))
+
+
+def _find_free_pose(leaving: PhaseSolver) -> Solved:
+    """Solve for a configuration without collision, from the start, then from random guesses ever farther away."""
+    body = leaving.body
+    rng = np.random.default_rng(leaving.seed)
+    joints = free_coordinates(body)
+    best = leaving.solve_pose(ESCAPE, [body.nominal], ())
+    for reach in SPREADS:
+        if best.is_feasible:
+            break
+        guess = body.nominal.copy()
+        guess[joints] += rng.uniform(-reach, reach, len(joints))
+        solved = leaving.solve_pose(ESCAPE, [np.clip(guess, body.robot.lower, body.robot.upper)], ())
+        best = solved if solved.is_feasible or solved.shortfall < best.shortfall else best
+    return best
+
+
+def _solve_escape(leaving: PhaseSolver, q: Float[np.ndarray, "T n"], is_end_fixed: bool = False) -> Solved:
+    """Solve for the motion out of collision from a first guess that begins at the start."""
+    last = len(q) - 1
+    fixed = {0: q[0], last: q[-1]} if is_end_fixed else {0: q[0]}
+    balanced = [last] if _needs_settling(leaving.body) else None
+    solved = leaving.solve_trajectory(ESCAPE, [q], fixed, balanced=balanced)
+    return solved if solved.is_feasible else leaving.restore_feasibility(ESCAPE, solved)
+
+
+def _needs_settling(body: WholeBody) -> bool:
+    """Return whether the balance margin at the start is smaller than the motion's."""
+    if body.polygon is None:
+        return False
+    com = body.engine(body.nominal[None]).com[:, :2]
+    return bool(body.polygon.margin(com)[0] < body.aims.balance_margin + BALANCE_RESERVE)
+
+
+def _settle(solver: PhaseSolver) -> TaskPlan:
+    """Plan a phase from the start to a nearby configuration inside the balance margin."""
+    body = solver.body
+    start = np.tile(body.nominal, (SETTLE_WAYPOINTS, 1))
+    with solver.monitor.step("settle", 0.05):
+        solved = solver.solve_trajectory("settle", [start], {0: body.nominal}, balanced=[SETTLE_WAYPOINTS - 1])
+    phase = PlannedPhase("settle", solved.x, solved.is_feasible, is_settling=True)
+    return TaskPlan(replace(body, nominal=solved.x[-1]), (phase,), stuck=Stuck.at("settle", solved))
