@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.tables import print_table
 from benchmarks.timing_reference import chain, fastest_duration, spline_through, timing_problems
 from service.motion.timing import time_curve
-from service.verify.limits import timed_peaks
+from service.verify.limits import measure_timed_peaks
 
 N_PROBLEMS = 60
 MEAN_TARGET, MOST_TARGET = 1.03, 1.08
@@ -31,7 +31,7 @@ def main(count: int, seed: int) -> int:
         began = time.process_time()
         law = time_curve(robot, curve)
         cpu_s = time.process_time() - began
-        peaks = timed_peaks(curve, law)
+        peaks = measure_timed_peaks(curve, law)
         used = (float((peaks.speed / robot.velocity).max()), float((peaks.acceleration / robot.acceleration).max()))
         rows.setdefault(problem.kind, []).append((float(law.times[-1]) / reference, *used, 1e3 * cpu_s))
     rows["all"] = [row for kind in rows.values() for row in kind]

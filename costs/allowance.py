@@ -1,4 +1,4 @@
-"""Allowances to touch: pairs of bodies or pieces and their greatest penetration, named by owner, never by patterns."""
+"""Pairs of bodies or pieces that may touch, and the largest penetration allowed; names are exact, not patterns."""
 
 from __future__ import annotations
 

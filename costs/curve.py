@@ -42,7 +42,7 @@ class Curve:
         return np.stack([q0, v0, (3.0 * chord - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * chord) / h**2])
 
     def __call__(self, s: Float[np.ndarray, "S"], order: int = 0) -> Float[np.ndarray, "S n"]:
-        """Configuration (order 0), dq/ds (1) or d2q/ds2 (2, right-sided at knots) at ``s``."""
+        """Return the configuration (order 0), dq/ds (1) or d2q/ds2 (2, right-sided at knots) at ``s``."""
         s = np.minimum(np.maximum(np.atleast_1d(np.asarray(s, dtype=float)), self.knots[0]), self.knots[-1])
         i = np.searchsorted(self.knots[1:-1], s, side="right")
         u = (s - self.knots[i])[:, None]
@@ -82,7 +82,7 @@ class TimeLaw:
         return np.asarray(shares)
 
     def at(self, t: Float[np.ndarray, "S"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Path parameter, its speed and its acceleration (right-sided) at times ``t`` [s]."""
+        """Return the path parameter, its speed and its acceleration (right-sided) at times ``t`` [s]."""
         t = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), self.times[0], self.times[-1])
         i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
         share = self.shares[i]

@@ -46,7 +46,6 @@ class Kinematics:
     """Placements and Jacobians of all joints at all waypoints.
 
     Attributes:
-        robot: the robot.
         topology: of ``robot``.
         q: (T, n) the iterate.
         rotation: (T, J, 3, 3) world from joint.

@@ -7,14 +7,14 @@ from jaxtyping import Float
 
 
 def skew(v: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
-    """Cross-product matrices: ``skew(v) @ u == v x u``."""
+    """Return cross-product matrices: ``skew(v) @ u == v x u``."""
     out = np.zeros((len(v), 3, 3))
     out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
     return out - out.transpose(0, 2, 1)
 
 
 def cross(u: Float[np.ndarray, "m 3"], v: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
-    """Cross products row by row; a fifth of the time of ``np.cross``, which looks at its axes first."""
+    """Return cross products row by row, in a fifth of the time of ``np.cross``."""
     out = np.empty(np.broadcast_shapes(u.shape, v.shape))
     out[:, 0] = u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1]
     out[:, 1] = u[:, 2] * v[:, 0] - u[:, 0] * v[:, 2]
@@ -23,7 +23,7 @@ def cross(u: Float[np.ndarray, "m 3"], v: Float[np.ndarray, "m 3"]) -> Float[np.
 
 
 def log_rotation(rotation: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
-    """Rotation vectors with angles in [0, pi]; accurate near both ends.
+    """Return rotation vectors with angles in [0, pi]; accurate near both ends.
 
     Where a turn is larger than 120 degrees, all go through unit quaternions with a non-negative scalar part, which stay
     well conditioned where the sine of the angle loses the axis (Shepperd, J. Guidance and Control 1978).
@@ -40,7 +40,7 @@ def log_rotation(rotation: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3
 
 
 def _log_by_sine(R: Float[np.ndarray, "m 3 3"], cosine: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m 3"]:
-    """Rotation vectors from the antisymmetric part, whose length is the sine of the angle."""
+    """Return rotation vectors from the antisymmetric part, whose length is the sine of the angle."""
     v = np.empty((len(R), 3))
     v[:, 0] = R[:, 2, 1] - R[:, 1, 2]
     v[:, 1] = R[:, 0, 2] - R[:, 2, 0]
@@ -52,7 +52,7 @@ def _log_by_sine(R: Float[np.ndarray, "m 3 3"], cosine: Float[np.ndarray, "m"]) 
 
 
 def _quaternion(R: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"]]:
-    """Unit quaternions (w, v) with w >= 0: the best conditioned of the four ways to read them off."""
+    """Return unit quaternions (w, v) with w >= 0, by the best conditioned of the four formulas."""
     trace = np.trace(R, axis1=1, axis2=2)
     diagonal = np.diagonal(R, axis1=1, axis2=2)
     squares = np.concatenate([1.0 + trace[:, None], 1.0 + 2.0 * diagonal - trace[:, None]], axis=1)
@@ -77,7 +77,7 @@ def _quaternion(R: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, "m"], 
 
 
 def log_derivative(phi: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
-    """Inverse left Jacobian of SO(3): ``log(exp(w) exp(phi)) ~ phi + log_derivative(phi) w``.
+    """Return the inverse left Jacobian of SO(3): ``log(exp(w) exp(phi)) ~ phi + log_derivative(phi) w``.
 
     Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2, 2012, eq. 10.86.
     """

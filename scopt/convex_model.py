@@ -143,10 +143,9 @@ def assemble(
     neighbouring stages at most; each l1 row has one slack, placed in its last stage.
 
     Args:
-        model: what to minimise.
         is_free: (N,) which step variables may move.
-        is_hard: (A,) absolute rows that become equalities, which saves two rows and a slack each; the same where their
-            penalty would keep them at zero.
+        is_hard: (A,) absolute rows that become equalities, which saves two rows and a slack each; the minimum is
+            the same if their penalty would keep them at zero.
     """
     if is_hard is not None and is_hard.any():
         soft = replace(model, absolute=_select_rows(model.absolute, ~is_hard))

@@ -28,13 +28,12 @@ class Correction:
     (the Maratos effect).  Rows are solved waypoint by waypoint.
 
     Attributes:
-        problem: the problem.
         x: (T, n) the iterate.
         smooth: the constraints that are corrected.
         rows: (m,) their rows in the model.
         is_equal: (m,) whether a row must be zero; else at most zero.
         place: (m,) where each row stands in the (T, K) rows of all waypoints.
-        jacobian: (T, K, n) of each waypoint's rows, zero for places without one.
+        jacobian: (T, K, n) Jacobian of each waypoint's rows, zero for unused places.
         mobility: (T, n) the metric ``M``, zero for fixed variables.
     """
 

@@ -25,7 +25,6 @@ class DerivativeCheck:
         row, waypoint, variable: where.
         variable_name: empty where the state has no ``variable_names``.
         given, measured: the derivative there, and its central difference.
-        tolerance: largest error that passes.
     """
 
     term: str
@@ -36,12 +35,11 @@ class DerivativeCheck:
     variable_name: str
     given: float
     measured: float
-    tolerance: float
 
     @property
     def is_right(self) -> bool:
         """Whether no derivative is off by more than the tolerance."""
-        return self.error <= self.tolerance
+        return self.error <= TOLERANCE
 
     def __str__(self) -> str:
         if self.is_right:
@@ -57,7 +55,6 @@ def check_derivative(
     residual: Residual[StateT],
     state: Callable[[Float[np.ndarray, "T n"]], StateT],
     x: Float[np.ndarray, "T n"],
-    tolerance: float = TOLERANCE,
 ) -> DerivativeCheck:
     """Compare ``linearize`` with central differences at an iterate.
 
@@ -65,7 +62,6 @@ def check_derivative(
         residual: with the same rows at ``x`` and around it.
         state: that of the problem (``Problem.state``).
         x: (T, n); random values show more errors than round ones.
-        tolerance: largest error that passes.
 
     Raises:
         DerivativeError: the rows of ``linearize`` are not those of ``value``, their Jacobian has the wrong shape, or
@@ -91,7 +87,7 @@ def check_derivative(
     given, measured = rows.jacobian.toarray(), differences.linearize().jacobian.toarray()
     error = np.abs(given - measured) / np.maximum(1.0, np.abs(measured))
     if not error.size:
-        return DerivativeCheck(term, 0.0, 0, 0, 0, "", 0.0, 0.0, tolerance)
+        return DerivativeCheck(term, 0.0, 0, 0, 0, "", 0.0, 0.0)
     row, column = divmod(int(np.argmax(error)), x.size)
     waypoint, variable = divmod(column, x.shape[1])
     return DerivativeCheck(
@@ -103,5 +99,4 @@ def check_derivative(
         names[variable] if names else "",
         float(given[row, column]),
         float(measured[row, column]),
-        tolerance,
     )

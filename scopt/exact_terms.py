@@ -48,8 +48,8 @@ def add_exact_terms(
     Every row of a term has a variable ``t >= max(f(x + dx), 0)``, which stands for ``f`` in the objective.
 
     Args:
-        program: of the affine rows.
-        terms: to add, all at one iterate.
+        program: program of the affine rows.
+        terms: convex terms at the same iterate.
         column: (N,) place of each step variable in the program, -1 for fixed ones.
     """
     parts = [_Part.of(term, column, len(program.c)) for term in terms]

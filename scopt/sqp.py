@@ -65,7 +65,6 @@ class TrustRegionSQP:
         """Minimise from ``x0``.
 
         Args:
-            problem: what to solve.
             x0: (T, n) start; clipped into the bounds.
             on_iteration: called after every trial step with its record and the current iterate.
             should_stop: called before every trial step; True ends the solve as CANCELLED.
@@ -208,7 +207,7 @@ class _Trial(Generic[StateT]):
     """Iterate after a step.
 
     Attributes:
-        iterate: measured.
+        iterate: iterate with its measured terms.
         merit: exact merit there.
         evaluate_s: wall time [s].
     """

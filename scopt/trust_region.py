@@ -39,7 +39,6 @@ class TrustRegion:
         Args:
             radius: box of the trial step.
             travel: least radius of a box that holds the trial step; ``radius`` where no step was found.
-            is_accepted: whether the step was taken.
         """
         if is_accepted:
             return radius * self.expand if travel > FILLED * radius else radius

@@ -20,7 +20,7 @@ from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.start.standing import move_floor_to_soles, sole_corners
 from service.verify import Motion, Status, verify
-from service.verify.ground import ground_gaps
+from service.verify.ground import find_ground_gaps
 
 FEET = ("l_foot", "r_foot")
 
@@ -94,8 +94,8 @@ def test_the_gap_of_a_corner_is_measured_to_the_nearest_surface_on_its_vertical(
         "ramp", np.array([[x, y, z] for x, z in ((1, 0), (1, -0.2), (3, 0.2), (3, -0.2)) for y in (-1, 1)])
     )
     corners = np.array([[0.0, 0.0, 0.004], [0.5, 0.5, -0.01], [2.0, 0.0, 0.102], [5.0, 0.0, 0.0]])
-    assert np.allclose(ground_gaps(corners, (flat, ramp)), [0.004, -0.01, 0.002, np.inf], atol=1e-9)
-    assert np.all(np.isinf(ground_gaps(corners, ())))
+    assert np.allclose(find_ground_gaps(corners, (flat, ramp)), [0.004, -0.01, 0.002, np.inf], atol=1e-9)
+    assert np.all(np.isinf(find_ground_gaps(corners, ())))
 
 
 def _seen(height: float, tilt: float = 0.0) -> tuple[ConvexPiece, ...]:
@@ -110,7 +110,7 @@ def _seen(height: float, tilt: float = 0.0) -> tuple[ConvexPiece, ...]:
 def test_a_scanned_floor_is_moved_to_the_soles_by_at_most_30_mm_and_says_so() -> None:
     soles = {foot: sole_corners(atlas(), atlas().postures["stand"], foot) for foot in FEET}
     (floor, box), notes = move_floor_to_soles(_seen(0.02), soles)
-    assert np.abs(ground_gaps(np.vstack(list(soles.values())), (floor,))).max() < 1e-6
+    assert np.abs(find_ground_gaps(np.vstack(list(soles.values())), (floor,))).max() < 1e-6
     assert np.array_equal(box.vertices, _seen(0.02)[1].vertices)
     assert re.fullmatch(r"the scanned floor was moved down by 20\.0 mm to the soles of .*; at most 30 mm", notes[0])
     for height in (0.0, 0.0029, -0.0029, 0.031, -0.031):

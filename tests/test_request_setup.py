@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import perception
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
-from service.demands.scene import flat_floor
+from service.demands.scene import make_floor
 from service.errors import RequestError
 from service.request.file import parse_request
 from service.result.motion_json import file_positions
@@ -167,7 +167,7 @@ def test_a_start_in_collision_names_pair_and_depth() -> None:
 def test_depth_of_a_start_in_collision_is_the_penetration(atlas: RobotModel) -> None:
     # A floor 50 mm too high: both feet stand 50 mm deep in it.
     q = atlas.postures["stand"]
-    lines = describe_collisions(atlas, q, Scene((flat_floor(0.05, q[:2]),)), ("l_foot", "r_foot"))
+    lines = describe_collisions(atlas, q, Scene((make_floor(0.05, q[:2]),)), ("l_foot", "r_foot"))
     assert {line.split(" is ")[0] for line in lines} == {"l_foot", "r_foot"}
     assert all("is 50 mm inside floor" in line for line in lines)
 
@@ -181,7 +181,7 @@ def test_crossed_legs_are_in_collision() -> None:
 def test_a_centre_of_mass_beyond_the_feet_is_told_in_metres(atlas: RobotModel) -> None:
     q = atlas.postures["stand"]
     soles = {"l_foot": sole_corners(atlas, q, "l_foot")}
-    (line,) = find_standing_problems(atlas, q, Scene((flat_floor(0.0, q[:2]),)), soles)
+    (line,) = find_standing_problems(atlas, q, Scene((make_floor(0.0, q[:2]),)), soles)
     inner_edge = float(soles["l_foot"][:, 1].min())
     outside = float(line.split(" m outside")[0].split()[-1])
     assert outside == pytest.approx(inner_edge, abs=0.02)  # the COM is in the middle between the feet

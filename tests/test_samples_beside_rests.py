@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.timing_reference import chain, spline_through
 from service.motion.execute import BESIDE_REST, SAME_TIME_S, SAMPLE_PERIOD_S, _sample_law
 from service.motion.timing import time_curve
-from service.verify.timeline import times_of
+from service.verify.timeline import find_times
 
 
 def test_samples_are_close_to_rests_and_never_all_but_together() -> None:
@@ -17,7 +17,7 @@ def test_samples_are_close_to_rests_and_never_all_but_together() -> None:
     law = time_curve(robot, curve, [rest])
     samples = _sample_law(curve.knots, law, np.full(len(curve.knots) - 1, np.inf))
     assert np.all(np.isin(curve.knots, samples))
-    times = times_of(law, samples)
+    times = find_times(law, samples)
     assert np.diff(times).max() <= SAMPLE_PERIOD_S + 1e-9
     assert np.diff(times).min() > 0.99 * SAME_TIME_S
     length = curve.knots[1] - curve.knots[0]

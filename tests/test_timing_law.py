@@ -18,7 +18,7 @@ from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.motion.timing import TimingError, TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Motion, Phase, SupportPolygon, verify
-from service.verify.limits import timed_peaks
+from service.verify.limits import measure_timed_peaks
 
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 
@@ -92,7 +92,7 @@ def test_limits_hold_everywhere_and_something_is_used_up(seed: int, is_steep: bo
     assert np.all(np.abs(velocity) <= 1.0 + 1e-6)
     assert np.all(np.abs(acceleration) <= 2.0 + 1e-6)
     assert max(np.abs(velocity).max(), np.abs(acceleration).max() / 2.0) > 0.5
-    peaks = timed_peaks(curve, law)
+    peaks = measure_timed_peaks(curve, law)
     assert peaks.speed.max() <= 1.0 + 1e-9
     assert peaks.acceleration.max() <= 2.0 + 1e-9
     certificate = {check.name: check for check in verify(Motion(robot, Scene(), curve, law)).checks}

@@ -41,14 +41,14 @@ def charged(terms: list, x: np.ndarray = X, scene: Scene | None = None) -> list[
     """What each cost of a problem costs."""
     builder, _ = builder_of(document("joint1+joint2", len(x), costs=terms), scene)
     state = state_of(builder, x)
-    return [cost.measure(cost.residual.value(state)) for cost in builder.costs()]
+    return [cost.measure(cost.residual.value(state)) for cost in builder.make_costs()]
 
 
 def violated(terms: list, x: np.ndarray = X, scene: Scene | None = None) -> dict[str, np.ndarray]:
     """By how much each constraint of a problem is off, by name."""
     builder, _ = builder_of(document("joint1+joint2", len(x), constraints=terms), scene)
     state = state_of(builder, x)
-    return {each.name: each.measure_violation(each.residual.value(state)) for each in builder.constraints()}
+    return {each.name: each.measure_violation(each.residual.value(state)) for each in builder.make_constraints()}
 
 
 def test_joint_velocity_costs_the_squares_of_the_steps():
@@ -67,7 +67,7 @@ def test_joint_velocity_costs_the_squares_of_the_steps():
 
 def test_lists_follow_the_order_of_the_manip():
     builder, _ = builder_of(document("joint2+joint1", 3, costs=[term("joint_vel", coeffs=[2.0, 3.0], last_step=1)]))
-    (cost,) = builder.costs()
+    (cost,) = builder.make_costs()
     assert cost.measure(cost.residual.value(state_of(builder, X))) == pytest.approx(2.0 * (np.pi / 2) ** 2)
 
 
@@ -198,7 +198,7 @@ def test_a_forbidden_distance_is_no_more_than_the_fixed_start_has():
 def test_constraints_on_poses_are_equalities_weighed_by_their_coefficients():
     params = {"link": "tip", "xyz": [2, 0, 0], "wxyz": [1, 0, 0, 0], "pos_coeffs": [0, 3, 0], "rot_coeffs": [0, 0, 9]}
     builder, _ = builder_of(document("joint1+joint2", 3, constraints=[term("pose", timestep=1, **params)]))
-    place, turn = builder.constraints()
+    place, turn = builder.make_constraints()
     assert (place.sense, place.scale, turn.scale) == (Sense.EQUAL_ZERO, 3, 9)
     state = state_of(builder, X)
     np.testing.assert_allclose(place.residual.value(state), [1.0])
@@ -214,12 +214,12 @@ def test_bounds_hold_what_does_not_move_what_is_fixed_and_what_joints_are_asked_
     )
     builder, program = builder_of(data)
     lower, upper = builder.body.bounds(3, {})
-    builder.bound(lower, upper)
+    builder.narrow_bounds(lower, upper)
     np.testing.assert_allclose(lower, [[0.1, 0.1], [0.1, 0.1], [0.5, 1.995]])
     np.testing.assert_allclose(upper, [[0.3, 0.3], [0.3, 0.3], [0.5, 1.995]])
     still, _ = builder_of(document("joint2", 3))
     lower, upper = still.body.bounds(3, {})
-    still.bound(lower, upper)
+    still.narrow_bounds(lower, upper)
     np.testing.assert_array_equal(lower[:, 0], upper[:, 0])
     assert sorted(program.fixed) == [2]
 
@@ -231,10 +231,10 @@ def test_on_denser_waypoints_terms_stay_at_their_steps():
     ]
     data = document("joint1+joint2", 3, costs=terms)
     denser = np.insert(X, [1, 2, 2], [[0.0, 0.3], [0.1, np.pi / 2], [0.2, np.pi / 2]], axis=0)
-    timeline = Timeline.of_steps(3).denser(X, denser)
+    timeline = Timeline.of_steps(3).insert_waypoints(X, denser)
     builder, _ = builder_of(data, _beside(0.03), timeline)
     state = state_of(builder, denser)
-    pose, collision = (cost.measure(cost.residual.value(state)) for cost in builder.costs())
+    pose, collision = (cost.measure(cost.residual.value(state)) for cost in builder.make_costs())
     assert pose == pytest.approx(0.0, abs=1e-9)
     assert collision == pytest.approx(2 * 20 * 0.02)  # the two intervals of the first step
 
@@ -251,12 +251,12 @@ def test_feet_stay_above_a_height_and_the_mass_above_a_foot_at_their_waypoint():
     )
     builder, program = builder_of(data, robot=robot)
     state = state_of(builder, program.init)
-    *corners, balance = builder.constraints()
+    *corners, balance = builder.make_constraints()
     assert len(corners) >= 4
     heights = [corner.residual.value(state)[0] for corner in corners]
     np.testing.assert_allclose(heights, 0.02, atol=1e-3)  # the sole is on the floor
     assert balance.residual.value(state).max() > 0.02  # between the feet is not above one of them
-    for constraint in builder.constraints():
+    for constraint in builder.make_constraints():
         check_jacobian(constraint.residual, lambda x: state_of(builder, x), program.init)
 
 
@@ -278,7 +278,9 @@ def test_promises_are_what_the_verifier_knows():
     robot = chain(PLANAR)
     promises = Promises.of(program_of(robot, data), robot)
     assert promises.along == ()
-    joint1, joint2, pose, offset, part, axis = promises.at_waypoints(Timeline.of_steps(3), np.array([0.0, 0.4, 1.0]))
+    joint1, joint2, pose, offset, part, axis = promises.make_waypoint_targets(
+        Timeline.of_steps(3), np.array([0.0, 0.4, 1.0])
+    )
     assert isinstance(joint1, JointTarget)
     assert (joint1.joint, joint1.value, joint1.at) == ("joint1", 0.5, 0.4)
     assert isinstance(joint2, JointTarget)
@@ -299,9 +301,9 @@ def test_a_pose_at_every_waypoint_is_promised_in_between_if_the_start_has_it():
     upright = {"link": "tip", "xyz": [2, 0, 0], "wxyz": [1, 0, 0, 0], "pos_coeffs": [0, 1, 0], "rot_coeffs": [1, 1, 0]}
     terms = [term("cart_pose", timestep=t, **upright) for t in (1, 2)]
     promises = Promises.of(program_of(robot, document("joint1", 3, constraints=terms)), robot)
-    assert [type(target) for target in promises.targets()] == [PoseTarget, AxisTarget]
-    assert promises.at_waypoints(Timeline.of_steps(3), np.arange(3.0)) == ()
-    place, axis = (hold(np.array([0, 1, 2])) for hold in promises.holds())
+    assert [type(target) for target in promises.make_targets()] == [PoseTarget, AxisTarget]
+    assert promises.make_waypoint_targets(Timeline.of_steps(3), np.arange(3.0)) == ()
+    place, axis = (hold(np.array([0, 1, 2])) for hold in promises.make_holds())
     state = contact_free_state(robot)(X)
     np.testing.assert_allclose(place.value(state), [0.0, 1.0, 1.0], atol=1e-12)
     dense = place.linearize(state).jacobian.toarray()

@@ -13,9 +13,9 @@ from trajopt_problems import EXAMPLES, arm, document, findings_of, program_of, s
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from service.request.schema import PoseRequest, StartRequest
-from service.trajopt.manip import manip_columns
 from service.trajopt.problem import PoseTerm, ZmpTerm
 from service.trajopt.program import Timeline
+from service.trajopt.robot_checks import parse_manip
 
 ARM_JOINTS = arm().joint_names
 FEET = ("l_foot", "r_foot")
@@ -47,12 +47,12 @@ def standing_document(n_steps=4, feet=FEET, balanced=range(1, 4), manip="active"
 
 def test_a_manip_is_groups_joints_and_base_in_the_order_they_are_named():
     robot = atlas()
-    columns, problems = manip_columns(robot, "rightarm + back_bkz+base")
+    columns, problems = parse_manip(robot, "rightarm + back_bkz+base")
     assert problems == ()
     assert names(robot, columns) == [*robot.groups["right_arm"], "back_bkz", "base_x", "base_y", "base_yaw"]
-    whole, _ = manip_columns(robot, "active")
+    whole, _ = parse_manip(robot, "active")
     assert names(robot, whole) == [*robot.joint_names[6:], *robot.joint_names[:6]]
-    assert names(arm(), manip_columns(arm(), "active")[0]) == list(ARM_JOINTS)
+    assert names(arm(), parse_manip(arm(), "active")[0]) == list(ARM_JOINTS)
 
 
 @pytest.mark.parametrize(
@@ -149,19 +149,19 @@ def test_joint_constraints_become_ranges_and_a_waypoint_without_freedom_is_fixed
         ),
         (
             document(constraints=[term("joint", vals=[0.2] * 7), term("joint", vals=[0.1] * 7)]),
-            "constraints[1].params.vals[0]: shoulder_yaw at waypoint 4 is asked for something else by constraints[0]",
+            "constraints[1].params.vals[0]: shoulder_yaw at waypoint 4 has a different range in constraints[0]",
         ),
         (
             document(constraints=[term("joint", vals=[0.2] * 7, timestep=0)]),
-            "constraints[0].params.vals[0]: 0.2 cannot be had: shoulder_yaw is fixed at its start, 0",
+            "constraints[0].params.vals[0]: 0.2 is impossible: shoulder_yaw is fixed at its start, 0",
         ),
         (
             document(constraints=[term("joint", vals=[0.2] * 7)], fixed_timesteps=[0, 4]),
-            "constraints[0].params.vals[0]: 0.2 cannot be had: shoulder_yaw is fixed at waypoint 4, 0",
+            "constraints[0].params.vals[0]: 0.2 is impossible: shoulder_yaw is fixed at waypoint 4, 0",
         ),
         (
             document(constraints=[term("joint", vals=[0.2] * 7)], dofs_fixed=[0]),
-            "constraints[0].params.vals[0]: 0.2 cannot be had: shoulder_yaw is fixed at its start, 0",
+            "constraints[0].params.vals[0]: 0.2 is impossible: shoulder_yaw is fixed at its start, 0",
         ),
         (
             document(init={"type": "given_traj", "data": [[3.0] * 7] * 5}),
@@ -181,7 +181,7 @@ def test_joint_constraints_become_ranges_and_a_waypoint_without_freedom_is_fixed
         ),
         (
             document(constraints=[term("zmp", timestep=1, planted_links=["hand"])]),
-            "constraints[0].type: zmp asks for a free base, and that of arm7 is fixed",
+            "constraints[0].type: zmp needs a free base, and that of arm7 is fixed",
         ),
     ],
 )
@@ -263,17 +263,17 @@ def test_a_pose_relative_to_what_no_joint_moves_is_a_pose_in_the_world():
 def test_steps_are_found_again_among_more_waypoints():
     before = np.array([[0.0], [1.0], [1.0], [3.0]])
     after = np.array([[0.0], [0.5], [1.00001], [1.00001], [2.0], [2.5], [3.0]])
-    timeline = Timeline.of_steps(4).denser(before, after)
+    timeline = Timeline.of_steps(4).insert_waypoints(before, after)
     np.testing.assert_array_equal(timeline.rows, [0, 2, 3, 6])
-    again = timeline.denser(after, np.concatenate([after[:5], [[2.2]], after[5:]]))
+    again = timeline.insert_waypoints(after, np.concatenate([after[:5], [[2.2]], after[5:]]))
     np.testing.assert_array_equal(again.rows, [0, 2, 3, 7])
-    np.testing.assert_array_equal(again.between(1, 3), np.arange(2, 8))
-    np.testing.assert_array_equal(again.step_of(again.between(1, 3)), [1, 2, 2, 2, 2, 3])
+    np.testing.assert_array_equal(again.list_waypoints(1, 3), np.arange(2, 8))
+    np.testing.assert_array_equal(again.find_steps(again.list_waypoints(1, 3)), [1, 2, 2, 2, 2, 3])
 
 
 def test_the_robot_a_file_names_has_no_bearing_once_there_is_one():
     program = program_of(chain(PLANAR), document("joint1", robot="pr2"))
-    assert "basic_info.robot: 'pr2' has no bearing; the robot is chain" in program.notes
+    assert "basic_info.robot: 'pr2' has no effect; the robot is chain" in program.notes
 
 
 def test_the_example_for_atlas_plants_both_feet():

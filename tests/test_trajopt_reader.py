@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import RequestError
-from service.trajopt.document import parse_document, read_document
+from service.trajopt.json_fields import parse_document, read_document
 from service.trajopt.problem import (
     CartVelTerm,
     CollisionTerm,
@@ -230,7 +230,10 @@ def test_evaluators_of_either_numbering_look_between_the_waypoints_or_not(evalua
         (changed(("costs", 1, "params", "lower_tols"), [0.1]), "costs[1].params.lower_tols: expected at most 0"),
         (changed(("costs", 0, "type"), "zmp"), "costs[0].type: zmp is a constraint only; list it under constraints"),
         (changed(("costs", 0, "type"), "total_time"), "costs[0].type: 'total_time' is not planned with"),
-        (changed(("costs", 1, "use_time"), True), "costs[1].use_time: joint_acc knows no time; joint_vel alone does"),
+        (
+            changed(("costs", 1, "use_time"), True),
+            "costs[1].use_time: joint_acc does not use time; only joint_vel does",
+        ),
         (changed(("costs", 1, "params", "last_step"), 0), "costs[1].params.last_step: 0 is before first_step, 1"),
         (changed(("basic_info", "n_steps"), 1), "basic_info.n_steps: expected 2 to 500, got 1"),
         (changed(("basic_info", "n_steps"), 5.0), "basic_info.n_steps: a whole number is needed, got 5.0"),

@@ -12,8 +12,8 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.verify import Motion, Phase, PlantedContact
-from service.verify.dynamics import forces, sample_times
-from service.verify.timeline import time_of, times_of
+from service.verify.dynamics import compute_forces, list_sample_times
+from service.verify.timeline import find_time, find_times
 
 FEET = ("l_foot", "r_foot")
 TIMES = np.linspace(0.1, 1.9, 7)
@@ -42,7 +42,7 @@ def _squat(robot: RobotModel, feet: tuple[str, ...]) -> Motion:
 def test_the_ground_carries_all_that_the_base_cannot(atlas: RobotModel, feet: tuple[str, ...]) -> None:
     motion = _squat(atlas, feet)
     assert motion.law is not None
-    found = forces(motion, motion.law, motion.phases[0], TIMES)
+    found = compute_forces(motion, motion.law, motion.phases[0], TIMES)
     weight = 9.81 * sum(inertia.mass for inertia in atlas.model.inertias)
     assert found.wrench[:, 2].mean() == pytest.approx(weight, rel=0.3)
     assert np.abs(found.torque[:, :6]).max() < 1e-8 * weight
@@ -51,8 +51,8 @@ def test_the_ground_carries_all_that_the_base_cannot(atlas: RobotModel, feet: tu
 def test_the_legs_carry_their_foot_s_share_and_the_arms_none(atlas: RobotModel) -> None:
     motion = _squat(atlas, FEET[:1])
     assert motion.law is not None
-    standing = forces(motion, motion.law, motion.phases[0], TIMES).torque
-    free = forces(motion, motion.law, replace(motion.phases[0], contacts=()), TIMES).torque
+    standing = compute_forces(motion, motion.law, motion.phases[0], TIMES).torque
+    free = compute_forces(motion, motion.law, replace(motion.phases[0], contacts=()), TIMES).torque
     names = np.array(atlas.joint_names)
     carries = np.array([name.startswith(("l_leg", "base")) for name in names])
     assert np.allclose(standing[:, ~carries], free[:, ~carries], rtol=0.0, atol=1e-12)
@@ -60,7 +60,7 @@ def test_the_legs_carry_their_foot_s_share_and_the_arms_none(atlas: RobotModel) 
     model, data = atlas.model, atlas.model.createData()
     s, speed, gain = motion.law.at(TIMES)
     slope, bend = motion.curve(s, 1), motion.curve(s, 2)
-    wrench = forces(motion, motion.law, motion.phases[0], TIMES).wrench
+    wrench = compute_forces(motion, motion.law, motion.phases[0], TIMES).wrench
     joint = int(model.frames[model.getFrameId("l_foot")].parentJoint)
     for k, q in enumerate(motion.curve(s)):
         pin.forwardKinematics(model, data, q)
@@ -73,7 +73,7 @@ def test_the_legs_carry_their_foot_s_share_and_the_arms_none(atlas: RobotModel) 
 def test_a_phase_that_stands_on_nothing_has_no_wrench(atlas: RobotModel) -> None:
     motion = _squat(atlas, ())
     assert motion.law is not None
-    wrench = forces(motion, motion.law, motion.phases[0], TIMES).wrench
+    wrench = compute_forces(motion, motion.law, motion.phases[0], TIMES).wrench
     assert wrench.shape == (len(TIMES), 6)
     assert np.all(np.isnan(wrench))
 
@@ -86,15 +86,15 @@ def test_times_of_path_parameters_are_those_of_the_law(atlas: RobotModel) -> Non
         law, path=np.concatenate([[0.0], np.cumsum(0.5 * (law.speed[1:] + law.speed[:-1]) * np.diff(law.times))])
     )
     times = np.linspace(0.0, 2.5, 41)
-    assert np.allclose(times_of(law, law.at(times)[0]), times, atol=1e-7)
-    assert time_of(law, float(law.path[2])) == pytest.approx(1.25)
-    assert time_of(None, 1.0) is None
+    assert np.allclose(find_times(law, law.at(times)[0]), times, atol=1e-7)
+    assert find_time(law, float(law.path[2])) == pytest.approx(1.25)
+    assert find_time(None, 1.0) is None
 
 
 def test_samples_lie_on_both_sides_of_every_jump(atlas: RobotModel) -> None:
     motion = _squat(atlas, FEET)
     assert motion.law is not None
-    times = sample_times(motion, motion.law, 0.0, 1.0, 0.3)
+    times = list_sample_times(motion, motion.law, 0.0, 1.0, 0.3)
     assert times[0] == 0.0
     assert times[-1] == 2.0
     assert np.diff(times).max() <= 0.3

@@ -13,7 +13,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
 from service.verify import Basis, Check, Motion, Phase, PlantedContact, SupportPolygon, VerifySettings
-from service.verify.dynamics import dynamics_checks, forces, sample_times
+from service.verify.dynamics import check_dynamics, compute_forces, list_sample_times
 from service.verify.prepared_motion import PreparedMotion
 
 G, MASS, HEIGHT = 9.81, 7.0, 0.05
@@ -42,14 +42,14 @@ def _accelerated(robot: RobotModel, acceleration: np.ndarray, support: np.ndarra
 def _forces(motion: Motion, times: np.ndarray = TIMES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Wrench, torque and ZMP."""
     assert motion.law is not None
-    found = forces(motion, motion.law, motion.phases[0], times)
+    found = compute_forces(motion, motion.law, motion.phases[0], times)
     np.testing.assert_array_equal(found.times, times)
     return found.wrench, found.torque, found.zmp(HEIGHT)
 
 
 def _checks(motion: Motion) -> dict[str, Check]:
     assert motion.law is not None
-    checks = dynamics_checks(PreparedMotion(motion), motion.phases[0], VerifySettings())
+    checks = check_dynamics(PreparedMotion(motion), motion.phases[0], VerifySettings())
     return {check.name: check for check in checks}
 
 
@@ -57,7 +57,7 @@ def _checks(motion: Motion) -> dict[str, Check]:
 def test_at_rest_the_zmp_is_below_the_centre_of_mass_on_any_plane(height: float) -> None:
     motion = _accelerated(_gantry(), np.zeros(3))
     assert motion.law is not None
-    found = forces(motion, motion.law, motion.phases[0], TIMES)
+    found = compute_forces(motion, motion.law, motion.phases[0], TIMES)
     np.testing.assert_allclose(found.zmp(height), np.tile(OFFSET[:2], (3, 1)), atol=1e-12)
     np.testing.assert_allclose(found.wrench[1, :3], [0.0, 0.0, MASS * G])
     # The moment about the origin: c x f.
@@ -205,7 +205,7 @@ def test_joints_carry_the_feet_s_least_share_of_the_ground_s_wrench(feet: tuple[
 def test_forces_without_torques_are_the_same_wrench() -> None:
     motion = _accelerated(_gantry(), np.array([1.0, 2.0, 0.5]))
     assert motion.law is not None
-    short = forces(motion, motion.law, motion.phases[0], TIMES, torques=False)
+    short = compute_forces(motion, motion.law, motion.phases[0], TIMES, torques=False)
     np.testing.assert_allclose(short.wrench, _forces(motion)[0])
     np.testing.assert_allclose(short.path, TIMES**2)
 
@@ -269,7 +269,7 @@ def test_samples_of_a_phase_lie_within_it_on_both_sides_of_every_jump() -> None:
     curve = Curve(np.array([0.0, 1.0, 2.0, 4.0]), np.zeros((4, 3)), np.zeros((4, 3)))
     law = TimeLaw(np.array([0.0, 0.5, 1.5, 3.5, 4.0]), np.array([0.0, 0.5, 1.5, 3.5, 4.0]), np.ones(5))
     motion = Motion(_gantry(), Scene(), curve, law)
-    times = sample_times(motion, law, 1.0, 3.0, 0.4)
+    times = list_sample_times(motion, law, 1.0, 3.0, 0.4)
     assert (times[0], times[-1]) == (1.0, 3.0)
     assert np.diff(times).max() <= 0.4
     jumps = np.array([1.0 + 1e-7, 1.5 - 1e-7, 1.5 + 1e-7, 2.0 - 1e-7, 2.0 + 1e-7])
@@ -277,7 +277,7 @@ def test_samples_of_a_phase_lie_within_it_on_both_sides_of_every_jump() -> None:
     even = np.linspace(1.0, 3.0, 6)
     assert np.abs(times[:, None] - even).min(axis=0).max() < 1e-12
     assert len(times) == len(jumps) + len(even)
-    assert len(sample_times(motion, law, 1.1, 1.2, 1.0)) == 2
+    assert len(list_sample_times(motion, law, 1.1, 1.2, 1.0)) == 2
 
 
 @pytest.mark.parametrize("border", [1.5, 2.0])  # a point of the law, a knot
@@ -285,7 +285,7 @@ def test_the_near_side_of_a_jump_at_a_phase_s_border_is_sampled(border: float) -
     curve = Curve(np.array([0.0, 2.0, 4.0]), np.zeros((3, 3)), np.zeros((3, 3)))
     law = TimeLaw(np.array([0.0, 1.5, 4.0]), np.array([0.0, 1.5, 4.0]), np.ones(3))
     motion = Motion(_gantry(), Scene(), curve, law)
-    before, after = (sample_times(motion, law, *ends, 10.0) for ends in ((0.5, border), (border, 3.5)))
+    before, after = (list_sample_times(motion, law, *ends, 10.0) for ends in ((0.5, border), (border, 3.5)))
     assert np.abs(before - (border - 1e-7)).min() < 1e-9
     assert np.abs(after - (border + 1e-7)).min() < 1e-9
     assert before.max() == border == after.min()

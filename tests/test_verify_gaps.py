@@ -10,7 +10,7 @@ from told_results import told_results
 
 from service.start.standing import place_bodies
 from service.verify import Basis, Certificate, Status
-from service.verify.solids import convex_of
+from service.verify.solids import make_coal_convex
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +30,12 @@ def test_every_pose_in_collision_lies_in_a_gap_of_its_pair(results, name):
     result = results[name]()
     motion, gaps = result.motion, result.certificate.gaps
     (piece,) = motion.scene.pieces
-    wall, here = convex_of(piece.vertices), coal.Transform3s()
+    wall, here = make_coal_convex(piece.vertices), coal.Transform3s()
     n_inside = 0
     for s in np.linspace(motion.curve.knots[0], motion.curve.knots[-1], 400):
         for body, vertices in place_bodies(motion.robot, motion.curve(np.array([s]))[0]):
-            if (
-                coal.distance(convex_of(vertices), here, wall, here, coal.DistanceRequest(), coal.DistanceResult())
-                < -1e-5
-            ):
+            shape, request = make_coal_convex(vertices), coal.DistanceRequest()
+            if coal.distance(shape, here, wall, here, request, coal.DistanceResult()) < -1e-5:
                 n_inside += 1
                 rows = [k for k, pair in enumerate(gaps.pair) if gaps.pairs[pair] == (body.name, piece.name)]
                 assert any(gaps.first[k] <= s <= gaps.last[k] for k in rows), (body.name, s)

@@ -15,9 +15,9 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify import Check, Motion, Phase, PlantedContact, VerifyError, VerifySettings, verify
-from service.verify.limits import _roots, exported_speeds, timed_checks, timed_peaks
+from service.verify.limits import _roots, check_timing, measure_exported_speeds, measure_timed_peaks
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.timeline import times_of
+from service.verify.timeline import find_times
 
 # What a certified motion may exceed a speed limit by, relative; besides the last places of the numbers.
 TOLERANCE = VerifySettings().limit_tolerance
@@ -40,7 +40,7 @@ def _law(path: np.ndarray, speed: np.ndarray) -> TimeLaw:
 
 def _checks(motion: Motion) -> dict[str, Check]:
     assert motion.law is not None
-    return {check.name: check for check in timed_checks(PreparedMotion(motion), VerifySettings())}
+    return {check.name: check for check in check_timing(PreparedMotion(motion), VerifySettings())}
 
 
 def _brisk(n_steps: int, lie: float) -> Motion:
@@ -68,18 +68,18 @@ def test_an_error_that_is_small_beside_the_curve_does_not_add_up_over_many_steps
 
 def test_a_step_that_is_a_little_too_long_is_refused_and_named() -> None:
     law = _law(np.linspace(0.0, 1.0, 5), np.array([0.0, 1.0, 2.0, 1.0, 0.0]))
-    timed_peaks(LINE, law)
+    measure_timed_peaks(LINE, law)
     for excess in (1.5e-6, -1.5e-6):
         times = law.times.copy()
         times[3:] -= excess * (times[3] - times[2])
         with pytest.raises(VerifyError, match=r"step 2 .*expected 1 within 1e-06"):
-            timed_peaks(LINE, replace(law, times=times))
+            measure_timed_peaks(LINE, replace(law, times=times))
 
 
 def test_a_shortened_step_within_tolerance_raises_the_speed_that_is_reported() -> None:
     law = _law(np.linspace(0.0, 1.0, 5), np.ones(5))
     times = law.times * (1.0 - 8e-7)
-    peaks = timed_peaks(LINE, replace(law, times=times))
+    peaks = measure_timed_peaks(LINE, replace(law, times=times))
     assert peaks.speed.max() == pytest.approx(1.0 + 8e-7, abs=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_the_executed_path_runs_through_the_points_of_a_law_whose_speeds_are_a_l
     path, speed, _ = law.at(np.array([1.0 - 1e-12, 1.0, 2.0 - 1e-12, 2.0]))
     np.testing.assert_allclose(path, [0.6, 0.6, 1.0, 1.0], atol=1e-11)
     np.testing.assert_allclose(speed, [0.6, 0.4, 0.4, 0.4], atol=1e-11)
-    np.testing.assert_allclose(times_of(law, np.array([0.3, 0.6, 0.8])), [0.5, 1.0, 1.5])
+    np.testing.assert_allclose(find_times(law, np.array([0.3, 0.6, 0.8])), [0.5, 1.0, 1.5])
 
 
 @pytest.mark.parametrize(
@@ -111,18 +111,18 @@ def test_the_executed_path_runs_through_the_points_of_a_law_whose_speeds_are_a_l
 )
 def test_a_malformed_law_is_refused(times: list[float], path: list[float], speed: list[float], message: str) -> None:
     with pytest.raises(VerifyError, match=message):
-        timed_peaks(LINE, TimeLaw(np.array(times), np.array(path), np.array(speed)))
+        measure_timed_peaks(LINE, TimeLaw(np.array(times), np.array(path), np.array(speed)))
 
 
 def test_the_ends_of_a_law_are_held_against_the_length_of_the_curve_not_against_where_it_lies() -> None:
     far = Curve(1000.0 + LINE.knots, LINE.positions, LINE.tangents)
     law = TimeLaw(np.array([0.0, 1.0]), np.array([1000.0, 1001.0]), np.ones(2))
-    timed_peaks(far, law)
+    measure_timed_peaks(far, law)
     with pytest.raises(VerifyError, match="not along the whole curve"):
-        timed_peaks(far, replace(law, path=np.array([1000.0 + 5e-9, 1001.0]), speed=np.full(2, 1.0 - 5e-9)))
+        measure_timed_peaks(far, replace(law, path=np.array([1000.0 + 5e-9, 1001.0]), speed=np.full(2, 1.0 - 5e-9)))
     short = Curve(0.1 * LINE.knots, LINE.positions, LINE.tangents)
     with pytest.raises(VerifyError, match="not along the whole curve"):
-        timed_peaks(short, TimeLaw(np.array([0.0, 1.0]), np.array([0.0, 0.1 - 5e-10]), np.full(2, 0.1)))
+        measure_timed_peaks(short, TimeLaw(np.array([0.0, 1.0]), np.array([0.0, 0.1 - 5e-10]), np.full(2, 0.1)))
 
 
 @pytest.mark.parametrize(
@@ -148,9 +148,9 @@ def test_zeros_of_a_parabola_are_exact_however_flat_it_is(
 
 def test_a_law_may_wait_where_it_rests() -> None:
     law = TimeLaw(np.array([0.0, 1.0, 4.0, 5.0]), np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 0.0, 0.0, 1.0]))
-    assert timed_peaks(LINE, law).speed.max() == pytest.approx(1.0)
+    assert measure_timed_peaks(LINE, law).speed.max() == pytest.approx(1.0)
     np.testing.assert_allclose(law.at(np.array([1.0, 2.0, 4.0]))[0], 0.5)
-    np.testing.assert_allclose(times_of(law, np.array([0.0, 0.5, 1.0])), [0.0, 1.0, 5.0])
+    np.testing.assert_allclose(find_times(law, np.array([0.0, 0.5, 1.0])), [0.0, 1.0, 5.0])
 
 
 @settings(max_examples=60)
@@ -161,7 +161,7 @@ def test_the_peaks_of_speed_and_acceleration_are_those_of_dense_samples(seed: in
     inner = rng.uniform(curve.knots[0], curve.knots[-1], int(rng.integers(0, 8)))
     path = np.unique(np.concatenate([curve.knots[[0, -1]], inner]))
     law = _law(path, rng.uniform(0.1, 1.0, len(path)))
-    peaks = timed_peaks(curve, law)
+    peaks = measure_timed_peaks(curve, law)
     for first, last, fastest, hardest in zip(
         peaks.s, np.append(peaks.s[1:], path[-1]), peaks.speed, peaks.acceleration, strict=True
     ):
@@ -181,8 +181,8 @@ def test_both_sides_of_a_knot_count_for_the_acceleration() -> None:
     # q'' is -2 before the knot and 6 behind it, at ds/dt = 1.
     curve = Curve(np.array([0.0, 1.0, 2.0]), np.array([[0.0], [1.0], [4.0]]), np.array([[2.0], [0.0], [6.0]]))
     law = TimeLaw(np.array([0.0, 2.0]), np.array([0.0, 2.0]), np.ones(2))
-    np.testing.assert_allclose(timed_peaks(curve, law).acceleration[:, 0], [2.0, 6.0])
-    np.testing.assert_allclose(timed_peaks(curve, law).speed[:, 0], [2.0, 6.0])
+    np.testing.assert_allclose(measure_timed_peaks(curve, law).acceleration[:, 0], [2.0, 6.0])
+    np.testing.assert_allclose(measure_timed_peaks(curve, law).speed[:, 0], [2.0, 6.0])
 
 
 def test_a_check_names_its_joint_and_where_its_peak_is() -> None:
@@ -205,10 +205,10 @@ def test_a_check_names_its_joint_and_where_its_peak_is() -> None:
 
 def test_exported_speeds_are_differences_of_positions_over_those_of_times() -> None:
     law = TimeLaw(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.25, 1.0]), np.array([0.0, 0.5, 1.0]))
-    found = exported_speeds(LINE, law, np.array([0.0, 0.25, 1.0]))
+    found = measure_exported_speeds(LINE, law, np.array([0.0, 0.25, 1.0]))
     np.testing.assert_allclose(found, [[0.25], [0.75]], rtol=1e-12)
     back = Curve(LINE.knots, -LINE.positions, -LINE.tangents)
-    np.testing.assert_allclose(exported_speeds(back, law, np.array([0.0, 0.25, 1.0])), found, rtol=1e-12)
+    np.testing.assert_allclose(measure_exported_speeds(back, law, np.array([0.0, 0.25, 1.0])), found, rtol=1e-12)
 
 
 def test_what_rounding_makes_of_close_samples_is_no_speed() -> None:
@@ -221,11 +221,13 @@ def test_what_rounding_makes_of_close_samples_is_no_speed() -> None:
         curve = Curve(knots, offset + way * LINE.positions, way * LINE.tangents)
         law = TimeLaw(np.arange(2.0) / pace, knots, np.full(2, pace))
         samples = np.unique(np.concatenate([knots, start + 0.99 + 1e-11 * np.arange(50)]))
-        assert exported_speeds(curve, law, samples).max() <= pace * (1.0 + 1e-9)
+        assert measure_exported_speeds(curve, law, samples).max() <= pace * (1.0 + 1e-9)
         # And no more than that is forgiven: ten times the distance is ten times the speed, but for the last places.
-        fast = exported_speeds(curve, TimeLaw(0.1 * law.times, knots, 10.0 * law.speed), samples)
+        fast = measure_exported_speeds(curve, TimeLaw(0.1 * law.times, knots, 10.0 * law.speed), samples)
         assert fast[[0, -1]].min() >= 9.9999 * pace
-    one = exported_speeds(LINE, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2)), np.array([0.0, 1e-12, 1.0]))
+    one = measure_exported_speeds(
+        LINE, TimeLaw(np.arange(2.0), np.arange(2.0), np.ones(2)), np.array([0.0, 1e-12, 1.0])
+    )
     assert 0.98 < one[0, 0] <= 1.0
 
 
@@ -235,11 +237,11 @@ def test_samples_that_are_faster_than_the_limit_are_refused_however_the_law_expl
     law = TimeLaw(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.ones(2))
     motion = Motion(_robot(1, 1.0), Scene(), LINE, law, samples=np.linspace(0.0, 1.0, 11))
     assert _checks(motion)["limits.exported"].ok
-    monkeypatch.setattr("service.verify.limits.times_of", lambda law, s: s * (1.0 - 3e-6))
+    monkeypatch.setattr("service.verify.limits.find_times", lambda law, s: s * (1.0 - 3e-6))
     check = _checks(motion)["limits.exported"]
     assert not check.ok
     assert check.value == pytest.approx(1.0 + 3e-6, abs=1e-9)
-    monkeypatch.setattr("service.verify.limits.times_of", lambda law, s: np.minimum(s, 0.5))  # repeated times
+    monkeypatch.setattr("service.verify.limits.find_times", lambda law, s: np.minimum(s, 0.5))  # repeated times
     assert _checks(motion)["limits.exported"].value == np.inf
     still = replace(motion, curve=Curve(LINE.knots, np.zeros((2, 1)), np.zeros((2, 1))))
     assert _checks(still)["limits.exported"].value == 0.0
@@ -313,7 +315,7 @@ def test_no_certified_law_executes_or_exports_more_than_its_speed_limit(seed: in
     inner = np.linspace(curve.knots[0], curve.knots[-1], int(10.0 ** rng.uniform(0.5, 4.0)) + 2)
     path = np.unique(np.concatenate([curve.knots, inner]))
     honest = _law(path, rng.uniform(0.2, 1.0) * (1.0 + 0.1 * rng.random(len(path))))
-    limit = timed_peaks(curve, honest).speed.max(axis=0)
+    limit = measure_timed_peaks(curve, honest).speed.max(axis=0)
     samples = np.unique(np.concatenate([curve.knots, rng.choice(path, size=min(len(path), 50))]))
     motion = Motion(_robot(2, limit), Scene(), curve, honest, samples=samples)
     assert all(check.ok for check in _checks(motion).values())
@@ -329,7 +331,7 @@ def test_no_certified_law_executes_or_exports_more_than_its_speed_limit(seed: in
     share = (dense - law.times[step]) / np.diff(law.times)[step]
     rise = law.speed[step] * share + 0.5 * np.diff(law.speed)[step] * share**2
     along = law.path[step] + np.diff(law.path)[step] * rise / (0.5 * (law.speed[step] + law.speed[step + 1]))
-    for times, s in ((law.times, law.path), (times_of(law, samples), samples), (dense, along)):
+    for times, s in ((law.times, law.path), (find_times(law, samples), samples), (dense, along)):
         moved, took = np.abs(np.diff(curve(s), axis=0)), np.diff(times)[:, None]
         rounding = 1e-14 * (1.0 + np.abs(curve(s)).max() + np.abs(curve(s, 1)).max() * s[-1] + limit * times[-1])
         assert np.all(moved <= limit * took * (1.0 + 1.01 * TOLERANCE) + rounding)

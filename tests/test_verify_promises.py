@@ -28,7 +28,7 @@ from service.verify import (
     VerifyError,
     verify,
 )
-from service.verify.limits import timed_peaks
+from service.verify.limits import measure_timed_peaks
 
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 
@@ -229,7 +229,7 @@ def test_timed_peaks_hold_at_dense_samples_and_accelerations_are_reached(seed: i
     speed = rng.uniform(0.1, 1.0, len(path))
     times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(path) / (speed[:-1] + speed[1:]))])
     law = TimeLaw(times, path, speed)
-    peaks = timed_peaks(curve, law)
+    peaks = measure_timed_peaks(curve, law)
     s, ds, dds = law.at(np.linspace(0.0, times[-1], 20001)[:-1])
     velocity = curve(s, 1) * ds[:, None]
     acceleration = curve(s, 1) * dds[:, None] + curve(s, 2) * (ds**2)[:, None]

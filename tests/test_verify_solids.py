@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 from small_robots import CUBE
 
 from costs.robot import LinkBody
-from service.verify.solids import DistanceQuery, Solid, convex_of, supports
+from service.verify.solids import DistanceQuery, Solid, make_coal_convex, supports
 
 
 def _apart(first: np.ndarray, second: np.ndarray, shift: np.ndarray) -> tuple[float, np.ndarray]:
     """coal's signed distance and direction for the first set, shifted, and the second."""
-    distance, direction = DistanceQuery().closest([convex_of(first)], np.eye(3)[None], shift[None], [convex_of(second)])
+    distance, direction = DistanceQuery().closest(
+        [make_coal_convex(first)], np.eye(3)[None], shift[None], [make_coal_convex(second)]
+    )
     return float(distance[0]), direction[0]
 
 
@@ -66,10 +68,10 @@ def test_overlapping_sets_have_their_depth_as_negative_distance() -> None:
 
 def test_equal_points_share_a_convex_and_other_points_never_do() -> None:
     points = np.random.default_rng(0).normal(size=(40, 3))
-    assert convex_of(points) is convex_of(points.copy())
+    assert make_coal_convex(points) is make_coal_convex(points.copy())
     moved = points.copy()
     moved[0, 0] += 1e-12
-    assert convex_of(moved) is not convex_of(points)
+    assert make_coal_convex(moved) is not make_coal_convex(points)
 
 
 def test_the_solid_of_a_body_is_made_once() -> None:

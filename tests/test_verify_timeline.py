@@ -12,9 +12,9 @@ from small_robots import robot_of
 from costs.curve import Curve, TimeLaw
 from costs.scene import Scene
 from service.verify import Motion, Phase, VerifyError, VerifySettings
-from service.verify.limits import position_checks
+from service.verify.limits import check_positions
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.timeline import edges_within, list_phases, split_at_phases, time_of, times_of
+from service.verify.timeline import edges_within, find_time, find_times, list_phases, split_at_phases
 
 # Up to speed 2 in 1 s, on at 2 for 1 s, down in 1 s, a pause of 3 s, and 1 s at ever greater speed.
 LAW = TimeLaw(
@@ -41,25 +41,25 @@ def _motion(knots: list[float], phases: tuple[Phase, ...] = ()) -> Motion:
     ],
 )  # fmt: skip
 def test_a_place_is_reached_when_the_law_by_hand_says(s: float, time: float) -> None:
-    assert time_of(LAW, s) == pytest.approx(time, abs=1e-9)
-    assert times_of(LAW, np.array([s, s])) == pytest.approx([time, time], abs=1e-9)
-    assert time_of(None, s) is None
+    assert find_time(LAW, s) == pytest.approx(time, abs=1e-9)
+    assert find_times(LAW, np.array([s, s])) == pytest.approx([time, time], abs=1e-9)
+    assert find_time(None, s) is None
 
 
 def test_a_slow_start_takes_the_root_of_the_way() -> None:
     slow = TimeLaw(np.array([0.0, 4.0]), np.array([0.0, 1.0]), np.array([0.0, 0.5]))
-    assert times_of(slow, np.array([1.0 / 16.0, 0.25, 1.0])) == pytest.approx([1.0, 2.0, 4.0])
+    assert find_times(slow, np.array([1.0 / 16.0, 0.25, 1.0])) == pytest.approx([1.0, 2.0, 4.0])
     brief = TimeLaw(np.array([0.0, 0.25]), np.array([0.0, 1.0]), np.array([8.0, 0.0]))
-    assert times_of(brief, np.array([0.75, 1.0])) == pytest.approx([0.125, 0.25])
+    assert find_times(brief, np.array([0.75, 1.0])) == pytest.approx([0.125, 0.25])
 
 
 def test_times_never_run_back_nor_beyond_their_step() -> None:
     s = np.linspace(0.0, 5.0, 10_001)
-    times = times_of(LAW, s)
+    times = find_times(LAW, s)
     assert np.all(np.diff(times) > 0.0)
     # A law that lies about its speeds is read no further than the step's end.
     lazy = TimeLaw(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0]), np.array([0.1, 0.1, 5.0]))
-    assert times_of(lazy, np.array([0.5, 1.0, 2.0])) == pytest.approx([0.5, 1.0, 2.0])
+    assert find_times(lazy, np.array([0.5, 1.0, 2.0])) == pytest.approx([0.5, 1.0, 2.0])
 
 
 def test_without_phases_the_whole_curve_is_one_that_promises_nothing() -> None:
@@ -131,7 +131,7 @@ def test_the_extreme_between_two_knots_is_held_against_both_limits(
     curve = Curve(np.array([0.0, 0.25, 1.25]), motion.curve.positions, motion.curve.tangents)
     curve.positions[0, 1] = 0.0
     robot = replace(motion.robot, lower=np.array([-9.0, lower]), upper=np.array([9.0, upper]))
-    (check,) = position_checks(PreparedMotion(replace(motion, curve=curve, robot=robot)), VerifySettings())
+    (check,) = check_positions(PreparedMotion(replace(motion, curve=curve, robot=robot)), VerifySettings())
     assert check.name == "limits.position"
     assert check.value == pytest.approx(excess, abs=1e-12)
     assert check.ok == (excess < 1e-9)

@@ -16,7 +16,7 @@ from viewer_results import make_result
 from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.verify import Basis, Check
-from service.verify.timeline import time_of
+from service.verify.timeline import find_time
 from service.viewer import write_viewer
 
 READ = """({
@@ -56,7 +56,7 @@ class Page:
 
     def time(self, check: Check) -> float:
         law = self.result.motion.law
-        return check.where.s if law is None else time_of(law, check.where.s)
+        return check.where.s if law is None else find_time(law, check.where.s)
 
 
 @pytest.fixture(scope="module")

@@ -29,9 +29,6 @@ class SweptCollisionChecker:
     def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins, buffer: float = 0.03) -> None:
         """
         Args:
-            robot: the robot.
-            scene: its obstacles.
-            margins: required clearance per pair.
             buffer: pairs are reported up to this beyond their margin [m].
         """
         self.robot, self.scene, self.margins, self.buffer = robot, scene, margins, buffer

@@ -19,12 +19,6 @@ class PoseChecker:
     """Checks many poses at once for pairs nearer than their margin; motion between poses is not checked."""
 
     def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins) -> None:
-        """
-        Args:
-            robot: the robot.
-            scene: its obstacles.
-            margins: required clearance per pair.
-        """
         self._bodies = BodyVertices.of(robot)
         self._shapes = [make_outer_convex(body) for body in robot.bodies]
         self._pieces = [make_convex(piece.vertices) for piece in scene.pieces]

@@ -33,10 +33,8 @@ def _make_hull(points: bytes) -> coal.Convex:
         vertices = vertices[np.arange(MIN_POINTS) % len(vertices)]
     try:
         hull = ConvexHull(vertices)
-    except (
-        QhullError,
-        ValueError,
-    ):  # flat or a line or a point: no triangulation, every point is a neighbour of every other
+    except (QhullError, ValueError):
+        # A flat set, a line or a point has no triangulation: every point is a neighbour of every other.
         return _convex(vertices, _make_complete_graph(len(vertices)))
     used = hull.vertices
     index = np.full(len(vertices), -1)

@@ -104,7 +104,7 @@ def share_gradient(
 def _support(
     vertices: Float[np.ndarray, "m V 3"], normal: Float[np.ndarray, "m 3"]
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"]]:
-    """Lowest height along the normal, and the mean of the vertices that reach it."""
+    """Return the lowest height along the normal, and the mean of the vertices that reach it."""
     height = np.einsum("mvk,mk->mv", vertices, normal)
     lowest = height.min(axis=1)
     weight = (height < lowest[:, None] + SUPPORT_BAND).astype(float)

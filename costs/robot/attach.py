@@ -1,6 +1,6 @@
-"""A robot with bodies that its links carry (a beam in its hands), as links of its own description.
+"""Bodies that a robot's links carry (a beam in its hands), added as links of the robot.
 
-They are written into the robot's own URDF and SRDF, so that readers of these files get the same robot.
+They are written into the robot's URDF and SRDF, so that readers of these files get the same robot.
 """
 
 from __future__ import annotations

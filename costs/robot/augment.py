@@ -33,7 +33,6 @@ def with_revolute(
     model's centre of mass stays the robot's.
 
     Args:
-        robot: the robot; it is not changed.
         name: the joint's name, which becomes the last of ``joint_names``.
         origin: a point on the axis, in the world [m].
         axis: direction of the axis in the world; angles turn right-handed about it.

@@ -46,9 +46,6 @@ def make_outer_hull(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 
 
     Aims at an excess (height above the body's nearest face plane) of 3 mm or 2 % of the body's extent, whichever is
     less, with 32 points where these are expected to be enough, else with 40 or 48.
-
-    Args:
-        vertices: corners of a convex hull [m].
     """
     if len(vertices) <= EXACT_VERTICES:
         return vertices

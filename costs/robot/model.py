@@ -57,7 +57,6 @@ class RobotModel:
     """A robot with ``n`` degrees of freedom whose configuration is a plain vector.
 
     Attributes:
-        name: its name.
         model: pinocchio model with nq == nv == n.
         joint_names: n coordinate names; with a floating base the first six are ``BASE_NAMES``.
         lower, upper: (n,) position limits [rad, m]; base unbounded (+-inf).

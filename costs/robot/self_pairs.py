@@ -150,7 +150,6 @@ def derive_ignored_pairs(
     bodies: Sequence[LinkBody],
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
-    n_poses: int = N_POSES,
 ) -> Mapping[tuple[str, str], str]:
     """Derive link pairs not to check, with the reason: ``Adjacent``, or ``Always`` (overlap in nearly all poses)."""
     fixed = find_same_joint_pairs(bodies) | find_adjacent_pairs(model, bodies)
@@ -160,8 +159,8 @@ def derive_ignored_pairs(
     # A pair apart in one of the first poses can hardly overlap in nearly all: the many poses are for the few left.
     first = count_contacts(model, bodies, rest, draw_poses(model, lower, upper, 20))
     suspects = [pair for pair in rest if first[pair] >= 0.8 * 20]
-    counts = count_contacts(model, bodies, suspects, draw_poses(model, lower, upper, n_poses, seed=1))
-    reasons.update((pair, "Always") for pair in suspects if counts[pair] >= ALWAYS_FRACTION * n_poses)
+    counts = count_contacts(model, bodies, suspects, draw_poses(model, lower, upper, N_POSES, seed=1))
+    reasons.update((pair, "Always") for pair in suspects if counts[pair] >= ALWAYS_FRACTION * N_POSES)
     return reasons
 
 

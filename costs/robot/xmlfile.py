@@ -1,4 +1,4 @@
-"""Reading XML from strangers: sizes capped, no entities, no network, finite numbers only."""
+"""Reading of untrusted XML: limited size, no entities, no network access, finite numbers only."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def read_xml_text(path: Path) -> str:
 
 
 def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
-    """Root element of ``text``, which must be ``<root_tag>`` and carry no DOCTYPE.
+    """Parse an XML text whose root element is ``<root_tag>``.
 
-    Entities are never resolved and a DOCTYPE (where entity bombs and external references live) is refused.
+    Entities are never resolved; a DOCTYPE is refused, since it can define entity bombs and external references.
     """
     if len(text) > MAX_XML_BYTES:
         raise RobotError(f"{where}: larger than {MAX_XML_BYTES // 2**20} MB; a robot description is far smaller")

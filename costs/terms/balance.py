@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from costs.state import MotionState
 from costs.support import SupportPolygon
+from costs.terms.pose import make_waypoint_rows
 from scopt import AffineRows, Residual
 
 GRAVITY = 9.81
@@ -37,13 +38,7 @@ class CentreOfMassInPolygon(Residual[MotionState]):
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics = state.kinematics
         rows = np.einsum("ek,skn->sen", self._polygon.normals, kinematics.com_jacobian[self._waypoints, :2])
-        n_edges = len(self._polygon.offsets)
-        return AffineRows.from_blocks(
-            self.value(state),
-            np.repeat(self._waypoints, n_edges),
-            rows.reshape(-1, 1, rows.shape[2]),
-            kinematics.n_waypoints,
-        )
+        return make_waypoint_rows(self.value(state), rows, self._waypoints, kinematics)
 
 
 class CentreOfMassAt(Residual[MotionState]):
@@ -58,8 +53,8 @@ class CentreOfMassAt(Residual[MotionState]):
 
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics = state.kinematics
-        rows = kinematics.com_jacobian[self._waypoints, :2].reshape(-1, 1, kinematics.q.shape[1])
-        return AffineRows.from_blocks(self.value(state), np.repeat(self._waypoints, 2), rows, kinematics.n_waypoints)
+        rows = kinematics.com_jacobian[self._waypoints, :2]
+        return make_waypoint_rows(self.value(state), rows, self._waypoints, kinematics)
 
 
 class CartTableZmpInPolygon(Residual[MotionState]):
@@ -79,7 +74,6 @@ class CartTableZmpInPolygon(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            polygon: support polygon.
             waypoints: (S,) inner waypoints (neither first nor last of the trajectory).
             dt: time between waypoints [s].
             margin: how far inside the ZMP shall be [m].

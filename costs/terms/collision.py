@@ -15,15 +15,10 @@ class SweptClearance(Residual[MotionState]):
     """Margin less distance of a pair, one row per contact [m]; at most zero where the margin is kept.
 
     The rows are those of ``MotionState.contacts``: signed distances of swept hulls, split between the two waypoints by
-    where the witness point lies.
+    where the witness point lies.  ``is_self`` selects contacts of the robot with itself, else with the world.
     """
 
     def __init__(self, robot: RobotModel, *, is_self: bool) -> None:
-        """
-        Args:
-            robot: of the contacts.
-            is_self: whether to take the robot's contacts with itself or with the world.
-        """
         self._joint = np.array([body.joint for body in robot.bodies], dtype=int)
         self._is_self = is_self
 

@@ -19,7 +19,6 @@ class FrameDisplacement(Residual[MotionState]):
     def __init__(self, robot: RobotModel, frame: str, intervals: Int[np.ndarray, "I"] | Sequence[int]) -> None:
         """
         Args:
-            robot: the robot.
             frame: link or frame name.
             intervals: (I,) first waypoints of the intervals that count; each ends at the next waypoint.
         """

@@ -29,9 +29,7 @@ class JointDifference(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            n_waypoints: T.
             joint_weights: (n,) factor of each joint's rows; rows of weight 0 are left out.
-            order: 1, 2 or 3.
             dt: time between waypoints [s]; 1 measures per waypoint.
             waypoints: first waypoints of the differences that count; all if not given.
         """

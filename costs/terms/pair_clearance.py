@@ -101,9 +101,8 @@ class PairClearance(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: of the contacts.
             required: per interval; for single poses, per waypoint.
-            poses: finds the contacts of single waypoints; None for swept ones.
+            poses: checker for contacts at single waypoints; None for swept contacts.
         """
         self._required = required
         self._poses = poses

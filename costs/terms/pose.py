@@ -14,6 +14,7 @@ from costs.state import MotionState
 from scopt import AffineRows, Residual
 
 ALL_AXES = (True,) * 6
+_IDENTITY = np.eye(4)[None]
 SMALLEST_SINE = 1e-12  # below it an axis has no direction across another
 OPPOSITE_SINE = 1e-4  # below it an axis counts as opposite its direction [rad]
 
@@ -28,9 +29,9 @@ class _Frame:
             self.joint, self.pose_joint_frame = locate_frame(robot, name)
 
     def pose(
-        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"]
+        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"] = _IDENTITY
     ) -> tuple[Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
-        """World rotation and position of the frame moved by ``offset`` (in the frame)."""
+        """Return world rotation and position of the frame moved by ``offset`` (in the frame)."""
         local = self.pose_joint_frame @ offset
         rotation = kinematics.rotation[waypoints, self.joint]
         position = kinematics.position[waypoints, self.joint]
@@ -59,7 +60,6 @@ class FramePose(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the rows are measured.
             target: (4, 4) or (S, 4, 4) ``pose_reference_target``.
@@ -71,7 +71,7 @@ class FramePose(Residual[MotionState]):
         self._target = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
         self._axes: Bool[np.ndarray, "6"] = np.asarray(axes, dtype=bool)
         self._turns = bool(self._axes[3:].any())
-        self._offset = (np.eye(4) if offset is None else np.asarray(offset, dtype=float))[None]
+        self._offset = _IDENTITY if offset is None else np.asarray(offset, dtype=float)[None]
         self._frame = _Frame(robot, frame)
         self._reference = _Frame(robot, reference)
 
@@ -94,7 +94,7 @@ class FramePose(Residual[MotionState]):
             if reference:
                 angular = angular - kinematics.angular_jacobian(reference)[here]
             rows = np.concatenate([rows, log_derivative(error[:, 3:]) @ (to_target @ angular)], axis=1)
-        return _make_rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
+        return make_waypoint_rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
 
     def _error(
         self, kinematics: Kinematics
@@ -127,9 +127,8 @@ class AxisDirection(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: the robot.
             frame: link or frame name.
-            waypoints: (S,) where the rows are measured.
+            waypoints: (S,) waypoints of the rows.
             axis: (3,) in the frame.
             direction: (3,) in the reference.
             reference: frame the direction is given in; the world if None.
@@ -149,7 +148,7 @@ class AxisDirection(Residual[MotionState]):
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics, here = state.kinematics, self._waypoints
         along, tangential, world_axis = self._components(kinematics)
-        rotation, _ = self._reference.pose(kinematics, here, np.eye(4)[None])
+        rotation, _ = self._reference.pose(kinematics, here)
         angular = kinematics.angular_jacobian(self._frame.joint)[here]
         angular = angular - kinematics.angular_jacobian(self._reference.joint)[here]
         moved = -skew(world_axis) @ angular  # d(axis) relative to the reference, in the world
@@ -161,15 +160,14 @@ class AxisDirection(Residual[MotionState]):
         d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
         rows = across[:, None, None] * d_tangential
         rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
-        return _make_rows(angle[:, None] * unit, rows, here, kinematics)
+        return make_waypoint_rows(angle[:, None] * unit, rows, here, kinematics)
 
     def _components(
         self, kinematics: Kinematics
     ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S 3"]]:
-        """Cosine, tangent components (in the reference) and world direction of the axis."""
-        identity = np.eye(4)[None]
-        rotation, _ = self._frame.pose(kinematics, self._waypoints, identity)
-        reference, _ = self._reference.pose(kinematics, self._waypoints, identity)
+        """Return cosine, tangent components (in the reference) and world direction of the axis."""
+        rotation, _ = self._frame.pose(kinematics, self._waypoints)
+        reference, _ = self._reference.pose(kinematics, self._waypoints)
         world_axis = rotation @ self._axis
         local = np.einsum("skl,sk->sl", reference, world_axis)
         return local @ self._direction, local @ self._tangents.T, world_axis
@@ -178,10 +176,10 @@ class AxisDirection(Residual[MotionState]):
 def _deviation(
     cosine: Float[np.ndarray, "S"], tangential: Float[np.ndarray, "S 2"]
 ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S"]]:
-    """Angle, the unit tangent along which the axis deviates, and how fast the rows turn as it moves across [rad/rad].
+    """Return the angle, the unit tangent of the deviation, and the rows' change per change across it [rad/rad].
 
-    Exactly opposite the direction every way back is as short; the first tangent is taken.  Close to it the rows turn
-    about the direction without bound, so that only the way back is linearised there.
+    Exactly opposite the direction all ways back are equally short; the first tangent is taken.  Near it the derivative
+    across the deviation has no bound, so that only the way back is linearised there.
     """
     sine = np.linalg.norm(tangential, axis=1)
     angle = np.arctan2(sine, cosine)
@@ -208,7 +206,6 @@ class PointHalfSpace(Residual[MotionState]):
     ) -> None:
         """
         Args:
-            robot: the robot.
             frame: link or frame name.
             waypoints: (S,) where the row is measured.
             normal: (3,) in the world.
@@ -231,7 +228,7 @@ class PointHalfSpace(Residual[MotionState]):
         _, position = self._frame.pose(kinematics, here, self._local[None])
         direction = np.broadcast_to(self._normal, position.shape)
         rows = kinematics.directional_jacobian(here, np.full(len(here), self._frame.joint), position, direction)
-        return _make_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
+        return make_waypoint_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
 
 
 def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -242,13 +239,13 @@ def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return v / norm
 
 
-def _make_rows(
-    value: Float[np.ndarray, "S k"],
+def make_waypoint_rows(
+    value: Float[np.ndarray, "..."],
     jacobian: Float[np.ndarray, "S k n"],
     waypoints: Int[np.ndarray, "S"],
     kinematics: Kinematics,
 ) -> AffineRows:
-    """Make rows of single waypoints."""
+    """Make k rows per waypoint from values and their derivatives by that waypoint's coordinates."""
     n_rows, k, n = jacobian.shape
     return AffineRows.from_blocks(
         value.ravel(), np.repeat(waypoints, k), jacobian.reshape(n_rows * k, 1, n), kinematics.n_waypoints

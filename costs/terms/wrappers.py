@@ -11,7 +11,10 @@ from scopt.residual import StateT
 
 
 class Scaled(Residual[StateT]):
-    """``gain * (r - target)`` for each row ``r`` [unit of gain times unit of r]."""
+    """``gain * (r - target)`` for each row ``r`` [unit of gain times unit of r].
+
+    Gain and target are numbers for all rows, or (k,) repeated over the rows (k rows per waypoint).
+    """
 
     def __init__(
         self,
@@ -19,12 +22,6 @@ class Scaled(Residual[StateT]):
         gain: Float[np.ndarray, "k"] | float,
         target: Float[np.ndarray, "k"] | float = 0.0,
     ) -> None:
-        """
-        Args:
-            residual: wrapped.
-            gain: one number for all rows, or ``(k,)`` repeated over the rows (k rows per waypoint).
-            target: likewise, subtracted from each row.
-        """
         self._residual = residual
         self.is_smooth = residual.is_smooth
         self._gain = _as_rows(gain)
@@ -42,14 +39,9 @@ class Scaled(Residual[StateT]):
 
 
 class Masked(Residual[StateT]):
-    """The rows of a residual, without derivatives by coordinates that do not move."""
+    """Rows of a residual without derivatives by coordinates that do not move; ``moves`` is (n,), per waypoint."""
 
     def __init__(self, residual: Residual[StateT], moves: Bool[np.ndarray, "n"]) -> None:
-        """
-        Args:
-            residual: wrapped.
-            moves: (n,) whether each coordinate of a waypoint moves.
-        """
         self._residual = residual
         self.is_smooth = residual.is_smooth
         self._moves = np.asarray(moves, dtype=float)
@@ -65,7 +57,10 @@ class Masked(Residual[StateT]):
 
 
 class Between(Residual[StateT]):
-    """``r - upper`` and ``lower - r`` for each row ``r``: at most zero where ``lower <= r <= upper``."""
+    """``r - upper`` and ``lower - r`` for each row ``r``: at most zero where ``lower <= r <= upper``.
+
+    Bounds are numbers for all rows, or (k,) repeated over the rows (k rows per waypoint).
+    """
 
     def __init__(
         self,
@@ -73,11 +68,6 @@ class Between(Residual[StateT]):
         lower: Float[np.ndarray, "k"] | float,
         upper: Float[np.ndarray, "k"] | float,
     ) -> None:
-        """
-        Args:
-            residual: bounded.
-            lower, upper: one number for all rows, or ``(k,)`` repeated over the rows (k rows per waypoint).
-        """
         self._residual = residual
         self.is_smooth = residual.is_smooth
         self._lower, self._upper = _as_rows(lower), _as_rows(upper)
@@ -97,14 +87,9 @@ class Between(Residual[StateT]):
 
 
 class WithinTolerance(Between[StateT]):
-    """``r - tolerance`` and ``-r - tolerance`` for each row ``r``: at most zero where ``|r| <= tolerance``."""
+    """``r - tolerance`` and ``-r - tolerance`` for each row ``r``, as in ``Between``."""
 
     def __init__(self, residual: Residual[StateT], tolerance: Float[np.ndarray, "k"] | float) -> None:
-        """
-        Args:
-            residual: bounded.
-            tolerance: one number for all rows, or ``(k,)`` repeated over the rows (k rows per waypoint).
-        """
         tolerances = _as_rows(tolerance)
         super().__init__(residual, -tolerances, tolerances)
 

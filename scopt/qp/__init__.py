@@ -13,7 +13,7 @@ BACKENDS: dict[str, QPBackend] = {"piqp": solve_piqp, "clarabel": solve_clarabel
 
 
 def select_backend(name: str) -> QPBackend:
-    """Return the back end of a name.
+    """Return the back end with a name.
 
     Raises:
         SolverError: the name is unknown.

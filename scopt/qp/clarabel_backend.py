@@ -1,4 +1,4 @@
-"""Clarabel (Goulart and Chen, 2024): interior point for conic programs, the fall-back in the loop."""
+"""Fall-back QP back end and conic solver, Clarabel: interior point (Goulart and Chen, 2024)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CVXPY, the reference back end: slow, independent of our assembly of any solver's form."""
+"""Reference QP back end, CVXPY: slow, and independent of this package's assembly of solver inputs."""
 
 from __future__ import annotations
 

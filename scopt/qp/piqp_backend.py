@@ -1,4 +1,4 @@
-"""PIQP (Schwan et al., CDC 2023): proximal interior point with a sparse or multistage factorisation, for the loop."""
+"""Default QP back end, PIQP: proximal interior point, sparse or multistage (Schwan et al., CDC 2023)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from scipy import sparse
 from scopt.errors import SolverError
 from scopt.qp.program import QPSolution, QPStatus, QuadraticProgram
 
+TOLERANCE = 1e-6  # absolute and relative
 DUALITY_GAP = 1e-5  # of the objective, absolute and relative; PIQP's own 1e-8 costs two iterations of eleven
 
 # The multistage factorisation treats a stage, slacks included, as dense: best for few rows of many joints (Atlas: three
@@ -26,7 +27,7 @@ _STATUS = {
 }
 
 
-def solve_piqp(program: QuadraticProgram, tolerance: float = 1e-6) -> QPSolution:
+def solve_piqp(program: QuadraticProgram) -> QPSolution:
     """Solve with PIQP's factorisation that suits the program; variables and rows are expected in stage order.
 
     Raises:
@@ -36,10 +37,8 @@ def solve_piqp(program: QuadraticProgram, tolerance: float = 1e-6) -> QPSolution
     settings = solver.settings
     is_sparse = len(program.h) > MOST_ROWS * len(program.c) or program.G.nnz + program.P.nnz < FEW_ENTRIES
     settings.kkt_solver = piqp.KKTSolver.sparse_ldlt if is_sparse else piqp.KKTSolver.sparse_multistage
-    settings.eps_abs = tolerance
-    settings.eps_rel = tolerance
-    settings.eps_duality_gap_abs = DUALITY_GAP
-    settings.eps_duality_gap_rel = DUALITY_GAP
+    settings.eps_abs = settings.eps_rel = TOLERANCE
+    settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = DUALITY_GAP
     solver.setup(
         sparse.csc_matrix(program.P),
         program.c,

@@ -16,7 +16,7 @@ from costs.state import MotionState
 from costs.stopping import poll
 from costs.terms import AxisDirection, FramePose
 from scopt import Constraint, Residual, Sense
-from service.demands.targets import free_axis, wanted_pose
+from service.demands.targets import find_free_axis, make_kept_pose
 from service.errors import RequestError
 from service.request.schema import KeepRequest
 from service.verify import RelativePoseTarget
@@ -184,10 +184,10 @@ def _make_kept_pose(robot: RobotModel, start: Float[np.ndarray, "n"], keep: Keep
         keep.link,
         keep.relative_to,
         held,
-        wanted_pose(keep, held),
+        make_kept_pose(keep, held),
         keep.position_tolerance_m,
         float(np.deg2rad(keep.rotation_tolerance_deg)),
-        free_axis(keep),
+        find_free_axis(keep),
     )
 
 

@@ -26,7 +26,7 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Problem, Sense
 from service.body.holds import DRIFT, Hold, KeptPose, project_onto_holds
-from service.demands.stance import BALANCE_RESERVE, standing_allowances
+from service.demands.stance import BALANCE_RESERVE, make_standing_allowances
 from service.start.standing import sole_corners
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
@@ -169,7 +169,7 @@ class WholeBody:
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
         """Return the allowances of planted links that rest on the floor."""
-        return standing_allowances([foot.link for foot in self.planted], self.scene)
+        return make_standing_allowances([foot.link for foot in self.planted], self.scene)
 
     def make_problem(
         self,

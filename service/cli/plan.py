@@ -57,7 +57,7 @@ def plan_command(
         from service.request.file import load_request, replace_cloud
 
         if trajopt:
-            from service.trajopt.files import TrajoptFiles, load_trajopt_request
+            from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
             limit_s = TrajoptFiles.time_limit_s if time_limit is None else time_limit
             files = TrajoptFiles(robot, srdf, package_root, floating, scene, start, limit_s)

@@ -1,12 +1,10 @@
 """Demands of a request on its motion, and a recorded motion held to them; imports nothing that plans."""
 
-from service.demands.demand import Demands
-from service.demands.differences import compare_pace
-from service.demands.holding import HeldMotion, hold_to_request
+from service.demands.held_motion import Demands, HeldMotion, compare_pace, hold_to_request
 from service.demands.program import ProgramDemand
 from service.demands.recorded_turn import compare_turn
-from service.demands.scene import compose_scene, has_scan, recorded_obstacles
-from service.demands.stance import planted_feet
+from service.demands.scene import compose_scene, find_recorded_obstacles, has_scan
+from service.demands.stance import list_planted_feet
 
 __all__ = [
     "Demands",
@@ -15,8 +13,8 @@ __all__ = [
     "compare_pace",
     "compare_turn",
     "compose_scene",
+    "find_recorded_obstacles",
     "has_scan",
     "hold_to_request",
-    "planted_feet",
-    "recorded_obstacles",
+    "list_planted_feet",
 ]

@@ -37,7 +37,7 @@ class ProgramDemand:
     unproven: tuple[str, ...] = ()
 
 
-def program_targets(
+def make_program_targets(
     program: ProgramDemand, robot: RobotModel, knots: Float[np.ndarray, "K"], q: Float[np.ndarray, "K n"]
 ) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     """Return the targets of a program at the waypoints of a motion, and a sentence for a step that no waypoint meets.
@@ -46,8 +46,6 @@ def program_targets(
     motion's first waypoint, the last step its last.
 
     Args:
-        program: the demands.
-        robot: the robot.
         knots: (K,) path parameters of the waypoints.
         q: (K, n) configurations at the waypoints.
     """
@@ -80,7 +78,7 @@ def report_fixed_joints_that_move(
 
 
 def _holds(robot: RobotModel, target: StepTarget, q: Float[np.ndarray, "n"]) -> bool:
-    """Whether a target holds at a configuration."""
+    """Return whether a target holds at a configuration."""
     if isinstance(target, JointTarget):
         return bool(abs(q[robot.joint_names.index(target.joint)] - target.value) <= target.tolerance + ROUNDING)
     data = robot.model.createData()

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from service.demands.wheel import HAND_AXIS, HANDS, Hand, Wheel, hook_allowances, stroke_targets
+from service.demands.wheel import HAND_AXIS, HANDS, Hand, Wheel, make_hook_allowances, make_stroke_targets
 from service.request.schema import ValveRequest
 from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget, Target
 
@@ -46,7 +46,6 @@ class RecordedTurn:
     """Choices of a recorded turn, among those the task permits.
 
     Attributes:
-        wheel: the wheel.
         strokes: strokes in order.
         problems: one sentence for each violation of the task.
     """
@@ -78,7 +77,7 @@ class RecordedTurn:
             target
             for stroke in self.strokes
             if stroke.phase == index
-            for target in stroke_targets(self.wheel, stroke.hand, stroke.entry, stroke.last, at, stroke.grasp)
+            for target in make_stroke_targets(self.wheel, stroke.hand, stroke.entry, stroke.last, at, stroke.grasp)
         )
 
     def allowances(self, index: int, phase: Phase) -> tuple[Allowance, ...]:
@@ -89,7 +88,7 @@ class RecordedTurn:
         after = [stroke for stroke in self.strokes if stroke.phase >= index] or [self.strokes[-1]]
         before = [stroke for stroke in self.strokes if stroke.phase <= index] or [self.strokes[0]]
         stroke = before[-1] if _role(phase) == "retract" else after[0]
-        return hook_allowances(self.wheel, stroke.hand)
+        return make_hook_allowances(self.wheel, stroke.hand)
 
 
 def _role(phase: Phase) -> str:

@@ -46,7 +46,7 @@ def compose_scene(
         floor = robot.is_floating and not any(piece.kind == FLOOR_KIND for piece in pieces)
     if floor is not False:
         height = 0.0 if floor is True else float(floor)
-        flat = flat_floor(height, start[:2] if robot.is_floating else np.zeros(2))
+        flat = make_floor(height, start[:2] if robot.is_floating else np.zeros(2))
         pieces += rename_clashing((flat,), taken)[0]
     try:
         return Scene(tuple(pieces)), renamed
@@ -56,7 +56,7 @@ def compose_scene(
         ) from None
 
 
-def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
+def make_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
     """Return a floor of 20 m by 20 m whose top is at ``height`` [m]."""
     corners = shapes.box(np.array([2.0 * FLOOR_HALF_WIDTH_M, 2.0 * FLOOR_HALF_WIDTH_M, FLOOR_THICKNESS_M]))
     centre = np.array([*centre_xy, height - 0.5 * FLOOR_THICKNESS_M])
@@ -64,11 +64,11 @@ def flat_floor(height: float, centre_xy: Float[np.ndarray, "2"]) -> ConvexPiece:
 
 
 def has_scan(request: PlanRequest) -> bool:
-    """Whether the scene comes from a scan, or from a scene file made of one."""
+    """Return whether the scene comes from a scan, or from a scene file made of one."""
     return request.scene.cloud is not None or request.scene.file is not None
 
 
-def recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
+def find_recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
     """Return the pieces of the request's mesh files in a recorded scene: the files may have moved."""
     names = [obstacle.name for obstacle in request.scene.obstacles if isinstance(obstacle, MeshRequest)]
     return tuple(
@@ -79,5 +79,5 @@ def recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[ConvexPie
 
 
 def _is_part(piece: str, obstacle: str) -> bool:
-    """Whether a piece is named like a part of a mesh."""
+    """Return whether a piece is named like a part of a mesh."""
     return piece.startswith(f"{obstacle}/") and piece[len(obstacle) + 1 :].isdigit()

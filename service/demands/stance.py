@@ -28,7 +28,6 @@ class Stance:
     """The feet as they stand at the start.
 
     Attributes:
-        robot: the robot.
         contacts: of the planted links.
         hull: of the soles; None where balance is waived.
         height: of the soles [m].
@@ -75,19 +74,19 @@ class Stance:
         return SupportPolygon(self.hull.vertices, margin, self.height)
 
 
-def planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[str, ...]:
+def list_planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[str, ...]:
     """Return the links that a request plants: those it lists, or the robot's own; none where the base is fixed."""
     if not robot.is_floating:
         return ()
     return robot.link_groups.get(FEET_GROUP, ()) if feet is None else feet
 
 
-def standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, ...]:
+def make_standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, ...]:
     """Return the allowances of planted links that rest on floors."""
     floors = [BodyRef.of_piece(piece.name) for piece in scene.pieces if piece.kind == FLOOR_KIND]
     return tuple(Allowance(BodyRef.of_link(foot), floor, STANDING_DEPTH_M) for foot in feet for floor in floors)
 
 
-def leaving_allowances(overlaps: Sequence[Overlap]) -> tuple[Allowance, ...]:
+def make_escape_allowances(overlaps: Sequence[Overlap]) -> tuple[Allowance, ...]:
     """Return the allowances of an escape: overlaps at the start may stay as deep as they are there."""
     return tuple(Allowance(*overlap.pair, overlap.depth + DEPTH_ROUNDING) for overlap in overlaps)

@@ -18,7 +18,7 @@ SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond 
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
-def goal_joints(robot: RobotModel, goal: GoalRequest) -> Mapping[int, float]:
+def find_goal_joints(robot: RobotModel, goal: GoalRequest) -> Mapping[int, float]:
     """Return the goal's value by coordinate; a posture's base stays free, since the planted feet do not move."""
     if goal.posture is None:
         return {robot.joint_names.index(name): value for name, value in goal.joints.items()}
@@ -27,18 +27,18 @@ def goal_joints(robot: RobotModel, goal: GoalRequest) -> Mapping[int, float]:
     return {index: float(posture[index]) for index in range(first, len(posture))}
 
 
-def goal_targets(robot: RobotModel, goal: GoalRequest, at: float) -> tuple[Target, ...]:
+def make_goal_targets(robot: RobotModel, goal: GoalRequest, at: float) -> tuple[Target, ...]:
     """Return the targets of a goal that the motion must reach at path parameter ``at``."""
     return (
         *(
             JointTarget(robot.joint_names[i], value, JOINT_TOLERANCE, at)
-            for i, value in goal_joints(robot, goal).items()
+            for i, value in find_goal_joints(robot, goal).items()
         ),
         *(target for pose in goal.poses for target in _pose_targets(pose, at)),
     )
 
 
-def rotation_of(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+def make_goal_rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
     """Return the requested rotation_world_link; None where the orientation is free."""
     if pose.quaternion_wxyz is None:
         return None
@@ -47,7 +47,7 @@ def rotation_of(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
 
 def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
     """Return a pose target, or a position and the direction of the free axis."""
-    rotation = rotation_of(pose)
+    rotation = make_goal_rotation(pose)
     turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
     place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
     position = np.asarray(pose.position, dtype=float)
@@ -60,9 +60,9 @@ def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
     )
 
 
-def kept_target(robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequest) -> RelativePoseTarget:
+def make_kept_target(robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequest) -> RelativePoseTarget:
     """Return the target of one kept pose, relative to the configuration at the start."""
-    pose = wanted_pose(keep, _relative_pose(robot, start, keep.link, keep.relative_to))
+    pose = make_kept_pose(keep, _relative_pose(robot, start, keep.link, keep.relative_to))
     return RelativePoseTarget(
         keep.link,
         keep.relative_to,
@@ -70,11 +70,11 @@ def kept_target(robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequ
         pose[:3, :3],
         keep.position_tolerance_m,
         float(np.deg2rad(keep.rotation_tolerance_deg)),
-        free_axis(keep),
+        find_free_axis(keep),
     )
 
 
-def wanted_pose(keep: KeepRequest, held: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+def make_kept_pose(keep: KeepRequest, held: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """Return the kept pose: the request's where it gives one, else ``held``, the one at the start."""
     wanted = held.copy()
     if keep.position is not None:
@@ -84,7 +84,7 @@ def wanted_pose(keep: KeepRequest, held: Float[np.ndarray, "4 4"]) -> Float[np.n
     return wanted
 
 
-def free_axis(keep: KeepRequest) -> Float[np.ndarray, "3"] | None:
+def find_free_axis(keep: KeepRequest) -> Float[np.ndarray, "3"] | None:
     """Return the unit axis of the link about which it may turn, or None."""
     return None if keep.free_axis == "none" else np.eye(3)[AXES[keep.free_axis]]
 

@@ -77,7 +77,7 @@ class Hand:
 HANDS = {"left": Hand("left", "l_tool", "l_hook"), "right": Hand("right", "r_tool", "r_hook")}
 
 
-def wheel_of(valve: ValveDetection) -> Wheel:
+def make_wheel(valve: ValveDetection) -> Wheel:
     """Return the wheel of a detected or given valve; its gaps in the order of their angles."""
     from perception import (  # slow to import, and needed for valves only
         has_clear_spokes,
@@ -95,7 +95,7 @@ def wheel_of(valve: ValveDetection) -> Wheel:
     return Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, _gaps(valve), bodies, rim)
 
 
-def robot_with_wheel(robot: RobotModel, wheel: Wheel) -> RobotModel:
+def add_wheel_joint(robot: RobotModel, wheel: Wheel) -> RobotModel:
     """Return the robot with the wheel's angle as its last coordinate."""
     return with_revolute(
         robot,
@@ -111,27 +111,25 @@ def robot_with_wheel(robot: RobotModel, wheel: Wheel) -> RobotModel:
     )
 
 
-def hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
+def make_hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
     """Return the allowances of a hook on the rim."""
     hook, depth = BodyRef.of_link(hand.hook), wheel.tube_radius + TOUCH_RESERVE
     return tuple(Allowance(hook, BodyRef("mechanism", VALVE_LINK, body), depth) for body in wheel.rim)
 
 
-def stroke_targets(
+def make_stroke_targets(
     wheel: Wheel, hand: Hand, entry: float, angle: float, at: float, grasp: Float[np.ndarray, "3 3"] | None = None
 ) -> tuple[Target, ...]:
     """Return the targets of a stroke: the tool moves with its point of the rim, and the wheel ends at an angle.
 
     Args:
-        wheel: the wheel.
-        hand: the hand on its rim.
         entry: angle of the hook's gap, in the wheel [rad].
         angle: angle of the wheel at the end of the stroke [rad].
         at: path parameter of that end.
         grasp: rotation_valve_tool of a hand that turns with the wheel; None for one that may turn about its axis.
     """
     # At angle 0 the wheel's frame has the axes of the world and its origin in the centre.
-    along = rotation_onto(HAND_AXIS, -wheel.axis) if grasp is None else grasp
+    along = find_rotation_onto(HAND_AXIS, -wheel.axis) if grasp is None else grasp
     free = HAND_AXIS if grasp is None else None
     place = wheel.rim_point(entry) - wheel.centre
     return (
@@ -141,13 +139,13 @@ def stroke_targets(
     )
 
 
-def rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def find_rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Return a rotation that takes the unit vector ``axis`` to the unit vector ``direction``."""
     if axis @ direction < 0.0:  # half a turn first: the formula fails for opposite vectors
         side = np.eye(3)[int(np.abs(axis).argmin())]
         normal = np.cross(axis, side) / np.linalg.norm(np.cross(axis, side))
         flip = 2.0 * np.outer(normal, normal) - np.eye(3)
-        return np.asarray(rotation_onto(flip @ axis, direction) @ flip)
+        return np.asarray(find_rotation_onto(flip @ axis, direction) @ flip)
     w = np.cross(axis, direction)
     skew = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
     return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + axis @ direction))

@@ -16,8 +16,8 @@ from service.body.whole_body import WholeBody
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Basis, Certificate, Motion, Phase, PlantedContact, SupportPolygon
-from service.verify.coverage.required import waived_checks
-from service.verify.timeline import times_of
+from service.verify.coverage.required import list_waived_checks
+from service.verify.timeline import find_times
 
 SAMPLE_PERIOD_S = 0.01
 # Samples beside a rest, as shares of the knot interval: the robot accelerates at once, and a start in contact has no
@@ -46,7 +46,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         curve=spline.curve,
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
-        waived=waived_checks(
+        waived=list_waived_checks(
             is_timed=timing is not None, is_balanced=body.polygon is not None or not body.robot.is_floating
         ),
     )
@@ -116,7 +116,7 @@ def _sample_law(
         law: its time law.
         longest: step of the path parameter between two samples, per knot interval.
     """
-    times = times_of(law, knots)
+    times = find_times(law, knots)
     is_rest = np.isin(knots, law.path[law.speed == 0.0])
     samples = [knots[:1]]
     for k, length in enumerate(np.diff(knots)):
@@ -129,7 +129,7 @@ def _sample_law(
         beside += [knots[k] + length * BESIDE_REST] if is_rest[k] else []
         beside += [knots[k + 1] - length * BESIDE_REST] if is_rest[k + 1] else []
         extra = np.concatenate(beside)
-        is_apart = np.abs(even[:, None] - times_of(law, extra)).min(axis=1) > SAME_TIME_S
+        is_apart = np.abs(even[:, None] - find_times(law, extra)).min(axis=1) > SAME_TIME_S
         samples += [law.at(even[is_apart])[0], extra]
     return np.unique(np.concatenate(samples))
 

@@ -1,8 +1,8 @@
 """Time law of a curve: as fast as its limits of speed, acceleration, torque and ZMP allow.
 
-Forces and peaks are the verifier's own (``service.verify.dynamics.forces``, ``service.verify.limits.timed_peaks``): a
-mistake in them would affect law and check alike.  The certificate's ZMP, torques and peaks are therefore no independent
-check of the timing; the tests compare them with forces and peaks computed by other means.
+Forces and peaks are the verifier's own (``compute_forces`` of ``service.verify.dynamics``, ``measure_timed_peaks`` of
+``service.verify.limits``): a mistake in them would affect law and check alike.  The certificate's ZMP, torques and
+peaks are therefore no independent check of the timing; the tests compare them with figures computed by other means.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
-from service.verify.dynamics import forces, sample_times
-from service.verify.limits import timed_peaks
+from service.verify.dynamics import compute_forces, list_sample_times
+from service.verify.limits import measure_timed_peaks
 from service.verify.motion import Motion, Phase, SupportPolygon
 from service.verify.stance_checks import outside_polygon
 
@@ -206,7 +206,7 @@ def _stretch_law(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:
 
 def _slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
     """Slow each stretch between rests until its exact peaks are within the limits."""
-    peaks = timed_peaks(curve, law)
+    peaks = measure_timed_peaks(curve, law)
     excess = np.maximum(
         (peaks.speed / robot.velocity).max(axis=1), np.sqrt((peaks.acceleration / robot.acceleration).max(axis=1))
     )
@@ -243,12 +243,12 @@ def _compare_with_rest(
 
     Samples within all limits are left out.
     """
-    times = sample_times(motion, law, first, last, time_step_s)
+    times = list_sample_times(motion, law, first, last, time_step_s)
     robot, support = motion.robot, phase.support
     rows = np.isfinite(robot.effort) & (robot.effort > 0.0)
 
     def measure(timing: TimeLaw, at: Float[np.ndarray, "R"]) -> tuple[np.ndarray, np.ndarray]:
-        loads = forces(motion, timing, phase, at)
+        loads = compute_forces(motion, timing, phase, at)
         outside = np.full(len(at), -np.inf)
         if support is not None:
             outside = np.nan_to_num(outside_polygon(support.polygon, loads.zmp(support.height)), nan=1e3)

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel, bundled_robots
 from costs.scene import ConvexPiece, Scene
-from service.demands import Demands, ProgramDemand, compose_scene, has_scan, planted_feet, recorded_obstacles
-from service.demands.wheel import Wheel, wheel_of
+from service.demands import Demands, ProgramDemand, compose_scene, find_recorded_obstacles, has_scan, list_planted_feet
+from service.demands.wheel import Wheel, make_wheel
 from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
@@ -83,7 +83,7 @@ def rebuild_demands(
     request_from = "the request in this folder" if given is None else given.name
     robot, robot_from = _rebuild_robot(request, record, given is not None, request_from)
     start, _, program = resolve_start(robot, request)
-    feet = planted_feet(robot, request.options.feet) if program is None else program.planted
+    feet = list_planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
     surroundings = Surroundings(_select_scanned(request, record.scene), record.valves)
     scene_from = request_from
@@ -105,9 +105,9 @@ def rebuild_demands(
 def _get_program(program: Program | None, robot: RobotModel) -> ProgramDemand | None:
     if program is None:
         return None
-    from service.trajopt.demanded import program_demand  # slow to import
+    from service.trajopt.verifier_targets import make_program_demand  # slow to import
 
-    return program_demand(program, robot)
+    return make_program_demand(program, robot)
 
 
 def _get_wheel(request: PlanRequest, detections: Sequence[ValveDetection]) -> Wheel | None:
@@ -120,7 +120,7 @@ def _get_wheel(request: PlanRequest, detections: Sequence[ValveDetection]) -> Wh
     valve = read_given_valve(task) or next(iter(detections), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    return wheel_of(valve)
+    return make_wheel(valve)
 
 
 def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request_from: str) -> tuple[RobotModel, str]:
@@ -139,7 +139,7 @@ def _select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece,
     if not has_scan(request):
         return ()
     own = {obstacle.name for obstacle in request.scene.obstacles}
-    parts = {piece.name for piece in recorded_obstacles(request, recorded)}
+    parts = {piece.name for piece in find_recorded_obstacles(request, recorded)}
     return tuple(piece for piece in recorded.pieces if piece.name not in own | parts)
 
 
@@ -167,4 +167,4 @@ def _rebuild_obstacles(
         return build_obstacles(request, matches)[0], False
     shapes = tuple(obstacle for obstacle in obstacles if not isinstance(obstacle, MeshRequest))
     pieces = build_obstacles(replace(request, scene=replace(request.scene, obstacles=shapes)))[0]
-    return (*pieces, *recorded_obstacles(request, recorded)), True
+    return (*pieces, *find_recorded_obstacles(request, recorded)), True

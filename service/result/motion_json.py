@@ -16,7 +16,7 @@ from costs.scene import ConvexPiece, Scene
 from service.result.phase_json import phase_from_json, phase_json, sample_index
 from service.result.zmp_json import zmp_json
 from service.verify import Motion
-from service.verify.timeline import times_of
+from service.verify.timeline import find_times
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 
@@ -88,7 +88,7 @@ def samples_of(motion: Motion) -> Float[np.ndarray, "S"]:
 def sample_times(motion: Motion) -> Float[np.ndarray, "S"]:
     """Return the times of the samples [s]; the path parameters if the motion is untimed."""
     s = samples_of(motion)
-    return s if motion.law is None else times_of(motion.law, s)
+    return s if motion.law is None else find_times(motion.law, s)
 
 
 def file_columns(robot: RobotModel) -> tuple[str, ...]:

@@ -14,14 +14,14 @@ from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.body.whole_body import Aims, WholeBody
-from service.demands.targets import rotation_of
+from service.demands.targets import make_goal_rotation
 from service.result.motion_json import file_positions
 from service.result.phase_json import read_rotation, targets_json, write_rotation
 from service.setup.prepare import PlanSetup
 from service.start.overlaps import find_overlaps
 from service.tasks.reach import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
-from service.verify.solids import convex_of
+from service.verify.solids import make_coal_convex
 
 if TYPE_CHECKING:
     from service.trajopt import Program
@@ -76,7 +76,7 @@ def _get_end(setup: PlanSetup) -> _End | None:
     if request.goal is not None:
         body = WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims())
         goal = Goal.of(body, request.goal)
-        poses = [(pose.link, np.array(pose.position), rotation_of(pose)) for pose in goal.request.poses]
+        poses = [(pose.link, np.array(pose.position), make_goal_rotation(pose)) for pose in goal.request.poses]
         q = goal.apply_joints(setup.start) if goal.joints else None
         return _End(goal.targets(0.0), q, _complete_poses(setup, poses))
     if setup.program is not None:
@@ -142,12 +142,12 @@ def _list_overlaps(
         if body.link not in poses or body.link in planted:
             continue
         pose = poses[body.link] @ np.linalg.inv(locate_frame(robot, body.link)[1])
-        shape, at = convex_of(body.vertices), coal.Transform3s(pose[:3, :3], pose[:3, 3])
+        shape, at = make_coal_convex(body.vertices), coal.Transform3s(pose[:3, :3], pose[:3, 3])
         low, high = (end(body.vertices @ pose[:3, :3].T + pose[:3, 3], axis=0) for end in (np.min, np.max))
         for piece in scene.pieces:
             if np.any(low > piece.upper) or np.any(high < piece.lower):
                 continue
-            convex = convex_of(piece.vertices)
+            convex = make_coal_convex(piece.vertices)
             depth = -float(coal.distance(shape, at, convex, here, coal.DistanceRequest(), coal.DistanceResult()))
             if depth > 0.0:
                 key = (body.link, piece.name)

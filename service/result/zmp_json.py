@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 from costs.curve import TimeLaw
 from service.verify import Motion, Phase, SupportPolygon, VerifySettings
-from service.verify.dynamics import forces, sample_times
+from service.verify.dynamics import compute_forces, list_sample_times
 from service.verify.stance_checks import outside_polygon
-from service.verify.timeline import times_of
+from service.verify.timeline import find_times
 
 _SAME_S = 1e-9  # times that differ by less are equal
 
@@ -34,8 +34,8 @@ class PhaseZmp:
     @staticmethod
     def of(motion: Motion, law: TimeLaw, phase: Phase, support: SupportPolygon) -> PhaseZmp:
         """Compute inverse dynamics at the samples of ``service.verify.dynamics``."""
-        times = sample_times(motion, law, phase.first, phase.last, VerifySettings().time_step_s)
-        points = forces(motion, law, phase, times, torques=False).zmp(support.height)
+        times = list_sample_times(motion, law, phase.first, phase.last, VerifySettings().time_step_s)
+        points = compute_forces(motion, law, phase, times, torques=False).zmp(support.height)
         return PhaseZmp(times, points, np.nan_to_num(outside_polygon(support.polygon, points), nan=np.inf))
 
     def select_worst(self, times: Float[np.ndarray, "S"]) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def zmp_json(motion: Motion, s: Float[np.ndarray, "S"]) -> tuple[list[list[float
     law = motion.law
     if law is None:
         return [None] * len(s), [{"times": [], "points": []} for _ in standing]
-    times = times_of(law, s)
+    times = find_times(law, s)
     tracks = [PhaseZmp.of(motion, law, phase, support) for phase, support in standing]
     ends = np.concatenate([times[:1], times, times[-1:]])
     ends[-2:] = np.nextafter(times[-1], np.inf)  # include the last sample in its interval

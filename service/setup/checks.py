@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.scene import Scene
-from service.demands import planted_feet
+from service.demands import list_planted_feet
 from service.errors import RequestError, would_do
 from service.request.schema import PlanRequest
 from service.start.configuration import find_limit_violations, find_unknown_joints
@@ -89,7 +89,7 @@ def find_soles(
 def _check_feet(robot: RobotModel, requested: tuple[str, ...] | None) -> tuple[str, ...]:
     if requested == ():
         raise RequestError("options.feet: lists no link; name the planted links, or leave it out for the robot's own")
-    feet = planted_feet(robot, requested)
+    feet = list_planted_feet(robot, requested)
     if not feet:
         raise RequestError(f"options.feet: {robot.name} names no links in its group 'feet'; list the planted links")
     with_shape = {body.link for body in robot.bodies}

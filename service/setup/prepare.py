@@ -147,13 +147,13 @@ def resolve_start(
     robot: RobotModel, request: PlanRequest
 ) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
     """Return the start configuration, notes about it, and the request's TrajOpt problem, which may set the start."""
-    if request.task is None or request.task.trajopt is None:
+    document = None if request.task is None else request.task.trajopt
+    if document is None:
         return *make_start_configuration(robot, request.start), None
-    from service.trajopt import requested_program, requested_start  # takes a while, and few requests need it
+    from service.trajopt import make_program  # takes a while, and few requests need it
 
-    start, notes = make_start_configuration(robot, requested_start(request, robot))
-    program = requested_program(request, robot, start)
-    return (start if program is None else program.start), notes, program
+    program, notes = make_program(request, document, robot)
+    return program.start, notes, program
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.start.standing import FLOOR_KIND
 from service.verify.ground import GROUND_TOLERANCE_M
-from service.verify.solids import convex_of
+from service.verify.solids import make_coal_convex
 
 TOUCH_M = 1e-6
 EXACT_ROUNDING_M = 1e-5
@@ -192,7 +192,7 @@ class ExactShape:
     @staticmethod
     def of_hull(thing: LinkBody | ConvexPiece) -> ExactShape:
         """Make the hull of a body or a piece in planning and in the certificate."""
-        return ExactShape(convex_of(thing.vertices), np.eye(4), False)
+        return ExactShape(make_coal_convex(thing.vertices), np.eye(4), False)
 
     def depth_in(
         self, other: ExactShape, pose: Float[np.ndarray, "4 4"] | None = None, pose_other: np.ndarray | None = None

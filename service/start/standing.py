@@ -13,7 +13,7 @@ from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError
-from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, ground_gaps
+from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, find_ground_gaps
 
 FEET_GROUP = "feet"
 SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
@@ -67,7 +67,7 @@ def move_floor_to_soles(
     floors = [piece for piece in seen if piece.kind == FLOOR_KIND]
     if not floors or not soles:
         return tuple(seen), ()
-    gaps = ground_gaps(np.vstack(list(soles.values())), floors)
+    gaps = find_ground_gaps(np.vstack(list(soles.values())), floors)
     shift = 0.5 * float(gaps.min() + gaps.max())
     if np.abs(gaps).max() <= GROUND_TOLERANCE_M or not np.abs(gaps).max() <= LARGEST_SHIFT_M:
         return tuple(seen), ()
@@ -88,7 +88,7 @@ def find_ground_problems(
 ) -> Iterator[tuple[str, str]]:
     """Yield each planted link off the ground, with the problem."""
     for link, corners in soles.items():
-        gaps = ground_gaps(corners, pieces)
+        gaps = find_ground_gaps(corners, pieces)
         worst = float(gaps[np.abs(gaps).argmax()])
         if not np.isfinite(worst):
             yield link, f"{describe_gap(worst, link)}; expected scene.floor or an obstacle there"

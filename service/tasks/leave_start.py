@@ -17,7 +17,7 @@ from service.body.phases import PhaseSolver, change_contacts, straight_path
 from service.body.sampling import free_coordinates
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
-from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, leaving_allowances
+from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, make_escape_allowances
 from service.start.overlaps import Overlap
 
 ESCAPE = "escape"
@@ -118,7 +118,7 @@ def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
         ESCAPE,
         out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),
         out.is_feasible,
-        allowances=leaving_allowances(overlaps),
+        allowances=make_escape_allowances(overlaps),
         is_settling=_needs_settling(body),
         resolve=lambda q: _solve_escape(leaving, q, is_end_fixed=True),
     )

@@ -143,8 +143,8 @@ class _ProgramSearch:
             PHASE,
             solved.x,
             solved.is_feasible,
-            holds=promises.holds(),
-            targets=lambda s_last: promises.targets(),
+            holds=promises.make_holds(),
+            targets=lambda s_last: promises.make_targets(),
             search=self,
             timeline=Timeline.of_steps(self.program.n_steps),
         ).with_waypoint_targets()
@@ -160,7 +160,7 @@ class _ProgramSearch:
         builder = Builder(program, timeline, body, body.make_checker())
         with self.solver.monitor.step(PHASE, 0.4):
             return self.solver.solve_trajectory(
-                PHASE, [q], fixed, builder.costs(), builder.constraints(), bounds=builder.bound
+                PHASE, [q], fixed, builder.make_costs(), builder.make_constraints(), bounds=builder.narrow_bounds
             )
 
     def _find_end(self) -> Float[np.ndarray, "n"] | None:
@@ -169,13 +169,13 @@ class _ProgramSearch:
         last = program.n_steps - 1
         if last in program.fixed:
             return program.fixed[last]
-        alone = program.only(last)
+        alone = program.restrict_to(last)
         builder = Builder(alone, Timeline.of_steps(1), solver.body, solver.body.make_checker())
-        constraints = builder.constraints()
+        constraints = builder.make_constraints()
         if not constraints:
             return None
         lower, upper = solver.body.bounds(1, {})
-        builder.bound(lower, upper)
+        builder.narrow_bounds(lower, upper)
         fixed = {i: float(lower[0, i]) for i in np.flatnonzero(lower[0] == upper[0]).tolist()}
         for guess in (program.init[last], *(self._move_free(posture) for _, posture in posture_guesses(solver.body))):
             with solver.monitor.step("goal pose", 0.1):
@@ -218,13 +218,13 @@ class ProgramPhase(PlannedPhase):
         """Return the phase with its waypoints' targets."""
         if self.search is None or self.timeline is None:
             return self
-        return replace(self, at_waypoints=partial(self.search.promises.at_waypoints, self.timeline))
+        return replace(self, at_waypoints=partial(self.search.promises.make_waypoint_targets, self.timeline))
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """Solve the program on from a denser trajectory."""
         if self.search is None or self.timeline is None:
             return None
-        timeline = self.timeline.denser(self.q, q)
+        timeline = self.timeline.insert_waypoints(self.q, q)
         solved = self.search.solve(q, timeline)
         anew = replace(self, q=solved.x, is_feasible=solved.is_feasible, timeline=timeline)
         return anew.with_waypoint_targets()

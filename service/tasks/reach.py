@@ -27,7 +27,7 @@ from service.body.phases import (
 from service.body.sampling import Tree, resample_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.targets import AXES, goal_joints, goal_targets, rotation_of
+from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
 from service.explain.goal import find_goal_reasons
 from service.request.schema import GoalRequest, PoseGoalRequest
 from service.verify import Target
@@ -225,7 +225,7 @@ class Goal:
     @staticmethod
     def of(body: WholeBody, request: GoalRequest) -> Goal:
         """Return a request's goal; a posture's base stays free, since the feet are planted."""
-        return Goal(body, request, goal_joints(body.robot, request))
+        return Goal(body, request, find_goal_joints(body.robot, request))
 
     @property
     def is_complete(self) -> bool:
@@ -251,12 +251,12 @@ class Goal:
 
     def targets(self, s_last: float) -> tuple[Target, ...]:
         """Return the verifier's targets of the reach's end."""
-        return goal_targets(self.body.robot, self.request, s_last)
+        return make_goal_targets(self.body.robot, self.request, s_last)
 
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
     """Return constraints of a link's position and orientation; of the latter perhaps only one axis."""
-    rotation = rotation_of(pose)
+    rotation = make_goal_rotation(pose)
     target = np.eye(4)
     target[:3, 3] = pose.position
     if rotation is not None:
@@ -309,7 +309,7 @@ def _make_link_holds(
     body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float
 ) -> tuple[Hold, ...]:
     """Return holds of a link's position, and of its orientation as far as its goal gives it."""
-    robot, rotation, target = body.robot, rotation_of(pose), np.eye(4)
+    robot, rotation, target = body.robot, make_goal_rotation(pose), np.eye(4)
     target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.position)
     position: Hold = lambda waypoints: FramePose(robot, pose.link, waypoints, target, POSITION)  # noqa: E731
     if rotation is None:

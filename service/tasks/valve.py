@@ -25,7 +25,7 @@ from service.body.holds import POSITION, Hold
 from service.body.phases import Bounds, PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, Targets, TaskPlan
 from service.body.whole_body import LIMIT_RESERVE, WholeBody
-from service.demands.wheel import HAND_AXIS, Hand, Wheel, hook_allowances, stroke_targets
+from service.demands.wheel import HAND_AXIS, Hand, Wheel, make_hook_allowances, make_stroke_targets
 from service.request.names import VALVE_LINK
 from service.verify import Motion, Target
 
@@ -84,7 +84,7 @@ class ValveTurn:
     @property
     def touching(self) -> tuple[Allowance, ...]:
         """The pair of hook and rim, which may touch."""
-        return hook_allowances(self.wheel, self.hand)
+        return make_hook_allowances(self.wheel, self.hand)
 
     def split_turn(self) -> tuple[WheelStroke, ...]:
         """Return as few equal strokes as the wrist's range allows; a single one in hook mode."""
@@ -255,7 +255,7 @@ class ValveTurn:
         grasp = self._grasp_rotation(pose) if self.mode == "grasp" else None
 
         def targets(s_last: float) -> tuple[Target, ...]:
-            return stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last, grasp)
+            return make_stroke_targets(self.wheel, self.hand, self.entry, stroke.last, s_last, grasp)
 
         return targets
 

@@ -20,7 +20,7 @@ from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.wheel import HAND_AXIS, HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, robot_with_wheel, wheel_of
+from service.demands.wheel import HAND_AXIS, HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, add_wheel_joint, make_wheel
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.request.names import VALVE_LINK
@@ -113,7 +113,7 @@ def _choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection)
 
 def _make_wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
     """Return the wheel as a mechanism, with its gaps ordered by distance from the hand."""
-    wheel = wheel_of(valve)
+    wheel = make_wheel(valve)
     at = locate_links(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
     gaps = sorted(wheel.gaps, key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
     return replace(wheel, gaps=tuple(gaps))
@@ -130,7 +130,7 @@ def _plan_turn(
     body = solver.body
     solver = replace(
         solver,
-        body=body.with_robot(robot_with_wheel(body.robot, wheel), np.append(body.nominal, 0.0)),
+        body=body.with_robot(add_wheel_joint(body.robot, wheel), np.append(body.nominal, 0.0)),
         overrides=tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands),
     )
     collisions = tuple(_find_collisions(solver.body))

@@ -1,4 +1,4 @@
-"""What a TrajOpt problem file says, as frozen data: no robot is known here, so names and lengths are unchecked.
+"""Content of a TrajOpt problem file as frozen data; link names and list lengths are not yet checked against a robot.
 
 Lengths in metres, angles in radians, quaternions as w x y z; steps count waypoints from 0.
 """
@@ -9,6 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
 Vector = tuple[float, ...]
 ZEROS, ONES, UPRIGHT = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
 
@@ -18,13 +22,13 @@ class BasicInfo:
     """``basic_info``.
 
     Attributes:
-        n_steps: waypoints.
+        n_steps: number of waypoints.
         manip: groups, joints, ``base`` or ``active``, joined by ``+``.
-        is_start_fixed: whether the first waypoint stays where the robot starts.
-        robot: name of the robot, "" if none.
-        fixed_dofs: degrees of freedom (as counted in ``manip``) that stay at their start.
-        fixed_steps: waypoints that stay where ``init_info`` puts them.
-        fixed_dofs_key: what the file calls them.
+        is_start_fixed: whether the first waypoint stays at the robot's start.
+        robot: name of the robot, or "".
+        fixed_dofs: degrees of freedom (indices into ``manip``'s) that keep their start value.
+        fixed_steps: waypoints that keep their value of ``init_info``.
+        fixed_dofs_key: key of ``fixed_dofs`` in the file.
     """
 
     n_steps: int
@@ -38,13 +42,13 @@ class BasicInfo:
 
 @dataclass(frozen=True)
 class InitInfo:
-    """``init_info``: the trajectory to start from.
+    """``init_info``: the initial trajectory.
 
     Attributes:
         kind: all waypoints at the start, a straight line to ``endpoint``, or ``data``.
         endpoint: one number per degree of freedom.
         data: one row per waypoint.
-        rate: steps per second that terms with ``use_time`` reckon with.
+        rate: steps per second, for terms with ``use_time``.
     """
 
     kind: Literal["stationary", "straight_line", "given_traj"]
@@ -58,9 +62,9 @@ class Term:
     """One cost or constraint.
 
     Attributes:
-        path: in the file, such as ``costs[2]``.
-        name: its ``name``, else its type.
-        is_cost: or else a constraint.
+        path: JSON path, such as ``costs[2]``.
+        name: value of ``name`` in the file, by default the type.
+        is_cost: false for a constraint.
     """
 
     path: str
@@ -69,21 +73,22 @@ class Term:
 
     @property
     def title(self) -> str:
-        """Unique among the terms, for messages."""
+        """Name for messages, unique among the terms."""
         return f"{self.path} {self.name}"
 
 
 @dataclass(frozen=True)
 class PoseTerm(Term):
-    """``pose``, ``cart_pose``, ``dynamic_cart_pose``: a frame (moved by an offset) at a pose in a reference.
+    """``pose``, ``cart_pose``, ``dynamic_cart_pose``: target pose of a frame, or of a pose fixed in that frame.
 
     Attributes:
-        frame: link or frame; ``frame_key`` is what the file calls it.
+        frame: link or frame.
         step: waypoint.
-        xyz, wxyz: the pose; in ``reference``, in the world if None.
-        offset_xyz, offset_wxyz: of what is posed, in the frame.
-        pos_coeffs, rot_coeffs: weights along and about the axes of the wanted pose; 0 leaves an axis free.
-        turn_gain: how the original measures a small turn: by its angle (1), or by half of it (quaternion).
+        xyz, wxyz: target pose in ``reference``, in the world if None.
+        offset_xyz, offset_wxyz: pose in ``frame`` that has to reach the target.
+        pos_coeffs, rot_coeffs: weights along and about the axes of the target pose; 0 leaves an axis free.
+        turn_gain: weight of a small rotation's angle in the original: 1, or 0.5 where it measures by quaternion.
+        frame_key, reference_key: keys of ``frame`` and ``reference`` in the file.
     """
 
     frame: str
@@ -99,18 +104,40 @@ class PoseTerm(Term):
     frame_key: str = "link"
     reference_key: str = "target_frame"
 
+    @property
+    def target(self) -> Float[np.ndarray, "4 4"]:
+        """Target pose as a matrix."""
+        return _make_matrix(self.xyz, self.wxyz)
+
+    @property
+    def offset(self) -> Float[np.ndarray, "4 4"]:
+        """Offset as a matrix."""
+        return _make_matrix(self.offset_xyz, self.offset_wxyz)
+
+    @property
+    def position_axes(self) -> tuple[bool, bool, bool]:
+        """Constrained directions of the target's axes."""
+        x, y, z = (c > 0.0 for c in self.pos_coeffs)
+        return x, y, z
+
+    @property
+    def rotation_axes(self) -> tuple[bool, bool, bool]:
+        """Constrained rotations about the target's axes."""
+        x, y, z = (c > 0.0 for c in self.rot_coeffs)
+        return x, y, z
+
 
 @dataclass(frozen=True)
 class JointTerm(Term):
     """``joint``, ``joint_pos``, ``joint_vel``, ``joint_acc``, ``joint_jerk``: joint values or their differences.
 
     Attributes:
-        order: 0 for positions, 1, 2, 3 for differences from waypoint to waypoint.
+        order: 0 for joint values; 1, 2, 3 for their first to third differences between waypoints.
         targets, coeffs: one number, or one per degree of freedom.
-        lower_tols, upper_tols: likewise; how far below (<= 0) and above (>= 0) its target a value may lie.
+        lower_tols, upper_tols: likewise; allowed deviation below (<= 0) and above (>= 0) the target.
         first, last: waypoints, inclusive.
-        rate: factor of the differences' ``1 / dt``.
-        targets_key: what the file calls them.
+        rate: ``1 / dt`` of the differences.
+        targets_key: key of ``targets`` in the file.
     """
 
     order: int
@@ -125,7 +152,7 @@ class JointTerm(Term):
 
     @property
     def has_tolerance(self) -> bool:
-        """Whether values may lie off their targets."""
+        """Whether values may deviate from their targets."""
         return any(self.lower_tols) or any(self.upper_tols)
 
 
@@ -150,7 +177,7 @@ class CartVelTerm(Term):
 
 @dataclass(frozen=True)
 class CollisionPair:
-    """What is asked of single pairs of a collision term; ``coeffs`` and ``dist_pen`` as there."""
+    """Exception of a collision term for the pairs of ``link`` with each of ``others``."""
 
     path: str
     link: str
@@ -161,10 +188,10 @@ class CollisionPair:
 
 @dataclass(frozen=True)
 class CollisionTerm(Term):
-    """``collision``: pairs nearer than ``dist_pen`` are charged, or forbidden.
+    """``collision``: a cost or constraint on pairs nearer than ``dist_pen``.
 
     Attributes:
-        is_swept: between the waypoints, or only at them.
+        is_swept: whether the motion between the waypoints counts, too.
         first, last: waypoints, inclusive.
         coeffs, dist_pen: one number, or one per waypoint from first to last [1/m, m].
         pairs: exceptions.
@@ -197,7 +224,7 @@ class FootHeightTerm(Term):
 
 @dataclass(frozen=True)
 class OptInfo:
-    """``opt_info``: settings of the optimiser by the names they have here, and the tolerance of constraints."""
+    """``opt_info``: settings by the field names of ``scopt.Settings``, and the tolerance of constraints."""
 
     settings: Mapping[str, float] = field(default_factory=dict)
     tolerance: float = 1e-4
@@ -208,9 +235,9 @@ class Problem:
     """A whole file.
 
     Attributes:
-        basic, init, opt: its sections.
+        basic, init, opt: the sections.
         terms: costs first.
-        notes: what was read and has no bearing here.
+        notes: one line per setting of the file that has no effect.
     """
 
     basic: BasicInfo
@@ -218,3 +245,11 @@ class Problem:
     opt: OptInfo
     terms: tuple[Term, ...]
     notes: tuple[str, ...] = ()
+
+
+def _make_matrix(xyz: Vector, wxyz: Vector) -> Float[np.ndarray, "4 4"]:
+    """Return a pose as a matrix; the quaternion is normalised."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+    matrix[:3, 3] = xyz
+    return matrix

@@ -1,4 +1,4 @@
-"""A problem made real for one robot: which coordinates move, where waypoints may be, which links stand."""
+"""A problem resolved for one robot, and the waypoints that stand for its steps."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from service.trajopt.problem import FootHeightTerm, PoseTerm, Problem, ZmpTerm
 
 @dataclass(frozen=True)
 class JointRange:
-    """Where a coordinate may be at a step: ``lower`` to ``upper``, equal for a value that is asked for.
+    """Range of a coordinate at a step; ``lower`` equals ``upper`` if the file gives no tolerances.
 
     Attributes:
-        path: of the constraint in the file.
-        target: what is aimed at, between the two.
+        path: JSON path of the constraint.
+        target: wanted value, within the range.
     """
 
     path: str
@@ -28,19 +28,19 @@ class JointRange:
 
 @dataclass(frozen=True)
 class Program:
-    """What a problem asks of a robot.
+    """A problem resolved for a robot.
 
     Attributes:
-        problem: as read.
-        start: (n,) where the robot starts.
+        problem: the problem, without the terms that ``planted`` and ``is_balanced`` replace.
+        start: (n,) configuration at the start.
         columns: (k,) coordinates of ``manip``, in the file's order.
-        free: (f,) those that may move, ascending; all others stay at the start.
-        init: (T, n) trajectory to start from.
-        fixed: configuration by step where all coordinates are fixed.
-        ranges: by step and coordinate.
-        planted: links that stand throughout; their pose constraints are not among ``poses``.
-        is_balanced: whether the centre of mass is to stay above the planted links at every step.
-        notes: what was assumed, and what the file says that has no bearing.
+        free: (f,) coordinates that may move, ascending; all others keep their start value.
+        init: (T, n) initial trajectory.
+        fixed: configurations by step, for steps whose coordinates are all fixed.
+        ranges: joint ranges by step and coordinate.
+        planted: links that keep their start pose during the whole motion.
+        is_balanced: whether the centre of mass must stay above the planted links at every step.
+        notes: one line per assumption, and per setting of the file that has no effect.
     """
 
     problem: Problem
@@ -54,8 +54,8 @@ class Program:
     is_balanced: bool
     notes: tuple[str, ...]
 
-    def only(self, step: int) -> Program:
-        """What is asked of one waypoint alone, as a program of one step."""
+    def restrict_to(self, step: int) -> Program:
+        """Return a program of one step with the constraints and costs of ``step`` alone."""
         terms = tuple(
             replace(term, step=0)
             for term in self.problem.terms
@@ -72,17 +72,17 @@ class Program:
 
     @property
     def n_steps(self) -> int:
-        """Waypoints."""
+        """Number of steps of the file."""
         return self.problem.basic.n_steps
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """Where the steps of the file are among the waypoints, of which there may be more.
+    """Waypoints of the file's steps; repairs insert further waypoints between them.
 
     Attributes:
         rows: (T,) waypoint of each step, increasing.
-        n_waypoints: in all; the last step is the last of them.
+        n_waypoints: number of all waypoints; the last step is the last waypoint.
     """
 
     rows: Int[np.ndarray, "T"]
@@ -90,23 +90,23 @@ class Timeline:
 
     @staticmethod
     def of_steps(n_steps: int) -> Timeline:
-        """Every step is a waypoint, and every waypoint a step."""
+        """Return the timeline whose waypoints are the steps."""
         return Timeline(np.arange(n_steps), n_steps)
 
-    def denser(self, before: Float[np.ndarray, "T n"], after: Float[np.ndarray, "U n"]) -> Timeline:
-        """The steps among waypoints that hold, in order and but for small shifts, all waypoints of before."""
-        found: list[int] = []
+    def insert_waypoints(self, before: Float[np.ndarray, "T n"], after: Float[np.ndarray, "U n"]) -> Timeline:
+        """Return the timeline on waypoints ``after``, which contain those of ``before`` in order, slightly shifted."""
+        matches: list[int] = []
         for index, q in enumerate(before):
-            first = found[-1] + 1 if found else 0
-            last = len(after) - (len(before) - 1 - index)  # what comes after needs its places, too
-            found.append(first + int(np.abs(after[first:last] - q).max(axis=1).argmin()))
-        found[0], found[-1] = 0, len(after) - 1
-        return Timeline(np.array(found)[self.rows], len(after))
+            first = matches[-1] + 1 if matches else 0
+            last = len(after) - (len(before) - 1 - index)  # leave a match for each waypoint that follows
+            matches.append(first + int(np.abs(after[first:last] - q).max(axis=1).argmin()))
+        matches[0], matches[-1] = 0, len(after) - 1
+        return Timeline(np.array(matches)[self.rows], len(after))
 
-    def between(self, first: int, last: int) -> Int[np.ndarray, "S"]:
-        """All waypoints from a step to another, inclusive."""
+    def list_waypoints(self, first: int, last: int) -> Int[np.ndarray, "S"]:
+        """Return all waypoints from step ``first`` to step ``last``, inclusive."""
         return np.arange(int(self.rows[first]), int(self.rows[last]) + 1)
 
-    def step_of(self, waypoints: Int[np.ndarray, "S"]) -> Int[np.ndarray, "S"]:
-        """The last step at or before each waypoint."""
+    def find_steps(self, waypoints: Int[np.ndarray, "S"]) -> Int[np.ndarray, "S"]:
+        """Return the last step at or before each waypoint."""
         return np.asarray(np.searchsorted(self.rows, waypoints, side="right") - 1)

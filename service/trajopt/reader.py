@@ -1,4 +1,4 @@
-"""A problem file as a whole: every section read, every finding collected."""
+"""Reader of a whole problem file; collects all findings."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from service.trajopt.fields import Fields
+from service.trajopt.json_fields import Fields
 from service.trajopt.problem import BasicInfo, InitInfo, OptInfo, Problem, Term
 from service.trajopt.terms_reader import read_term
 
 MOST_STEPS = 500
-UNKNOWN_STEPS = 10**9  # stands for a number of waypoints that is itself wrong: no step is then out of range
+UNKNOWN_STEPS = 10**9  # replaces an invalid number of waypoints: then no step is out of range
 INIT_KINDS: Mapping[str, Literal["stationary", "straight_line", "given_traj"]] = {
     "stationary": "stationary",
     "straight_line": "straight_line",
@@ -35,11 +35,11 @@ OPT_KEYS: tuple[tuple[str, str, float, float], ...] = (
 
 @dataclass(frozen=True)
 class Reading:
-    """What a document says: a problem, or, where findings say what is wrong, as much of it as could be read.
+    """Problem of a document, or as much of it as could be read.
 
     Attributes:
-        problem: with the terms that could be read; None where not even ``basic_info`` or ``init_info`` could.
-        findings: one line each; empty when all is well.
+        problem: with the readable terms only; None if ``basic_info`` or ``init_info`` is invalid.
+        findings: one line per error of the document.
     """
 
     problem: Problem | None
@@ -47,7 +47,7 @@ class Reading:
 
 
 def read_problem(document: object) -> Reading:
-    """Read a document of plain mappings, lists and scalars; never raises."""
+    """Read a document of plain mappings, lists and scalars; errors become findings."""
     findings: list[str] = []
     notes: list[str] = []
     root = Fields(document, "", findings)
@@ -69,8 +69,8 @@ def read_problem(document: object) -> Reading:
     return Reading(problem, tuple(findings))
 
 
-def robot_named_in(document: Mapping[str, Any]) -> str:
-    """The robot that a document names, "" if it names none."""
+def read_robot_name(document: Mapping[str, Any]) -> str:
+    """Return the robot that a document names, or ""."""
     basic = document.get("basic_info")
     name = basic.get("robot", "") if isinstance(basic, Mapping) else ""
     return name if isinstance(name, str) else ""
@@ -80,7 +80,7 @@ def _basic_info(fields: Fields, notes: list[str]) -> BasicInfo:
     n_steps = fields.whole("n_steps", least=2, most=MOST_STEPS)
     manip = fields.text("manip")
     steps = fields.wholes("fixed_timesteps", 0, n_steps - 1)
-    # Where the file lists its fixed waypoints, the first is fixed if it is among them.
+    # A file that lists its fixed waypoints fixes the first one only if it is among them.
     is_start_fixed = fields.flag("start_fixed", not fields.has("fixed_timesteps"))
     dofs_key = fields.first_of("dofs_fixed", "fixed_dofs")
     dofs = fields.wholes(dofs_key, 0, 10**6)
@@ -95,14 +95,14 @@ def _basic_info(fields: Fields, notes: list[str]) -> BasicInfo:
 
 
 def _time(fields: Fields, notes: list[str]) -> None:
-    """Time is no variable here: what the file says of it is checked and set aside."""
+    """Check the keys about time; they have no effect, since time is no variable here."""
     lower = fields.number("dt_lower_lim", 1.0, least=1e-9)
     upper = fields.number("dt_upper_lim", max(lower, 1.0), least=1e-9)
     if upper < lower:
         fields.refuse(fields.at("dt_upper_lim"), f"{upper:g} is below dt_lower_lim, {lower:g}")
     if fields.flag("use_time", False) or fields.has("dt_lower_lim") or fields.has("dt_upper_lim"):
         notes.append(
-            "basic_info: time is no variable here; terms with use_time reckon with init_info.dt, and the motion is "
+            "basic_info: time is no variable here; terms with use_time use init_info.dt, and the motion is "
             "timed afterwards within the robot's limits"
         )
 
@@ -126,7 +126,7 @@ def _opt_info(fields: Fields, notes: list[str]) -> OptInfo:
     raises = fields.whole("max_merit_coeff_increases", 5, least=0, most=100)
     if fields.has("max_merit_coeff_increases"):
         settings["max_penalty_raises"] = raises
-    if fields.has("max_iter"):  # of each penalty there, of all together here
+    if fields.has("max_iter"):  # TrajOpt counts per penalty value, scopt in all
         settings["max_iterations"] = fields.whole("max_iter", least=1, most=100_000) * (raises + 1)
     if fields.has("max_time"):
         fields.number("max_time", least=0.0)

@@ -1,13 +1,13 @@
-"""One reader per type of term: from the keys of the file to data."""
+"""Readers of the costs and constraints of a problem file, one per type."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from service.errors import would_do
-from service.trajopt.fields import Fields
+from service.trajopt.json_fields import Fields
 from service.trajopt.problem import (
     ONES,
     UPRIGHT,
@@ -25,41 +25,44 @@ from service.trajopt.problem import (
 )
 
 QUATERNION_NORM_TOLERANCE = 1e-3
-# Both numberings of the evaluators that files use: SINGLE_TIMESTEP, DISCRETE_CONTINUOUS, CAST_CONTINUOUS (0 to 2) and
-# NONE, DISCRETE, LVS_DISCRETE, CONTINUOUS, LVS_CONTINUOUS (0 to 4).  From 2 on, both look between the waypoints.
+# Files number the evaluators in two ways: SINGLE_TIMESTEP, DISCRETE_CONTINUOUS, CAST_CONTINUOUS (0 to 2), or
+# NONE, DISCRETE, LVS_DISCRETE, CONTINUOUS, LVS_CONTINUOUS (0 to 4).  In both, 2 and more check between waypoints.
 LAST_EVALUATOR, FIRST_SWEPT_EVALUATOR = 4, 2
-QUATERNION_GAIN = 0.5  # the vector part of a quaternion is half of a small turn's angle
+QUATERNION_GAIN = 0.5  # the vector part of a quaternion is half of a small rotation's angle
 CONSTRAINTS_ONLY = {"joint", "joint_vel_limits", "zmp", "foot_height"}
 
 
 @dataclass(frozen=True)
 class TermHead:
-    """What is known of a term before its parameters are read.
+    """Keys of a term beside its parameters.
 
     Attributes:
-        path, name, is_cost: as in ``Term``.
-        n_steps: of the problem.
-        rate: of its differences, 1 without ``use_time``.
-        notes: lines are added for what has no bearing.
+        identity: ``path``, ``name`` and ``is_cost`` of ``Term``.
+        n_steps: number of waypoints of the problem.
+        rate: steps per second; 1 without ``use_time``.
+        notes: list that receives a line per parameter without effect.
     """
 
-    path: str
-    name: str
-    is_cost: bool
+    identity: tuple[str, str, bool]
     n_steps: int
     rate: float
     notes: list[str]
 
     def note(self, key: str, text: str) -> None:
         """Add a note on one parameter."""
-        self.notes.append(f"{self.path}.params.{key}: {text}")
+        self.notes.append(f"{self.identity[0]}.params.{key}: {text}")
+
+    @property
+    def last(self) -> int:
+        """Last waypoint."""
+        return self.n_steps - 1
 
 
 Reader = Callable[[TermHead, Fields], Term]
 
 
 def read_term(fields: Fields, is_cost: bool, n_steps: int, rate: float, notes: list[str]) -> Term | None:
-    """The term in an object of ``costs`` or ``constraints``; None where its lines in the findings say why not."""
+    """Read an entry of ``costs`` or ``constraints``; return None if it has findings."""
     before = len(fields.findings)
     kind = fields.text("type")
     name = fields.text("name", kind or "term")
@@ -69,14 +72,14 @@ def read_term(fields: Fields, is_cost: bool, n_steps: int, rate: float, notes: l
             fields.refuse(fields.at("type"), f"{kind!r} is not planned with ({NOT_PLANNED[kind]}); leave it out")
         elif kind:
             fields.refuse(fields.at("type"), f"unknown type {kind!r}; expected {would_do(kind, READERS)}")
-        fields.has("params")  # which keys it may have, the type alone tells
+        fields.has("params")  # not read: only the type tells which keys it may have
         fields.close()
         return None
     if is_cost and kind in CONSTRAINTS_ONLY:
         fields.refuse(fields.at("type"), f"{kind} is a constraint only; list it under constraints")
     if uses_time and kind != "joint_vel":
-        fields.refuse(fields.at("use_time"), f"{kind} knows no time; joint_vel alone does")
-    head = TermHead(fields.path, name, is_cost, n_steps, rate if uses_time else 1.0, notes)
+        fields.refuse(fields.at("use_time"), f"{kind} does not use time; only joint_vel does")
+    head = TermHead((fields.path, name, is_cost), n_steps, rate if uses_time else 1.0, notes)
     params = fields.section("params")
     term = READERS[kind](head, params)
     params.close()
@@ -85,40 +88,15 @@ def read_term(fields: Fields, is_cost: bool, n_steps: int, rate: float, notes: l
 
 
 def _pose(head: TermHead, params: Fields) -> Term:
-    return PoseTerm(
-        head.path,
-        head.name,
-        head.is_cost,
-        frame=params.text("link"),
-        step=_step(head, params),
-        xyz=params.numbers("xyz", length=3),
-        wxyz=_quaternion(params, "wxyz"),
-        pos_coeffs=_coefficients(params, "pos_coeffs"),
-        rot_coeffs=_coefficients(params, "rot_coeffs"),
-        turn_gain=QUATERNION_GAIN,
-    )
+    return replace(_read_pose(head, params, frame_key="link", is_goal_required=True), turn_gain=QUATERNION_GAIN)
 
 
 def _cart_pose(head: TermHead, params: Fields) -> Term:
-    """Tesseract's, in its earlier wording (link, xyz, tcp_xyz) or its later one (source_frame, target_frame)."""
-    frame_key = params.first_of("link", "source_frame")
-    is_later = frame_key == "source_frame"
-    reference = params.text("target_frame") if is_later else None
-    offset, goal = ("source_frame_offset_", "target_frame_offset_") if is_later else ("tcp_", "")
-    return PoseTerm(
-        head.path,
-        head.name,
-        head.is_cost,
-        frame=params.text(frame_key),
-        step=_step(head, params),
-        xyz=params.numbers(f"{goal}xyz", ZEROS if is_later else None, length=3),
-        wxyz=_quaternion(params, f"{goal}wxyz", UPRIGHT if is_later else None),
-        reference=reference,
-        offset_xyz=params.numbers(f"{offset}xyz", ZEROS, length=3),
-        offset_wxyz=_quaternion(params, f"{offset}wxyz", UPRIGHT),
-        pos_coeffs=_coefficients(params, "pos_coeffs"),
-        rot_coeffs=_coefficients(params, "rot_coeffs"),
-        frame_key=frame_key,
+    """Read Tesseract's earlier keys (link, xyz, tcp_xyz) or its later ones (source_frame, target_frame)."""
+    if params.first_of("link", "source_frame") == "link":
+        return _read_pose(head, params, "link", offset="tcp_", is_goal_required=True)
+    return _read_pose(
+        head, params, "source_frame", "target_frame", goal="target_frame_offset_", offset="source_frame_offset_"
     )
 
 
@@ -127,36 +105,49 @@ def _dynamic_cart_pose(head: TermHead, params: Fields) -> Term:
     reference_key = params.first_of("target", "target_frame")
     offset = "source_frame_offset_" if frame_key == "source_frame" else "tcp_"
     goal = "target_frame_offset_" if reference_key == "target_frame" else "target_tcp_"
-    return PoseTerm(
-        head.path,
-        head.name,
-        head.is_cost,
+    return _read_pose(head, params, frame_key, reference_key, goal, offset)
+
+
+def _read_pose(
+    head: TermHead,
+    params: Fields,
+    frame_key: str,
+    reference_key: str | None = None,
+    goal: str = "",
+    offset: str | None = None,
+    is_goal_required: bool = False,
+) -> PoseTerm:
+    """Read a pose term; ``goal`` and ``offset`` are the prefixes of its keys for xyz and wxyz."""
+    term = PoseTerm(
+        *head.identity,
         frame=params.text(frame_key),
         step=_step(head, params),
-        xyz=params.numbers(f"{goal}xyz", ZEROS, length=3),
-        wxyz=_quaternion(params, f"{goal}wxyz", UPRIGHT),
-        reference=params.text(reference_key),
-        offset_xyz=params.numbers(f"{offset}xyz", ZEROS, length=3),
-        offset_wxyz=_quaternion(params, f"{offset}wxyz", UPRIGHT),
-        pos_coeffs=_coefficients(params, "pos_coeffs"),
-        rot_coeffs=_coefficients(params, "rot_coeffs"),
+        xyz=params.numbers(f"{goal}xyz", None if is_goal_required else ZEROS, length=3),
+        wxyz=_quaternion(params, f"{goal}wxyz", None if is_goal_required else UPRIGHT),
+        pos_coeffs=params.numbers("pos_coeffs", ONES, length=3, least=0.0),
+        rot_coeffs=params.numbers("rot_coeffs", ONES, length=3, least=0.0),
         frame_key=frame_key,
-        reference_key=reference_key,
     )
+    if reference_key is not None:
+        term = replace(term, reference=params.text(reference_key), reference_key=reference_key)
+    if offset is not None:
+        xyz, wxyz = params.numbers(f"{offset}xyz", ZEROS, length=3), _quaternion(params, f"{offset}wxyz", UPRIGHT)
+        term = replace(term, offset_xyz=xyz, offset_wxyz=wxyz)
+    return term
 
 
 def _joint(head: TermHead, params: Fields) -> Term:
-    return _joint_values(head, params, default_range="last", coeffs=ONES[:1])
+    return _joint_values(head, params, head.last, ONES[:1])
 
 
 def _joint_pos(head: TermHead, params: Fields) -> Term:
-    """The original's speaks of one waypoint (the last by default), tesseract's of a range (all by default)."""
+    """Read the original's term at one waypoint (default the last), or Tesseract's at a range (default all)."""
     if params.has("vals"):
-        return _joint_values(head, params, default_range="last", coeffs=None if head.is_cost else ONES[:1])
-    return _joint_values(head, params, default_range="all", coeffs=ONES[:1])
+        return _joint_values(head, params, head.last, None if head.identity[2] else ONES[:1])
+    return _joint_values(head, params, 0, ONES[:1])
 
 
-def _joint_values(head: TermHead, params: Fields, default_range: str, coeffs: Vector | None) -> Term:
+def _joint_values(head: TermHead, params: Fields, first_by_default: int, coeffs: Vector | None) -> Term:
     key = params.first_of("vals", "targets", "targs")
     if params.has("timestep"):
         first = last = _step(head, params)
@@ -164,73 +155,68 @@ def _joint_values(head: TermHead, params: Fields, default_range: str, coeffs: Ve
             if params.has(other):
                 params.refuse(params.at(other), "timestep says which waypoint; leave one of them out")
     else:
-        first, last = _range(head, params, 0 if default_range == "all" else head.n_steps - 1)
-    return JointTerm(
-        head.path,
-        head.name,
-        head.is_cost,
-        order=0,
-        targets=params.numbers(key),
-        coeffs=params.numbers("coeffs", coeffs, least=0.0),
-        lower_tols=_lower_tolerances(params),
-        upper_tols=params.numbers("upper_tols", ZEROS[:1], least=0.0),
-        first=first,
-        last=last,
-        targets_key=key,
-    )
+        first, last = _range(head, params, first_by_default)
+    return _read_joints(head, params, key, 0, None, coeffs, (first, last))
 
 
 def _joint_rate(order: int) -> Reader:
     def read(head: TermHead, params: Fields) -> Term:
         key = params.first_of("targets", "targs")
-        first, last = _range(head, params, 0)
+        first, last = _range(head, params)
         if params.has("use_time"):
             params.flag("use_time", False)
             head.note("use_time", "counts beside type only, as in the original")
         if head.n_steps <= order:
-            params.refuse(head.path, f"{order + 1} waypoints are needed, n_steps is {head.n_steps}")
-        if last - first < order:  # as tesseract does: as many waypoints as one difference needs
-            last = min(first + order, head.n_steps - 1)
+            params.refuse(head.identity[0], f"{order + 1} waypoints are needed, n_steps is {head.n_steps}")
+        if last - first < order:  # as Tesseract does: as many waypoints as one difference needs
+            last = min(first + order, head.last)
             first = max(last - order, 0)
-        return JointTerm(
-            head.path,
-            head.name,
-            head.is_cost,
-            order=order,
-            targets=params.numbers(key, ZEROS[:1]),
-            coeffs=params.numbers("coeffs", ONES[:1], least=0.0),
-            lower_tols=_lower_tolerances(params),
-            upper_tols=params.numbers("upper_tols", ZEROS[:1], least=0.0),
-            first=first,
-            last=last,
-            rate=head.rate,
-            targets_key=key,
-        )
+        return _read_joints(head, params, key, order, ZEROS[:1], ONES[:1], (first, last))
 
     return read
 
 
-def _lower_tolerances(params: Fields) -> Vector:
+def _read_joints(
+    head: TermHead,
+    params: Fields,
+    targets_key: str,
+    order: int,
+    targets: Vector | None,
+    coeffs: Vector | None,
+    steps: tuple[int, int],
+) -> JointTerm:
+    """Read a joint term; ``targets`` and ``coeffs`` are the defaults, None if required."""
     lower = params.numbers("lower_tols", ZEROS[:1])
     if any(value > 0.0 for value in lower):
         params.refuse(params.at("lower_tols"), "expected at most 0: how far below its target a value may lie, negative")
-    return lower
+    return JointTerm(
+        *head.identity,
+        order=order,
+        targets=params.numbers(targets_key, targets),
+        coeffs=params.numbers("coeffs", coeffs, least=0.0),
+        lower_tols=lower,
+        upper_tols=params.numbers("upper_tols", ZEROS[:1], least=0.0),
+        first=steps[0],
+        last=steps[1],
+        rate=head.rate,
+        targets_key=targets_key,
+    )
 
 
 def _joint_vel_limits(head: TermHead, params: Fields) -> Term:
-    first, last = _range(head, params, 0)
-    return JointStepTerm(head.path, head.name, head.is_cost, params.numbers("vals", least=0.0), first, last)
+    first, last = _range(head, params)
+    return JointStepTerm(*head.identity, params.numbers("vals", least=0.0), first, last)
 
 
 def _cart_vel(head: TermHead, params: Fields) -> Term:
-    first = params.whole("first_step", least=0, most=head.n_steps - 2)
-    last = params.whole("last_step", least=first + 1, most=head.n_steps - 1)
+    first = params.whole("first_step", least=0, most=head.last - 1)
+    last = params.whole("last_step", least=first + 1, most=head.last)
     limit = params.number("max_displacement", least=0.0)
-    return CartVelTerm(head.path, head.name, head.is_cost, params.text("link"), first, last, limit)
+    return CartVelTerm(*head.identity, params.text("link"), first, last, limit)
 
 
 def _collision(head: TermHead, params: Fields) -> Term:
-    first, last = _range(head, params, 0)
+    first, last = _range(head, params)
     count = last - first + 1
     if params.first_of("continuous", "evaluator_type") == "evaluator_type":
         is_swept = params.whole("evaluator_type", least=0, most=LAST_EVALUATOR) >= FIRST_SWEPT_EVALUATOR
@@ -239,13 +225,11 @@ def _collision(head: TermHead, params: Fields) -> Term:
     gap = params.whole("gap", 1, least=0)
     if gap > 1:
         params.refuse(params.at("gap"), f"{gap} is not planned with; expected 1 (from waypoint to waypoint)")
-    for key, text in _COLLISION_ASIDES.items():
+    for key, text in _UNUSED_COLLISION_KEYS.items():
         if params.has(key):
             head.note(key, text)
     return CollisionTerm(
-        head.path,
-        head.name,
-        head.is_cost,
+        *head.identity,
         is_swept=is_swept and gap > 0 and count > 1,
         first=first,
         last=last,
@@ -268,30 +252,28 @@ def _collision_pair(fields: Fields, count: int) -> CollisionPair:
 
 
 def _zmp(head: TermHead, params: Fields) -> Term:
-    return ZmpTerm(head.path, head.name, head.is_cost, _required_step(head, params), params.texts("planted_links"))
+    return ZmpTerm(*head.identity, _required_step(head, params), params.texts("planted_links"))
 
 
 def _foot_height(head: TermHead, params: Fields) -> Term:
     step = _required_step(head, params)
-    return FootHeightTerm(head.path, head.name, head.is_cost, step, params.text("link"), params.number("height"))
+    return FootHeightTerm(*head.identity, step, params.text("link"), params.number("height"))
 
 
 def _step(head: TermHead, params: Fields) -> int:
-    last = head.n_steps - 1
-    step = params.whole("timestep", last, least=-1, most=last)
-    return last if step < 0 else step
+    step = params.whole("timestep", head.last, least=-1, most=head.last)
+    return head.last if step < 0 else step
 
 
 def _required_step(head: TermHead, params: Fields) -> int:
-    return params.whole("timestep", least=0, most=head.n_steps - 1)
+    return params.whole("timestep", least=0, most=head.last)
 
 
-def _range(head: TermHead, params: Fields, first_by_default: int) -> tuple[int, int]:
-    """First and last waypoint, inclusive; a last one of -1 is the last of all."""
-    end = head.n_steps - 1
-    first = params.whole("first_step", first_by_default, least=0, most=end)
-    last = params.whole("last_step", end, least=-1, most=end)
-    last = end if last < 0 else last
+def _range(head: TermHead, params: Fields, first_by_default: int = 0) -> tuple[int, int]:
+    """Read first and last waypoint, inclusive; -1 stands for the last of all."""
+    first = params.whole("first_step", first_by_default, least=0, most=head.last)
+    last = params.whole("last_step", head.last, least=-1, most=head.last)
+    last = head.last if last < 0 else last
     if last < first:
         params.refuse(params.at("last_step"), f"{last} is before first_step, {first}")
         return first, first
@@ -305,10 +287,6 @@ def _per_step(fields: Fields, key: str, count: int, least: float = -1.0) -> Vect
     return values
 
 
-def _coefficients(params: Fields, key: str) -> Vector:
-    return params.numbers(key, ONES, length=3, least=0.0)
-
-
 def _quaternion(params: Fields, key: str, fallback: Vector | None = None) -> Vector:
     values = params.numbers(key, fallback, length=4)
     norm = math.hypot(*values)
@@ -320,10 +298,10 @@ def _quaternion(params: Fields, key: str, fallback: Vector | None = None) -> Vec
     return tuple(value / norm for value in values)
 
 
-_COLLISION_ASIDES: Mapping[str, str] = {
-    "fixed_steps": "waypoints that are fixed are known from basic_info",
-    "longest_valid_segment_length": "the swept hull is looked at as a whole, however long the step",
-    "safety_margin_buffer": "contacts are looked for as far as a step may bring them",
+_UNUSED_COLLISION_KEYS: Mapping[str, str] = {
+    "fixed_steps": "basic_info says which waypoints are fixed",
+    "longest_valid_segment_length": "the swept hull is checked as a whole, however long the step",
+    "safety_margin_buffer": "contacts are searched as far as a step may bring them",
     "contact_test_type": "every pair has one contact, the nearest",
     "use_weighted_sum": "every pair has one contact, the nearest",
 }

@@ -272,7 +272,7 @@ class Certificate:
         return tuple(check for check in self.checks if not check.ok)
 
     def fails_by_description(self) -> bool:
-        """Whether only the robot's file or the request rules out a certificate, not the motion."""
+        """Return whether only the robot's file or the request rules out a certificate, not the motion."""
         open_checks = [check for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN]
         kinds = ("coverage.shape.", "coverage.pairs", "coverage.missing.")
         return bool(open_checks) and all(check.name.startswith(kinds) for check in open_checks)

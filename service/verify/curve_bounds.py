@@ -38,15 +38,7 @@ class RateBounds:
 
     def take(self, rows: np.ndarray | slice) -> RateBounds:
         """Return these rows."""
-        return RateBounds(
-            self.first[rows],
-            self.last[rows],
-            self.speed[rows],
-            self.bend[rows],
-            self.step[rows],
-            self.step_speed[rows],
-            self.step_bend[rows],
-        )
+        return RateBounds(*(column[rows] for column in vars(self).values()))
 
 
 class Rates:
@@ -89,7 +81,7 @@ class Rates:
 def _derivative_bounds(
     coefficients: Float[np.ndarray, "4 I n"], low: Float[np.ndarray, "I"], high: Float[np.ndarray, "I"]
 ) -> tuple[Float[np.ndarray, "I n"], Float[np.ndarray, "I n"]]:
-    """Largest ``|q'|`` (ends and vertex of a parabola) and ``|q''|`` (ends of a line) for local parameters."""
+    """Bound ``|q'|`` (ends and vertex of a parabola) and ``|q''|`` (ends of a line) for local parameters."""
     _, c1, c2, c3 = coefficients
     u0, u1 = low[:, None], high[:, None]
 
@@ -106,14 +98,14 @@ def _derivative_bounds(
 def _inside(
     numerator: np.ndarray, denominator: np.ndarray, low: Float[np.ndarray, "I 1"], high: Float[np.ndarray, "I 1"]
 ) -> np.ndarray:
-    """``numerator / denominator`` where it lies in ``[low, high]``, else ``low``."""
+    """Return ``numerator / denominator`` where it lies in ``[low, high]``, else ``low``."""
     usable: Bool[np.ndarray, "I n"] = np.abs(denominator) > 1e-300
     ratio = np.divide(numerator, denominator, out=np.zeros_like(numerator), where=usable)
     return np.where(usable & (ratio > low) & (ratio < high), ratio, np.broadcast_to(low, ratio.shape))
 
 
 def position_range(curve: Curve) -> tuple[Float[np.ndarray, "K-1 n"], Float[np.ndarray, "K-1 n"]]:
-    """Exact smallest and largest value of every coordinate on every knot interval."""
+    """Return the exact smallest and largest value of every coordinate on every knot interval."""
     c0, c1, c2, c3 = curve.coefficients()
     h = np.diff(curve.knots)[:, None]
     zero = np.zeros_like(h)

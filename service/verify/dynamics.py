@@ -12,11 +12,11 @@ from jaxtyping import Float
 from costs.curve import TimeLaw
 from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
-from service.verify.frame_paths import mechanism_joints
+from service.verify.frame_paths import find_mechanism_joints
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.stance_checks import describe_inside, outside_polygon
-from service.verify.timeline import times_of
+from service.verify.timeline import find_times
 
 # A moment of 1 Nm counts as much as a force of 1 / 0.1 N when the ground's wrench is shared between the feet.
 _MOMENT_ARM_M = 0.1
@@ -46,19 +46,19 @@ class Forces:
         return np.stack([(height * fx - my) / pressed, (height * fy + mx) / pressed], axis=1)
 
 
-def sample_times(motion: Motion, law: TimeLaw, first: float, last: float, step: float) -> Float[np.ndarray, "S"]:
+def list_sample_times(motion: Motion, law: TimeLaw, first: float, last: float, step: float) -> Float[np.ndarray, "S"]:
     """Return times between two path parameters: evenly spread, and both sides of every jump of the acceleration."""
-    start, end = times_of(law, np.array([first, last])).tolist()
+    start, end = find_times(law, np.array([first, last])).tolist()
     even = np.linspace(start, end, max(2, int(np.ceil((end - start) / step)) + 1))
     knots = motion.curve.knots
-    jumps = times_of(law, knots[(knots >= first) & (knots <= last)])
+    jumps = find_times(law, knots[(knots >= first) & (knots <= last)])
     grid = law.times[(law.times >= start) & (law.times <= end)]
     near = np.concatenate([grid, jumps])
     after, before = np.minimum(near + 1e-7, end), np.maximum(near - 1e-7, start)
     return np.unique(np.concatenate([even, after, before]))
 
 
-def forces(
+def compute_forces(
     motion: Motion, law: TimeLaw, phase: Phase, times: Float[np.ndarray, "S"], *, torques: bool = True
 ) -> Forces:
     """Return wrench from the world and joint torques at times of a phase (``torques=False``: wrench only)."""
@@ -68,7 +68,7 @@ def forces(
     v = slope * speed[:, None]
     a = slope * gain[:, None] + bend * speed[:, None] ** 2
     data = model.createData()
-    apart = mechanism_joints(motion)
+    apart = find_mechanism_joints(motion)
     roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
     stands = bool(phase.contacts) or phase.support is not None
     shares = torques and bool(phase.contacts)
@@ -107,13 +107,13 @@ def _ground_torques(
     return torque
 
 
-def dynamics_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check that the ZMP is inside the support polygon and torques are within limits, at samples."""
     motion, law = prepared.motion, prepared.motion.law
     if law is None:
         return
-    times = sample_times(motion, law, phase.first, phase.last, settings.time_step_s)
-    dynamics = forces(motion, law, phase, times)
+    times = list_sample_times(motion, law, phase.first, phase.last, settings.time_step_s)
+    dynamics = compute_forces(motion, law, phase, times)
     if phase.support is not None:
         zmp = dynamics.zmp(phase.support.height)
         outside = np.nan_to_num(outside_polygon(phase.support.polygon, zmp), nan=np.inf)

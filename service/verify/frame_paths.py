@@ -18,7 +18,6 @@ class FramePath:
     """Points (in a frame) and that frame's axes along the motion, as seen from the world or from another frame.
 
     Attributes:
-        prepared: the motion.
         joint: pinocchio joint that carries the frame.
         points: (C, 3) in the frame of that joint [m].
         rotation: (3, 3) rotation_joint_frame.
@@ -113,7 +112,7 @@ class MassPath:
         self._prepared_motion = prepared
         self._rounding = rounding
         model: pin.Model = prepared.motion.robot.model
-        owners = mechanism_joints(prepared.motion)
+        owners = find_mechanism_joints(prepared.motion)
         self._joints = [j for j in range(1, model.njoints) if float(model.inertias[j].mass) > 0.0 and j not in owners]
         self._masses = np.array([float(model.inertias[j].mass) for j in self._joints])
         self._levers = np.array([model.inertias[j].lever for j in self._joints]).reshape(-1, 3)
@@ -137,6 +136,6 @@ class MassPath:
         return np.asarray(each.reshape(len(first), -1) @ self._masses / self._masses.sum())
 
 
-def mechanism_joints(motion: Motion) -> frozenset[int]:
+def find_mechanism_joints(motion: Motion) -> frozenset[int]:
     """Return the joints that carry a mechanism's links."""
     return frozenset(b.joint for b in motion.robot.bodies if b.link in motion.mechanism_links and b.joint > 0)

@@ -16,7 +16,7 @@ from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Motion, Phase, PlantedContact, VerifyError, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.solids import Solid
-from service.verify.timeline import time_of
+from service.verify.timeline import find_time
 
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
 GROUND_TOLERANCE_M = 3e-3
@@ -26,13 +26,13 @@ _TOUCH_M = 1e-9
 _FEET_GROUP = "feet"
 
 
-def ground_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+def check_ground(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check each link that stands in a phase: every corner of its sole is on a surface and on the link's shapes."""
     motion = prepared.motion
-    for contact in standing_contacts(motion, phase):
+    for contact in find_standing_contacts(motion, phase):
         pose = contact.pose_world_link
         corners = contact.sole @ pose[:3, :3].T + pose[:3, 3]
-        gaps = ground_gaps(corners, motion.scene.pieces)
+        gaps = find_ground_gaps(corners, motion.scene.pieces)
         worst = int(np.abs(gaps).argmax())
         value = float(abs(gaps[worst]))
         text = f"{describe_gap(float(gaps[worst]), contact.link)} during {phase.name}"
@@ -40,12 +40,12 @@ def ground_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettin
         if off > GROUND_TOLERANCE_M:
             value, text = off, f"a corner of the sole of {contact.link} is {1e3 * off:.1f} mm off the link's shapes"
         point = (float(corners[worst, 0]), float(corners[worst, 1]), float(corners[worst, 2]))
-        where = Where(phase.first, time_of(motion.law, phase.first), point, (contact.link,))
+        where = Where(phase.first, find_time(motion.law, phase.first), point, (contact.link,))
         name, is_ok = f"ground.{phase.name}.{contact.link}", value <= GROUND_TOLERANCE_M
         yield Check(name, is_ok, value, GROUND_TOLERANCE_M, "m", text, where, Basis.PROOF)
 
 
-def standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:
+def find_standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:
     """Return planted links that must be on the ground: all where balance is promised, else the feet.
 
     Without balance a planted hand need not rest on a surface; a robot with a fixed base needs no ground.
@@ -64,7 +64,7 @@ def describe_gap(gap: float, link: str) -> str:
     return f"the ground is {1e3 * abs(gap):.1f} mm {side} the sole of {link}"
 
 
-def ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]) -> Float[np.ndarray, "C"]:
+def find_ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]) -> Float[np.ndarray, "C"]:
     """Return the height of each corner above the nearest surface on its vertical [m]; infinite without one.
 
     A surface is the upper side of a piece; where a corner is inside a piece, its height is negative.
@@ -74,12 +74,12 @@ def ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]
         low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
         if np.any(corners[:, :2].max(axis=0) < low[:2]) or np.any(corners[:, :2].min(axis=0) > high[:2]):
             continue
-        gap = corners[:, 2] - top_of(piece.vertices, corners[:, :2])
+        gap = corners[:, 2] - find_top(piece.vertices, corners[:, :2])
         gaps = np.where(np.abs(gap) < np.abs(gaps), gap, gaps)
     return gaps
 
 
-def top_of(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
+def find_top(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     """Return the height of a hull's upper side over each place [m]; negative infinity beside the hull."""
     planes = _planes(np.ascontiguousarray(vertices, dtype=float).tobytes())
     if not len(planes):

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -39,7 +39,7 @@ class Chain:
     Attributes:
         coordinates: (m,) or (C, m) indices into the configuration.
         joints: pinocchio joint of each.
-        is_revolute: revolute or prismatic.
+        is_revolute: true for revolute, false for prismatic coordinates.
         reach: largest ``|dp/dq|`` of a point of the body whatever the configuration [m/rad, 1].
         base_rotations: the base's angles, which are exported as a quaternion.
     """
@@ -57,23 +57,13 @@ class Chain:
         shape = (len(chains), width)
         stacked = Chain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool)))
         for row, chain in enumerate(chains):
-            own = slice(0, len(chain.coordinates))
-            stacked.coordinates[row, own] = chain.coordinates
-            stacked.joints[row, own] = chain.joints
-            stacked.is_revolute[row, own] = chain.is_revolute
-            stacked.reach[row, own] = chain.reach
-            stacked.base_rotations[row, own] = chain.base_rotations
+            for item in fields(Chain):
+                getattr(stacked, item.name)[row, : len(chain.coordinates)] = getattr(chain, item.name)
         return stacked
 
     def take(self, rows: Int[np.ndarray, "E"]) -> Chain:
         """Return these rows, in this order."""
-        return Chain(
-            self.coordinates[rows],
-            self.joints[rows],
-            self.is_revolute[rows],
-            self.reach[rows],
-            self.base_rotations[rows],
-        )
+        return Chain(*(getattr(self, item.name)[rows] for item in fields(Chain)))
 
     @cached_property
     def weight(self) -> float:
@@ -180,7 +170,7 @@ class JointTree:
         )
 
     def _pass(self, joint: int, length: float, rows: list[tuple[int, int, bool, float]], *, outwards: bool) -> float:
-        """Append the joint's coordinates, the most distal first; returns the length beyond the joint."""
+        """Append the joint's coordinates, the most distal first; return the length beyond the joint."""
         own = self._coordinates[joint]
         for coordinate, is_revolute in own if outwards else reversed(own):
             rows.append((joint, coordinate, is_revolute, length if is_revolute else 1.0))
@@ -189,12 +179,12 @@ class JointTree:
 
 
 def _farthest(points: Float[np.ndarray, "V 3"]) -> float:
-    """Largest distance of a point from the origin [m]."""
+    """Return the largest distance of a point from the origin [m]."""
     return math.sqrt(np.einsum("vk,vk->v", points, points).max())
 
 
 def _joint_kinds(joint: pin.JointModel, name: str) -> tuple[bool, ...]:
-    """Per coordinate whether it turns (True) or slides (False)."""
+    """Return per coordinate of a joint whether it is revolute (True) or prismatic (False)."""
     kind = joint.shortname()
     if kind in _REVOLUTE:
         return (True,)

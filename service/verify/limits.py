@@ -13,7 +13,7 @@ from costs.curve import Curve, TimeLaw
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.timeline import time_of, times_of
+from service.verify.timeline import find_time, find_times
 from service.verify.validation import check_law
 
 # Errors of the rounded numbers that a difference of two samples is made of, in units of their last place.
@@ -35,7 +35,7 @@ class TimedPeaks:
     acceleration: Float[np.ndarray, "C n"]
 
 
-def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
+def measure_timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
     """Return the peaks of speed and acceleration along the timed curve.
 
     Between two grid points ``d2s/dt2 = u`` is constant, so ``(ds/dt)^2`` is linear in s and the acceleration
@@ -70,12 +70,12 @@ def timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
     return TimedPeaks(first, fastest, _parabola_peak(b0, b1, b2, width))
 
 
-def exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Float[np.ndarray, "M-1 n"]:
+def measure_exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Float[np.ndarray, "M-1 n"]:
     """Return speeds between neighbouring exported samples, from their times and positions [rad/s, m/s].
 
     Differences within the rounding of the numbers count as 0; inf where a joint moves in no time.
     """
-    q, times = curve(s), times_of(law, s)
+    q, times = curve(s), find_times(law, s)
     length, duration = np.abs(np.diff(q, axis=0)), np.diff(times)[:, None]
     last_place = np.finfo(float).eps * np.maximum(np.abs(q[1:]), np.abs(q[:-1]))
     # PoseSamples and times are as exact as the largest number that they were made of.
@@ -88,7 +88,7 @@ def exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Fl
     return np.asarray(speeds)
 
 
-def position_checks(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
+def check_positions(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
     """Check that the cubic stays within the joint position limits, exactly."""
     motion, robot, (low, high) = prepared.motion, prepared.motion.robot, prepared.range
     excess = np.maximum(robot.lower - low, high - robot.upper)
@@ -103,16 +103,16 @@ def position_checks(prepared: PreparedMotion, settings: VerifySettings) -> Itera
     yield Check("limits.position", is_ok, value, 0.0, "rad", text, _at(motion, s, (name,)), Basis.PROOF)
 
 
-def timed_checks(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
+def check_timing(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
     """Check speed and acceleration limits, on the curve and between samples, and rest at ends and contact changes."""
     motion, robot, law = prepared.motion, prepared.motion.robot, prepared.motion.law
     if law is None:
         return
-    peaks = timed_peaks(motion.curve, law)
+    peaks = measure_timed_peaks(motion.curve, law)
     yield _limit_check(motion, "speed", peaks.speed / robot.velocity, peaks.s, settings)
     yield _limit_check(motion, "acceleration", peaks.acceleration / robot.acceleration, peaks.s, settings)
     if motion.samples is not None:
-        ratio = exported_speeds(motion.curve, law, motion.samples) / robot.velocity
+        ratio = measure_exported_speeds(motion.curve, law, motion.samples) / robot.velocity
         yield _limit_check(motion, "exported", ratio, motion.samples, settings)
     yield _rest_check(motion, law, prepared.phases)
 
@@ -149,11 +149,11 @@ def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...]) -> Chec
 
 
 def _at(motion: Motion, s: float, names: tuple[str, ...]) -> Where:
-    return Where(s, time_of(motion.law, s), None, names)
+    return Where(s, find_time(motion.law, s), None, names)
 
 
 def _parabola_peak(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Largest ``|a0 + a1 w + a2 w^2|`` for ``0 <= w <= width``."""
+    """Return the largest ``|a0 + a1 w + a2 w^2|`` for ``0 <= w <= width``."""
     vertex = np.divide(-a1, 2.0 * a2, out=np.zeros_like(a1), where=np.abs(a2) > 1e-300)
     vertex = np.clip(vertex, 0.0, width)
     inner = np.abs(a0 + vertex * (a1 + vertex * a2))
@@ -161,7 +161,7 @@ def _parabola_peak(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, width: np.nda
 
 
 def _roots(b0: np.ndarray, b1: np.ndarray, b2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both zeros of ``b0 + b1 w + b2 w^2``, without cancellation; 0 where there is none."""
+    """Return both zeros of ``b0 + b1 w + b2 w^2``, without cancellation; 0 where there is none."""
     lean = -0.5 * (b1 + np.where(b1 >= 0.0, 1.0, -1.0) * np.sqrt(np.maximum(b1**2 - 4.0 * b0 * b2, 0.0)))
     far = np.divide(lean, b2, out=np.zeros_like(b0), where=np.abs(b2) > 1e-300)
     near = np.divide(b0, lean, out=np.zeros_like(b0), where=np.abs(lean) > 1e-300)

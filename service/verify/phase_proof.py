@@ -12,7 +12,7 @@ from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.timeline import edges_within, time_of
+from service.verify.timeline import edges_within, find_time
 
 # (first (I,), last (I,)) -> upper bounds over the intervals (I,), values at their first ends (I,) and last ends (I,)
 Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -96,6 +96,27 @@ class PhaseProof:
         fine = limit / 20.0 if resolution is None else resolution
         return bound_largest(edges, evaluate, limit, fine, settings.max_halvings, settings.max_sharpenings)
 
+    def bound_convex(
+        self,
+        value: Callable[[np.ndarray], np.ndarray],
+        deviation: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        limit: float,
+        resolution: float | None = None,
+    ) -> Extreme:
+        """Bound a quantity that is convex along the chord of a path, so that its largest value there is at an end.
+
+        Args:
+            value: quantity at path parameters.
+            deviation: bound of the distance between path and chord on intervals, in the quantity's unit.
+            limit, resolution: as in ``bound``.
+        """
+
+        def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            ends = values_at_ends(value, first, last)
+            return np.maximum(*ends) + deviation(first, last), *ends
+
+        return self.bound(evaluate, limit, resolution)
+
     def check(
         self,
         name: str,
@@ -112,19 +133,15 @@ class PhaseProof:
         """Make a check of a bound.
 
         Args:
-            name: of the check.
-            extreme: the bounded quantity.
-            limit: largest value allowed.
-            unit: of both.
             text: sentence for a bound that is proven.
             position: (3,) where the largest sample is, in the world [m].
-            names: of links or joints concerned.
+            names: links or joints concerned.
             negate: report "at least -limit" instead of "at most limit".
             failure: sentence where a sample refutes; by default that ``text`` is not so.
         """
         sign = -1.0 if negate else 1.0
         point = None if position is None else (float(position[0]), float(position[1]), float(position[2]))
-        where = Where(extreme.s, time_of(self.prepared.motion.law, extreme.s), point, names)
+        where = Where(extreme.s, find_time(self.prepared.motion.law, extreme.s), point, names)
         is_ok = bool(extreme.sampled <= limit)
         value = sign * float(extreme.bound if extreme.is_proven else extreme.sampled)
         basis = Basis.PROOF if extreme.is_proven else Basis.UNPROVEN if is_ok else Basis.SAMPLES

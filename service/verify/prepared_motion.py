@@ -80,7 +80,6 @@ class PreparedMotion:
     """A motion with what every proof about it uses, prepared once.
 
     Attributes:
-        motion: the motion.
         phases: its phases in order, or a single one without promises.
         edges: (E,) knots and phase boundaries in order.
         edge_phase: (E-1,) index of the phase between two neighbouring edges.

@@ -24,7 +24,7 @@ _FLAT = 128
 _KEPT = 2048
 
 
-def convex_of(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
+def make_coal_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
     """Return a Convex of these points, read-only: equal points give the same object."""
     return _make_convex(np.ascontiguousarray(vertices, dtype=float).tobytes())
 
@@ -45,7 +45,7 @@ def _make_convex(points: bytes) -> coal.Convex:
 
 
 def _extreme_points(vertices: Float[np.ndarray, "V 3"], count: int) -> Float[np.ndarray, "W 3"]:
-    """At most ``count`` vertices, the farthest in directions spread over the sphere (Fibonacci lattice)."""
+    """Return at most ``count`` vertices, the farthest in directions spread over the sphere (Fibonacci lattice)."""
     if len(vertices) <= count:
         return vertices
     k = np.arange(count) + 0.5
@@ -104,16 +104,12 @@ class Solid:
     @cached_property
     def convex(self) -> coal.Convex:
         """Convex of coal."""
-        return convex_of(self.vertices)
+        return make_coal_convex(self.vertices)
 
     def distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
         """Return the distances of points in the solid's frame from it, 0 inside [m]."""
-        dot, here, request, result = (
-            coal.Sphere(1e-9),
-            coal.Transform3s(),
-            coal.DistanceRequest(),
-            coal.DistanceResult(),
-        )
+        dot, here = coal.Sphere(1e-9), coal.Transform3s()
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
         distances = []
         for point in points:
             result.clear()

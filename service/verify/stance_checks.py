@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from service.verify.certificate import Basis, Check
 from service.verify.frame_paths import FramePath, MassPath
 from service.verify.motion import Phase, PlantedContact, SupportPolygon, VerifySettings
-from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
+from service.verify.phase_proof import Extreme, PhaseProof
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.timeline import edges_within
 
@@ -19,7 +19,7 @@ from service.verify.timeline import edges_within
 _SUPPORT_TOLERANCE_M = 1e-3
 
 
-def stance_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+def check_stance(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check balance, the support polygon and planted links of one phase."""
     proof = PhaseProof(prepared, phase, settings)
     if phase.support is not None:
@@ -33,12 +33,10 @@ def stance_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettin
 def _balance_check(proof: PhaseProof, support: SupportPolygon) -> Check:
     path, phase = MassPath(proof.prepared, proof.settings.rounding), proof.phase
 
-    def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        ends = values_at_ends(lambda s: outside_polygon(support.polygon, path.at(s)[:, :2]), first, last)
-        # Each edge's distance is linear along the chord, so its largest value is at an end.
-        return np.maximum(*ends) + path.deviation(first, last), *ends
+    def outside(s: np.ndarray) -> np.ndarray:
+        return outside_polygon(support.polygon, path.at(s)[:, :2])
 
-    extreme = proof.bound(evaluate, -support.margin_m, proof.settings.resolution_m)
+    extreme = proof.bound_convex(outside, path.deviation, -support.margin_m, proof.settings.resolution_m)
     point = path.at(np.array([extreme.s]))[0]
     text = f"the centre of mass stays {-1e3 * extreme.bound:.1f} mm inside the support polygon during {phase.name}"
     failure = f"the centre of mass is {describe_inside(-extreme.sampled)} the support polygon during {phase.name}"
@@ -55,12 +53,7 @@ def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Chec
     def drift(s: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.norm(path.at(s)[0] - planted, axis=2).max(axis=1))
 
-    def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        # The distance from a fixed point is convex along the chord, so its largest value is at an end.
-        ends = values_at_ends(drift, first, last)
-        return np.maximum(*ends) + path.point_deviation(first, last), *ends
-
-    extreme = proof.bound(evaluate, contact.tolerance_m)
+    extreme = proof.bound_convex(drift, path.point_deviation, contact.tolerance_m)
     at = path.at(np.array([extreme.s]))[0][0].mean(axis=0)
     text = f"{contact.link} drifts at most {1e3 * extreme.bound:.2f} mm during {phase.name}"
     name = f"planted.{phase.name}.{contact.link}"

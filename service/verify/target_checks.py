@@ -22,7 +22,7 @@ from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
 from service.verify.prepared_motion import PreparedMotion
 
 
-def target_checks(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check the targets of one phase."""
     proof = PhaseProof(prepared, phase, settings)
     for target in phase.targets:
@@ -87,13 +87,8 @@ def _component_check(
     def relative(s: np.ndarray) -> np.ndarray:
         return np.asarray((errors(s) / tolerance).max(axis=1) * scale)
 
-    def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        deviation = path.point_deviation(first, last) if unit == "m" else path.direction_deviation(first, last)
-        ends = values_at_ends(relative, first, last)
-        return np.maximum(*ends) + deviation, *ends
-
     if target.at is None:
-        extreme = proof.bound(evaluate, scale)
+        extreme = proof.bound_convex(relative, path.point_deviation if unit == "m" else path.direction_deviation, scale)
     else:
         extreme = Extreme.at_one_pose(float(relative(np.array([target.at]))[0]), target.at, scale)
     shown = f"{1e3 * extreme.bound:.2f} mm" if unit == "m" else f"{np.rad2deg(extreme.bound):.3f} deg"
@@ -139,25 +134,20 @@ def _relative_pose_checks(proof: PhaseProof, target: RelativePoseTarget) -> Iter
         return np.asarray(np.linalg.norm(path.at(s)[0][:, 0] - target.position, axis=1))
 
     def chord(s: np.ndarray) -> np.ndarray:
-        """Largest distance of the tip of a kept unit vector from its place: 2 sin(half the angle) [-]."""
+        """Return the largest distance of the tip of a kept unit vector from its place: 2 sin(half the angle) [-]."""
         rotation = path.at(s)[1]
         if target.free_axis is None:
             return np.asarray(np.linalg.norm(rotation - kept, axis=(1, 2)) / np.sqrt(2.0))
         return np.asarray(np.linalg.norm(rotation @ target.free_axis[:, None] - kept, axis=(1, 2)))
 
-    def shifts(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        # The distance from a fixed place is convex along the chord, so its largest value is at an end.
-        ends = values_at_ends(shift, first, last)
-        return np.maximum(*ends) + path.point_deviation(first, last), *ends
-
     def turns(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        # The same holds for the tip of every unit vector.
+        # The distance of the tip of a unit vector from its place is convex along the chord.
         ends = values_at_ends(chord, first, last)
         largest_chord = np.maximum(*ends) + path.direction_deviation(first, last)
         return _angle(largest_chord), _angle(ends[0]), _angle(ends[1])
 
     limit, angle = target.position_tolerance_m, target.rotation_tolerance_rad
-    off, turned = proof.bound(shifts, limit), proof.bound(turns, angle)
+    off, turned = proof.bound_convex(shift, path.point_deviation, limit), proof.bound(turns, angle)
     world_path = _origin_path(proof, target.frame)
     text = f"{target.frame} stays within {1e3 * off.bound:.2f} mm of its place {during}"
     failure = f"{target.frame} is {1e3 * off.sampled:.2f} mm off its place {during}"

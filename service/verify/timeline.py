@@ -9,12 +9,12 @@ from costs.curve import TimeLaw
 from service.verify.motion import Motion, Phase, VerifyError
 
 
-def time_of(law: TimeLaw | None, s: float) -> float | None:
+def find_time(law: TimeLaw | None, s: float) -> float | None:
     """Return the first time at which the path parameter is reached [s]; None without a law."""
-    return None if law is None else float(times_of(law, np.array([s]))[0])
+    return None if law is None else float(find_times(law, np.array([s]))[0])
 
 
-def times_of(law: TimeLaw, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
+def find_times(law: TimeLaw, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
     """Return the first times at which path parameters are reached [s]."""
     i = np.minimum(np.maximum(np.searchsorted(law.path, s, side="left") - 1, 0), len(law.path) - 2)
     duration = law.times[i + 1] - law.times[i]

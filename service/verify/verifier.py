@@ -13,23 +13,23 @@ from costs.stopping import never, stops_when
 from service.verify.certificate import Basis, Certificate, Check, Coverage, Status
 from service.verify.clearance.checks import prove_clearance
 from service.verify.coverage.checks import check_coverage
-from service.verify.coverage.required import own_joints
-from service.verify.dynamics import dynamics_checks
-from service.verify.ground import ground_checks
+from service.verify.coverage.required import list_own_joints
+from service.verify.dynamics import check_dynamics
+from service.verify.ground import check_ground
 from service.verify.hashes import bodies_hash, promises_hash, robot_hash, scene_hash
-from service.verify.limits import position_checks, timed_checks
+from service.verify.limits import check_positions, check_timing
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.stance_checks import stance_checks
-from service.verify.target_checks import target_checks
+from service.verify.stance_checks import check_stance
+from service.verify.target_checks import check_targets
 from service.verify.validation import validate_motion
 
 MotionCheck = Callable[[PreparedMotion, VerifySettings], Iterable[Check]]
 PhaseCheck = Callable[[PreparedMotion, Phase, VerifySettings], Iterable[Check]]
 
 # Checks of the whole motion, then of each phase, in the certificate's order; clearance and coverage follow.
-MOTION_CHECKS: tuple[MotionCheck, ...] = (position_checks, timed_checks)
-PHASE_CHECKS: tuple[PhaseCheck, ...] = (stance_checks, target_checks, ground_checks, dynamics_checks)
+MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing)
+PHASE_CHECKS: tuple[PhaseCheck, ...] = (check_stance, check_targets, check_ground, check_dynamics)
 
 
 def verify(
@@ -41,8 +41,6 @@ def verify(
     with ``motion.samples``, on the exported samples read linearly); ZMP and torques hold at samples.
 
     Args:
-        motion: the motion.
-        settings: of the proofs.
         should_stop: called at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
 
     Raises:
@@ -101,10 +99,10 @@ def _notes(prepared: PreparedMotion, coverage: Coverage) -> tuple[str, ...]:
         notes.append("ZMP and joint torques are checked at samples of the timed curve, not proven between them")
     if motion.samples is None:
         notes.append("the curve itself is certified; no exported samples were given")
-    unlimited, n_joints = coverage.joints_without_torque_limit, len(own_joints(motion))
+    unlimited, n_joints = coverage.joints_without_torque_limit, len(list_own_joints(motion))
     if motion.law is not None and 0 < len(unlimited) < n_joints:
         notes.append(f"torque not checked for {', '.join(unlimited)}: their limit is 0 or missing")
     if motion.robot.is_floating:
-        given = [phase.name for phase in prepared.phases if phase.support is not None and not phase.contacts]
-        notes += [f"the support polygon was taken as given in {', '.join(given)}"] if given else []
+        assumed = [phase.name for phase in prepared.phases if phase.support is not None and not phase.contacts]
+        notes += [f"the support polygon was taken as given in {', '.join(assumed)}"] if assumed else []
     return (*notes, *coverage.sentences())

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.curve import TimeLaw
-from service.verify.timeline import times_of
+from service.verify.timeline import find_times
 
 N_TIMES = 241
 TimeOf = Callable[[Float[np.ndarray, "S"]], Float[np.ndarray, "S"]]
@@ -92,7 +92,7 @@ def _read_law(curve: Mapping[str, Any]) -> tuple[TimeLaw | None, TimeOf]:
     if len(law.get("times") or []) < 2:
         return None, lambda s: s
     time_law = TimeLaw(*(np.asarray(law[key], dtype=float) for key in ("times", "path", "speed")))
-    return time_law, lambda s: times_of(time_law, s)
+    return time_law, lambda s: find_times(time_law, s)
 
 
 def _find_least(

@@ -1,4 +1,4 @@
-"""The Atlas v5 that ships with the package: public figures, shapes and hooks of our own.
+"""Bundled Atlas v5 robot: kinematic figures from a public source; shapes and hooks are this project's.
 
 Each hand link carries a hook, a rod on the hand axis (+y of ``l_hand``, -y of ``r_hand``) with the link name ``l_hook``
 or ``r_hook``. It ends at the frame ``l_tool`` or ``r_tool``, whose z axis points outwards along the hand axis and whose

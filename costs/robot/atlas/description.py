@@ -81,7 +81,7 @@ def _mesh_lines(name: str) -> list[str]:
 
 
 def _hook_lines(side: str, sign: float, tool_distance: float) -> list[str]:
-    """Hook link and tool frame: z along the hand axis, away from the elbow; x as the hand's."""
+    """Format hook link and tool frame: z along the hand axis, away from the elbow; x as the hand's."""
     turned = (-sign * 0.5 * np.pi, 0.0, 0.0)
     length = tool_distance - HOOK_START
     rod = (f'<origin xyz={quote([0.0, 0.0, 0.5 * length])} rpy="0 0 0"/>'

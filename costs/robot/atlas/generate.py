@@ -1,4 +1,4 @@
-"""Writes the bundled Atlas from our figures and shapes: ``python -m costs.robot.atlas.generate``."""
+"""Generator of the bundled Atlas's files from figures and shapes: ``python -m costs.robot.atlas.generate``."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _format_srdf(robot: RobotModel, reasons: Mapping[tuple[str, str], str]) -> s
 
 
 def _obj(name: str, points: Float[np.ndarray, "V 3"]) -> str:
-    """OBJ with one polygon per face, in an order that does not depend on the hull code's."""
+    """Format a mesh as OBJ, one polygon per face, in an order that does not depend on the hull library."""
     hull = ConvexHull(points)
     planes: dict[tuple[float, ...], set[int]] = {}
     for simplex, equation in zip(hull.simplices, hull.equations, strict=True):
@@ -86,7 +86,7 @@ def _obj(name: str, points: Float[np.ndarray, "V 3"]) -> str:
 
 
 def _standing_height(robot: RobotModel, angles: Mapping[str, float]) -> float:
-    """Height of the base that puts the lower sole on z = 0 [m]."""
+    """Return the height of the base that puts the lower sole on z = 0 [m]."""
     q = np.zeros(robot.n)
     for joint, angle in angles.items():
         q[robot.joint_names.index(joint)] = angle

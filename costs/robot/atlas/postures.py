@@ -40,7 +40,7 @@ POSTURES: Mapping[str, Mapping[str, float]] = {
 
 
 def whole_posture(name: str) -> Mapping[str, float]:
-    """Angle of every joint in a posture, in the order of the figures [rad]."""
+    """Return the angle of every joint in a posture, in the order of ``JOINTS`` [rad]."""
     angles = dict.fromkeys((joint.name for joint in JOINTS), 0.0)
     for joint, angle in POSTURES[name].items():
         part = "arm" if joint in _ARM else "leg"

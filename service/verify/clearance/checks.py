@@ -14,7 +14,7 @@ from service.verify.clearance.search import ClearanceBounds, Examination, examin
 from service.verify.motion import Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.solids import DistanceQuery
-from service.verify.timeline import time_of
+from service.verify.timeline import find_time
 
 FLOOR_KIND = "floor"
 
@@ -51,7 +51,7 @@ def prove_clearance(prepared: PreparedMotion, settings: VerifySettings) -> Clear
     checks = [*_refuted_checks(prepared, examined), *_unproven_checks(prepared, examined)]
     if not checks:
         checks = [_summary_check(prepared, examined, smallest, pair)]
-    checks += start_checks(prepared, examined.table, settings)
+    checks += check_start(prepared, examined.table, settings)
     return Clearance(
         tuple(checks),
         smallest,
@@ -90,18 +90,18 @@ def _min_clearance(
 
 
 def _refuted_checks(prepared: PreparedMotion, examined: Examination) -> Iterator[Check]:
-    """One failed check per refuted pair and phase, the deepest first."""
+    """Make one failed check per refuted pair and phase, the deepest first."""
     for sample in sorted(examined.proof.refuted.values(), key=lambda sample: sample.distance):
         names = examined.table.names(sample.pair)
         limit = 0.0 if np.isnan(sample.allowed) else -sample.allowed
         text = f"{names[0]} penetrates {names[1]} by {-1e3 * sample.distance:.1f} mm"
         x, y, z = (float(value) for value in sample.position)
-        where = Where(sample.s, time_of(prepared.motion.law, sample.s), (x, y, z), names)
+        where = Where(sample.s, find_time(prepared.motion.law, sample.s), (x, y, z), names)
         yield Check("clearance", False, sample.distance, limit, "m", text, where, Basis.SAMPLES)
 
 
 def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterator[Check]:
-    """One unproven check per pair that is open and not refuted, the nearest first."""
+    """Make one unproven check per pair that is open and not refuted, the nearest first."""
     table, unproven = examined.table, examined.proof.unproven
     reported = {pair for pair, _ in examined.proof.refuted}
     lowers = unproven.lower
@@ -114,14 +114,14 @@ def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterato
         lower, middle = float(lowers[row]), float(0.5 * (unproven.first[row] + unproven.last[row]))
         limit = -float(np.nan_to_num(table.allowed[pair, unproven.phase[row]]))
         text = f"clearance of {names[0]} and {names[1]} not shown: {1e3 * lower:.3f} mm at least"
-        where = Where(middle, time_of(prepared.motion.law, middle), None, names)
+        where = Where(middle, find_time(prepared.motion.law, middle), None, names)
         yield Check("clearance", True, lower, limit, "m", text, where, Basis.UNPROVEN)
 
 
 def _summary_check(
     prepared: PreparedMotion, examined: Examination, smallest: float, names: tuple[str, str] | None
 ) -> Check:
-    """The check of a motion whose pairs are all proven."""
+    """Make the check of a motion whose pairs are all proven."""
     text = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {1e3 * smallest:.1f} mm"
     text += f" ({names[0]} and {names[1]})" if names else ""
     is_touching = any(
@@ -132,7 +132,7 @@ def _summary_check(
     return Check("clearance", True, smallest, 0.0, "m", text, None, Basis.PROOF)
 
 
-def start_checks(prepared: PreparedMotion, table: PairTable, settings: VerifySettings) -> Iterator[Check]:
+def check_start(prepared: PreparedMotion, table: PairTable, settings: VerifySettings) -> Iterator[Check]:
     """Check each pair that overlaps at the first pose and that the first phase allows to touch.
 
     Planted links that rest on the floor are not listed.
@@ -155,12 +155,12 @@ def start_checks(prepared: PreparedMotion, table: PairTable, settings: VerifySet
             f"which '{phase.name}' allows down to {1e3 * allowed:.1f} mm"
         )
         is_ok = distance >= -allowed - settings.contact_tolerance_m
-        where = Where(s, time_of(prepared.motion.law, s), None, names)
+        where = Where(s, find_time(prepared.motion.law, s), None, names)
         yield Check(f"start.{names[0]}.{names[1]}", is_ok, distance, -allowed, "m", text, where, Basis.SAMPLES)
 
 
 def _rests_on_floor(prepared: PreparedMotion, table: PairTable, pair: int, phase: Phase) -> bool:
-    """Whether a pair is a planted link and a floor."""
+    """Return whether a pair is a planted link and a floor."""
     mover, piece = table.mover[pair], int(table.holder[pair]) - table.n_bodies
     planted = {contact.link for contact in phase.contacts}
     is_floor = piece >= 0 and prepared.motion.scene.pieces[piece].kind == FLOOR_KIND
@@ -168,7 +168,7 @@ def _rests_on_floor(prepared: PreparedMotion, table: PairTable, pair: int, phase
 
 
 def _list_exempt(examined: Examination, phases: tuple[Phase, ...]) -> tuple[Exempt, ...]:
-    """Pairs allowed to touch that the search examined, per phase."""
+    """List pairs allowed to touch that the search examined, per phase."""
     table, proof = examined.table, examined.proof
     proven, lowest = proof.proven, dict[tuple[int, int], float]()
     lowers = proven.lower
@@ -184,7 +184,7 @@ def _list_exempt(examined: Examination, phases: tuple[Phase, ...]) -> tuple[Exem
 
 
 def _proof_columns(examined: Examination, lowest: Float[np.ndarray, "E-1"]) -> Stretches:
-    """The proof as columns; distances rounded down and bounds up to 1e-7 m."""
+    """Return the proof as columns; distances rounded down and bounds up to 1e-7 m."""
     proven = examined.proof.proven
     used, pair = np.unique(proven.pair, return_inverse=True)
     return Stretches(

@@ -32,7 +32,6 @@ class PairPoses:
 
     Attributes:
         table: all pairs.
-        intervals: the examined intervals.
         allowed: (E,) greatest penetration allowed [m]; NaN where the pair may not touch.
         mover, holder: (E,) indices of their solids.
         s: (E, 3) path parameters of first, last and middle pose.

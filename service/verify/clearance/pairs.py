@@ -58,12 +58,7 @@ class PairTable:
         return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
 
     def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> PairTable:
-        """Return the table with chains of near pairs, each swept in the frame that gives the tighter bound.
-
-        Args:
-            tree: the robot's joints.
-            near: (K,) pairs whose chain is wanted.
-        """
+        """Return the table with chains of the pairs ``near``, each swept in the frame that gives the tighter bound."""
         chains, known = list(self.world), dict[tuple[int, int], int]()
 
         def row_of(frame: int, mover: int) -> int:
@@ -171,7 +166,7 @@ class PairIntervals:
 
     def take(self, rows: np.ndarray | slice) -> PairIntervals:
         """Return these rows."""
-        return PairIntervals(*(column[rows] for column in self._columns))
+        return PairIntervals(*(column[rows] for column in vars(self).values()))
 
     @staticmethod
     def join(parts: Sequence[PairIntervals]) -> PairIntervals:
@@ -179,7 +174,7 @@ class PairIntervals:
         if len(parts) == 1:
             return parts[0]
         return PairIntervals(
-            *(np.concatenate(column) for column in zip(*(part._columns for part in parts), strict=True))
+            *(np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True))
         )
 
     def halves(self, hint: Float[np.ndarray, "E 3"], middle: Float[np.ndarray, "E"]) -> PairIntervals:
@@ -203,7 +198,3 @@ class PairIntervals:
             np.concatenate([hint, hint]),
             ends.reshape(-1, 2),
         )
-
-    @property
-    def _columns(self) -> tuple[np.ndarray, ...]:
-        return self.pair, self.first, self.last, self.phase, self.floor, self.halved, self.hint, self.ends

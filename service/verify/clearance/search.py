@@ -103,11 +103,9 @@ def examine_pairs(
     """Bound the clearance of all pairs on all intervals: broad phase, then search of what that leaves open.
 
     Args:
-        prepared: the motion.
         table: pairs without chains.
         edges: knots and phase boundaries.
         phase: index of the phase between two of them.
-        settings: of the proof.
     """
     edges, phase_rows = refine_edges(prepared, table, edges, phase)
     floors = bound_clearances(prepared, table, edges, settings)

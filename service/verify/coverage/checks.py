@@ -8,9 +8,13 @@ import numpy as np
 
 from service.verify.certificate import SMALL_LINK_M, Basis, Check, Coverage, Shapeless
 from service.verify.clearance.pairs import PairTable
-from service.verify.coverage.left_out import find_left_out_pairs, overlap_checks
+from service.verify.coverage.left_out import check_overlaps, find_left_out_pairs
 from service.verify.coverage.link_tree import LinkTree
-from service.verify.coverage.required import joints_without_torque_limit, list_required_checks, missing_checks
+from service.verify.coverage.required import (
+    find_joints_without_torque_limit,
+    list_required_checks,
+    report_missing_checks,
+)
 from service.verify.coverage.shapeless import find_shapeless_links
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import PreparedMotion
@@ -22,7 +26,6 @@ def check_coverage(
     """Return what was checked, and an unproven check for everything that rules out a certificate.
 
     Args:
-        prepared: the motion.
         table: pairs of bodies whose clearance was examined.
         checks: that were made.
         settings: of the proofs that pairs left out keep apart.
@@ -43,10 +46,10 @@ def check_coverage(
         n_link_pairs,
         n_piece_pairs,
         left_out,
-        joints_without_torque_limit(motion),
+        find_joints_without_torque_limit(motion),
         waived,
     )
-    against = [*missing_checks(required, checks), *overlap_checks(left_out)]
+    against = [*report_missing_checks(required, checks), *check_overlaps(left_out)]
     against += [_size_check(item, item.link in tree.shaped) for item in shapeless if not item.is_small]
     if n_link_pairs + n_piece_pairs == 0:
         against.append(_no_pair_check(coverage))

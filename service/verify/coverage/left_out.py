@@ -19,7 +19,7 @@ from service.verify.coverage.link_tree import LinkTree
 from service.verify.motion import Motion, RelativePoseTarget, VerifySettings
 from service.verify.prepared_motion import ForwardKinematics, Placements, PreparedMotion
 from service.verify.solids import DistanceQuery, Solid
-from service.verify.timeline import time_of
+from service.verify.timeline import find_time
 
 _SAMPLES = 32  # sampled first; pairs that overlap at no sample are proven apart, or reported
 # Two links with one between them count as around a joint when they overlap in this share of the poses of the joints
@@ -55,7 +55,7 @@ def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: Veri
         is_kept = frozenset(tree.joint[link] for link in pair) in kept
         is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
         reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
-        left_out.append(LeftOut(pair, reason, is_around, depth, s, time_of(motion.law, s)))
+        left_out.append(LeftOut(pair, reason, is_around, depth, s, find_time(motion.law, s)))
     return tuple(sorted(left_out, key=lambda item: item.pair))
 
 
@@ -71,12 +71,12 @@ def _neighbour_pair(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, s
             worst = int(depth.argmax())
             if depth.min() < -_APART_M and depth[worst] > 0.0:
                 deepest, place = float(depth[worst]), float(s[worst])
-                time_s = time_of(prepared.motion.law, place)
+                time_s = find_time(prepared.motion.law, place)
                 return LeftOut(pair, "adjacent", is_neighbour=False, deepest_m=deepest, s=place, time_s=time_s)
     return LeftOut(pair, "adjacent", is_neighbour=True, deepest_m=float("nan"))
 
 
-def overlap_checks(left_out: Sequence[LeftOut]) -> Iterator[Check]:
+def check_overlaps(left_out: Sequence[LeftOut]) -> Iterator[Check]:
     """Yield an unproven check for each pair that is left out although its links overlap in the motion."""
     for item in sorted(left_out, key=lambda item: -np.nan_to_num(item.deepest_m)):
         if item.is_neighbour or item.reason == "kept" or item.s is None:
@@ -132,15 +132,15 @@ def _find_pairs_not_apart(
     examined = examine_pairs(prepared, collect_pairs(alone, prepared.tree), knots, phase, settings)
     table, proof = examined.table, examined.proof
 
-    def links_of(pair: int) -> tuple[str, str]:
+    def list_links(pair: int) -> tuple[str, str]:
         a, b = (table.solids[side[pair]].link for side in (table.mover, table.holder))
         return (a, b) if a < b else (b, a)
 
     for row in range(len(proof.unproven.pair)):
-        pair = links_of(int(proof.unproven.pair[row]))
+        pair = list_links(int(proof.unproven.pair[row]))
         overlaps.setdefault(pair, (0.0, float(proof.unproven.first[row])))
     for sample in proof.refuted.values():
-        pair = links_of(sample.pair)
+        pair = list_links(sample.pair)
         overlaps[pair] = max(overlaps.get(pair, (0.0, 0.0)), (-sample.distance, sample.s))
     return overlaps
 
@@ -198,7 +198,7 @@ def _centre(placed: Placements, rows: np.ndarray, solid: Solid) -> Float[np.ndar
 
 
 def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
-    """Whether a link between the two is a neighbour of both, and they overlap in nearly all poses."""
+    """Return whether a link between the two is a neighbour of both, and they overlap in nearly all poses."""
     between = [c for c in tree.shaped - set(pair) if all(tree.are_neighbours(c, link) for link in pair)]
     if not between:
         return False

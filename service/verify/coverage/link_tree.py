@@ -74,7 +74,7 @@ class LinkTree:
         return nearest
 
     def are_neighbours(self, a: str, b: str) -> bool:
-        """Whether two links with shapes are joined by one joint, or by several with no shape between them.
+        """Return whether two links with shapes are joined by one joint, or by several with no shape between them.
 
         Links fixed to one of the two count only if they are near the joint; a link fixed to the world is a neighbour
         only of the links it carries.
@@ -94,7 +94,7 @@ class LinkTree:
         return above
 
     def _meet_at_a_joint(self, upper: str, lower: str) -> bool:
-        """Whether a joint connects these two links, or links fixed to them, and both are near it."""
+        """Return whether a joint connects these two links, or links fixed to them, and both are near it."""
         hinge = joint = self.joint[lower]
         shaped_joints = {self.joint[link] for link in self.shaped}
         if joint == 0:

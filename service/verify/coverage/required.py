@@ -10,14 +10,14 @@ from jaxtyping import Float
 
 from costs.robot.model import BASE_NAMES
 from service.verify.certificate import Basis, Check
-from service.verify.ground import standing_contacts
+from service.verify.ground import find_standing_contacts
 from service.verify.motion import Motion, Phase
 
 TIMING, BALANCE = "timing", "balance"
 INERTIA_ROUNDING = 0.05  # by which a principal moment may exceed the sum of the others in a robot's file
 
 
-def waived_checks(*, is_timed: bool, is_balanced: bool) -> frozenset[str]:
+def list_waived_checks(*, is_timed: bool, is_balanced: bool) -> frozenset[str]:
     """Return the waived checks: ``timing`` of an untimed motion, ``balance`` where the request does not demand it."""
     return frozenset(([] if is_timed else [TIMING]) + ([] if is_balanced else [BALANCE]))
 
@@ -44,8 +44,8 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
         waived.append("speeds, accelerations and forces (the motion is untimed)")
     else:
         names.append("limits.speed")
-    unlimited = joints_without_torque_limit(motion)
-    is_limited = len(unlimited) < len(own_joints(motion)) and _has_mass(motion)
+    unlimited = find_joints_without_torque_limit(motion)
+    is_limited = len(unlimited) < len(list_own_joints(motion)) and _has_mass(motion)
     if motion.law is not None and not is_limited:
         waived.append("torques (no joint names a limit)" if _has_mass(motion) else "torques (no link names a mass)")
     if motion.law is not None and is_limited:
@@ -55,7 +55,7 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
         if not motion.robot.is_floating:
             continue
         names += [f"planted.{phase.name}.{contact.link}" for contact in phase.contacts]
-        names += [f"ground.{phase.name}.{contact.link}" for contact in standing_contacts(motion, phase)]
+        names += [f"ground.{phase.name}.{contact.link}" for contact in find_standing_contacts(motion, phase)]
         if phase.support is None and _is_waived(motion, BALANCE):
             waived.append(f"balance in '{phase.name}'")
             continue
@@ -68,7 +68,7 @@ def _is_waived(motion: Motion, what: str) -> bool:
     return motion.waived is None or what in motion.waived
 
 
-def own_joints(motion: Motion) -> tuple[int, ...]:
+def list_own_joints(motion: Motion) -> tuple[int, ...]:
     """Return the coordinates of the robot's own joints: neither the base's nor a mechanism's."""
     model, robot = motion.robot.model, motion.robot
     moved = {body.joint for body in robot.bodies if body.link in motion.mechanism_links}
@@ -76,10 +76,10 @@ def own_joints(motion: Motion) -> tuple[int, ...]:
     return tuple(k for k in range(len(BASE_NAMES) if robot.is_floating else 0, robot.n) if k not in columns)
 
 
-def joints_without_torque_limit(motion: Motion) -> tuple[str, ...]:
+def find_joints_without_torque_limit(motion: Motion) -> tuple[str, ...]:
     """Return the robot's own joints without a torque limit; a limit of 0 means unknown."""
     effort = motion.robot.effort
-    return tuple(motion.robot.joint_names[k] for k in own_joints(motion) if not 0.0 < effort[k] < np.inf)
+    return tuple(motion.robot.joint_names[k] for k in list_own_joints(motion) if not 0.0 < effort[k] < np.inf)
 
 
 def _has_mass(motion: Motion) -> bool:
@@ -102,12 +102,12 @@ def _doubtful_weights(motion: Motion) -> Iterator[str]:
 
 
 def _is_possible(inertia: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether no principal moment exceeds the sum of the two others by more than rounding in a file."""
+    """Return whether no principal moment exceeds the sum of the two others by more than rounding in a file."""
     moments = np.linalg.eigvalsh(np.asarray(inertia))
     return bool(moments[2] <= (1.0 + INERTIA_ROUNDING) * (moments[0] + moments[1]) + 1e-9)
 
 
-def missing_checks(required: RequiredChecks, checks: Sequence[Check]) -> Iterator[Check]:
+def report_missing_checks(required: RequiredChecks, checks: Sequence[Check]) -> Iterator[Check]:
     """Yield an unproven check for each required check that was not made."""
     made = {check.name for check in checks}
     for name in required.names:

@@ -33,7 +33,7 @@ def find_shapeless_links(prepared: PreparedMotion, tree: LinkTree) -> tuple[Shap
 
 
 def _has_token(prepared: PreparedMotion, link: str, element: ElementTree.Element | None) -> bool:
-    """Whether a link's collision shapes are far smaller than its drawn shapes.
+    """Return whether a link's collision shapes are far smaller than its drawn shapes.
 
     A mesh read in the wrong unit, or boxes of a centimetre inside a forearm, would let it pass through walls.
     """
@@ -126,7 +126,7 @@ def _mass_of(element: ElementTree.Element) -> float:
 
 
 def _has_unknown_size(element: ElementTree.Element) -> bool:
-    """Whether the link is drawn as a mesh, which is not loaded, and has no mass to give its size."""
+    """Return whether the link is drawn as a mesh, which is not loaded, and has no mass to give its size."""
     return element.find("visual/geometry/mesh") is not None and not _mass_of(element) >= _LEAST_MASS_KG
 
 

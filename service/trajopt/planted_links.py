@@ -1,8 +1,9 @@
-"""What a problem says of standing: links held where they are throughout are planted, ``zmp`` asks for balance."""
+"""Planted links and balance of a problem, derived from its pose constraints and ``zmp`` terms."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,21 +13,21 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import KinematicsEngine, Topology, locate_frame, locate_links
 from costs.robot import RobotModel
 from service.start.standing import FEET_GROUP
-from service.trajopt.demanded import pose_matrix
 from service.trajopt.problem import PoseTerm, Problem, ZmpTerm
 
-SHIFT, TURN = 1e-3, np.deg2rad(0.5)  # a foot that is to stay may be written as roughly as this [m, rad]
+SHIFT, TURN = 1e-3, np.deg2rad(0.5)  # largest deviation of a planted link's pose in the file from its start [m, rad]
 
 
 @dataclass(frozen=True)
 class Standing:
-    """How the robot stands.
+    """Planted links of a problem.
 
     Attributes:
-        planted: links that stay where they are at the start, throughout.
-        is_balanced: whether ``zmp`` is asked with all of them at every waypoint after the start.
-        problem: without the terms that this says already.
-        notes, problems: one line each.
+        planted: links that keep their start pose during the whole motion.
+        is_balanced: whether ``zmp`` terms name all of them at every waypoint after the start.
+        problem: the problem without the terms that ``planted`` and ``is_balanced`` replace.
+        notes: one line per assumption.
+        problems: one line per error.
     """
 
     planted: tuple[str, ...]
@@ -36,38 +37,33 @@ class Standing:
     problems: tuple[str, ...] = ()
 
 
-def standing(
+def find_planted_links(
     problem: Problem, robot: RobotModel, start: Float[np.ndarray, "n"], moving: Int[np.ndarray, "f"]
 ) -> Standing:
-    """Which links of a robot with a free base are planted, and whether balance is asked of it.
-
-    Args:
-        problem: as read.
-        robot: that stands.
-        start: (n,) how it stands at first.
-        moving: coordinates that the problem moves.
-    """
+    """Find the planted links of a robot with a free base, at configuration ``start``; ``moving`` may change."""
     balances = [term for term in problem.terms if isinstance(term, ZmpTerm)]
     if not robot.is_floating:
         problems = tuple(
-            f"{term.path}.type: zmp asks for a free base, and that of {robot.name} is fixed; leave it out, or give "
+            f"{term.path}.type: zmp needs a free base, and that of {robot.name} is fixed; leave it out, or give "
             "the robot a floating base"
             for term in balances
         )
         return Standing((), False, problem, problems=problems)
-    held = {frame: terms for frame, terms in _held(problem).items() if _is_where_it_starts(robot, start, terms)}
+    held = {frame: terms for frame, terms in _find_held_links(problem) if _is_at_start(robot, start, terms[0])}
     named = {link for term in balances for link in term.links}
-    bodied = {body.link for body in robot.bodies}
+    with_shape = {body.link for body in robot.bodies}
     feet = robot.link_groups.get(FEET_GROUP, ())
     still = {link for link in feet if not _moves(robot, link, moving)}
-    planted = tuple(sorted(link for link in {*held, *named, *still} if link in bodied))
+    planted = tuple(sorted(link for link in {*held, *named, *still} if link in with_shape))
     notes: list[str] = []
     for link in planted:
         if link in still:
             notes.append(f"{link} is planted: nothing in manip moves it")
         elif link in held:
             paths = [term.path for term in held[link]]
-            notes.append(f"{link} is planted: {_listed(paths)} hold it where it starts, and so it is held in between")
+            notes.append(
+                f"{link} is planted: {_list_paths(paths)} hold it where it starts, so it is held between waypoints, too"
+            )
         else:
             notes.append(f"{link} is planted: zmp names it, though no pose constraint holds it")
     if feet and not planted:
@@ -81,46 +77,42 @@ def standing(
     if is_balanced:
         replaced |= {term.path for term in balances if set(term.links) == set(planted)}
     elif balances:
-        notes.append("zmp is not asked of every waypoint with all planted links: balance is not part of the proof")
+        notes.append("no zmp with all planted links at every waypoint: balance is not part of the proof")
     rest = tuple(term for term in problem.terms if term.path not in replaced)
     return Standing(planted, is_balanced, replace(problem, terms=rest), tuple(notes))
 
 
-def held_alike(problem: Problem) -> list[list[PoseTerm]]:
-    """Pose constraints that ask the same of a frame at every waypoint after the start, in groups."""
+def group_equal_poses(problem: Problem) -> list[list[PoseTerm]]:
+    """Return groups of pose constraints that hold a frame at the same pose at every waypoint after the start."""
     groups: dict[tuple[object, ...], list[PoseTerm]] = defaultdict(list)
     for term in problem.terms:
         if isinstance(term, PoseTerm) and not term.is_cost:
-            axes = (*(c > 0.0 for c in term.pos_coeffs), *(c > 0.0 for c in term.rot_coeffs))
-            where = (term.reference, term.xyz, term.wxyz, term.offset_xyz, term.offset_wxyz)
-            groups[(term.frame, *where, *axes)].append(term)
-    wanted = set(range(1, problem.basic.n_steps))
-    return [terms for terms in groups.values() if {term.step for term in terms} >= wanted]
+            poses = (term.xyz, term.wxyz, term.offset_xyz, term.offset_wxyz)
+            groups[(term.frame, term.reference, *poses, term.position_axes, term.rotation_axes)].append(term)
+    steps = set(range(1, problem.basic.n_steps))
+    return [terms for terms in groups.values() if {term.step for term in terms} >= steps]
 
 
-def _held(problem: Problem) -> dict[str, list[PoseTerm]]:
-    """Pose constraints that hold a link in the world, whole, at every waypoint."""
-    found: dict[str, list[PoseTerm]] = {}
-    for terms in held_alike(problem):
-        first = terms[0]
-        if first.reference is None and all(c > 0.0 for c in (*first.pos_coeffs, *first.rot_coeffs)):
-            found[first.frame] = terms
-    return found
+def _find_held_links(problem: Problem) -> Iterator[tuple[str, list[PoseTerm]]]:
+    """Yield each link whose full pose in the world is held at every waypoint, with its terms."""
+    for terms in group_equal_poses(problem):
+        if terms[0].reference is None and all((*terms[0].position_axes, *terms[0].rotation_axes)):
+            yield terms[0].frame, terms
 
 
-def _is_where_it_starts(robot: RobotModel, start: Float[np.ndarray, "n"], terms: list[PoseTerm]) -> bool:
-    term = terms[0]
+def _is_at_start(robot: RobotModel, start: Float[np.ndarray, "n"], term: PoseTerm) -> bool:
+    """Return whether a term's target is the frame's pose at the start."""
     pose = locate_links(KinematicsEngine(robot), start, [term.frame])[term.frame]
-    error = np.linalg.inv(pose_matrix(term.xyz, term.wxyz)) @ pose @ pose_matrix(term.offset_xyz, term.offset_wxyz)
+    error = np.linalg.inv(term.target) @ pose @ term.offset
     turn = Rotation.from_matrix(error[:3, :3]).magnitude()
     return bool(np.linalg.norm(error[:3, 3]) < SHIFT and turn < TURN)
 
 
 def _moves(robot: RobotModel, link: str, moving: Int[np.ndarray, "f"]) -> bool:
-    """Whether any of the coordinates moves a link."""
+    """Return whether any of the coordinates moves a link."""
     joint = locate_frame(robot, link)[0]
     return bool(Topology.of(robot.model).supports[joint][moving].any())
 
 
-def _listed(paths: list[str]) -> str:
+def _list_paths(paths: list[str]) -> str:
     return paths[0] if len(paths) == 1 else f"{paths[0]} to {paths[-1]}" if len(paths) > 2 else " and ".join(paths)

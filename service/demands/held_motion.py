@@ -1,0 +1,283 @@
+"""Demands of a request, and a recorded motion held to them.
+
+The promises of the motion's phases are made anew from the request; differences in robot, scene, path, speed and
+promises are listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.robot import RobotModel
+from costs.scene import Scene
+from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
+from service.demands.recorded_turn import RecordedTurn
+from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
+from service.demands.targets import make_goal_targets, make_kept_target
+from service.demands.wheel import Wheel, add_wheel_joint
+from service.request.schema import PlanRequest
+from service.start.overlaps import find_hull_overlaps
+from service.verify import Certificate, Motion, Phase, Target
+from service.verify.coverage.required import list_waived_checks
+from service.verify.hashes import bodies_hash, robot_hash, scene_hash
+
+ESCAPE = "escape"
+PACE_TOLERANCE = 0.01  # share of a speed or an acceleration that may be used in addition
+BORDER_ROUNDING = 1e-9  # of path parameters, and of tangents that vanish
+SAME = 1e-6  # numbers of a request and of a record that agree [m, rad]
+
+
+@dataclass(frozen=True)
+class Demands:
+    """Demands of a request on every motion that answers it.
+
+    Attributes:
+        robot: the robot without the mechanism that a task moves.
+        start: (n,) configuration at the start.
+        scene: all pieces, floors included.
+        program: demands of the request's TrajOpt problem, or None.
+        wheel: wheel of the valve to turn, or None.
+    """
+
+    request: PlanRequest
+    robot: RobotModel
+    start: Float[np.ndarray, "n"]
+    scene: Scene
+    program: ProgramDemand | None = None
+    wheel: Wheel | None = None
+
+    @property
+    def feet(self) -> tuple[str, ...]:
+        """Planted links."""
+        if self.program is not None:
+            return self.program.planted
+        return list_planted_feet(self.robot, self.request.options.feet)
+
+
+@dataclass(frozen=True)
+class HeldMotion:
+    """Recorded motion with the promises of a request.
+
+    Attributes:
+        motion: the recorded curve, time law, samples and phases' borders; everything else from the request.
+        differences: one sentence for each statement of the record that is not the request's.
+    """
+
+    motion: Motion
+    differences: tuple[str, ...]
+
+
+def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
+    """Make a recorded motion's promises anew from a request.
+
+    Only choices are kept from the record: curve, time law, samples, and where phases begin and end.
+
+    Raises:
+        ValueError: the request's feet do not span a polygon.
+    """
+    robot = demands.robot if demands.wheel is None else add_wheel_joint(demands.robot, demands.wheel)
+    differences = list(compare_world(demands, robot, recorded))
+    if recorded.robot.joint_names != robot.joint_names:
+        return HeldMotion(recorded, tuple(differences))
+    differences += compare_path(demands, recorded)
+    promises, lines = _promises(demands, recorded)
+    phases = tuple(_rebuild(demands, recorded, index, promises) for index in range(len(recorded.phases)))
+    differences += lines
+    for phase, own in zip(recorded.phases, phases, strict=True):
+        differences += compare_phase(phase, own, is_program=demands.program is not None)
+    waived = list_waived_checks(
+        is_timed=demands.request.options.timed,
+        is_balanced=promises.stance.hull is not None or not demands.robot.is_floating,
+    )
+    if recorded.waived != waived:
+        differences.append("the record waives other checks than the request")
+    motion = replace(
+        recorded,
+        robot=robot,
+        scene=demands.scene,
+        phases=phases,
+        mechanism_links=robot.mechanism_links,
+        waived=waived,
+    )
+    return HeldMotion(motion, tuple(differences))
+
+
+@dataclass(frozen=True)
+class _Promises:
+    """Promises of the phases, made from the request.
+
+    Attributes:
+        stance: planted feet and support polygon.
+        standing: allowances of planted links on floors.
+        escape: allowances of the overlaps at the start.
+        last: targets of the last phase.
+        everywhere: targets of all phases.
+        turning: strokes of a valve task, or None.
+    """
+
+    stance: Stance
+    standing: tuple[Allowance, ...]
+    escape: tuple[Allowance, ...]
+    last: tuple[Target, ...]
+    everywhere: tuple[Target, ...]
+    turning: RecordedTurn | None
+
+
+def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
+    request, robot, start, feet = demands.request, demands.robot, demands.start, demands.feet
+    is_balanced = demands.program is None or demands.program.is_balanced
+    stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
+    leaves = request.options.escape and demands.program is None
+    inside = find_hull_overlaps(robot, start, demands.scene, feet) if leaves else []
+    targets: tuple[Target, ...] = ()
+    lines: tuple[str, ...] = ()
+    knots = recorded.curve.knots
+    if request.goal is not None:
+        targets = make_goal_targets(robot, request.goal, float(knots[-1]))
+    elif demands.program is not None:
+        targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
+    turning = None
+    if demands.wheel is not None and request.task is not None and request.task.valve is not None:
+        turning = RecordedTurn.of(demands.wheel, request.task.valve, recorded)
+        lines = turning.problems
+    return _Promises(
+        stance,
+        make_standing_allowances(feet, demands.scene),
+        make_escape_allowances(inside),
+        targets,
+        tuple(make_kept_target(robot, start, keep) for keep in request.keep),
+        turning,
+    ), lines
+
+
+def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises) -> Phase:
+    """Return one phase with the promises of the request."""
+    phase = recorded.phases[index]
+    first = recorded.curve(np.array([phase.first]))[0, : demands.robot.n]
+    escape = promises.escape if phase.name == ESCAPE and index == 0 else ()
+    targets = promises.last if index == len(recorded.phases) - 1 else ()
+    touching: tuple[Allowance, ...] = ()
+    if promises.turning is not None:
+        targets = promises.turning.targets(index, phase.last)
+        touching = promises.turning.allowances(index, phase)
+    if demands.program is not None:  # the planner itself promises targets between its steps
+        targets = (*(target for target in phase.targets if getattr(target, "at", None) is None), *targets)
+    return Phase(
+        name=phase.name,
+        first=phase.first,
+        last=phase.last,
+        contacts=promises.stance.contacts,
+        allowances=(*promises.standing, *escape, *touching),
+        targets=(*targets, *promises.everywhere),
+        support=promises.stance.support(phase.name, first),
+    )
+
+
+def compare_world(demands: Demands, robot: RobotModel, recorded: Motion) -> Iterator[str]:
+    """Yield a sentence for each difference in robot, mechanism and scene."""
+    if recorded.robot.joint_names != robot.joint_names:
+        yield "the motion's joints are not those of the robot and the task's mechanism"
+    elif robot_hash(recorded.robot) != robot_hash(robot):
+        yield "the robot is not the request's"
+    elif bodies_hash(recorded.robot) != bodies_hash(robot):
+        yield "the bodies, or the ignored pairs, are not those of the robot and the task's mechanism"
+    elif not _is_same_joint(recorded.robot, robot):
+        yield "the task's mechanism does not move as the request demands"
+    if scene_hash(recorded.scene) != scene_hash(demands.scene):
+        yield _scene_difference(recorded.scene, demands.scene)
+
+
+def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
+    """Yield a sentence for each difference in start, time law, fixed joints and phase borders."""
+    q = recorded.curve.positions[:, : demands.robot.n]
+    off = np.abs(q[0] - demands.start)
+    if off.max(initial=0.0) > SAME:
+        joint = demands.robot.joint_names[int(off.argmax())]
+        yield f"the motion starts {off.max():.3g} away from the request's start at {joint}"
+    if demands.request.options.timed and recorded.law is None:
+        yield "the request demands a timed motion, and the record has no time law"
+    if demands.program is not None:
+        yield from report_fixed_joints_that_move(demands.program, demands.robot, demands.start, q)
+    for phase in recorded.phases[1:]:
+        if not _rests(recorded, phase.first):
+            yield f"phase '{phase.name}' begins while the robot moves; it must rest there"
+    names = [phase.name for phase in recorded.phases]
+    if ESCAPE in names[1:]:
+        yield "only the first phase may escape from an overlap at the start"
+
+
+def compare_phase(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str]:
+    """Yield a sentence for each promise of a recorded phase that is not the request's."""
+    for name in (
+        ("contacts", "allowances", "support") if is_program else ("contacts", "allowances", "support", "targets")
+    ):
+        if not _same(getattr(recorded, name), getattr(own, name)):
+            yield f"{name} of phase '{recorded.name}' are not those of the request"
+
+
+def compare_pace(request: PlanRequest, certificate: Certificate) -> Iterator[str]:
+    """Yield a sentence where a motion uses more of the robot's speed or acceleration limits than the request allows."""
+    options = request.options
+    for name, share in (("speed", options.velocity_scale), ("acceleration", options.acceleration_scale)):
+        for check in certificate.checks:
+            if check.name == f"limits.{name}" and check.value > share * (1.0 + PACE_TOLERANCE):
+                used, most = 100.0 * check.value, 100.0 * share
+                yield f"the motion uses {used:.0f} % of the {name} limits, the request at most {most:g} %"
+
+
+def _is_same_joint(first: RobotModel, second: RobotModel) -> bool:
+    """Return whether the last joints of two robots of the same URDF have the same place, axis and limits."""
+    places = [robot.model.jointPlacements[robot.model.njoints - 1].homogeneous for robot in (first, second)]
+    axes = [_axis(robot) for robot in (first, second)]
+    limits = [np.stack([robot.lower, robot.upper, robot.velocity, robot.acceleration]) for robot in (first, second)]
+    finite = [np.nan_to_num(limit, posinf=1e9, neginf=-1e9) for limit in limits]
+    return _same(places[0], places[1]) and _same(axes[0], axes[1]) and _same(finite[0], finite[1])
+
+
+def _axis(robot: RobotModel) -> Float[np.ndarray, "6"]:
+    """Return the motion axis of the last joint at configuration zero, in its own frame."""
+    joint = robot.model.joints[robot.model.njoints - 1]
+    data = joint.createData()
+    joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
+    return np.asarray(data.S).reshape(6, -1)[:, -1]
+
+
+def _scene_difference(recorded: Scene, own: Scene) -> str:
+    """Return a sentence that names the pieces that differ."""
+    written, wanted = ({piece.name: piece for piece in scene.pieces} for scene in (recorded, own))
+    missing, more = sorted(wanted.keys() - written.keys()), sorted(written.keys() - wanted.keys())
+    if missing:
+        return f"the scene lacks {', '.join(missing[:3])}{' and others' if len(missing) > 3 else ''}"
+    if more:
+        return f"the scene has {', '.join(more[:3])}, which the request does not"
+    changed = [name for name in sorted(wanted) if not _same(wanted[name].vertices, written[name].vertices)]
+    kinds = [name for name in sorted(wanted) if wanted[name].kind != written[name].kind]
+    return f"{', '.join((changed or kinds or ['a piece'])[:3])} of the scene is not where the request has it"
+
+
+def _rests(motion: Motion, border: float) -> bool:
+    """Return whether the curve has a waypoint at a path parameter, and vanishing tangents there."""
+    at = int(np.abs(motion.curve.knots - border).argmin())
+    is_knot = abs(motion.curve.knots[at] - border) <= BORDER_ROUNDING * max(1.0, abs(border))
+    return bool(is_knot and np.abs(motion.curve.tangents[at]).max(initial=0.0) <= BORDER_ROUNDING)
+
+
+def _same(first: object, second: object) -> bool:
+    """Return whether two values agree, numbers up to rounding; infinities agree with infinities."""
+    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
+        if first is None or second is None:
+            return first is second
+        a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+        return a.shape == b.shape and bool(np.allclose(a, b, rtol=0.0, atol=SAME))
+    if isinstance(first, float | int) and isinstance(second, float | int):
+        return bool(np.isclose(first, second, rtol=0.0, atol=SAME))
+    if isinstance(first, tuple) and isinstance(second, tuple):
+        return len(first) == len(second) and all(_same(a, b) for a, b in zip(first, second, strict=True))
+    if is_dataclass(first) and type(first) is type(second):
+        return all(_same(getattr(first, field.name), getattr(second, field.name)) for field in fields(first))
+    return first == second
