@@ -57,7 +57,7 @@ parse_in_sandbox(Path(sys.argv[1]) / "scan.las")
 SPLIT_A_MESH = """
 import sys
 import numpy as np
-from perception.mesh import Mesh
+from perception.solids.mesh import Mesh
 from perception.solids.process import run_coacd
 sys.path.insert(0, sys.argv[1])
 run_coacd([Mesh(np.eye(3), np.array([[0, 1, 2]]))], {})
