@@ -194,7 +194,7 @@ def _continues(bar: Bar, other: Bar) -> bool:
 
 
 def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
-    """Refit the bar and its ends until the ends converge, and weigh it; None if rejected."""
+    """Refit the bar and its ends until the ends converge; return it with its evidence, or None if rejected."""
     early = weigh_bar(rays, bar)
     if bar.length < _LEAST_LENGTH or early.solid < 0.5:
         return None

@@ -278,7 +278,7 @@ def _box_entry(
 def _round_entry(
     p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows
 ) -> tuple[_Rows, tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:
-    """Return what :func:`_box_entry` returns, for a circle."""
+    """Return the same as :func:`_box_entry`, for a circle."""
     inside = np.minimum(np.abs(side), 0.98 * reach)
     chord = np.sqrt(reach**2 - inside**2)
     depth = -(p1 * d1 + p2 * d2) / speed**2 - chord / speed

@@ -48,7 +48,7 @@ class Run:
     away: Float[np.ndarray, "3"] | None = None
 
     def places(self, spacing: float, beyond: float = 0.0) -> Float[np.ndarray, "K 3"]:
-        """Return points on the line, from ``beyond`` before its start to ``beyond`` past its end [m]."""
+        """Return points at most ``spacing`` apart, from ``beyond`` before the start to ``beyond`` past the end [m]."""
         low, high = self.first - beyond, self.last + beyond
         n = max(2, int(np.ceil((high - low) / spacing)) + 1)
         return np.asarray(self.place + np.linspace(low, high, n)[:, None] * self.axis)

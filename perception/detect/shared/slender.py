@@ -20,7 +20,7 @@ def is_slender(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
     """Return which points have neighbours that spread much more along one direction than along a second.
 
     Criterion: second largest over largest variance of the points in the 3 x 3 x 3 cells of 7.5 cm around a point, at
-    most 0.5.  It is 1 in the middle of a wall, 0.3 at its edge, below 0.25 on a board up to 15 cm wide.
+    most 0.5.  The ratio is 1 in the middle of a wall, 0.3 at its edge, below 0.25 on a board up to 15 cm wide.
 
     Args:
         points: (N, 3) thinned evenly [m].

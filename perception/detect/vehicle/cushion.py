@@ -189,7 +189,7 @@ def as_cushion(patch: Patch, about: Surround, turn: int) -> Cushion:
     n_guessed = 0
     for axis, usual in enumerate((USUAL_DEPTH, USUAL_WIDTH)):
         missing = usual - (high - low)[axis]
-        # With two unseen edges it is unknown which one to move.
+        # With two unseen edges neither is moved, since the nearer one is unknown.
         if missing > 0.0 and sum(seen[axis]) == 1:
             n_guessed += 1
             if seen[axis][0]:

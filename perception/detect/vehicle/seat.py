@@ -132,7 +132,7 @@ def _head_of(view: View) -> Float[np.ndarray, "3"]:
 def ground_of(view: View) -> float:
     """Return world z of the ground below the vehicle; the view's floor may be the vehicle's.
 
-    When no ground was seen it is at most 0, the height of the ground under a robot.
+    Without visible ground the result is at most 0, the height of the ground under a robot.
     """
     lowest = float(np.percentile(view.near.points[:, 2], 2.0))
     if view.floor is None:
