@@ -1,4 +1,4 @@
-"""Detection of levers on walls, boxes and leaves: a slim bar along a face, held before it at one end."""
+"""Detection of levers on walls, boxes and door leaves: a slim bar in front of a face, held at one end."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _FEWEST = 8
 _REPORTED = 0.05
 _HINT_RADIUS = 0.5
 _PIVOT = (0.3, 0.85)
-_GOES_ON = 0.4  # for a bar that may go on where nothing was seen: an edge, a rail, or cut off by the field of view
+_GOES_ON = 0.4  # factor for a bar with an unseen end: perhaps an edge, a rail, or cut off by the field of view
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A bar before a face and what speaks for it being a lever; ``confidence`` leaves the pivot out."""
+    """Bar in front of a face and its evidence; ``confidence`` does not include the pivot's."""
 
     face: Face
     ends: LikelyEnds
@@ -48,11 +48,11 @@ class _Found:
 def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInSight) -> list[Detection]:
     """Find levers, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
-    The pivot is claimed where something is seen between the bar and its face at one end and not at the other.  A bar
-    is sure only where rays went past both of its ends.
+    The pivot is at the end where rays end between bar and face, if they pass at the other.  The confidence is high
+    only where rays passed both ends of the bar.
 
     Args:
-        hint: (3,) a point near the lever; weaker evidence is enough then [m].
+        hint: (3,) a point near the lever [m]; with it weaker evidence is enough.
     """
     if not len(view.obstacles):
         return []
@@ -74,7 +74,7 @@ def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInS
 
 
 def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> list[Run]:
-    """Return slim connected things before a face."""
+    """Return the axes of slim connected clusters of points in front of a face."""
     height = seen.ends[:, 2]
     proud = (height > max(_STAND_OFF[0], 2.8 * face.sigma)) & (height < _STAND_OFF[1])
     points = seen.ends[proud]
@@ -99,7 +99,7 @@ def _runs(face: Face, seen: FaceRays, hint: Float[np.ndarray, "3"] | None) -> li
 
 
 def _connect(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
-    """Return indices of the points of each connected patch, large ones first."""
+    """Return indices of the points of the six largest connected patches, largest first."""
     cells = np.floor((flat - flat.min(axis=0)) / _CELL).astype(int)
     grid = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     grid[tuple(cells.T)] = True
@@ -112,7 +112,7 @@ def _connect(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
 
 
 def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
-    """Fit a round bar about a run, find its ends and pivot, and weigh it."""
+    """Return the round bar fitted about a run, with its ends, pivot and confidence; None if rejected."""
     rays = SurroundingRays(
         seen.rays.start, seen.rays.direction, seen.rays.length, np.abs(seen.ends[:, 2]) < 2.0 * face.sigma
     )
@@ -148,7 +148,7 @@ def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
 
 
 def _fit(rays: SurroundingRays, run: Run) -> Bar | None:
-    """Return the round bar that explains best what is seen about a run."""
+    """Return the round bar of least misfit to the rays about a run; None: too few points."""
     sample = sample_about(rays, run, _TUBE, 400)
     if sample is None:
         return None
@@ -158,7 +158,7 @@ def _fit(rays: SurroundingRays, run: Run) -> Bar | None:
 
 
 def _as_detection(lever: _Found, is_hinted: bool) -> Detection:
-    """Return the lever in the words all detectors share."""
+    """Return the lever as a :class:`Detection`."""
     bar, pivot, face = lever.ends.bar, lever.pivot, lever.face
     z = face.frame[2]
     x = np.sign(pivot.far - pivot.along) * bar.axis

@@ -1,9 +1,9 @@
 """Detectors by kind of object.
 
 To add a kind, write a function ``detect_...(view, hint)`` that returns a list of :class:`Detection`, in a module or
-a folder of its own, and add a line to ``DETECTORS``.  A detector imports parts of
-``perception.detect.shared`` but none of another kind: name its module in the import contract in ``pyproject.toml``.
-``service.request.choices`` repeats the kinds that a request may name, because it does not load this package.
+a folder of its own, and add a line to ``DETECTORS``.  A detector may import ``perception.detect.shared`` but no module
+of another kind: add its module to the import contract in ``pyproject.toml``.
+``service.request.choices`` repeats the kinds that a request may name, because it must not import this package.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from perception.view import View
 
 @dataclass(frozen=True)
 class Detector:
-    """A detector and what it needs.
+    """Detector of one kind and its needs.
 
     Attributes:
-        find: its function of view and hint, with ``needs_faces`` also of the view's flat faces.
-        needs_faces: whether it looks at flat faces, which are found once for all detectors that do.
-        is_offered: whether a request may name the kind; the others serve tasks.
+        find: function of view and hint, and with ``needs_faces`` of the view's flat faces; returns detections.
+        needs_faces: whether it uses the flat faces, which are found once for all such detectors.
+        is_offered: whether a request may name the kind; the others are for tasks only.
     """
 
     find: Callable[..., list[Detection]]
@@ -56,7 +56,7 @@ DETECTORS: Mapping[str, Detector] = {
     "panel": Detector(detect_panel, needs_faces=True),
     "seat": Detector(detect_seat),
     "opening": Detector(detect_opening),
-    # Of the valves those that a plan can turn.
+    # Valves that a plan can turn.
     "wheel": Detector(detect_wheels, is_offered=False),
 }
 KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.is_offered)
@@ -101,8 +101,8 @@ def detect_each(
     """Find objects as ``detect_kinds`` does, and yield each kind with its objects as soon as its search ends.
 
     Args:
-        kinds, view, hint, on_kind: as there.
-        on_failure: gets the kind and the error of a detector that fails; the search goes on with the other kinds.
+        kinds, view, hint, on_kind: see ``detect_kinds``.
+        on_failure: called with the kind and the error of a failed detector; the search continues with the next kind.
             None: the error is raised.
     """
     for kind in kinds:

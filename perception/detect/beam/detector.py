@@ -34,7 +34,7 @@ _HIDDEN_STRETCH, _MOST_LOOKS = 0.6, 3
 _LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
 _HALF_A_FACE, _WIDER = 0.06, 0.025
 _SHORT = 0.7
-_END_UNSEEN = 0.85  # each; a stub may go on where nothing shows it
+_END_UNSEEN = 0.85  # factor per unseen end; a short bar may continue out of sight
 _MOST_FITS, _STAYS, _FITTED_TO = 3, 0.04, 400
 _NEAR_BAR = 0.02
 _IN_LINE, _OFF_LINE, _APART = 0.995, 0.04, 0.3
@@ -50,7 +50,7 @@ _MOST_POINTS = 200
 
 @dataclass(frozen=True)
 class _Beam:
-    """A cuboid and what speaks for it."""
+    """Fitted cuboid and its evidence."""
 
     fit: BarFit
     ends: LikelyEnds
@@ -62,26 +62,26 @@ class _Beam:
 
     @property
     def bar(self) -> Bar:
-        """The bar with its ends."""
+        """Bar cut at its most likely ends."""
         return self.ends.bar
 
     @property
     def hidden(self) -> float:
-        """By how much it may be longer, both ends together [m]."""
+        """Length by which the bar may be longer, both ends together [m]."""
         return sum(self.ends.hidden)
 
 
 def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
     """Find beams, best first; origin the centre, x along the length, z along the smallest side.
 
-    Sizes are length, width and thickness.  A beam of which one face is seen may be thicker than it looks: residuals
-    hold ``doubt``, how far off its centre may then be [m].  Where something lies over its ends or before them,
-    ``hidden_length`` says by how much it may be longer [m], and the confidence is low.  An end hidden along up to 20 cm
-    is placed in the middle of that stretch, so the beam may be shorter by as much.  With a longer hidden stretch the
-    length is the seen one, and ``hidden_length`` is 10 cm.
+    Sizes are length, width and thickness.  A beam with one visible face may be thicker than fitted: the residual
+    ``doubt`` is the possible error of its centre [m].  Where another object hides its ends, ``hidden_length`` is the
+    length by which it may be longer [m], and the confidence is low.  An end hidden along up to 20 cm is set to the
+    middle of the hidden stretch, so the beam may also be shorter by as much.  With a longer hidden stretch the length
+    is the visible one, and ``hidden_length`` is 10 cm.
 
     Args:
-        hint: (3,) a point near the beam: only what lies within 0.7 m of it is looked at [m].
+        hint: (3,) a point near the beam [m]; only points within 0.7 m of it are searched.
     """
     if not len(view.obstacles):
         return []
@@ -91,7 +91,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     if hint is not None:
         points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
     beams: list[_Beam] = []
-    # The fits are many and small: with several threads BLAS spends its time on handing them out.
+    # The fits are many and small: with several threads the overhead of BLAS dominates.
     with threadpool_limits(limits=1, user_api="blas"):
         known: list[Bar] = []
         tried: list[tuple[Strip, int]] = []
@@ -106,7 +106,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
                 if beam is not None and beam.confidence > _REPORTED:
                     beams.append(beam)
                     known += [beam.bar] if beam.confidence > _EXPLAINS else []
-            # What a beam explains hides what lies across it.
+            # The points of known beams would hide the strips of beams across them.
             for bar in known[n_known:]:
                 points = points[~bar.holds(points, _NEAR_BAR)]
             if len(known) == n_known:
@@ -117,7 +117,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def loose_points(view: View) -> Float[np.ndarray, "N 3"]:
-    """Return the obstacles and what lies on small raised levels of the floor: beams side by side pass for a step."""
+    """Return the obstacles' points and those on small raised floor levels, which may be beams side by side."""
     steps = [level for level in view.floors[1:] if level.area < _LARGEST_STEP]
     if view.floor is None or not steps:
         return view.obstacles
@@ -131,7 +131,7 @@ def _is_explained(strip: Strip, known: Sequence[Bar]) -> bool:
 
 
 def _is_again(strip: Strip, tried: Strip, since: Sequence[Bar]) -> bool:
-    """Return whether a strip was looked at before and no bar is known near it since."""
+    """Return whether the strip was tried before and no bar was found near it since."""
     places = strip.places(9)
     offset = places - tried.place
     along = offset @ tried.axis
@@ -141,7 +141,7 @@ def _is_again(strip: Strip, tried: Strip, since: Sequence[Bar]) -> bool:
 
 
 def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: Sequence[Bar]) -> _Beam | None:
-    """Fit a cuboid behind a strip and weigh it; None when it is hopeless."""
+    """Return the best cuboid fitted behind a strip, with its evidence; None if rejected."""
     run = Run(strip.place - _BEHIND * strip.normal, strip.axis, strip.first, strip.last, -strip.normal)
     rays = rays_about(index, run, _BEYOND, floor, known)
     if not _stands_out(rays, strip):
@@ -153,7 +153,7 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
     for _ in range(_MOST_LOOKS):
         if all(ends.seen):
             break
-        # What lies over a beam may hide a long stretch of it.
+        # An object over the beam may hide a long stretch of it.
         before = ends.bar
         rays = rays_about(index, run_of(before), _HIDDEN_STRETCH, floor, known)
         ends = likely_ends(rays, before, floor)
@@ -161,7 +161,7 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
             break
     settled = [_settle(rays, ends.bar, choice.fit, floor)]
     if ends.bar.length < _SHORT * (run.last - run.first):
-        # It may lie askew in what it was fitted to.
+        # The bar may be askew to the strip; also try the strip's whole length.
         settled.append(_settle(rays, _span(ends.bar, run), choice.fit, floor))
     return max(
         (beam for beam in settled if beam is not None), key=lambda beam: beam.confidence * beam.bar.length, default=None
@@ -169,7 +169,7 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
 
 
 def _settle_again(index: SightIndex, beam: _Beam, beams: Sequence[_Beam], floor: FloorPlane | None) -> _Beam:
-    """Settle a beam again with what was found after it and with what it may be a part of, where that makes it surer."""
+    """Refit a beam with the bars found later and the bars it may continue; keep the surer fit."""
     others = [other for other in beams if other is not beam and not _same(other.bar, beam.bar)]
     parts = [other.bar for other in others if _continues(other.bar, beam.bar)]
     if beam.confidence >= _SURE and not parts:
@@ -185,7 +185,7 @@ def _settle_again(index: SightIndex, beam: _Beam, beams: Sequence[_Beam], floor:
 
 
 def _continues(bar: Bar, other: Bar) -> bool:
-    """Return whether one bar continues another: in its line and close to its end."""
+    """Return whether two bars are collinear and end to end with a small gap."""
     offset = bar.middle - other.middle
     along = float(offset @ other.axis)
     off = float(np.linalg.norm(offset - along * other.axis))
@@ -194,12 +194,12 @@ def _continues(bar: Bar, other: Bar) -> bool:
 
 
 def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
-    """Fit between the ends that were found until they stay, and weigh; None when it is hopeless."""
+    """Refit the bar and its ends until the ends converge; return it with its evidence, or None if rejected."""
     early = weigh_bar(rays, bar)
     if bar.length < _LEAST_LENGTH or early.solid < 0.5:
         return None
     if early.air < _LEAST_AIR:
-        # It may be a part of a wider one's face.
+        # The bar may be a part of a wider bar's face.
         width, thickness = bar.half
         wider = [replace(bar, half=half) for half in ((width + _WIDER, thickness), (width, thickness + _WIDER))]
         if all(weigh_bar(rays, wide).air < _LEAST_AIR for wide in wider):
@@ -230,7 +230,7 @@ def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | No
 def _fit(
     rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None, n_fits: int
 ) -> tuple[Choice, LikelyEnds] | None:
-    """Return the bar fitted between its ends, and these found anew; again when they moved."""
+    """Return the bar fitted between its ends, and its new ends; repeat at most ``n_fits`` times while they move."""
     choice = choose_bar(rays, run_of(bar), _TUBE, _TIMBER, floor, 3, _FITTED_TO, fit)
     if choice is None:
         return None
@@ -243,20 +243,20 @@ def _fit(
 
 
 def _end_moves(before: Bar, after: Bar) -> float:
-    """Return by how much the end moved that moved most [m]."""
+    """Return the larger of the two ends' displacements [m]."""
     shift = float((after.centre - before.centre) @ before.axis)
     return max(abs(after.first + shift - before.first), abs(after.last + shift - before.last))
 
 
 def _span(bar: Bar, run: Run) -> Bar:
-    """Lengthen the bar to a run along it."""
+    """Return the bar lengthened to include a run along it."""
     middle, sign = float((run.place - bar.centre) @ bar.axis), float(np.sign(run.axis @ bar.axis))
     first, last = sorted((middle + sign * run.first, middle + sign * run.last))
     return replace(bar, first=min(bar.first, first), last=max(bar.last, last))
 
 
 def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
-    """Return whether rays went past a strip's edges on both sides; else it may be part of a face."""
+    """Return whether rays pass the strip's edges on both sides or few are near them; else it may be part of a face."""
     frame = np.stack([strip.axis, cross(strip.normal, strip.axis), strip.normal])
     looks = [
         weigh_bar(rays, Bar(frame, strip.place, (strip.half + more, _BEHIND), strip.first, strip.last))
@@ -266,7 +266,7 @@ def _stands_out(rays: SurroundingRays, strip: Strip) -> bool:
 
 
 def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: float) -> float:
-    """Return the product of all evidence: solid, free aside, seen along its length, usual sizes, sure ends."""
+    """Return the confidence: product of scores for hits, air beside, visible length, standard sizes, sure ends."""
     bar, ends_seen = ends.bar, sum(ends.seen)
     width, thickness = 2.0 * max(bar.half), 2.0 * min(bar.half)
     return float(
@@ -289,21 +289,21 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: f
 
 
 def _flatness(flatter: Rivalry) -> float:
-    """Return the product of: flat rather than round, and little that it leaves unexplained."""
+    """Return the score, 0 to 1, that a box explains the rays better than a pipe, and with a small misfit."""
     return float(
         rising(flatter.better, -6.0, 10.0) * rising(flatter.share, 0.05, 0.14) * rising(-flatter.misfit, -3.8, -2.6)
     )
 
 
 def _off_size(width: float, thickness: float) -> float:
-    """Return how far both sizes are from those of the nearest timber, the farther of the two [m]."""
+    """Return the larger difference of the two sizes from those of the nearest standard timber [m]."""
     halves = np.array(_TIMBER.halves)
     nearest = np.abs(2.0 * np.column_stack([halves.max(axis=1), halves.min(axis=1)]) - (width, thickness))
     return float(nearest.max(axis=1).min())
 
 
 def _drop_duplicates(beams: list[_Beam]) -> list[_Beam]:
-    """Drop those that lie in a surer one, or just beside it in the same direction."""
+    """Drop beams inside a surer beam, or just beside and parallel to it."""
     kept: list[_Beam] = []
     for beam in beams:
         if not any(_same(beam.bar, other.bar) or _same(other.bar, beam.bar) for other in kept):

@@ -1,6 +1,6 @@
-"""Hypotheses of the long faces of bars in a cloud: flat strips with nothing in their plane just beside them.
+"""Candidates for the long faces of bars in a cloud: flat strips with few points in their plane just beside them.
 
-In a heap a bar's points do not stand out from those about them, but few of those lie in the plane of one of its faces.
+In a heap a bar's points have close neighbours on all sides, but few of those are in the plane of one of its faces.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ _MANY, _NOISY_CELL, _NOISY_THICK = 15_000, 0.25, 1e-3
 _NEAR_CELL, _NEAR_THICK, _AS_THICK = 0.05, 6e-4, 2.0
 _BEND_BIN = 0.04
 _FEWEST_BINS, _FEWEST_IN_BIN = 6, 2
-# How far a bent strip lies off its one line [m], and what is left of that, squared, off two.
+# Least rms residual of one line for a bend [m], and largest share of its squares that two lines may leave.
 _BENT, _LEFT = 0.006, 0.4
 
 
 @dataclass(frozen=True)
 class Strip:
-    """A long flat face.
+    """Long flat face.
 
     Attributes:
-        place: (3,) on its middle line [m].
+        place: (3,) point on its middle line [m].
         axis: (3,) unit, along it.
         normal: (3,) unit, square to it, towards the sensor.
-        half: half its width [m].
-        first, last: where it begins and ends, from ``place`` along ``axis`` [m].
-        members: (K, 3) points on it [m].
-        score: number of bins along it that hold points and nothing beside them, less those with something beside.
+        half: half of its width [m].
+        first, last: its ends, from ``place`` along ``axis`` [m].
+        members: (K, 3) its points [m].
+        score: number of bins along it with few points beside them, minus those with more.
     """
 
     place: Float[np.ndarray, "3"]
@@ -67,7 +67,7 @@ class Strip:
     score: float
 
     def places(self, n: int) -> Float[np.ndarray, "n 3"]:
-        """Return places along its middle line, from end to end [m]."""
+        """Return n points evenly spaced on its middle line, from end to end [m]."""
         return np.asarray(self.place + np.linspace(self.first, self.last, n)[:, None] * self.axis)
 
 
@@ -77,7 +77,7 @@ def find_strips(
     rng: np.random.Generator,
     most: int = 40,
 ) -> list[Strip]:
-    """Return the best strips, best first, each point in one at most.
+    """Return at most ``most`` strips, best first; most of a strip's points are in no strip found before it.
 
     Args:
         points: (N, 3) thinned evenly [m].
@@ -90,7 +90,7 @@ def find_strips(
     taken = np.zeros(len(points), dtype=bool)
     strips: list[Strip] = []
     for batch in np.array_split(seeds, max(1, len(seeds) // _BATCH)):
-        # What one strip explains is not begun at again.
+        # Points of a strip are no seeds again.
         batch = batch[~taken[batch]]
         starts = []
         for seed, near in zip(batch, tree.query_ball_point(points[batch], _BALL, return_sorted=True), strict=True):
@@ -112,14 +112,14 @@ def find_strips(
 
 
 def _in_walls(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return points in the middle of what is flat and wider than a bar."""
+    """Return which points are in the middle of a flat surface wider than a bar."""
     variances = variances_about(points, _WALL_CELL)
     if variances is None:
         return np.zeros(len(points), dtype=bool)
     is_wall = (variances[:, 1] > _WALL_WIDE * variances[:, 2]) & (variances[:, 0] < _WALL_THICK)
     rest = np.flatnonzero(~is_wall)
     if len(rest) > _MANY:
-        # A wall seen by a camera from afar is not that flat, but no thicker over a stretch than at a place.
+        # A wall far from a camera is noisier, but as thick in a large neighbourhood as in a small one.
         near = variances_about(points, _NEAR_CELL)
         if near is not None:
             is_even = (variances[:, 0] < _NEAR_THICK) & (variances[:, 0] < _AS_THICK * near[:, 0])
@@ -137,7 +137,7 @@ _Start = tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"], tuple[floa
 def _best_at_seed(
     points: Float[np.ndarray, "N 3"], seed: int, local: Int[np.ndarray, "K"], rng: np.random.Generator
 ) -> _Start | None:
-    """Return the best strip through a seed: score, axis, normal, and between which places across it lies [m]."""
+    """Return the best strip through a seed: score, axis, normal, and its two edges across, from the seed [m]."""
     poll()
     if len(local) < _FEWEST_NEAR:
         return None
@@ -156,7 +156,7 @@ def _best_at_seed(
     else:
         return None
     normal = vectors[:, 0]
-    # Once more on a larger patch of what lies in that plane.
+    # Fit the normal again to a larger patch near that plane.
     patch = offset[(distance2 < _SECOND_BALL**2) & (np.abs((offset - patch.mean(axis=0)) @ normal) < _THICK)]
     if len(patch) < 8:
         return None
@@ -182,7 +182,7 @@ def _best_at_seed(
         inside = total[:, :, highs] - total[:, :, lows]
         beside = total[:, :, highs + _RING] - total[:, :, highs] + total[:, :, lows] - total[:, :, lows - _RING]
         clear = (inside > 0) & (2 * beside * width <= inside * _RING)
-        # Rows of a scan may lie further apart than bins.
+        # Rows of a scan may be further apart than bins.
         bridged = (inside[:, 1:-1] == 0) & clear[:, :-2] & clear[:, 2:]
         score = 2.0 * clear.sum(axis=1) - (inside > 0).sum(axis=1) + bridged.sum(axis=1) - 0.1 * width / 5
         i, j = np.unravel_index(int(np.argmax(score)), score.shape)
@@ -205,7 +205,7 @@ def _grow(
     edges: tuple[float, float],
     towards: Float[np.ndarray, "3"],
 ) -> tuple[Strip, Int[np.ndarray, "K"]] | None:
-    """Return the strip fitted to its points and followed as far as they go on, and which points those are."""
+    """Return the strip fitted to its points and extended to its first long gaps, and its points' indices."""
     poll()
     side = cross(normal, axis)
     # The axis' sign in _best_at_seed: across is measured along normal x axis.
@@ -244,7 +244,7 @@ def _grow(
     score = float(clear.sum())
     if score < _LEAST_SCORE:
         return None
-    # What it runs into at its ends has something beside it.
+    # Bins at its ends with points beside them belong to another object.
     filled = low + _BIN * np.flatnonzero(clear > 0)
     low, high = max(low, float(filled[0])), min(high, float(filled[-1]) + _BIN)
     normal = normal * np.sign((towards - place) @ normal)
@@ -252,7 +252,7 @@ def _grow(
 
 
 def middle_and_half(spread: Float[np.ndarray, "K"]) -> tuple[float, float]:
-    """Return a strip's middle and half its width from its points' places across, outermost left out [m]."""
+    """Return a strip's middle and half width from its points' offsets across, outermost ignored [m]."""
     left, right = np.percentile(spread, [4.0, 96.0])
     return 0.5 * float(left + right), 0.5 * float(right - left) / 0.92
 
@@ -267,7 +267,7 @@ def _clear(
     low: float,
     high: float,
 ) -> Int[np.ndarray, "K"]:
-    """Return for each bin: 1 if it holds points and its plane is empty beside them, -1 if not, 0 without points."""
+    """Return for each bin: 1 if it has points and few beside them in the plane, -1 if more, 0 without points."""
     offset = points - place
     near = offset[np.abs(offset @ normal) < _THICK]
     along, across = near @ axis, np.abs(near @ side)
@@ -284,7 +284,7 @@ def _clear(
 
 
 def _run(along: Float[np.ndarray, "K"], middle: float) -> tuple[float, float]:
-    """Return ends of the run of filled bins about a place, gaps of up to six bins included."""
+    """Return the ends [m] of the run of filled bins nearest to ``middle``, with gaps of up to six bins."""
     bins = np.unique(np.floor(along / _BIN).astype(np.int64))
     breaks = np.flatnonzero(np.diff(bins) > _GAP)
     begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(bins) - 1]])
@@ -295,7 +295,7 @@ def _run(along: Float[np.ndarray, "K"], middle: float) -> tuple[float, float]:
 
 
 def straight_parts(strip: Strip) -> list[Strip]:
-    """Return the strip, or its two parts where a break explains its course or width better."""
+    """Return the strip, or its two parts when two straight pieces fit its middle line and width much better."""
     side = cross(strip.normal, strip.axis)
     local = (strip.members - strip.place) @ np.stack([strip.axis, side, strip.normal], axis=1)
     number = np.floor((local[:, 0] - strip.first) / _BEND_BIN).clip(0).astype(np.int64)
@@ -315,7 +315,7 @@ def straight_parts(strip: Strip) -> list[Strip]:
 def _course(
     number: Int[np.ndarray, "N"], local: Float[np.ndarray, "N 3"]
 ) -> tuple[Int[np.ndarray, "B"], Float[np.ndarray, "B 3"]]:
-    """Return bins with points, and the middle, half width and height of what each holds [m]."""
+    """Return bins with points, and the middle, half width and height of each bin's points [m]."""
     n = np.bincount(number)
     bins = np.flatnonzero(n >= _FEWEST_IN_BIN)
     across, square, over = (np.bincount(number, weight)[bins] / n[bins] for weight in _moments(local))
@@ -328,7 +328,7 @@ def _moments(local: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "N"], .
 
 
 def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> float:
-    """Return the squared distance of middle and height from straight lines, and of the width from its mean [m^2]."""
+    """Return the squared residuals of middle and height to straight lines, and of the width to its mean [m^2]."""
     x = bins - bins.mean()
     off = course - course.mean(axis=0)
     slope = (x @ off) / max(float(x @ x), 1e-9) * np.array([1.0, 0.0, 1.0])
@@ -336,7 +336,7 @@ def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> flo
 
 
 def _refit(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
-    """Fit the strip to some of its points: length, width and direction."""
+    """Return the strip fitted to some of its points: length, width and direction."""
     middle = members.mean(axis=0)
     vectors = np.linalg.eigh(np.cov((members - middle).T))[1]
     axis = vectors[:, 2] * np.sign(vectors[:, 2] @ strip.axis)

@@ -1,4 +1,4 @@
-"""Detection of cordless drills that stand on a shelf or table, by the rays that meet or pass a drill's shape."""
+"""Detection of cordless drills that stand on a shelf or table, by the rays that hit or pass a drill's shape."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TALL = (0.15, 0.33)
 _WIDE = 0.38
 _HINT_RADIUS = 0.4
 _REPORTED = 0.05
-# Without rays that go on into its notches nothing tells a drill from a bottle.
+# Without rays into its notches a drill cannot be distinguished from a bottle.
 _UNSEEN_NOTCH, _UNSEEN_HINTED = 0.3, 0.9
 _YAWS = np.radians(np.arange(0.0, 360.0, 15.0))
 _SIGMA_DEPTH = 0.01
@@ -30,7 +30,7 @@ _WORST = 9.0
 _MOST_RAYS, _FEW_RAYS = 2000, 400
 _MOST_CLUSTERS, _MOST_FITS = 24, 6
 _OVER_SUPPORT = (0.015, 0.03)
-# What a drill stands on goes on beside its foot, on most sides.
+# The surface that a drill stands on extends beside its foot, on most sides.
 _SUPPORTED = (0.6, 0.85)
 _MOST_POINTS = 200
 
@@ -41,7 +41,7 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     Sizes are grip_length and body_length.
 
     Args:
-        hint: (3,) a point near the drill: only what stands within 0.4 m of it is looked at [m].
+        hint: (3,) a point near the drill [m]; only clusters within 0.4 m of it are searched.
     """
     if not len(view.obstacles):
         return []
@@ -58,7 +58,7 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
 
 
 def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:
-    """Return the densest parts of a cluster that may be a drill by their size."""
+    """Return the densest parts of a cluster that have the size of a drill."""
     if not _TALL[0] < _size(cluster)[0] < _TALL[1]:
         return []
     for parts in dense_parts(cluster):
@@ -69,21 +69,21 @@ def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:
 
 
 def _size(cluster: StandingCluster) -> tuple[float, float]:
-    """Return the height over the support and diagonal of the ground plan, strays left out [m]."""
+    """Return the height over the support and the diagonal of the footprint, outliers ignored [m]."""
     low, high = np.percentile(cluster.points, [3, 97], axis=0)
     return float(high[2] - cluster.level), float(np.hypot(*(high - low)[:2]))
 
 
 @dataclass(frozen=True)
 class _Begun:
-    """A cluster held against drills that stand there, before any is fitted.
+    """Cluster with the starts of its fit.
 
     Attributes:
-        supported: share of what was seen about its foot in which its support goes on.
-        least: height over which a ray may have ended on it: what ended on its support passed beside it [m].
-        rays: that pass it; ``few`` of them suffice to fit.
-        starts: drills that look different ways, best first.
-        least_cost: of the first.
+        supported: share of the rays beside its foot that ended on its support.
+        least: world z over which a ray may have ended on the drill; lower ends are on the support [m].
+        rays: rays that pass near it; ``few`` is a subset for the fit.
+        starts: shapes of different yaw, best first.
+        least_cost: cost of the first start.
     """
 
     cluster: StandingCluster
@@ -96,7 +96,7 @@ class _Begun:
 
 
 def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Begun:
-    """Return rays and starts of a fit."""
+    """Return the rays and starts of a cluster's fit."""
     places, _ = voxel_downsample(cluster.points, 0.05)
     rays = index.passing(places, 0.1).thin(_MOST_RAYS)
     few = rays.thin(_FEW_RAYS)
@@ -110,7 +110,7 @@ def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Be
 
 
 def _finish(begun: _Begun, is_hinted: bool) -> Detection:
-    """Fit a drill to what stands there and weigh it."""
+    """Fit a drill to the cluster from each start and return the best as a detection."""
     level = begun.cluster.level
     steps = np.array([0.015, 0.015, 0.15, 0.012, 0.02, 0.012])
     fits = []
@@ -132,7 +132,7 @@ def _finish(begun: _Begun, is_hinted: bool) -> Detection:
 
 
 def _starts(cluster: StandingCluster, grip: float) -> list[DrillShape]:
-    """Start from a cluster's middle, which is somewhere between grip and chuck."""
+    """Return shapes of all yaws at the cluster's middle, which is between grip and chuck."""
     low, high = np.percentile(cluster.points[:, :2], [3, 97], axis=0)
     middle = 0.5 * (low + high)
     shapes = []
@@ -144,7 +144,7 @@ def _starts(cluster: StandingCluster, grip: float) -> list[DrillShape]:
 
 
 def _drop_duplicates(shapes: list[DrillShape]) -> list[DrillShape]:
-    """Keep only the first of those that look nearly the same way."""
+    """Keep only the first of shapes with nearly the same yaw."""
     kept: list[DrillShape] = []
     for shape in shapes:
         if all(abs(np.angle(np.exp(1j * (shape.yaw - other.yaw)))) > 0.6 for other in kept):
@@ -153,7 +153,7 @@ def _drop_duplicates(shapes: list[DrillShape]) -> list[DrillShape]:
 
 
 def _over_support(rays: Sightlines, level: float) -> float:
-    """Return how high over a support its noise reaches [m]."""
+    """Return the height over a support that its noise reaches [m]."""
     height = np.abs(rays.ends[:, 2] - level)
     near = height[height < 2.0 * _OVER_SUPPORT[1]]
     noise = 1.4826 * float(np.median(near)) if len(near) else 0.0
@@ -165,7 +165,7 @@ def _may_end(rays: Sightlines, least: float) -> Bool[np.ndarray, "N"]:
 
 
 def _cost(rays: Sightlines, least: float, level: float, shape: DrillShape) -> float:
-    """Return mean squared residual of depth and outline, bounded at three deviations, with the prior's."""
+    """Return the mean squared residual of depth and outline, each bounded at 3 sigma, plus the prior's cost."""
     outside, depth = meet(rays, shape, level)
     gap = rays.length - depth
     ended = (np.abs(gap) < 0.12) & _may_end(rays, least)
@@ -177,7 +177,7 @@ def _cost(rays: Sightlines, least: float, level: float, shape: DrillShape) -> fl
 
 
 def _judge(begun: _Begun, shape: DrillShape, is_hinted: bool) -> Detection:
-    """Return the drill as a detection."""
+    """Return the fitted drill as a detection, with its confidence."""
     rays, cluster = begun.rays, begun.cluster
     outside, depth = meet(rays, shape, cluster.level)
     gap = rays.length - depth

@@ -1,4 +1,4 @@
-"""The shape of a cordless drill: where rays meet it, and the notches that tell it from a block of its outline."""
+"""Shape of a cordless drill: crossings of rays with it, and the notches that distinguish it from a block."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from jaxtyping import Float
 from costs.stopping import poll
 from perception.sightlines import Sightlines
 
-# Usual half sizes: of the battery's foot, and radii of body and grip; its base is as high as the foot [m].
+# Usual half sizes of the battery's foot, and radii of body and grip [m].
 FOOT = (0.06, 0.035, 0.0275)
 BODY_RADIUS = 0.031
 _NOSE_RADIUS = 0.02
 _NOSE_SHARE = 0.34
 GRIP_RADIUS = 0.021
-# How far a ray goes inside a notch, how much further than into a block, and how deep it is surely no block's [m].
+# Least length of a ray inside a notch, least extra depth compared with a block, and depth that excludes a block [m].
 _LEAST_INSIDE, _LEAST_DEEPER, _DEEP = 0.03, 0.055, 0.06
 
 
 @dataclass(frozen=True)
 class DrillShape:
-    """A drill's place and sizes.
+    """Position and sizes of a drill.
 
     Attributes:
-        x, y: of the grip on its support [m].
-        yaw: of the chuck about z [rad].
+        x, y: position of the grip on its support [m].
+        yaw: direction of the chuck about z [rad].
         grip: length of the grip [m].
         body: length of the body with its chuck [m].
-        back: how far the body reaches behind the grip [m].
+        back: length of the body behind the grip's axis [m].
     """
 
     x: float
@@ -41,19 +41,19 @@ class DrillShape:
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "6"]) -> DrillShape:
-        """Make a drill from numbers in the order of the attributes."""
+        """Return a drill from six values in the order of the attributes."""
         x, y, yaw, grip, body, back = values.tolist()
         return cls(x, y, yaw, grip, body, back)
 
     @property
     def values(self) -> Float[np.ndarray, "6"]:
-        """All figures, in the order of the attributes."""
+        """All six values, in the order of the attributes."""
         return np.array([self.x, self.y, self.yaw, self.grip, self.body, self.back])
 
 
 @dataclass(frozen=True)
 class Solids:
-    """Parts of a drill, each what lies within a radius of a segment.
+    """Parts of a drill as capsules: all points within a radius of a segment.
 
     Attributes:
         first, last: (S, 3) ends of the segments, in the drill's frame on its support [m].
@@ -65,7 +65,7 @@ class Solids:
 
 
 def solids_of(shape: DrillShape) -> Solids:
-    """Return capsules: body, nose, grip and three for the battery's foot."""
+    """Return capsules: body, nose, grip and two for the battery's foot."""
     foot = 2.0 * FOOT[2]
     top = foot + shape.grip + 0.03
     front, nose = shape.body - shape.back, _NOSE_SHARE * shape.body
@@ -83,7 +83,7 @@ def solids_of(shape: DrillShape) -> Solids:
 
 
 def meet(rays: Sightlines, shape: DrillShape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Return each ray's distance outside the drill (negative inside) and depth to its nearest part [m]."""
+    """Return each ray's distance from the drill, negative for a hit, and depth at the part hit or nearest [m]."""
     poll()
     rotation = about_up(-shape.yaw)
     start = (rays.start - (shape.x, shape.y, level)) @ rotation.T
@@ -93,7 +93,7 @@ def meet(rays: Sightlines, shape: DrillShape, level: float) -> tuple[Float[np.nd
     radius = solids.radius[:, None]
     beyond = apart - radius
     enters = along - np.sqrt(np.maximum(radius**2 - np.minimum(apart, radius) ** 2, 0.0))
-    # Of the parts a ray meets the first counts; of those it misses the nearest.
+    # The first part that a ray hits counts, or the nearest part if it misses all.
     outside, is_hit = beyond.min(axis=0), beyond < 0.0
     nearest = np.take_along_axis(enters, beyond.argmin(axis=0)[None], axis=0)[0]
     first = np.where(is_hit, enters, np.inf).min(axis=0)
@@ -101,7 +101,7 @@ def meet(rays: Sightlines, shape: DrillShape, level: float) -> tuple[Float[np.nd
 
 
 def about_up(angle: float) -> Float[np.ndarray, "3 3"]:
-    """Turn about the vertical."""
+    """Return the rotation matrix about the vertical."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -112,7 +112,7 @@ def _rays_to_segments(
     first: Float[np.ndarray, "S 3"],
     last: Float[np.ndarray, "S 3"],
 ) -> tuple[Float[np.ndarray, "S N"], Float[np.ndarray, "S N"]]:
-    """Return the distance of each ray from each segment, and where along the ray it is nearest [m]."""
+    """Return each ray's distance from each segment, and the depth along the ray of its nearest point [m]."""
     poll()
     side = last - first
     a, b = side @ way.T, (side**2).sum(axis=1)[:, None]
@@ -128,10 +128,10 @@ def _rays_to_segments(
 
 
 def notch_open(rays: Sightlines, shape: DrillShape, level: float) -> tuple[float, int]:
-    """Count, of the rays that tell a drill from a block of its outline, how many do, and how many there were.
+    """Return the share of rays into the notches that pass where a block would stop them, and the rays' number.
 
-    Between chuck and foot, before and behind the grip, a drill is open: rays go on where those into a block would end.
-    Those from the side pass right through, those from ahead and behind go on to the grip or the foot.
+    The notches are between chuck and foot, before and behind the grip.  Rays from the side pass through them, rays
+    from ahead and behind end on the grip or the foot.
     """
     rotation = about_up(-shape.yaw)
     start = (rays.start - (shape.x, shape.y, level)) @ rotation.T

@@ -1,4 +1,4 @@
-"""Level surfaces that things stand on, the clusters that stand on them, and the share of rays that each foot stops."""
+"""Level surfaces, the clusters that stand on them, and the share of rays that the surface stops beside each foot."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _FEWEST = 4
 
 @dataclass(frozen=True)
 class StandingCluster:
-    """Something that stands on a level surface.
+    """Cluster of points that stands on a level surface.
 
     Attributes:
-        points: (N, 3) thinned, without the surface [m].
-        level: height of the surface [m].
+        points: (N, 3) thinned, without the surface's own [m].
+        level: world z of the surface [m].
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -66,7 +66,7 @@ def standing_clusters(view: View) -> list[StandingCluster]:
 
 
 def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray, "N"]:
-    """Return points of the level surface itself: near its height, where it is wide."""
+    """Return which points are on the level surface itself: near its height, where it is wide."""
     poll()
     near = np.flatnonzero(np.abs(points[:, 2] - level) < _OVER[0])
     mask = np.zeros(len(points), dtype=bool)
@@ -82,7 +82,7 @@ def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray
 
 
 def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
-    """Return heights at which points fill a level area of some 4 square decimetres, from below [m]."""
+    """Return heights at which points fill a level area of at least about 4 square decimetres, lowest first [m]."""
     poll()
     if not len(points):
         return []
@@ -107,7 +107,7 @@ def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
 
 
 def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
-    """Return groups of points within 3 cm of each other, or 12 cm above: overhangs hide what is below."""
+    """Return groups of points linked within 2.5 cm, or 12 cm in height, since overhangs hide points below."""
     poll()
     if len(points) < _LEAST_POINTS:
         return []
@@ -119,15 +119,15 @@ def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:
 
 
 def _pairs(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
-    """Return indices of the points that are linked."""
+    """Return index pairs of the points that are linked."""
     poll()
     return np.asarray(cKDTree(points * (1.0, 1.0, _LINK / _LINK_UP)).query_pairs(_LINK, output_type="ndarray"))
 
 
 def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
-    """Return what a cluster falls into once points with few neighbours are left out, strictest first, all points last.
+    """Return the parts of a cluster without its points of few neighbours, for falling thresholds, all points last.
 
-    Mixed pixels and noise make bridges between what stands a hand apart; there points are few.
+    Mixed pixels and noise link objects a hand apart, but by few points.
     """
     pairs = _pairs(cluster.points)
     n_neighbours = np.bincount(pairs.ravel(), minlength=len(cluster.points))
@@ -136,14 +136,14 @@ def dense_parts(cluster: StandingCluster) -> list[list[StandingCluster]]:
 
 
 def _on_foot(groups: list[Float[np.ndarray, "K 3"]], level: float) -> list[Float[np.ndarray, "K 3"]]:
-    """Keep those that reach down to the surface."""
+    """Keep the groups that reach down to the surface."""
     return [group for group in groups if group[:, 2].min() < level + _FOOT_HEIGHT]
 
 
 def support_share(index: SightIndex, cluster: StandingCluster) -> float:
     """Return the share of rays beside a cluster's foot that ended at its level; 1 with few rays.
 
-    Rays beside a leg or a post go on below.
+    Rays beside a leg or a post pass below the level.
     """
     foot = cluster.points[cluster.points[:, 2] < cluster.level + _FOOTING_HEIGHT, :2]
     centre = foot.mean(axis=0)

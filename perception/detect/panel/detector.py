@@ -1,4 +1,4 @@
-"""Detection of button panels: small faces that stand free, with round things that stand out of them."""
+"""Detection of button panels: small faces with free edges and round buttons that protrude."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SMEAR = 0.1
 
 @dataclass(frozen=True)
 class _Edges:
-    """Edges of a face: corners, and the sides of its four on which rays went past."""
+    """Edges of a face: lower and upper corner [m], and for left, right, bottom, top whether rays passed beyond it."""
 
     low: Float[np.ndarray, "2"]
     high: Float[np.ndarray, "2"]
@@ -46,22 +46,22 @@ class _Edges:
 def detect_panel(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInSight) -> list[Detection]:
     """Find button panels, best first; origin the centre of the front face, z its normal to the sensor, y up.
 
-    A button is claimed where the scan shows a round relief of 5 mm or more that its noise does not explain.
+    A button is a round relief of at least 5 mm that the scan's noise does not explain.
 
     Args:
-        hint: (3,) a point near the panel; fewer of its edges need be seen then [m].
+        hint: (3,) a point near the panel [m]; with it fewer edges must be visible.
     """
     if not len(view.obstacles):
         return []
     with threadpool_limits(limits=1, user_api="blas"):
         examined = [_examine(face, seen.index, hint is not None) for face in seen.faces if _is_panel_sized(face)]
     panels = [panel for panel in examined if panel is not None and panel.confidence >= _REPORTED]
-    # Of faces askew and straight through the same panel, both sure, the flatter one is it.
+    # Of equally sure faces through the same panel, the one of less scatter comes first.
     return _drop_duplicates(sorted(panels, key=lambda panel: (-round(panel.confidence, 2), panel.residuals["sigma"])))
 
 
 def _drop_duplicates(panels: list[Detection]) -> list[Detection]:
-    """Drop those whose centre lies on a surer one: noise may make two faces of one."""
+    """Drop panels whose centre is on a surer one; noise may split a panel into two faces."""
     kept: list[Detection] = []
     for panel in panels:
         centre = panel.pose_world_object[:3, 3]
@@ -71,7 +71,7 @@ def _drop_duplicates(panels: list[Detection]) -> list[Detection]:
 
 
 def _covers(panel: Detection, place: Float[np.ndarray, "3"]) -> bool:
-    """Return whether a place lies on a panel or a hand's breadth before or behind it."""
+    """Return whether a point is on a panel, or at most 10 cm before or behind it."""
     local = panel.pose_world_object[:3, :3].T @ (place - panel.pose_world_object[:3, 3])
     half = 0.5 * np.array([panel.sizes["width"], panel.sizes["height"], 2.0 * _SAME_DEPTH])
     return bool((np.abs(local) < half).all())
@@ -82,12 +82,12 @@ def _is_panel_sized(face: Face) -> bool:
 
 
 def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
-    """Return edges and buttons of a face; None when nothing stands out of it."""
+    """Return the panel on a face; None when its size does not fit or it has no button."""
     edges, relief, ends = _Edges(face.low, face.high, (False,) * 4), list[Disc](), np.zeros((0, 3))
     closed = 0.0
     for k in range(_ROUNDS):
         if k > 0:
-            # Buttons pull at the plane of a small face: it is fitted anew without them while that makes it flatter.
+            # Buttons bias the plane of a small face: refit it without them while its scatter falls.
             again = fit_face(face, ends[_bare(edges, relief, ends)])
             if again is None or again.sigma > face.sigma:
                 break
@@ -99,7 +99,7 @@ def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None
             return None
         ends = seen.ends[((seen.ends[:, :2] > edges.low) & (seen.ends[:, :2] < edges.high)).all(axis=1)]
         relief, closed = _discs(face, edges, ends), _closed_share(face, edges, seen)
-    # What is much lower than the noise is a face not quite flat, however many points say so.
+    # A relief much lower than the noise is an uneven face, however many points it has.
     discs = [disc for disc in relief if disc.height > _LEAST_CLEAR * face.sigma]
     buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs, ends)]
     if not buttons:
@@ -108,20 +108,20 @@ def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None
 
 
 def _closed_share(face: Face, edges: _Edges, seen: FaceRays) -> float:
-    """Return the share of rays across the face that went no further; parts of other things leave gaps."""
+    """Return the share of rays within the face's edges that ended on it or before it; other objects have gaps."""
     within = ((seen.at > edges.low + _WITHIN) & (seen.at < edges.high - _WITHIN)).all(axis=1)
     past = _went_past(face, seen)[within]
     return float(1.0 - past.mean()) if len(past) else 0.0
 
 
 def _went_past(face: Face, seen: FaceRays) -> Bool[np.ndarray, "N"]:
-    """Return which rays went on behind the face: those that graze it get far behind its edge without getting deep."""
+    """Return which rays passed behind the face; for grazing rays, which stay near its plane, less depth is enough."""
     slope = -(seen.rays.direction @ face.frame[2])
     return np.asarray(seen.ends[:, 2] < -np.maximum(3.0 * face.sigma, np.minimum(_BEHIND, _ONWARD * slope)))
 
 
 def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Disc]:
-    """Return what stands out of a face, without what is too faint beside the clearest or part of a clearer one."""
+    """Return raised discs of a face, without those much fainter than the clearest and smears of clearer ones."""
     kept = ends[(ends[:, 2] > -3.0 * face.sigma) & (ends[:, 2] < _HEIGHTS[1] + 0.05)]
     kept = np.column_stack([kept[:, :2], np.minimum(kept[:, 2], _HEIGHTS[1])])
     discs = find_discs(kept, edges.low, edges.high, face.sigma, _LEAST_GAIN)
@@ -131,13 +131,13 @@ def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Di
 
 
 def _is_smear(disc: Disc, of: Disc) -> bool:
-    """Return whether a relief is but what rays that met a clearer one's edge and the face behind it left beside it."""
+    """Return whether a relief is only the mixed returns at the edge of a clearer one."""
     touches = np.linalg.norm(of.centre - disc.centre) < of.radius + disc.radius
     return bool(touches and disc.gain < _SMEAR * of.gain and disc.height < 0.5 * of.height)
 
 
 def _bare(edges: _Edges, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> Bool[np.ndarray, "K"]:
-    """Return which ends lie outside of all discs, and not at an edge where rays met the sides."""
+    """Return which ray ends are outside all discs and not at the face's edges, where rays may hit its sides."""
     outside = ((ends[:, :2] > edges.low + _COLLAR) & (ends[:, :2] < edges.high - _COLLAR)).all(axis=1)
     for disc in discs:
         outside &= np.linalg.norm(ends[:, :2] - disc.centre, axis=1) > disc.radius + _COLLAR
@@ -154,7 +154,7 @@ def _is_button(disc: Disc) -> bool:
 
 
 def _stands_alone(disc: Disc, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> bool:
-    """Return whether bare face was seen between it and any other relief."""
+    """Return whether the disc is far from every other relief, or the bare face is visible between them."""
     return all(other is disc or _is_apart(disc, other, ends) for other in discs)
 
 
@@ -171,7 +171,7 @@ def _is_apart(disc: Disc, other: Disc, ends: Float[np.ndarray, "K 3"]) -> bool:
 
 
 def _edges(face: Face, seen: FaceRays) -> _Edges:
-    """Move each side to where rays that ended on the face give way to rays that went past it."""
+    """Return the edges, each at the boundary between rays that ended on the face and rays that passed it."""
     low, high, known = face.low.copy(), face.high.copy(), []
     on = np.abs(seen.ends[:, 2]) < max(3.0 * face.sigma, 0.02)
     past = _went_past(face, seen)
@@ -183,7 +183,7 @@ def _edges(face: Face, seen: FaceRays) -> _Edges:
         centre = 0.5 * (low[i] + high[i])
         ends = []
         for sign in (-1.0, 1.0):
-            # What ended on the side beside the face, near enough to count as the face, ended at its edge.
+            # A hit is located by its end, so that hits on the panel's side count at the edge.
             met, crossed = (sign * (where[:, i] - centre) for where in (seen.ends, seen.at))
             edge, is_seen = _edge(met[middle & on & (met > 0)], crossed[middle & past & (crossed > 0)])
             ends.append(centre + sign * edge)
@@ -193,7 +193,7 @@ def _edges(face: Face, seen: FaceRays) -> _Edges:
 
 
 def _edge(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"]) -> tuple[float, bool]:
-    """Return the distance that parts hits from passes with the fewest on the wrong side, and whether passes follow."""
+    """Return the distance that separates hits from passes with the fewest errors [m], and whether passes follow."""
     if not len(hits):
         return 0.0, False
     if not len(passes):

@@ -1,4 +1,4 @@
-"""Round things that stand out of a face by a few millimetres: discs of raised points, best first."""
+"""Round reliefs that protrude a few millimetres from a face: discs of raised points, best first."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _MOST = 600
 
 @dataclass(frozen=True)
 class Disc:
-    """A raised disc.
+    """Raised disc on a face.
 
     Attributes:
-        centre: (2,) [m].
+        centre: (2,) x and y in the face's frame [m].
         height: mean height of its points [m].
-        gain: how much better the points are explained by it than by the bare face [log odds].
-        roundness: smaller over larger spread of its raised points, 0 to 1.
-        around: mean height of the points around it over its own.
+        gain: log likelihood ratio of the disc against the bare face.
+        roundness: smaller over larger standard deviation of its raised points, 0 to 1.
+        around: mean height of the points in a ring around it, over its own.
     """
 
     centre: Float[np.ndarray, "2"]
@@ -47,7 +47,7 @@ def find_discs(
     sigma: float,
     least_gain: float,
 ) -> list[Disc]:
-    """Return raised discs of a face, one after the other, each without the points of those before.
+    """Return raised discs of a face, best first; each is sought without the points of the discs before.
 
     Args:
         points: (N, 3) in the face's frame [m].
@@ -66,12 +66,12 @@ def find_discs(
 
 @dataclass(frozen=True)
 class _Kernels:
-    """Discs to sum over, made ready for a face.
+    """Spectra of the discs, to sum over them by convolution on a face's grid.
 
     Attributes:
-        shape: of the face's grid.
-        padded: of the transforms.
-        spectra: (R, ...) of the discs, moved so that sums come out at their centres.
+        shape: cells of the face's grid.
+        padded: shape of the Fourier transforms.
+        spectra: transform of the disc of each radius, centred on cell (0, 0).
     """
 
     shape: tuple[int, int]
@@ -81,7 +81,7 @@ class _Kernels:
 
 
 def _kernels(low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> _Kernels:
-    """Return discs of all radii that fit into a face."""
+    """Return the spectra of the discs of all radii that fit into a face."""
     radii = [float(radius) for radius in _RADII if 2.0 * radius <= 0.8 * (high - low).min()]
     rows, columns = (int(n) for n in np.ceil((high - low) / _CELL).astype(int) + 1)
     reach = int(np.ceil(max(radii, default=0.0) / _CELL))
@@ -112,7 +112,7 @@ def _best(
         np.bincount(flat, weight, minlength=shape[0] * shape[1]).reshape(shape)
         for weight in (np.ones(int(inside.sum())), points[inside, 2])
     )
-    # Discs are real: one transform carries counts and sums.
+    # The discs are real, so one complex transform carries counts and sums.
     both = fft2(counts + 1j * sums, s=kernels.padded)
     best: tuple[float, Float[np.ndarray, "2"], float] | None = None
     for radius, spectrum in zip(kernels.radii, kernels.spectra, strict=True):
@@ -133,9 +133,9 @@ def _best(
 def _sharpen(
     points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float
 ) -> tuple[Float[np.ndarray, "2"], float]:
-    """Return the best disc with its middle and radius within a few millimetres of these.
+    """Return centre and radius [m] of the disc of greatest gain within 4 mm of these.
 
-    The mean of the raised points would be drawn to where the scan is dense.
+    The mean of the raised points would be biased to the dense part of the scan.
     """
     near = points[np.linalg.norm(points[:, :2] - centre, axis=1) < radius + 2.0 * _CELL + 0.004]
     near = near[:: max(1, len(near) // _MOST)]
@@ -149,7 +149,7 @@ def _sharpen(
 
 
 def _measure(points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], radius: float, gain: float) -> Disc:
-    """Return what a disc's points and its surroundings look like."""
+    """Return the disc with its mean height, roundness and the height around it."""
     poll()
     apart = np.linalg.norm(points[:, :2] - centre, axis=1)
     mine = apart < radius

@@ -1,1 +1,1 @@
-"""Parts that detectors of several kinds use: detections, bars fitted to rays, flat faces, slender things."""
+"""Modules shared by several detectors: detections, bars fitted to rays, flat faces, slender clusters."""

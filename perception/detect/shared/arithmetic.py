@@ -1,4 +1,4 @@
-"""Small arithmetic of the detectors: vectors, medians, shares that rise, sums over layers."""
+"""Small arithmetic of the detectors: cross products, medians, smooth steps, sums over layers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _NEXT = np.array([1, 2, 0])
 
 
 def cross(u: Float[np.ndarray, "*n 3"], v: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Return cross products along the last axis; of few rows in a quarter of the time ``np.cross`` takes."""
+    """Return cross products along the last axis; for few rows four times as fast as ``np.cross``."""
     return np.asarray((u * v[..., _NEXT] - u[..., _NEXT] * v)[..., _NEXT])
 
 
 def median_of_known(values: Float[np.ndarray, "B N"], unknown: float) -> Float[np.ndarray, "B"]:
-    """Return each row's median without NaN, else ``unknown``; ten times as fast as ``np.nanmedian``."""
+    """Return each row's median, NaN ignored, or ``unknown`` if all are NaN; ten times as fast as ``np.nanmedian``."""
     ordered = np.sort(values, axis=1)
     count = values.shape[1] - np.isnan(values).sum(axis=1)
     last = np.maximum(count - 1, 0)
@@ -26,18 +26,18 @@ def median_of_known(values: Float[np.ndarray, "B N"], unknown: float) -> Float[n
 
 
 def rising(value: float, low: float, high: float) -> float:
-    """Return 0 up to ``low``, 1 from ``high`` on, smooth between."""
+    """Return a smooth step (smoothstep): 0 up to ``low``, 1 from ``high`` on."""
     x = float(np.clip((value - low) / (high - low), 0.0, 1.0))
     return x * x * (3.0 - 2.0 * x)
 
 
 def sum_about(counts: Float[np.ndarray, "L"], weights: Sequence[float]) -> Float[np.ndarray, "L"]:
-    """Return the weighted sum of the layers about each one; there is nothing beyond the first and the last.
+    """Return each layer's weighted sum over itself and its neighbours; layers outside the array count as 0.
 
     Args:
-        counts: (L,) at least one, perhaps fewer than the weights.
-        weights: an odd number of them, from below; the middle one is the layer's own.
+        counts: (L,) with L >= 1; L may be smaller than the number of weights.
+        weights: odd in number, from the lowest layer up; the middle one is the layer's own.
     """
-    # Of np.convolve's modes "same" gives as many values as there are weights where those are more than the counts.
+    # np.convolve's mode "same" would return len(weights) values when there are more weights than counts.
     half = len(weights) // 2
     return np.asarray(np.convolve(counts, weights[::-1])[half : half + len(counts)])

@@ -1,4 +1,4 @@
-"""Most likely ends of a bar, by what rays met and where they went through, and their uncertainty."""
+"""Most likely ends of a bar, from the rays that hit or pass its outline, and their uncertainty."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from perception.ground.floor import FloorPlane
 
 _INSIDE = 0.003
 _BIN = 0.02
-# Of the rays inside the outline that were not stopped before it: how many end near its surface where the bar is and
-# where it is not (other things lie about), how many go through where it is, and how depths scatter [m].
+# Of the rays inside the outline that reach it: share that ends near its surface where the bar is (ON) and where it is
+# not (OFF, other objects), share that passes through where it is, and standard deviation of depth [m].
 _HIT_ON, _HIT_OFF, _PASS_ON, _SIGMA = 0.95, 0.15, 0.03, 0.014
 _ON, _OFF = _HIT_ON / (_SIGMA * np.sqrt(2.0 * np.pi)), _HIT_OFF / (2.0 * NEAR_SURFACE)
 _LOST = float(np.log(_PASS_ON / (1.0 - _HIT_OFF)))
 _MOST_IN_BIN = 4.0
-# Log likelihoods: what a metre out of sight costs, what ends the search, what leaves two places undecided.
+# Log likelihoods: cost of an unseen metre, drop that ends the search, difference that leaves two ends undecided.
 _UNSEEN_COST = 40.0
 _HOPELESS = 15.0
 _UNDECIDED = 4.0
@@ -31,13 +31,12 @@ _DESCENDS = 0.05
 
 @dataclass(frozen=True)
 class LikelyEnds:
-    """The places where a bar most likely begins and ends.
+    """Most likely ends of a bar; each has an interval of possible positions.
 
     Attributes:
-        bar: with these ends, each in the middle of where it may be; the nearest such place where it may be anywhere
-            along more than 20 cm.
-        seen: for the first and the last, whether rays went on just beyond that nearest place.
-        hidden: by how much it may be longer there, up to 10 cm each; by less than 10 cm, it may be as much shorter [m].
+        bar: cut at these ends: each at the middle of its interval, or at the inner bound of one longer than 20 cm.
+        seen: for the first and the last end, whether rays passed just beyond the interval's inner bound.
+        hidden: for each end, how much longer the bar may be, at most 10 cm; below 10 cm also how much shorter [m].
     """
 
     bar: Bar
@@ -46,10 +45,10 @@ class LikelyEnds:
 
 
 def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> LikelyEnds:
-    """Follow the bar from its middle to both ends.
+    """Return the bar's most likely ends, searched from its middle outwards.
 
     Args:
-        bar: its ends are where to begin.
+        bar: only the middle between its ends matters, and its length where no ray hit it.
     """
     crossing = cross_bar(rays, bar)
     outcome = sort_rays(rays, crossing)
@@ -75,11 +74,11 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
 def _gains(
     rays: SurroundingRays, crossing: BarCrossing, outcome: Sorted, floor: FloorPlane | None
 ) -> Float[np.ndarray, "N"]:
-    """Return how much more likely each ray's end is where the bar is than where it is not; 0: it says nothing."""
+    """Return each ray's log likelihood ratio of bar against no bar; 0: the ray is no evidence."""
     gap = rays.length - crossing.depth
     gain = np.maximum(_LOST, np.log(_ON / _OFF) - 0.5 * (gap / _SIGMA) ** 2) * (outcome.hit | outcome.passed)
     if floor is not None:
-        # What ended on the floor under a bar ended near the bar too: which of the two was nearer?
+        # A ray that ended on the floor close under the bar is weighed by which of the two surfaces is nearer.
         downwards = np.minimum(rays.direction @ floor.normal, -_LEAST_SLOPE)
         beyond = floor.above(rays.start) / -downwards - crossing.depth
         of_floor = np.clip(0.5 * ((gap - beyond) ** 2 - gap**2) / _SIGMA**2, _LOST, 0.0)
@@ -89,7 +88,7 @@ def _gains(
 
 @dataclass(frozen=True)
 class _End:
-    """Between which places a bar ends [m], and whether rays went on just beyond the nearest."""
+    """Interval in which a bar ends, from its middle [m], and whether rays passed just beyond ``nearest``."""
 
     nearest: float
     furthest: float
@@ -97,16 +96,16 @@ class _End:
 
     @property
     def hidden(self) -> float:
-        """By how much it may be off the middle of both [m]."""
+        """Half the interval's length, at most 10 cm [m]."""
         return min(_MOST_HIDDEN, 0.5 * (self.furthest - self.nearest))
 
     @property
     def place(self) -> float:
-        """The middle of both, or the nearest where they are far apart [m]."""
+        """Middle of the interval, or its inner bound if it is longer than 20 cm [m]."""
         return self.nearest + (self.hidden if self.hidden < _MOST_HIDDEN else 0.0)
 
     def above(self, height: float, descent: float) -> _End:
-        """Bound the end of a bar at this height above an obstacle that descends to it by so much a metre."""
+        """Cut the interval where the bar, ``height`` [m] over the floor and falling ``descent`` per metre, meets it."""
         if descent <= _DESCENDS:
             return self
         return replace(self, furthest=min(self.furthest, self.nearest + height / descent))
@@ -118,14 +117,14 @@ def _end(
     hit: Bool[np.ndarray, "K"],
     stopped: Float[np.ndarray, "S"],
 ) -> _End | None:
-    """Return where the bar is likely to end in the positive direction; None: nothing was hit there."""
+    """Return the interval of the bar's end in the positive direction; None: no hit there."""
     keep = np.flatnonzero(at > -_BIN)
     keep = keep[np.argsort(at[keep], kind="stable")]
     at, gain, hit = at[keep], gain[keep], hit[keep]
     if not hit.any():
         return None
     is_pass = gain < 0.5 * _LOST
-    # Neighbouring rays are no independent witnesses: what lies there lies there for all of them.
+    # Neighbouring rays are not independent: one object affects all of them.
     in_bin = np.floor(at / _BIN).astype(np.int64) + 1
     gain = gain * np.minimum(1.0, _MOST_IN_BIN / np.bincount(in_bin)[in_bin])
     total = np.cumsum(gain)
@@ -153,7 +152,7 @@ def _count_followed(
     total: Float[np.ndarray, "K"],
     stopped: Float[np.ndarray, "S"],
 ) -> int:
-    """Return how many of the rays along a bar to look at: up to a long stretch out of sight, or of air."""
+    """Return the number of rays, from the bar's middle, up to a long unseen gap or a clear stretch of air."""
     unseen = steps > _MOST_UNSEEN
     for i in np.flatnonzero(unseen):
         between = stopped[(stopped > at[i] - steps[i]) & (stopped < at[i])]

@@ -1,4 +1,4 @@
-"""Evidence of rays for a fitted bar: where it ends, how solid it is, how much air is beside it."""
+"""Evidence of rays for a fitted bar: its ends, share of hits, and air beside it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _INSIDE = 0.003
 _BEYOND = 0.08
 _AIR = (0.008, 0.045)
 _COARSE_BIN = 0.04
-# How far off a face's plane a ray's end may lie, and how much further for each unit of the slope it met it at [m].
+# Largest distance of a ray's end from a face's plane, and its increase per cosine between ray and normal [m].
 _OFF, _OFF_BY_SLOPE = 0.01, 0.02
 _REACH = 0.6
 _SHARE, _ALONG = 0.5, 0.35
@@ -27,11 +27,11 @@ _SHARE, _ALONG = 0.5, 0.35
 
 @dataclass(frozen=True)
 class Ends:
-    """The places where a bar begins and ends.
+    """Ends of a bar.
 
     Attributes:
-        bar: with these ends.
-        seen: for the first and the last, whether rays went on just beyond it.
+        bar: cut at these ends.
+        seen: for the first and the last end, whether rays passed just beyond it.
     """
 
     bar: Bar
@@ -39,7 +39,7 @@ class Ends:
 
 
 def find_ends(rays: SurroundingRays, bar: Bar) -> Ends:
-    """Follow the bar from where it is surest to where rays inside its outline go on behind it."""
+    """Return the ends where, from the bar's middle outwards, rays inside its outline stop hitting and pass."""
     crossing = cross_bar(rays, bar)
     outcome = sort_rays(rays, crossing)
     inside = crossing.outside < -_INSIDE
@@ -57,8 +57,8 @@ def _end(
 ) -> tuple[float, bool]:
     """Return where hits end in the positive direction, and whether passes follow there.
 
-    Where something lies over the bar it is followed further than where nothing is known, but what is found behind a
-    long gap has to be long itself.
+    A gap covered by another object may be longer than one without rays, but the hits beyond a long gap must be long
+    too.
     """
     hits, passes = hits[hits > -_BIN], passes[passes > -_BIN]
     if not len(hits):
@@ -100,14 +100,14 @@ class BarEvidence:
     """Evidence for a bar.
 
     Attributes:
-        n_hits: rays that ended on it.
-        solid: share of hits among the rays inside its outline that were not stopped before.
-        visible: share of its length where rays ended on it.
-        air: on the worse long side, share of the length known there where rays just beside the bar went on behind it,
-            and did not end on a surface that runs on from one of its faces.
-        known: on the worse side, share of the length where rays say so or otherwise.
-        rms: of the depths of its hits [m].
-        hits: which rays ended on it.
+        n_hits: number of rays that ended on it.
+        solid: share of hits among the rays inside its outline that reach it.
+        visible: share of its length with hits.
+        air: share of the known length where rays just beside the bar pass it and do not end on a surface that
+            continues one of its faces; of the long side with less.
+        known: share of the length with any rays just beside the bar; of the long side with less.
+        rms: of its hits' depth residuals [m].
+        hits: (N,) which rays ended on it.
     """
 
     n_hits: int
@@ -120,7 +120,7 @@ class BarEvidence:
 
 
 def weigh_bar(rays: SurroundingRays, bar: Bar) -> BarEvidence:
-    """Count hits, passes and air about a fitted bar."""
+    """Return the evidence for a fitted bar: shares of hits, visible length and air beside it."""
     crossing = cross_bar(rays, bar)
     outcome = sort_rays(rays, crossing)
     between = (crossing.along > bar.first) & (crossing.along < bar.last)
@@ -150,13 +150,13 @@ def weigh_bar(rays: SurroundingRays, bar: Bar) -> BarEvidence:
 
 
 def in_line(bar: Bar, rays: Sightlines) -> Bool[np.ndarray, "N"]:
-    """Return which rays ended beside a bar, level with one of its faces that is seen; a round bar has none."""
+    """Return which rays ended beside a bar in the plane of one of its visible faces; none for a round bar."""
     if bar.section == "round" or not len(rays):
         return np.zeros(len(rays), dtype=bool)
     half, frame = np.array(bar.half), bar.frame[1:]
     seen = np.sign((rays.start.mean(axis=0) - bar.centre) @ frame.T)
     across = (rays.ends - bar.centre) @ frame.T
-    # Noise lies along the rays: those that graze a face end close to its plane, or on something else behind it.
+    # Noise is along the ray, so a grazing ray that hits the face ends close to its plane.
     level = np.abs(across * seen - half) < _OFF + _OFF_BY_SLOPE * np.abs(rays.direction @ frame.T)
     beside = (np.abs(across) > half) & (np.abs(across) < half + _REACH)
     return np.asarray((level & beside[:, ::-1]).any(axis=1))
@@ -169,20 +169,20 @@ def runs_on(
     part: Int[np.ndarray, "K"],
     n_parts: int,
 ) -> Bool[np.ndarray, "P"]:
-    """Return the parts of a bar's side where most rays beside it met a surface level with its face.
+    """Return (P,) parts of a bar's side where most rays beside it ended on a surface in the plane of its face.
 
-    What looks like a board there is the rim of a panel, or the narrow side of a slab; where air comes first, few rays
-    met it or it is along little of the bar, what is level with the face is another thing.
+    Such a bar is the rim of a panel or the narrow side of a slab.  The surface is another object where air separates
+    it from the bar, few rays met it or it accompanies little of the bar.
 
     Args:
-        level: which of the rays ended level with a face.
-        free: which of the others went on.
-        outside: how far each passes the bar [m].
-        part: of the bar's length that each passes.
+        level: which rays ended in the plane of a face.
+        free: which of the others passed.
+        outside: distance of each ray from the bar's outline [m].
+        part: index of the part of the bar's length that each ray passes.
     """
     n_level, n_free = (np.bincount(part[those], minlength=n_parts) for those in (level, free))
     of_level, of_free = (np.bincount(part[those], outside[those], n_parts) for those in (level, free))
     is_nearer = (n_free == 0) | (of_level * n_free <= of_free * n_level)
     larger = (n_level > 0) & (n_level >= _SHARE * (n_level + n_free)) & is_nearer
-    # In a heap something or other is level with a face here and there.
+    # In a heap some points are in the plane of a face by chance.
     return np.asarray(larger & (larger.sum() >= _ALONG * ((n_level + n_free) > 0).sum()))

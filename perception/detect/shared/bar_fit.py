@@ -1,9 +1,9 @@
 """Least-squares fit of bars to rays that hit and rays that passed.
 
-A scanner's noise lies along its rays, so two things enter the fit: the depth of the hits, and for hits and passes the
-side of the outline they are on.  Several bars are fitted to the same rays at once in one Levenberg-Marquardt loop: a
-detector tries a handful of sizes and turns at each place, and for all of them numpy takes little longer than for one
-(scipy's solver, called for each, took four times as long).
+A scanner's noise is along its rays, so the residuals are the depth of the hits, and for hits and passes the distance
+from the outline on its wrong side.  One Levenberg-Marquardt loop fits several bars to the same rays: a detector tries a
+few sizes and turns for each candidate, and numpy takes little longer for all than for one (scipy's solver, called for
+each, took four times as long).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _STEPS = 6  # of the solver in each round
 _AROUND = 0.04
 SIGMA_USUAL = 0.004
 _SMALLEST, _LARGEST = 0.006, 0.12
-# Usual changes of: tilts [rad], place across [m], half sizes [m], turn [rad].
+# Typical changes of: tilts [rad], offsets across [m], half sizes [m], turn [rad].
 _SCALE = np.array([0.02, 0.02, 0.005, 0.005, 0.005, 0.005, 0.1])
 _LARGEST_STEP = np.array([0.15, 0.15, 0.03, 0.03, 0.02, 0.02, 0.4])
 _FIRST_DAMPING = 1e-2
@@ -44,10 +44,10 @@ class BarFit:
     """A fitted bar.
 
     Attributes:
-        bar: with the ends it was given.
-        usual: the half sizes it was drawn towards [m].
-        spread: standard deviations of tilt [rad] and place across [m], the larger of each two, by the residuals'
-            curvature.
+        bar: with the ends of its start.
+        usual: half sizes of the prior [m].
+        spread: standard deviations of tilt [rad] and offset across [m], each the larger of two directions, from the
+            curvature of the cost.
     """
 
     bar: Bar
@@ -70,11 +70,11 @@ def fit_bars(
     most_rays: int = 500,
     n_rounds: int = 2,
 ) -> list[BarFit]:
-    """Refine axis, place, turn and size of bars of one section; the ends stay.
+    """Refine axis, offset across, turn and size of bars of one section; their ends do not change.
 
     Args:
-        starts: bars, and for each the half sizes it is likely to have: what is not seen is taken from them.
-        n_rounds: which rays are hits is decided anew in each.
+        starts: bars, each with the half sizes of its prior [m], which decide the sizes that rays do not show.
+        n_rounds: number of solves; each sorts the rays into hits and passes anew.
     """
     if not starts:
         return []
@@ -85,7 +85,7 @@ def fit_bars(
 
 
 def _centre(bar: Bar) -> Bar:
-    """Count its ends from its middle, about which it is tilted."""
+    """Return the bar with its centre moved to its middle, about which the fit tilts it."""
     half = 0.5 * bar.length
     return Bar(bar.frame, bar.middle, bar.half, -half, half, bar.section)
 
@@ -93,7 +93,7 @@ def _centre(bar: Bar) -> Bar:
 def _solve(
     rays: SurroundingRays, bars: list[Bar], usual: Float[np.ndarray, "B 2"], most: int
 ) -> tuple[list[Bar], list[tuple[float, float]]]:
-    """Return the bars of least robust (soft l1) squared residuals, and the spread of what was fitted."""
+    """Return the bars that minimize the soft-l1 cost, and their standard deviations of tilt and offset."""
     section = bars[0].section
     n = 5 if section == "round" else 7
     chosen, hit, counts = _relevant(rays, bars, most)
@@ -131,9 +131,9 @@ def _spreads(curvature: Float[np.ndarray, "B n n"]) -> list[tuple[float, float]]
 
 
 def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> tuple[float, float]:
-    """Return deviations of tilt [rad] and place across [m] that rays near the outline allow as well.
+    """Return standard deviations of tilt [rad] and offset across [m], counting rays that pass near the outline.
 
-    A bar that all its rays agree with can move until one does not; the residuals' curvature says nothing of it.
+    A bar without residuals can still move until a ray crosses its outline; the cost's curvature does not show this.
     """
     bar = _centre(fit.bar)
     chosen, hit, counts = _relevant(rays, [bar], most_rays)
@@ -146,7 +146,7 @@ def spread_between_edges(rays: SurroundingRays, fit: BarFit, most_rays: int) -> 
 def _relevant(
     rays: SurroundingRays, bars: list[Bar], most: int
 ) -> tuple[Sightlines, Bool[np.ndarray, "B N"], Bool[np.ndarray, "B N"]]:
-    """Return rays that are a hit or a near pass of any bar, which are hits of each, and which count for each."""
+    """Return rays that hit or nearly hit any bar, and (B, N) masks of each bar's hits and of the rays it uses."""
     crossing = cross_bars(rays, bars)
     low, high = np.array([[bar.first, bar.last] for bar in bars]).T
     between = (crossing.along >= low[:, None]) & (crossing.along <= high[:, None])
@@ -177,7 +177,7 @@ def _choose(these: Bool[np.ndarray, "B"], new: _State, old: _State) -> _State:
 
 
 def _move(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _State:
-    """Return the bars after a step: tilts (2), shift across (2), half sizes (2; 1 if round), turn (1)."""
+    """Return the bars after a step ``x``: tilts (2), offsets across (2), half sizes (2; 1 if round), turn (box: 1)."""
     e0, e1, e2 = (state.frames[:, i] for i in range(3))
     axis = e0 + x[:, 0:1] * e1 + x[:, 1:2] * e2
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
@@ -199,10 +199,10 @@ def _linearize(
     section: Section,
     slack: float = 0.0,
 ) -> tuple[Float[np.ndarray, "B M"], Float[np.ndarray, "B n M"]]:
-    """Return residuals in standard deviations (depth, edge, usual size) and their derivatives.
+    """Return residuals in standard deviations (depth, edge, prior size) and their Jacobian, transposed.
 
-    An edge on the right side of a ray has no residual; its derivative is given up to ``slack`` from the ray [m], in
-    units that grow with the distance.
+    An edge on the right side of a ray has residual 0; up to ``slack`` [m] from the ray its derivative is still
+    returned, over a standard deviation that grows with the distance.
     """
     poll()
     start = state.frames @ rays.start.T - (state.frames @ state.centres[:, :, None])
@@ -211,7 +211,7 @@ def _linearize(
     d0, d1, d2 = way[:, 0], way[:, 1], way[:, 2]
     speed = np.maximum(np.hypot(d1, d2), LEAST_SLOPE)
     side = (d1 * p2 - d2 * p1) / speed
-    # How the ray moves in the bar's section for tilts, shifts and turn: changes of p1, p2, d1, d2.
+    # Derivatives of the ray in the bar's section (p1, p2, d1, d2) by tilts, offsets and turn.
     unit, nil = np.ones_like(p0), np.zeros_like(p0)
     moves = [(-p0, nil, -d0, nil), (nil, -p0, nil, -d0), (-unit, nil, nil, nil), (nil, -unit, nil, nil)]
     if section == "box":
@@ -261,7 +261,7 @@ def _box_entry(
     p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows,
     half1: Float[np.ndarray, "B 1"], half2: Float[np.ndarray, "B 1"],
 ) -> tuple[_Rows, tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:  # fmt: skip
-    """Return the depth of the outline along each ray, its derivatives by p1, p2, d1, d2, and by the half sizes."""
+    """Return each ray's depth at the outline, its derivatives by p1, p2, d1, d2, and those by the half sizes."""
     excess = np.sign(side) * np.maximum(np.abs(side) - reach, 0.0) / speed
     q1, q2 = p1 + d2 * excess, p2 - d1 * excess
     s1, s2 = (np.where(np.abs(d) < 1e-4, np.copysign(1e-4, d), d) for d in (d1, d2))
@@ -278,12 +278,12 @@ def _box_entry(
 def _round_entry(
     p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows
 ) -> tuple[_Rows, tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:
-    """Return what :func:`_box_entry` returns, for a circle."""
+    """Return the same as :func:`_box_entry`, for a circle."""
     inside = np.minimum(np.abs(side), 0.98 * reach)
     chord = np.sqrt(reach**2 - inside**2)
     depth = -(p1 * d1 + p2 * d2) / speed**2 - chord / speed
     x1, x2 = p1 + depth * d1, p2 + depth * d2
-    # The place where the ray enters moves along it as the circle's normal there asks for.
+    # Implicit derivative: the entry point stays on the circle, whose normal there is (x1, x2).
     slope = d1 * x1 + d2 * x2
     slope = np.where(np.abs(slope) < 1e-6, -1e-6, slope)
     slopes = (-x1 / slope, -x2 / slope, -depth * x1 / slope, -depth * x2 / slope)

@@ -1,7 +1,7 @@
-"""At which of its ends a bar before a face is held, and where.
+"""Pivot of a bar in front of a face: the end at which it is held.
 
-Between bar and face there is a gap.  Rays that pass through it show that the bar is not held there, rays that end in it
-that it is; a bar that is free at one end and not at the other must be held at the other.
+Between bar and face there is a gap.  Rays that pass through the gap show that the bar is free there, rays that end in
+it that it is held; a bar with only one free end is held at the other.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _GOES_ON = (0.2, 0.45)
 
 @dataclass(frozen=True)
 class Pivot:
-    """The place where a bar is held.
+    """Point where a bar is held.
 
     Attributes:
-        along: of the pivot on the bar's axis, from its centre [m].
-        far: of the bar's free end [m].
-        stand_off: of the bar's axis over the face [m].
-        confidence: that it is held there and nowhere else, 0 to 1.
+        along: position of the pivot on the bar's axis, from its centre [m].
+        far: position of the free end on the bar's axis [m].
+        stand_off: distance of the bar's axis from the face [m].
+        confidence: that the bar is held at this end only, 0 to 1.
     """
 
     along: float
@@ -51,7 +51,7 @@ class Pivot:
 
 
 def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
-    """Return the end where the bar is held, by the rays through the gap behind it."""
+    """Return the pivot at the end where rays end in the gap behind the bar and do not pass through it."""
     centre = face.local(bar.centre[None])[0]
     axis = face.frame @ bar.axis
     flat = axis[:2] / max(float(np.hypot(axis[0], axis[1])), 1e-6)
@@ -77,15 +77,15 @@ def find_pivot(face: Face, seen: FaceRays, bar: Bar) -> Pivot:
     pivot = end + inwards * _HUB_OVER_BAR * radius
     if len(at) >= _FEWEST:
         pivot = float(np.clip(np.median(at), *sorted((end + inwards * radius, end + inwards * _ZONE))))
-    # A gap hardly deeper than the noise tells ends apart by chance.
+    # In a gap hardly deeper than the noise the ends differ by chance.
     certainty = rising(bottom / face.sigma, *_GAP_OVER_NOISE)
     return Pivot(float(pivot), far_end, stand_off, float(max(scores)) * certainty)
 
 
 def face_behind(face: Face, seen: FaceRays, place: Float[np.ndarray, "3"]) -> float:
-    """Return how surely the face goes on behind a place before it: nothing is held by a face beyond its edge.
+    """Return the confidence, 0 to 1, that the face continues behind ``place``; a face holds nothing beyond its edge.
 
-    It does within its region, where the rays about the place that get as far as the face end on it.
+    The position must be in the face's region, and nearby rays that reach the face's plane must end on it.
     """
     flat = face.local(place[None])[0, :2]
     outside = float(np.linalg.norm(np.maximum(np.maximum(face.low - flat, flat - face.high), 0.0)))
@@ -96,9 +96,9 @@ def face_behind(face: Face, seen: FaceRays, place: Float[np.ndarray, "3"]) -> fl
 
 
 def free_end(face: Face, seen: FaceRays, bar: Bar, pivot: Pivot) -> float:
-    """Return how surely nothing goes on at the bar's free end, straight on or in a bend: a rim or a rail does.
+    """Return the confidence, 0 to 1, that the bar ends at its free end; a rim or a rail continues, straight or bent.
 
-    What lies just beyond the end, off the face, is held against what lies on the bar just before it.
+    It falls with the number of points just beyond the end, off the face, over that on the bar just before the end.
     """
     centre, axis = face.local(bar.centre[None])[0], face.frame @ bar.axis
     flat = axis[:2] / max(float(np.hypot(axis[0], axis[1])), 1e-6)
@@ -113,7 +113,7 @@ def free_end(face: Face, seen: FaceRays, bar: Bar, pivot: Pivot) -> float:
 def _in_bar(
     local: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "3"], flat: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Return places along the bar, aside of it, and over the face [m]."""
+    """Return each point's position along the bar, offset to its side and height over the face [m]."""
     offset = local[:, :2] - centre[:2]
     return offset @ flat, offset @ np.array([-flat[1], flat[0]]), local[:, 2]
 
@@ -126,7 +126,7 @@ def _passes_behind(
     level: float,
     radius: float,
 ) -> Float[np.ndarray, "K"]:
-    """Return where along the bar rays went through the gap right behind it, at a height over the face."""
+    """Return positions along the bar of rays through the gap behind it, at height ``level`` over the face [m]."""
     slope = seen.rays.direction @ face.frame[2]
     start = face.local(seen.rays.start)
     depth = (level - start[:, 2]) / slope
@@ -137,10 +137,10 @@ def _passes_behind(
 
 
 def _zone(held: Float[np.ndarray, "K"], free: Float[np.ndarray, "M"], end: float, bar: Bar) -> tuple[float, float]:
-    """Return how surely the bar is free, and how surely it is held, at one of its ends.
+    """Return the confidences, 0 to 1, that the bar is free and that it is held at ``end``.
 
-    Where hardly any ray went past further inwards the bar has a neck; rays that went past nearer to its end, for
-    example over the top of the neck, are then not counted.
+    Where hardly any ray passes further inwards than the held points, the bar has a neck; rays that pass nearer to the
+    end, for example over the neck's top, are then not counted.
     """
     depths = [np.abs(x[(np.abs(x - end) < _ZONE) & (x > bar.first) & (x < bar.last)] - end) for x in (held, free)]
     n_held, n_free = float(len(depths[0])), len(depths[1]) / len(_LEVELS)

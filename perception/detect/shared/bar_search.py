@@ -1,4 +1,4 @@
-"""The bar that explains best what is seen about a straight run of points, and how sure its size is."""
+"""Choice of the bar that best explains the rays about a straight run of points, and the doubt about its size."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _MOST_RAYS = 10000
 
 @dataclass(frozen=True)
 class Stock:
-    """Sizes that a kind of bar comes in.
+    """Standard sizes of a kind of bar.
 
     Attributes:
-        halves: half width and half thickness of each [m].
-        rarity: squared standard deviations by which one has to explain better to be believed, in the order of halves.
+        halves: half width and half thickness of each size [m].
+        rarity: penalty of each size in squared standard deviations, added to its misfit, in the order of halves.
     """
 
     section: Section
@@ -51,16 +51,16 @@ class Stock:
     rarity: tuple[float, ...]
 
     def rarity_of(self, half: tuple[float, float]) -> float:
-        """Return the rarity of the size."""
+        """Return the penalty of a size in squared standard deviations."""
         return self.rarity[self.halves.index(half)]
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The bar that explains best.
+    """Bar of least misfit.
 
     Attributes:
-        doubt: how far across the axis the centres of others lie that explain nearly as well [m].
+        doubt: largest distance across the axis to the centre of a bar that explains the rays nearly as well [m].
     """
 
     fit: BarFit
@@ -70,7 +70,7 @@ class Choice:
 def rays_about(
     index: SightIndex, run: Run, beyond: float, floor: FloorPlane | None, known: Sequence[Bar] = ()
 ) -> SurroundingRays:
-    """Return rays that pass near a run, with those marked that ended on the floor or on bars already known."""
+    """Return rays that pass near a run, marked where they ended on the floor or on a known bar."""
     rays = index.passing(run.places(_SPACING, beyond), _AROUND).thin(_MOST_RAYS)
     ends = rays.ends
     elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(ends) < _ON_FLOOR
@@ -90,12 +90,12 @@ def choose_bar(
     most_rays: int,
     also: BarFit | None = None,
 ) -> Choice | None:
-    """Fit bars of all sizes about a run and take the one that explains best.
+    """Fit bars of all sizes about a run and return the one of least misfit; None: too few points.
 
     Args:
-        radius: of the tube about the run whose points are to be explained [m].
-        floor: nothing lies in it, and hardly anything just over it.
-        also: a further start, and others from where it lies.
+        radius: of the tube about the run whose points the bar must explain [m].
+        floor: a bar that reaches into it or hovers just over it costs more.
+        also: earlier fit, used as a further start, together with boxes of other sizes flush with it.
     """
     few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))
     if few is None or many is None:
@@ -110,10 +110,10 @@ def choose_bar(
     again = fit_bars(rays, [(fits[i].bar, fits[i].usual) for i in promising], most_rays, n_rounds=1)
     for i, fit, fit_cost in zip(promising, again, _costs(many, again, stock, floor), strict=True):
         fits[i], cost[i] = fit, fit_cost
-    # Where nothing but noise tells sizes apart, it is the usual one.
+    # Of sizes that differ by no more than noise the commonest is chosen.
     usual = [stock.rarity_of(fit.usual) for fit in fits]
     best = min(np.flatnonzero(cost <= cost.min() + _UNDECIDED).tolist(), key=lambda i: (usual[i], cost[i]))
-    # A model is never quite true; what is left unexplained makes small differences mean less.
+    # The model is not exact: the larger the remaining misfit, the less a small difference means.
     tolerance = _UNDECIDED * max(1.0, float(cost[best]) / max(1, int(many.mine.sum())))
     doubt = max(
         _distance(fit.bar, fits[best].bar)
@@ -124,20 +124,20 @@ def choose_bar(
 
 
 def _costs(sample: Sample, fits: Sequence[BarFit], stock: Stock, floor: FloorPlane | None) -> Float[np.ndarray, "B"]:
-    """Return how badly each explains what is seen, and how unlikely it was before, in squared standard deviations."""
+    """Return each bar's misfit plus its prior cost, in squared standard deviations."""
     prior = [stock.rarity_of(fit.usual) + _unusual(fit) + _support_cost(fit.bar, floor) for fit in fits]
     return np.asarray(misfits(sample, [fit.bar for fit in fits]) + prior)
 
 
 def _unusual(fit: BarFit) -> float:
-    """Return how far a bar's sizes are from those it was drawn towards, in squared standard deviations."""
+    """Return the distance of a bar's sizes from its prior's, in squared standard deviations."""
     return float((((np.array(fit.bar.half) - fit.usual) / SIGMA_USUAL) ** 2).sum())
 
 
 def _support_cost(bar: Bar, floor: FloorPlane | None) -> float:
-    """Return how far a bar reaches into the floor or hovers just over it, in squared standard deviations.
+    """Return the cost of a bar that reaches into the floor or hovers just over it, in squared standard deviations.
 
-    Where a bar touches the floor its lowest two centimetres cannot be distinguished from it.
+    The lowest two centimetres of a bar that touches the floor cannot be distinguished from the floor.
     """
     if floor is None:
         return 0.0
@@ -147,19 +147,19 @@ def _support_cost(bar: Bar, floor: FloorPlane | None) -> float:
 
 
 def _distance(bar: Bar, other: Bar) -> float:
-    """Return how far the middle of one is from the axis of the other [m]."""
+    """Return the distance of the first bar's middle from the other's axis [m]."""
     offset = bar.middle - other.middle
     return float(np.linalg.norm(offset - (offset @ other.axis) * other.axis))
 
 
 @dataclass(frozen=True)
 class Rivalry:
-    """A bar held against the best of another section.
+    """Comparison of a bar with the best bar of another section.
 
     Attributes:
-        better: by how many squared standard deviations it explains better.
-        share: that over what it leaves unexplained: noise alone makes much of a little when both explain badly.
-        misfit: what it leaves unexplained, for each ray that ended near it; 1 where the noise is the usual one.
+        better: misfit of the other minus its own, in squared standard deviations.
+        share: ``better`` over its own misfit, since noise alone makes large differences when both fit badly.
+        misfit: its own misfit per ray that ended near it; 1 with the usual noise.
     """
 
     better: float
@@ -168,10 +168,10 @@ class Rivalry:
 
 
 def rivalry(rays: SurroundingRays, bar: Bar, rivals: Sequence[tuple[float, float]], section: Section) -> Rivalry:
-    """Return how much better a bar explains what is about it than bars of another section fitted to the same.
+    """Compare a bar with bars of another section fitted to the same rays.
 
     Args:
-        rivals: half sizes to start from [m].
+        rivals: half sizes of the other section's starts [m].
     """
     run, radius = run_of(bar), max(bar.half) + 0.02
     few, many = (sample_about(rays, run, radius, most) for most in (_FOR_STARTS, _FOR_CHOICE))

@@ -1,4 +1,4 @@
-"""Bars to start a fit from, about a straight run of points, and how well bars explain what is seen there."""
+"""Start bars of a fit about a straight run of points, and misfits of bars to the rays there."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ _LEAST_SQUARE = 0.05
 
 @dataclass(frozen=True)
 class Run:
-    """A stretch of a straight line.
+    """Segment of a straight line.
 
     Attributes:
-        place: (3,) on it [m].
+        place: (3,) point on it [m].
+        axis: (3,) unit.
         first, last: its ends, from ``place`` along ``axis`` [m].
-        away: (3,) unit, square to the axis, into the face that is seen; None: nothing is known of faces.
+        away: (3,) unit, square to the axis, into the visible face; None: no face is known.
     """
 
     place: Float[np.ndarray, "3"]
@@ -47,14 +48,14 @@ class Run:
     away: Float[np.ndarray, "3"] | None = None
 
     def places(self, spacing: float, beyond: float = 0.0) -> Float[np.ndarray, "K 3"]:
-        """Return places along it, from ``beyond`` before to ``beyond`` behind it, at most ``spacing`` apart [m]."""
+        """Return points at most ``spacing`` apart, from ``beyond`` before the start to ``beyond`` past the end [m]."""
         low, high = self.first - beyond, self.last + beyond
         n = max(2, int(np.ceil((high - low) / spacing)) + 1)
         return np.asarray(self.place + np.linspace(low, high, n)[:, None] * self.axis)
 
 
 def run_of(bar: Bar) -> Run:
-    """Return where a bar lies."""
+    """Return the run along a bar's axis."""
     return Run(bar.centre, bar.axis, bar.first, bar.last)
 
 
@@ -63,9 +64,9 @@ class Sample:
     """Some of the rays about a straight run.
 
     Attributes:
-        rays: that ended near its line, and that passed it.
-        mine: those that ended within the tube about the line.
-        away: (3,) unit, square to the line, into the face that is seen or where the rays go.
+        rays: rays that ended near the run's line, and rays that passed it.
+        mine: (N,) which rays ended in the tube about the line.
+        away: (3,) unit, square to the line, into the visible face or along the rays' mean direction.
     """
 
     rays: SurroundingRays
@@ -74,16 +75,16 @@ class Sample:
 
 
 def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> Sample | None:
-    """Return rays between the ends of a run; None when too few ended there or all look along it.
+    """Return rays between the ends of a run; None when too few ended there or all are parallel to it.
 
     Args:
-        radius: of the tube about it whose points are to be explained [m].
-        most: rays of either sort; more are thinned.
+        radius: of the tube about the run whose points the bar must explain [m].
+        most: largest number of rays of each sort; more are thinned.
     """
     offset = rays.ends - run.place
     along = offset @ run.axis
     apart = np.linalg.norm(offset - along[:, None] * run.axis, axis=1)
-    # Rays that pass count where they come nearest to the line, not where they end.
+    # A ray that passes is located where it is nearest to the line, not where it ends.
     way = rays.direction - (rays.direction @ run.axis)[:, None] * run.axis
     nearest = ((run.place - rays.start) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-6)
     passes_at = (rays.start + nearest[:, None] * rays.direction - run.place) @ run.axis
@@ -106,9 +107,9 @@ def sample_about(rays: SurroundingRays, run: Run, radius: float, most: int) -> S
 
 
 def misfits(sample: Sample, bars: Sequence[Bar]) -> Float[np.ndarray, "B"]:
-    """Return how badly each bar explains the sample: squared residuals, none worse than three standard deviations.
+    """Return each bar's sum of squared residuals, in standard deviations, each bounded at three of them.
 
-    What ended near the line should lie on the bar, what passed should miss it.
+    A ray that ended near the line should end on the bar, a ray that passed should miss the bar.
     """
     return _misfits(sample, cross_bars(sample.rays, bars))
 
@@ -126,7 +127,7 @@ Start = tuple[Bar, tuple[float, float]]
 def starts_about(
     sample: Sample, run: Run, halves: Sequence[tuple[float, float]], section: Section, most: int
 ) -> list[Start]:
-    """Return bars of every size at the turns that explain the sample best, with their half sizes [m]."""
+    """Return at most ``most`` start bars with their half sizes [m]: first the best turn of every size."""
     across = cross(sample.away, run.axis)
     seen = (sample.rays.ends - run.place)[sample.mine] @ across
     low, high = np.percentile(seen, [4, 96])
@@ -136,7 +137,7 @@ def starts_about(
             width = np.cos(turn) * across + np.sin(turn) * sample.away
             frame = np.stack([run.axis, width, cross(run.axis, width)])
             reach, deep = np.abs(frame[1:] @ np.stack([across, sample.away], axis=1)).T @ half
-            # Something else may have ended near the line too: the thing may be anywhere among what is seen.
+            # Points of other objects may be in the tube too, so the bar may be anywhere in the points' extent.
             room = high - low - 2.0 * reach
             n = int(np.clip(np.ceil(room / _OFFSET) + 1, 1, _MOST_OFFSETS))
             places = np.linspace(low + reach, high - reach, n) if n > 1 else np.array([0.5 * (low + high)])
@@ -153,7 +154,7 @@ def starts_about(
 
 
 def starts_flush_with(sample: Sample, bar: Bar, halves: Sequence[tuple[float, float]], most: int) -> list[Start]:
-    """Return boxes of every size whose near faces lie where those of a fitted one do, the best first."""
+    """Return boxes of every size whose near faces are flush with a fitted box's, the best first."""
     facing = bar.frame[1:] @ sample.away
     near, other = np.argsort(-np.abs(facing)).tolist()
     frames, middles, size, side = [], [], [], []
@@ -173,7 +174,7 @@ def starts_flush_with(sample: Sample, bar: Bar, halves: Sequence[tuple[float, fl
 
 
 def _best(sample: Sample, bars: _Many, run: Run, most: int, blur: float) -> list[Start]:
-    """Put the best of every size and side first: the fit shows which of them it is."""
+    """Return the best start of every size and side, then the best of the rest, ``most`` in all."""
     order = np.argsort(_misfits(sample, bars.crossed_by(sample.rays), blur), kind="stable")
     leaders = _leaders(bars.side[order], order).tolist()
     chosen = [*leaders, *(i for i in order.tolist() if i not in leaders)][:most]
@@ -184,12 +185,12 @@ def _best(sample: Sample, bars: _Many, run: Run, most: int, blur: float) -> list
 
 
 def _leaders(side: Int[np.ndarray, "B"], order: Int[np.ndarray, "B"]) -> Int[np.ndarray, "L"]:
-    """Return the first of each size and side in an order, in that order."""
+    """Return the first bar of each size and side in ``order``, in that order."""
     return np.asarray(order[np.sort(np.unique(side, return_index=True)[1])])
 
 
 def _turns(half: tuple[float, float], section: Section) -> Float[np.ndarray, "K"]:
-    """Return turns about the axis that make a difference."""
+    """Return the turns about the axis that symmetry does not repeat [rad]."""
     if section == "round":
         return np.asarray(_TURNS[:1])
     return np.asarray(_TURNS[: len(_TURNS) // 2] if half[0] == half[1] else _TURNS)
@@ -197,8 +198,8 @@ def _turns(half: tuple[float, float], section: Section) -> Float[np.ndarray, "K"
 
 @dataclass(frozen=True)
 class _Many:
-    """Bars as arrays: frames (B, 3, 3), centres (B, 3) [m], which of the half sizes (S, 2) [m] each has, and a number
-    for the size and whether its edge is seen or its broad side."""
+    """Bars as arrays: frames (B, 3, 3), centres (B, 3) [m], index ``size`` into the half sizes (S, 2) [m], and
+    ``side``, a number for the size and whether its broad face or its edge is towards the sensor."""
 
     frames: Float[np.ndarray, "B 3 3"]
     centres: Float[np.ndarray, "B 3"]
@@ -217,7 +218,7 @@ class _Many:
 
 
 def _at_their_depth(sample: Sample, bars: _Many) -> _Many:
-    """Move bars along the rays, so that those that ended near the line and meet the bar end on it."""
+    """Return the bars moved along ``away`` by the median depth residual of the rays that hit them."""
     mine = sample.rays.select(sample.mine)
     crossing = bars.crossed_by(mine)
     gap = np.where(crossing.outside < SIGMA_EDGE, mine.length - crossing.depth, np.nan)

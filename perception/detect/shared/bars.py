@@ -1,7 +1,7 @@
 """Long straight bars of rectangular or round section, and how rays cross them.
 
-Across its axis a bar is a convex outline: in the plane of its section a ray is a line whose distance from the outline
-says by how much it hits or misses, and whose entry says how deep.
+A bar's section is a convex outline: in the section's plane a ray is a line, whose distance from the outline is the
+margin of its hit or miss, and whose entry point gives the depth.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Section = Literal["box", "round"]
 
 @dataclass(frozen=True)
 class Bar:
-    """A bar between two places of its axis.
+    """Bar between two positions on its axis.
 
     Attributes:
         frame: (3, 3) rows: axis, direction of the width, direction of the thickness; unit.
-        centre: (3,) a place on the axis from which ``first`` and ``last`` count [m].
-        half: half the width and half the thickness; twice the radius of a round one [m].
-        first, last: where it begins and ends along the axis [m].
-        section: outline across the axis.
+        centre: (3,) point on the axis from which ``first`` and ``last`` count [m].
+        half: half the width and half the thickness; (radius, radius) of a round bar [m].
+        first, last: positions of its ends along the axis [m].
+        section: shape of the outline across the axis.
     """
 
     frame: Float[np.ndarray, "3 3"]
@@ -45,46 +45,46 @@ class Bar:
 
     @property
     def axis(self) -> Float[np.ndarray, "3"]:
-        """(3,) unit."""
+        """Unit vector (3,) along the bar."""
         return np.asarray(self.frame[0])
 
     @property
     def middle(self) -> Float[np.ndarray, "3"]:
-        """(3,) halfway between the ends [m]."""
+        """Point (3,) halfway between the ends [m]."""
         return np.asarray(self.centre + 0.5 * (self.first + self.last) * self.frame[0])
 
     @property
     def length(self) -> float:
-        """[m]."""
+        """Distance between the ends [m]."""
         return self.last - self.first
 
     @property
     def corners(self) -> Float[np.ndarray, "8 3"]:
-        """Corners of the box about it [m]."""
+        """Corners of the bar's bounding box [m]."""
         along, across, over = np.meshgrid((self.first, self.last), (-1.0, 1.0), (-1.0, 1.0), indexing="ij")
         local = np.column_stack([along.ravel(), across.ravel() * self.half[0], over.ravel() * self.half[1]])
         return np.asarray(self.centre + local @ self.frame)
 
     def holds(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
-        """Return points in it or within ``margin`` [m] of it."""
+        """Return which points are in the bar's box enlarged by ``margin`` [m]."""
         local = (points - self.middle) @ self.frame.T
         return np.asarray((np.abs(local) < np.array([0.5 * self.length, *self.half]) + margin).all(axis=1))
 
     def places(self, spacing: float) -> Float[np.ndarray, "K 3"]:
-        """Return places along the axis, at most ``spacing`` apart [m]."""
+        """Return points on the axis from end to end, at most ``spacing`` apart [m]."""
         n = max(2, int(np.ceil(self.length / spacing)) + 1)
         return np.asarray(self.centre + np.linspace(self.first, self.last, n)[:, None] * self.frame[0])
 
 
 @dataclass(frozen=True)
 class BarCrossing:
-    """Crossings of rays with bars of unlimited length; leading axes as those of the bars.
+    """Crossings of rays with bars of unlimited length; leading array axes are those of the bars.
 
     Attributes:
-        outside: distance of the ray from the outline, across both; negative when it hits [m].
-        side: distance of the ray from the axis, signed [m].
-        depth: along the ray to the outline, or to its nearest corner [m].
-        along: where on the axis that is [m].
+        outside: distance of the ray from the outline, square to ray and axis; negative when it hits [m].
+        side: signed distance of the ray from the axis [m].
+        depth: distance along the ray to the outline, or, when it misses, to where it is nearest to the outline [m].
+        along: position of that point on the axis [m].
     """
 
     outside: Float[np.ndarray, "*P N"]
@@ -94,13 +94,13 @@ class BarCrossing:
 
 
 def cross_bar(rays: Sightlines, bar: Bar) -> BarCrossing:
-    """Return how each ray crosses the bar."""
+    """Return each ray's crossing with the bar, arrays (N,)."""
     crossing = cross_sections(rays, bar.frame[None], bar.centre[None], np.array([bar.half]), bar.section)
     return BarCrossing(crossing.outside[0], crossing.side[0], crossing.depth[0], crossing.along[0])
 
 
 def cross_bars(rays: Sightlines, bars: Sequence[Bar]) -> BarCrossing:
-    """Return all bars of one section at once."""
+    """Return the crossings of rays with B bars of one section, arrays (B, N)."""
     frames, centres = np.stack([bar.frame for bar in bars]), np.stack([bar.centre for bar in bars])
     return cross_sections(rays, frames, centres, np.array([bar.half for bar in bars]), bars[0].section)
 
@@ -112,7 +112,7 @@ def cross_sections(
     halves: Float[np.ndarray, "P 2"],
     section: Section,
 ) -> BarCrossing:
-    """Return all bars of one section at once, given as frames, centres [m] and half sizes [m]."""
+    """Return the crossings of rays with P bars, given as frames, centres [m] and half sizes [m], arrays (P, N)."""
     poll()
     start = frames @ rays.start.T - frames @ centres[:, :, None]
     way = frames @ rays.direction.T
@@ -125,7 +125,7 @@ def cross_sections(
     else:
         reach = np.abs(n[:, 0]) * halves[:, :1] + np.abs(n[:, 1]) * halves[:, 1:]
     outside = np.abs(side) - reach
-    # A ray that misses is moved to the outline's edge, so that depths do not jump there.
+    # A ray that misses is moved sideways onto the outline, so that depth is continuous at its edge.
     moved = p - n * (np.sign(side) * np.maximum(outside, 0.0))[:, None]
     if section == "round":
         inside = np.minimum(np.abs(side), reach)
@@ -141,27 +141,27 @@ class SurroundingRays(Sightlines):
     """Rays about a bar.
 
     Attributes:
-        elsewhere: (N,) whether it ended on something that is not the bar, as the floor.
-        taken: (N,) whether it ended on a bar found before; None: there is no such bar.
+        elsewhere: (N,) whether the ray ended on another object, such as the floor.
+        taken: (N,) whether the ray ended on a bar found before; None: no bar was found before.
     """
 
     elsewhere: Bool[np.ndarray, "N"]
     taken: Bool[np.ndarray, "N"] | None = None
 
     def select(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> SurroundingRays:
-        """Keep only these."""
+        """Return only the rays ``keep``, a mask or indices."""
         taken = None if self.taken is None else self.taken[keep]
         return SurroundingRays(self.start[keep], self.direction[keep], self.length[keep], self.elsewhere[keep], taken)
 
 
 @dataclass(frozen=True)
 class Sorted:
-    """Rays sorted by what each tells of each bar; a ray that ended before a bar tells nothing of it.
+    """Rays sorted by outcome at each bar; a ray that ended before a bar is no evidence for or against it.
 
     Attributes:
-        hit: it ended on the bar.
-        passed: it went on behind where the bar is or would be beside it.
-        before: it ended before the bar.
+        hit: the ray ended on the bar.
+        passed: the ray ended behind the bar's depth, through its outline or beside it.
+        before: the ray ended before the bar.
     """
 
     hit: Bool[np.ndarray, "*P N"]
@@ -170,10 +170,10 @@ class Sorted:
 
 
 def sort_rays(rays: SurroundingRays, crossing: BarCrossing) -> Sorted:
-    """Return hits, passes and rays stopped before, whatever the bars' ends.
+    """Return hits, passes and rays stopped before, for bars of unlimited length.
 
-    What ended elsewhere is no hit; just behind a bar it is no pass either, for what lies on the floor touches it.
-    What ended on another bar near this one's surface may have been stopped by it before.
+    A ray that ended elsewhere is no hit, and just behind the bar no pass either, since a bar may touch the floor.
+    A ray that ended on another bar near this one's surface counts as stopped before.
     """
     gap = rays.length - crossing.depth
     near = np.abs(gap) < NEAR_SURFACE

@@ -1,4 +1,4 @@
-"""Detections: what every detector reports of an object, and what perception needs of a model of it."""
+"""Detections: the report of every detector, and the interface of an object's model."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from jaxtyping import Bool, Float
 from costs.scene import ConvexPiece
 
 CONFIDENT = 0.5
-"""Confidence from which on a detection is one to act on."""
+"""Least confidence of a detection to act on."""
 
 
 class Model(Protocol):
-    """Model of a detected object that is taken out of the scene's pieces, because a task moves it."""
+    """Model of a detected object that is removed from the scene's pieces, because a task moves it."""
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
-        """Return points (N, 3) that are the object's own, and pieces for those of its parts that stay in the scene."""
+        """Return the mask of points (N, 3) on the object, and pieces of its parts that stay in the scene."""
         ...
 
 
 @dataclass(frozen=True)
 class Detection:
-    """An object as seen.
+    """Detected object.
 
     Attributes:
-        kind: what it is, one of ``perception.detect.KINDS``.
-        pose_world_object: (4, 4); each detector's docstring says where the object's frame is.
-        sizes: lengths [m] by name, but for ``ajar`` [rad], ``side`` and ``lever_direction`` (+1 or -1) and ``n_...``.
-        confidence: 0 to 1; 0.5 and more is one to act on.
-        residuals: how well the model explains the scan, by name: lengths [m], but for names that end in ``_rad``,
-            ``_share`` (0 to 1), ``_ratio`` or ``_score`` and those that begin with ``n_`` (how many).
-        points: (K, 3) some of the points it rests on [m].
-        model: of an object that ``perceive`` takes out of the pieces; None for all others.
+        kind: one of ``perception.detect.KINDS``.
+        pose_world_object: (4, 4); each detector's docstring defines the object's frame.
+        sizes: lengths [m] by name, except ``ajar`` [rad], ``side`` and ``lever_direction`` (+1 or -1) and ``n_...``.
+        confidence: 0 to 1; act on detections of 0.5 and more.
+        residuals: quality of the model's fit, by name: lengths [m], except names that end in ``_rad``,
+            ``_share`` (0 to 1), ``_ratio`` or ``_score`` and names that begin with ``n_`` (counts).
+        points: (K, 3) sample of the points that the detection is based on [m].
+        model: of an object that ``perceive`` removes from the pieces; None for all others.
     """
 
     kind: str

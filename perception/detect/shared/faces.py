@@ -1,4 +1,4 @@
-"""Flat faces things are fixed to, and the rays that tell how far what is on them stands out."""
+"""Flat faces that objects are fixed to, and the rays that reach them, with heights over the face."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _LEAST_SLOPE = 0.1
 _SIGMA = (0.0015, 0.02)
 _SPACING = 0.15
 _SMALL = 0.6
-_FIXED = 0.2  # what is fixed to a wall stands hardly further before it [m]
+_FIXED = 0.2  # largest usual distance of a fixed object from its wall [m]
 
 
 @dataclass(frozen=True)
 class Face:
-    """A flat region.
+    """Flat rectangular region.
 
     Attributes:
-        frame: (3, 3) rows: x (horizontal), y (as upright as can be), z (the normal, to the sensor); unit.
-        centre: (3,) where x, y and z are zero [m].
+        frame: (3, 3) unit rows: x (horizontal), y (as upright as possible), z (the normal, towards the sensor).
+        centre: (3,) origin of the frame [m].
         low, high: (2,) corners of the region in x and y [m].
-        sigma: scatter of its points along z [m].
+        sigma: standard deviation of its points along z [m].
     """
 
     frame: Float[np.ndarray, "3 3"]
@@ -56,11 +56,11 @@ class Face:
         return np.asarray(self.high - self.low)
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Return points in the face's frame [m]."""
+        """Return world points in the face's frame [m]."""
         return np.asarray((points - self.centre) @ self.frame.T)
 
     def world(self, local: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Return places of the face in the world [m]."""
+        """Return points of the face's frame in the world [m]."""
         return np.asarray(self.centre + local @ self.frame)
 
 
@@ -69,8 +69,8 @@ class FaceRays:
     """Rays that reach a face.
 
     Attributes:
-        at: (N, 2) where each crosses the face's plane, in x and y [m].
-        ends: (N, 3) where each ended, in the face's frame [m].
+        at: (N, 2) each ray's crossing with the face's plane, x and y [m].
+        ends: (N, 3) each ray's end in the face's frame [m].
     """
 
     rays: Sightlines
@@ -78,16 +78,16 @@ class FaceRays:
     ends: Float[np.ndarray, "N 3"]
 
     def select(self, keep: Bool[np.ndarray, "N"]) -> FaceRays:
-        """Keep only these."""
+        """Return only the rays of the mask ``keep``."""
         return FaceRays(self.rays.select(keep), self.at[keep], self.ends[keep])
 
 
 @dataclass(frozen=True)
 class FacesInSight:
-    """Faces and rays that detectors of things on faces start from, made once for a view and hint.
+    """Faces and rays for the detectors of objects on faces, computed once for a view and hint.
 
     Attributes:
-        faces: upright and slanting ones in arm's reach or so, refined by the rays that ended on them, largest first.
+        faces: upright and slanting faces within 2.5 m, fitted to the rays that ended on them, largest first.
     """
 
     faces: tuple[Face, ...]
@@ -95,7 +95,7 @@ class FacesInSight:
 
     @staticmethod
     def of(view: View, hint: Float[np.ndarray, "3"] | None = None) -> FacesInSight:
-        """Return the faces of a scan made ready; with a hint those near it, and what is found about it alone."""
+        """Return the faces of a view; with a hint those near it and those of a separate search about it."""
         index = sight_index(view.cloud)
         with threadpool_limits(limits=1, user_api="blas"):
             faces = _find_faces(view, index, None, np.random.default_rng(view.seed))
@@ -106,7 +106,7 @@ class FacesInSight:
 
 
 def _is_near(face: Face, hint: Float[np.ndarray, "3"]) -> bool:
-    """Return whether a face's region comes near a place."""
+    """Return whether a face's region is within 0.7 m of the hint."""
     x, y, z = face.local(np.asarray(hint, dtype=float)[None])[0]
     outside = np.maximum(np.maximum(face.low - (x, y), (x, y) - face.high), 0.0)
     return float(np.linalg.norm([*outside, z])) < _HINT_RADIUS
@@ -150,7 +150,7 @@ def _find_faces(
 def _parallel(
     normal: Float[np.ndarray, "3"], offset: float, points: Float[np.ndarray, "N 3"]
 ) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "K 3"]]]:
-    """Return the layer most points lie in that is parallel to the largest wall: normals tell no face a hand wide."""
+    """Return the fullest layer parallel to the largest wall; normals do not show a face a hand wide."""
     height = np.sort(points @ normal)
     within = np.searchsorted(height, height + _FACE.distance, side="right") - np.arange(len(height))
     low = height[int(np.argmax(within))]
@@ -160,7 +160,7 @@ def _parallel(
 
 
 def _patches(points: Float[np.ndarray, "N 3"]) -> list[Int[np.ndarray, "K"]]:
-    """Return indices of the points of each connected lump, large ones first."""
+    """Return indices of the points of each connected component, largest first."""
     poll()
     if not len(points):
         return []
@@ -177,14 +177,14 @@ def _patches(points: Float[np.ndarray, "N 3"]) -> list[Int[np.ndarray, "K"]]:
 
 
 def _frame(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Return rows x, y, z: x horizontal."""
+    """Return a frame with rows x, y, z: x horizontal, z the normal."""
     x = np.array([-normal[1], normal[0], 0.0])
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(normal, x), normal])
 
 
 def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
-    """Return rays that cross the face's plane within ``beyond`` of its region and do not end far before it."""
+    """Return rays that cross the plane within ``beyond`` [m] of the region and end at most 25 cm before it."""
     low, high = face.low - beyond, face.high + beyond
     steps = [np.linspace(low[i], high[i], max(2, int((high[i] - low[i]) / _SPACING) + 1)) for i in range(2)]
     x, y = (grid.ravel() for grid in np.meshgrid(*steps))
@@ -202,16 +202,16 @@ def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
 
 
 def _refine(face: Face, index: SightIndex) -> Face | None:
-    """Return the plane through the flat part of the rays' ends, without what stands out; None if that is small."""
+    """Return the face fitted to the ends of its rays, without protruding points; None if few are flat."""
     seen = face_rays(face, index, 0.0)
     return fit_face(face, seen.ends[((seen.ends[:, :2] > face.low) & (seen.ends[:, :2] < face.high)).all(axis=1)])
 
 
 def fit_face(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
-    """Return the face moved and turned onto what is flat of some ends of rays; None when little is.
+    """Return the face fitted to the flat part of rays' ends; None when too few are flat.
 
     Args:
-        ends: (K, 3) in its frame [m].
+        ends: (K, 3) in the face's frame [m].
     """
     ends = ends[np.abs(ends[:, 2]) < _BAND]
     if len(ends) < 20:
@@ -227,7 +227,7 @@ def fit_face(face: Face, ends: Float[np.ndarray, "K 3"]) -> Face | None:
         solution = np.linalg.lstsq(rows[keep], height[keep], rcond=None)[0]
         rest = height - rows @ solution
         sigma = float(np.clip(1.48 * np.median(np.abs(rest[keep])), *_SIGMA))
-        # What stands out is not the face's noise: points before it are kept out sooner than those behind.
+        # Objects protrude from the face: points before it are rejected at a smaller residual than those behind.
         keep = (rest < 2.0 * sigma) & (rest > -2.5 * sigma)
     normal = face.frame[2] - solution[0] * face.frame[0] - solution[1] * face.frame[1]
     normal /= np.linalg.norm(normal)

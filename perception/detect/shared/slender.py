@@ -1,4 +1,4 @@
-"""Slender things in a cloud: points that may belong to one, places of slim ones, and middles of wide flat faces."""
+"""Slender objects in a cloud: masks of points on slender and on flat objects, and axes of slim ones."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _SLIM, _SPREAD, _FEWEST = 0.3, 0.018, 5
 
 
 def is_slender(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return points whose surroundings spread much more in one direction than in a second.
+    """Return which points have neighbours that spread much more along one direction than along a second.
 
-    The second largest variance of the points in the 3 x 3 x 3 cells of 7.5 cm around a point is held against the
-    largest: 1 in the middle of a wall, 0.3 at its edge, below 0.25 on a board up to 15 cm wide.
+    Criterion: second largest over largest variance of the points in the 3 x 3 x 3 cells of 7.5 cm around a point, at
+    most 0.5.  The ratio is 1 in the middle of a wall, 0.3 at its edge, below 0.25 on a board up to 15 cm wide.
 
     Args:
         points: (N, 3) thinned evenly [m].
@@ -32,7 +32,7 @@ def is_slender(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
 
 
 def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return points in the middle or near the edge of something wide and less than some 6 cm thick, noise included.
+    """Return which points are on a wide object less than about 6 cm thick, noise included, also near its edge.
 
     Args:
         points: (N, 3) thinned evenly [m].
@@ -44,10 +44,10 @@ def is_flat(points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
 
 
 def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Float[np.ndarray, "N 3"] | None:
-    """Return variances of the points around each, from the least [m^2]; None where they are spread too far for a grid.
+    """Return ascending variances (N, 3) of each point's neighbours [m^2]; None: too large an extent for a grid.
 
     Args:
-        cell: the 3 x 3 x 3 cells of this size about a point are what is around it [m].
+        cell: edge of a cell; neighbours are the points in 3 x 3 x 3 cells about the point's own [m].
     """
     if not len(points):
         return None
@@ -56,7 +56,7 @@ def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Fl
     if np.prod(np.array(shape, dtype=float)) > _MOST_CELLS:
         return None
     flat = np.ravel_multi_index(tuple(cells.T), shape)
-    # Moments about the grid's middle, summed over the surroundings: count, sums, products.
+    # Moments about the points' mean, summed over the neighbourhood: count, sums, products.
     local = points - points.mean(axis=0)
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     terms = [np.ones(len(points)), *local.T, *(local[:, i] * local[:, j] for i, j in pairs)]
@@ -71,7 +71,7 @@ def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Fl
 
 
 def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, ...]) -> Float[np.ndarray, "N"]:
-    """Return the sum of the weights in the cells about each point's cell."""
+    """Return the sum of the weights in the 3 x 3 x 3 cells about each point's cell."""
     poll()
     total = np.bincount(cell, weight, minlength=int(np.prod(shape))).reshape(shape)
     return np.asarray(ndimage.uniform_filter(total, size=3, mode="constant").reshape(-1)[cell] * 27.0)
@@ -80,11 +80,11 @@ def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, 
 def slim_places(
     points: Float[np.ndarray, "N 3"], tree: cKDTree, ball: float
 ) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]]:
-    """Return points about which others spread in one direction only: their indices, and that direction.
+    """Return indices of points whose neighbours spread along one direction only, and that direction, unit (K, 3).
 
     Args:
         points: (N, 3) thinned evenly [m].
-        ball: radius about each within which others count [m].
+        ball: radius of the neighbourhood [m].
     """
     poll()
     pairs = tree.query_pairs(ball, output_type="ndarray")
@@ -92,7 +92,7 @@ def slim_places(
     poll()
     of, offset = pairs.T.reshape(-1), points[pairs[:, 1]] - points[pairs[:, 0]]
     offset = np.concatenate([offset, -offset])
-    # With the point itself, whose offset is nought.
+    # The point itself counts too, with offset 0.
     count = np.bincount(of, minlength=n) + 1.0
     mean = np.stack([np.bincount(of, offset[:, i], n) for i in range(3)], axis=1) / count[:, None]
     covariance = -mean[:, :, None] * mean[:, None, :]

@@ -1,1 +1,1 @@
-"""Detection of vehicle seats and of openings to leave a vehicle by."""
+"""Detection of vehicle seats and of the openings through which a person leaves a vehicle."""

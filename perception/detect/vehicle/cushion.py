@@ -1,4 +1,4 @@
-"""A seat's cushion where only part of it was seen: what rays tell of the place about a level patch completes it."""
+"""Seat cushion completed from a partly visible level patch, by the open and occupied cells about it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from perception.detect.vehicle.level import YAWS, Patch, is_inside
 USUAL_WIDTH, USUAL_DEPTH = 0.5, 0.46
 _CELL = 0.025
 _REACH = 0.9
-# Rays that went on below the top, and what rises over it [m].
+# Depth below the top at which a ray's crossing is located and depth it must reach; heights of risen points [m].
 _UNDER = (0.05, 0.08)
 _OVER = (0.08, 0.5)
 _ROW = 0.04
@@ -21,7 +21,7 @@ _BEYOND = 0.1
 _INTO = 0.03
 _SEEN_EDGE = 0.3
 _PER_AREA = 0.05
-_ENDS = (0.7, 99.3)  # percentiles: a stray point is not counted
+_ENDS = (0.7, 99.3)  # percentiles, to ignore outliers
 _ROUNDS = 2
 _LEAST_ROWS = 5
 _NO_WORSE = 0.001
@@ -33,11 +33,11 @@ _MOST_POINTS = 3000
 
 @dataclass(frozen=True)
 class Surround:
-    """The ground plan about a patch as the scan shows it: middles of small cells; elsewhere nothing was seen.
+    """Plan view about a patch: centres of 2.5 cm cells; cells in neither list are unseen.
 
     Attributes:
-        opened: (J, 2) where rays went down past the patch's height [m].
-        risen: (B, 2) where something stands higher [m].
+        opened: (J, 2) cells in which rays passed down through the patch's height [m].
+        risen: (B, 2) cells with points higher than the patch [m].
     """
 
     opened: Float[np.ndarray, "J 2"]
@@ -46,13 +46,13 @@ class Surround:
 
 @dataclass(frozen=True)
 class Cushion:
-    """A patch as the top of a cushion that looks along x.
+    """Patch as the top of a cushion that faces along x.
 
     Attributes:
         pose: (4, 4) origin in the middle of the top, x forward, z up.
         width, depth: of the top [m].
-        filled: share of what was seen of it that is filled.
-        n_guessed: how many of its edges were not seen and are where they usually are.
+        filled: share of its seen cells that hold points.
+        n_guessed: number of unseen edges set by the usual width or depth.
     """
 
     pose: Float[np.ndarray, "4 4"]
@@ -68,7 +68,7 @@ def surround_of(
     starts: Float[np.ndarray, "R 3"],
     ends: Float[np.ndarray, "R 3"],
 ) -> Surround:
-    """Return what points and rays (R, 3) tell of the place about a patch."""
+    """Return the open and the higher cells within 0.9 m of a patch, from points and rays."""
     poll()
     low, high = patch.centre[:2] - _REACH, patch.centre[:2] + _REACH
     level = patch.centre[2] - _UNDER[0]
@@ -84,19 +84,19 @@ def surround_of(
 
 
 def _cells(flat: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "C 2"]:
-    """Return middles of the cells that hold something."""
+    """Return centres of the cells that hold points [m]."""
     poll()
     return np.asarray((np.unique(np.floor(flat / _CELL).astype(np.int64), axis=0) + 0.5) * _CELL).reshape(-1, 2)
 
 
 def square_up(patch: Patch, about: Surround) -> Patch:
-    """Return the patch with the rectangle about it that holds least open space, along its seen edges."""
+    """Return the patch with the bounding rectangle of least open area, turned along its visible edges."""
     few = patch.points[:: max(1, len(patch.points) // _MOST_POINTS), :2] - patch.centre[:2]
     opened = about.opened - patch.centre[:2]
     yaw = float(YAWS[np.argmin(_costs(few, opened, YAWS))])
     for _ in range(_ROUNDS):
         turn = _turn_of_edges(few, opened, yaw)
-        # The rectangle about a whole cushion lies no worse than its edges are known.
+        # Smaller turns are within the uncertainty of the edges.
         if abs(turn) < _LEAST_TURN:
             break
         turned = yaw + turn
@@ -115,7 +115,7 @@ def square_up(patch: Patch, about: Surround) -> Patch:
 def _costs(
     few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2"], yaws: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "A"]:
-    """Return how much is open in the rectangle about the patch at each yaw, and a little of its area [m^2]."""
+    """Return the open area in the patch's bounding rectangle at each yaw, plus 5 % of the rectangle's area [m^2]."""
     poll()
     ways = _ways(yaws)
     low, high = np.percentile(few @ ways, _ENDS, axis=1)
@@ -125,12 +125,12 @@ def _costs(
 
 
 def _ways(yaws: Float[np.ndarray, "A"]) -> Float[np.ndarray, "2 2 A"]:
-    """Return first and second direction of each yaw."""
+    """Return unit vectors of both directions at each yaw: axes direction, x and y, yaw."""
     return np.stack([np.stack([np.cos(yaws), np.sin(yaws)]), np.stack([-np.sin(yaws), np.cos(yaws)])])
 
 
 def _turn_of_edges(few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2"], yaw: float) -> float:
-    """Return how far seen edges are turned from a yaw: the median of their slopes, long ones first [rad]."""
+    """Return the angle from ``yaw`` to the visible edges: mean of their slopes, long ones weighted more [rad]."""
     way = _ways(np.array([yaw]))[:, :, 0]
     top, free = few @ way.T, opened @ way.T
     slopes, weights = [], []
@@ -153,7 +153,7 @@ def _turn_of_edges(few: Float[np.ndarray, "K 2"], opened: Float[np.ndarray, "J 2
 def _row_ends(
     top: Float[np.ndarray, "K 2"], free: Float[np.ndarray, "J 2"], axis: int, sign: float
 ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R"]]:
-    """Return, along an edge and out of it, where rows of the patch end before a drop [m]."""
+    """Return positions along and across an edge where rows of the patch end at open cells [m]."""
     other = 1 - axis
     low = float(top[:, other].min())
     n_rows = int((top[:, other].max() - low) / _ROW) + 1
@@ -169,11 +169,11 @@ def _row_ends(
 
 
 def as_cushion(patch: Patch, about: Surround, turn: int) -> Cushion:
-    """Return the patch as a cushion that looks along its rectangle, turned by quarter turns.
+    """Return the patch as a cushion that faces along one direction of its rectangle.
 
     Args:
-        about: what the scan tells of the place about it.
-        turn: quarter turns from the rectangle's first direction.
+        about: open and higher cells about the patch.
+        turn: quarter turns of x from the rectangle's first direction.
     """
     yaw = patch.yaw + 0.5 * np.pi * turn
     c, s = np.cos(yaw), np.sin(yaw)
@@ -189,7 +189,7 @@ def as_cushion(patch: Patch, about: Surround, turn: int) -> Cushion:
     n_guessed = 0
     for axis, usual in enumerate((USUAL_DEPTH, USUAL_WIDTH)):
         missing = usual - (high - low)[axis]
-        # Which of two unseen edges is the nearer one is unknown.
+        # With two unseen edges neither is moved, since the nearer one is unknown.
         if missing > 0.0 and sum(seen[axis]) == 1:
             n_guessed += 1
             if seen[axis][0]:
@@ -213,7 +213,7 @@ def _is_edge(
     sign: float,
     half: Float[np.ndarray, "2"],
 ) -> bool:
-    """Return whether a side's end was seen: in its rows something known follows the last points."""
+    """Return whether an edge was seen: in over 30 % of its rows a known cell follows the last point."""
     other = 1 - axis
     n_rows = max(round(2.0 * half[other] / _ROW), 1)
     row_of = [np.floor((flat[:, other] / (2.0 * half[other]) + 0.5) * n_rows).astype(int) for flat in (top, known)]

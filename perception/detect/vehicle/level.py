@@ -1,4 +1,4 @@
-"""Level patches: flat pieces of surface that face up, with the rectangle about each."""
+"""Level patches: flat pieces of surface that face up, with the bounding rectangle of each."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ YAWS = np.radians(np.arange(0.0, 90.0, 1.0))
 
 @dataclass(frozen=True)
 class Patch:
-    """A level patch.
+    """Level patch.
 
     Attributes:
-        centre: (3,) middle of its rectangle, on it [m].
-        yaw: of the rectangle's first direction, up to quarter turns [rad].
-        size: (2,) along its first and second direction [m].
-        filled: share of the rectangle that it fills.
-        rms: scatter about its plane [m].
-        points: (K, 3) of it [m].
+        centre: (3,) middle of its rectangle, on its plane [m].
+        yaw: direction of the rectangle's first side, modulo quarter turns [rad].
+        size: (2,) length along the first and the second side [m].
+        filled: share of the rectangle that the patch covers.
+        rms: of its points' distances from its plane [m].
+        points: (K, 3) its points [m].
     """
 
     centre: Float[np.ndarray, "3"]
@@ -61,7 +61,7 @@ def find_patches(points: Float[np.ndarray, "N 3"], low: float, high: float) -> l
 def _levels(
     column: Float[np.ndarray, "N"], height: Float[np.ndarray, "N"], low: float, high: float
 ) -> Float[np.ndarray, "L"]:
-    """Return heights at which many columns hold points, most first."""
+    """Return heights at which many columns hold points, fullest first [m]."""
     layer = np.floor((height - low) / _LAYER).astype(int)
     n_layers = int(np.ceil((high - low) / _LAYER))
     inside = (layer >= 0) & (layer < n_layers)
@@ -81,7 +81,7 @@ def _levels(
 def _patches_at(
     points: Float[np.ndarray, "N 3"], column: Float[np.ndarray, "N"], shape: tuple[int, int], level: float
 ) -> list[Patch]:
-    """Return connected patches near one height; columns that go on above or below are walls, not patches."""
+    """Return connected patches near one height, without columns that continue above or below, such as walls."""
     off = np.abs(points[:, 2] - level)
     size = shape[0] * shape[1]
     on = np.bincount(column[off < _THICK], minlength=size)
@@ -125,7 +125,7 @@ def _patch(members: Float[np.ndarray, "K 3"], area: float) -> Patch | None:
 
 
 def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return yaw, lower and upper corner (in turned coordinates) of the smallest rectangle, strays left out."""
+    """Return yaw and the corners (in turned coordinates) of the smallest bounding rectangle, outliers ignored."""
     few = flat[:: max(1, len(flat) // 3000)]
     first = few @ np.stack([np.cos(YAWS), np.sin(YAWS)])
     second = few @ np.stack([-np.sin(YAWS), np.cos(YAWS)])
@@ -135,7 +135,7 @@ def _rectangle(flat: Float[np.ndarray, "K 2"]) -> tuple[float, Float[np.ndarray,
 
 
 def _drop_duplicates(patches: list[Patch]) -> list[Patch]:
-    """Drop those that are a slice of another one."""
+    """Drop patches whose centre is within 15 cm of a larger one's."""
     kept: list[Patch] = []
     for patch in sorted(patches, key=lambda candidate: -len(candidate.points)):
         if all(np.linalg.norm(patch.centre - other.centre) > 0.15 for other in kept):
@@ -144,14 +144,14 @@ def _drop_duplicates(patches: list[Patch]) -> list[Patch]:
 
 
 def split_at_gap(patch: Patch, least: float) -> list[Patch]:
-    """Return the patch, or the two parts of it with a gap between them, each at least ``least`` long [m]."""
+    """Return the patch, or its two parts if a gap separates parts at least ``least`` long [m]."""
     long = int(np.argmax(patch.size))
     if patch.size[long] < 2.0 * least:
         return [patch]
     turn = np.array([[np.cos(patch.yaw), np.sin(patch.yaw)], [-np.sin(patch.yaw), np.cos(patch.yaw)]])
     along = (patch.points[:, :2] - patch.centre[:2]) @ turn[long]
     across = (patch.points[:, :2] - patch.centre[:2]) @ turn[1 - long]
-    # Shares of the rows across that hold points, in slices along: a gap has few.
+    # Share of rows with points in each slice across the length: a gap has few.
     n_rows = max(round(patch.size[1 - long] / _ROW), 1)
     slices = np.floor(along / _CELL + 0.5 * patch.size[long] / _CELL).astype(int)
     rows = np.clip(np.floor(across / _ROW + 0.5 * n_rows).astype(int), 0, n_rows - 1)
@@ -177,7 +177,7 @@ def split_at_gap(patch: Patch, least: float) -> list[Patch]:
 def is_inside(
     local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "N"]:
-    """Return which points lie in a box of their own coordinates."""
+    """Return which points are in the axis-aligned box from ``low`` to ``high``."""
     poll()
     return np.asarray(((local > low) & (local < high)).all(axis=1))
 
@@ -188,13 +188,13 @@ def filled_cells(
     shape: Int[np.ndarray, "2"],
     cell: float | Float[np.ndarray, "2"],
 ) -> Bool[np.ndarray, "A B"]:
-    """Return the cells of a picture that hold any of the places; places outside of it do not count.
+    """Return the occupancy grid of points; points outside the grid are ignored.
 
     Args:
-        places: (K, 2) [m].
-        low: (2,) lower corner of the picture [m].
-        shape: (2,) how many cells.
-        cell: their edges [m].
+        places: (K, 2) points [m].
+        low: (2,) lower corner of the grid [m].
+        shape: (2,) number of cells along each axis.
+        cell: edge lengths of a cell [m].
     """
     poll()
     grid = np.zeros(tuple(shape), dtype=bool)

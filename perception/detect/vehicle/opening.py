@@ -1,6 +1,6 @@
-"""Openings to leave a vehicle by: beside a seat, between what stands before and behind it, over a sill.
+"""Openings in a vehicle's side for getting out: beside a seat, over a sill, between the posts or panels at its ends.
 
-The side of the vehicle is described in coordinates of the seat, mirrored so that the side is at positive y.
+The vehicle's side is given in the seat's frame, mirrored so that the side is at positive y.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from perception.view import View
 
 _REPORTED = 0.05
 _LEAST_SEAT = 0.25
-# A sill with an opening over it speaks for the vehicle as well: what is doubtful about a seat is mostly its back.
+# A sill below an opening is evidence for a vehicle too, and the doubt about a seat is mostly about its back.
 _SEAT_TRUST = 0.6
 _HINT_TRUST = 0.7
 _LEAST_WIDTH = 0.35
 _MOST_WIDTH = 1.6
 _SHOWN = 2000
-# How far from the vehicle's side its roof's edge may be.
+# Largest distance of the roof's edge from the vehicle's side [m].
 POST = 0.1
 HEADROOM = (0.9, 1.9)
-_BESIDE = 0.55  # how far beside the cushion's edge the vehicle may end
+_BESIDE = 0.55  # largest distance of the vehicle's side from the cushion's edge [m]
 _GOES_ON = 0.1
 _AHEAD = 1.2
 _BEHIND = 0.8
 _CELL = 0.05
 _SIDE_BIN = 0.02
-_PANEL = 0.045  # how far from it its panels and posts may be; what stands further in is furniture
+_PANEL = 0.045  # largest distance of panels and posts from the side; objects further in are furniture [m]
 _THROUGH = 0.065
 _OVER_WHEELS = 0.24
 _BEFORE_WHEELS = 0.7
 _WAIST = (0.08, 0.75)
 _TALL = 0.1
 _MOSTLY = 0.5
-_NEXT, _SOME = 8, 0.2  # cells beside an edge, and the share of them in which rays went through
+_NEXT, _SOME = 8, 0.2  # cells beside an edge, and the share of them that rays must pass
 
 
 @dataclass(frozen=True)
 class _Side:
-    """A side of a vehicle in a seat's frame: where it is, the opening in it, and how surely it is one."""
+    """Side of a vehicle in a seat's frame: its y ``at``, the bounds of its opening [m] and the confidence."""
 
     seat: Seat
     side: float
@@ -64,9 +64,9 @@ class _Side:
 def detect_opening(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
     """Find openings of vehicles, best first.
 
-    The frame of a hit: origin in the middle of the sill, x outwards, z up.  Sizes: ``width`` between what stands before
-    and behind it, ``height`` over the sill to the roof's edge, or as far up as it was seen to be open, and ``sill``,
-    height of the vehicle's floor over the ground [m].
+    The frame of a hit: origin in the middle of the sill, x outwards, z up.  Sizes: ``width`` between the posts or
+    panels before and behind it, ``height`` from the sill to the roof's edge or, if unseen, to the highest open cells,
+    and ``sill``, height of the vehicle's floor over the ground [m].
 
     Args:
         hint: (3,) a point near the sill or in the opening [m].
@@ -97,7 +97,7 @@ def detect_opening(view: View, hint: Float[np.ndarray, "3"] | None = None) -> li
 
 
 def _has_neighbour(seat: Seat, side: float, other: Seat) -> bool:
-    """Return whether the other seat stands between this one and that side of the vehicle."""
+    """Return whether the other seat is between this seat and that side of the vehicle."""
     place = seat.local(other.pose[None, :3, 3])[0]
     return bool(0.3 < place[1] * side < 1.3 and abs(place[0]) < 0.4 and abs(place[2]) < 0.2)
 
@@ -110,7 +110,7 @@ def _beside(
     ends: Float[np.ndarray, "R 3"],
     view: View,
 ) -> _Side | None:
-    """Return the opening on one side of a seat; None when the vehicle's side was not found there."""
+    """Return the opening on one side of a seat; None when no side was found or the width does not fit."""
     mirror = np.array([1.0, side, 1.0])
     local, starts, ends = local * mirror, starts * mirror, ends * mirror
     floor = seat.floor - seat.pose[2, 3]
@@ -160,9 +160,9 @@ def _detection(opening: _Side, is_hinted: bool) -> Detection:
 
 
 def side_of(width: float, local: Float[np.ndarray, "N 3"], floor: float) -> float | None:
-    """Return how far beside the seat's middle the vehicle ends: the outermost distance at which much of it stands [m].
+    """Return the distance of the vehicle's side from the seat's middle: the outermost with many points [m].
 
-    None where there is nothing, and where its floor goes on beyond the distance at which it may end.
+    None when no points are there, or when the floor extends beyond the largest possible distance.
 
     Args:
         width: of the seat's cushion [m].
@@ -180,7 +180,7 @@ def side_of(width: float, local: Float[np.ndarray, "N 3"], floor: float) -> floa
 
 
 def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: float) -> float | None:
-    """Return the outermost distance at which points fill several places."""
+    """Return the outermost distance at which points fill several cells in x and z [m]; None: too few."""
     if len(mine) < 10:
         return None
     place = np.floor(mine[:, [0, 2]] / _CELL).astype(int)
@@ -195,7 +195,7 @@ def _outermost(mine: Float[np.ndarray, "K 3"], near: float, far: float, least: f
 
 
 def crossings(starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], at: float) -> Float[np.ndarray, "K 2"]:
-    """Return x and z of where rays went clearly through the vehicle's side [m]."""
+    """Return x and z where rays cross the vehicle's side and end clear of it [m]."""
     crosses = ((starts[:, 1] - at) * (ends[:, 1] - at) < 0.0) & (np.abs(ends[:, 1] - at) > _THROUGH)
     share = (at - starts[crosses, 1]) / (ends[crosses, 1] - starts[crosses, 1])
     return np.asarray((starts[crosses] + share[:, None] * (ends[crosses] - starts[crosses]))[:, [0, 2]])
@@ -204,10 +204,10 @@ def crossings(starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], 
 def edges_of(
     local: Float[np.ndarray, "N 3"], through: Float[np.ndarray, "K 2"], at: float, floor: float, depth: float
 ) -> tuple[float, float, int]:
-    """Return where the parts behind and before the opening end [m], and how many were seen.
+    """Return x of the opening's rear and front edge [m], and how many of the two were seen.
 
     Args:
-        through: (K, 2) where rays went through the side [m].
+        through: (K, 2) x and z where rays crossed the side [m].
         at: y of the side [m].
         depth: of the seat's cushion [m].
     """
@@ -221,15 +221,15 @@ def edges_of(
     lowest, highest = np.full(shape[0], np.inf), np.full(shape[0], -np.inf)
     np.fmin.at(lowest, column, height)
     np.fmax.at(highest, column, height)
-    # What is tall about a place is a post or a panel; less is a stray return or a seat's base, and so is what stands
-    # where rays went through at more heights than that, and at most.
+    # A tall column is a post or a panel, a low one a stray return or a seat's base.  A column is open, not shut, where
+    # rays pass at as many heights as hold points and at half of all heights.
     tall = ndimage.maximum_filter1d(highest, 5, mode="nearest") - ndimage.minimum_filter1d(lowest, 5, mode="nearest")
     n_met = ndimage.maximum_filter1d(met, 5, axis=0, mode="nearest").sum(axis=1)
     is_shut = passed.sum(axis=1) < np.maximum(n_met, _MOSTLY * shape[1])
     stands = np.flatnonzero((tall > _TALL) & is_shut & met.any(axis=1))
     middle = round(_BEHIND / _SIDE_BIN)
     behind, before = stands[stands < middle], stands[stands >= middle]
-    # What stands beyond a stretch in which rays tell nothing is not what the opening ends at.
+    # A post or panel is the opening's edge only if rays passed the side next to it.
     is_open = np.asarray(passed.any(axis=1))
     rear_seen = len(behind) > 0 and is_open[behind.max() + 1 :][:_NEXT].mean() > _SOME
     front_seen = len(before) > 0 and is_open[: before.min()][-_NEXT:].mean() > _SOME
@@ -239,7 +239,7 @@ def edges_of(
 
 
 def top_of(local: Float[np.ndarray, "N 3"], at: float, rear: float, front: float, floor: float) -> tuple[float, bool]:
-    """Return where the roof begins over the sill, and whether one was seen [m]."""
+    """Return z of the roof's lower edge [m], and whether a roof was seen."""
     over = local[
         is_inside(
             local,
@@ -261,14 +261,14 @@ def openness(
     floor: float,
     top: float,
 ) -> tuple[float, float, float]:
-    """Return the share of seen cells that rays went through, the seen share, and their top.
+    """Return the share of seen cells that rays crossed, the share of cells seen, and z of the highest open row [m].
 
     Args:
         ends: (R, 3) of all rays [m].
-        through: (K, 2) where rays went through the side [m].
+        through: (K, 2) x and z where rays crossed the side [m].
         at: y of the side [m].
-        edges: x of what stands behind and before the opening [m].
-        floor, top: heights of the sill and of the roof's edge [m].
+        edges: x of the opening's rear and front edge [m].
+        floor, top: z of the sill and of the roof's edge [m].
     """
     low, high = np.array([edges[0] + 0.04, floor + 0.06]), np.array([edges[1] - 0.04, max(top - 0.06, floor + 0.6)])
     cell = np.array([_CELL, _CELL])

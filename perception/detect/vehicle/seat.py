@@ -1,4 +1,4 @@
-"""Vehicle seats: a level cushion with a back behind it and the vehicle's floor before it."""
+"""Vehicle seats: a level cushion with a back behind it and the vehicle's floor in front."""
 
 from __future__ import annotations
 
@@ -18,19 +18,17 @@ _REPORTED = 0.05
 _OVER_GROUND = (0.35, 1.15)
 _WIDTH = (0.36, 1.5)
 _DEPTH = (0.3, 0.65)
-# A back that was not seen, on a seat that the robot sits on and on others.
+# Score of an unseen back, for the seat that the robot sits on and for others.
 _UNSEEN_SAT_ON, _UNSEEN = 0.7, 0.3
 _HEAD, _HEAD_ABOUT = (0.5, 1.0), 0.35
 _NOT_GROUND = 0.12
 _MAYBE_CHAIR = 0.45
-_UNSEEN_FLOOR = (
-    0.45  # any ledge before something upright may be a cushion as long as the place of the feet was not seen
-)
+_UNSEEN_FLOOR = 0.45  # without a visible footwell any ledge in front of an upright surface may be a cushion
 _HINT_REACH = 0.5
 _HINT_TRUST = 0.7
-_GUESSED = 0.95  # for each edge that was not seen
+_GUESSED = 0.95  # factor for each unseen edge
 _SPARE = 0.15
-# A seat under the sensor that was not seen, in a row with one that was.
+# Confidence factor of an unseen seat under the sensor, in a row with a visible one.
 _UNDER_THE_SENSOR = 0.4
 _SURE = 0.5
 _NEXT_SEAT = (0.35, 1.0)
@@ -40,13 +38,13 @@ _SHOWN = 2000
 
 @dataclass(frozen=True)
 class Seat:
-    """A cushion seen as a seat.
+    """Cushion as a seat.
 
     Attributes:
         pose: (4, 4) origin in the middle of the cushion's top, x forward, z up.
         width, depth: of the cushion's top [m].
-        floor: world z of the vehicle's floor before it [m]; NaN when not seen.
-        back_share: share of what was seen of the place of its back that is solid.
+        floor: world z of the vehicle's floor in front of it [m]; NaN when unseen.
+        back_share: share of the seen cells of its back that hold points.
         patch: the cushion's top.
     """
 
@@ -59,7 +57,7 @@ class Seat:
     patch: Patch
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Return places in the seat's frame [m]."""
+        """Return world points in the seat's frame [m]."""
         return np.asarray((points - self.pose[:3, 3]) @ self.pose[:3, :3])
 
 
@@ -67,10 +65,10 @@ def detect_seat(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     """Find seats of vehicles, best first.
 
     The frame of a hit: origin in the middle of the cushion's top, x forward, z up.  Sizes: ``width``, ``depth`` of the
-    cushion, and ``height`` of its top over the vehicle's floor where that was seen [m].  Edges in a shadow or out of
-    sight are where they usually are.  The seat under the sensor, in a row with one that was seen, comes with a low
-    confidence and no points.  A chair on the ground is none; without a hint, a cushion before which no floor was seen
-    is none to act on.
+    cushion, and ``height`` of its top over the vehicle's floor if that was seen [m].  Unseen edges are set by the usual
+    width and depth.  The seat under the sensor, in a row with a visible one, has a low confidence and no points.  A
+    chair on the ground is not a seat; without a hint, a cushion without a visible floor in front is below the
+    confidence to act on.
 
     Args:
         hint: (3,) a point near the cushion [m].
@@ -84,7 +82,7 @@ def detect_seat(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def find_seats(view: View) -> list[Seat]:
-    """Find seats of which the cushion was seen, best first; see :func:`detect_seat`."""
+    """Find seats with a visible cushion, best first; see :func:`detect_seat`."""
     ground, points, head = ground_of(view), view.obstacles, _head_of(view)
     starts, ends = view.cloud.rays
     seats = []
@@ -105,7 +103,7 @@ def find_seats(view: View) -> list[Seat]:
 
 
 def _beside_the_seen(seats: list[Seat], view: View) -> list[Seat]:
-    """Return the seat that the robot sits on, where the sensor is over the unseen continuation of a row of seats."""
+    """Return the seat under the robot, if the sensor is over the unseen continuation of a row of seats."""
     head, starts_ends = _head_of(view), view.cloud.rays
     for seat in seats:
         x, y, z = seat.local(head[None])[0]
@@ -127,14 +125,14 @@ def _beside_the_seen(seats: list[Seat], view: View) -> list[Seat]:
 
 
 def _head_of(view: View) -> Float[np.ndarray, "3"]:
-    """Return where the sensor is [m]."""
+    """Return the sensor's position: median of the rays' starts [m]."""
     return np.asarray(np.median(view.cloud.starts[:: max(1, len(view.cloud.starts) // 1000)], axis=0))
 
 
 def ground_of(view: View) -> float:
-    """Return world z of the ground below the vehicle's floor, which the view may take for the floor.
+    """Return world z of the ground below the vehicle; the view's floor may be the vehicle's.
 
-    Where no ground was seen it is not above zero, the height at which a robot stands.
+    Without visible ground the result is at most 0, the height of the ground under a robot.
     """
     lowest = float(np.percentile(view.near.points[:, 2], 2.0))
     if view.floor is None:
@@ -153,7 +151,7 @@ def _seen_as_seat(
     ground: float,
     head: Float[np.ndarray, "3"],
 ) -> Seat:
-    """Return the patch as a seat's cushion."""
+    """Return the cushion as a seat with its confidence, which is 0 when width or depth does not fit."""
     pose, width, depth = cushion.pose, cushion.width, cushion.depth
     seat = Seat(pose, width, depth, np.nan, 0.0, 0.0, patch)
     if not _WIDTH[0] < width < _WIDTH[1] or not _DEPTH[0] < depth < _DEPTH[1]:
@@ -187,13 +185,13 @@ def _seen_as_seat(
 
 
 def _is_sat_on(seat: Seat, head: Float[np.ndarray, "3"]) -> bool:
-    """Return whether the sensor is where the head of a person on it is."""
+    """Return whether the sensor is at the head position of a person on the seat."""
     x, y, z = seat.local(head[None])[0]
     return bool(abs(x) < _HEAD_ABOUT and abs(y) < _HEAD_ABOUT and _HEAD[0] < z < _HEAD[1])
 
 
 def _ends_ahead(seat: Seat, local: Float[np.ndarray, "N 3"]) -> float:
-    """Return 1 where the cushion ends in front."""
+    """Return the score, 0 to 1, that the cushion ends at its front edge: few points just beyond it."""
     half = 0.5 * seat.depth
     beyond = is_inside(
         local, np.array([half + 0.04, -0.4 * seat.width, -0.06]), np.array([half + 0.2, 0.4 * seat.width, 0.06])
@@ -202,12 +200,12 @@ def _ends_ahead(seat: Seat, local: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _floor_share(floor: float, ground: float, top: float) -> float:
-    """Return how well the floor fits a vehicle: seat height above it, and it above the ground."""
+    """Return the score, 0 to 1, of the floor's height: the seat's top over it, and the floor over the ground."""
     maybe_chair = _MAYBE_CHAIR * rising(top - ground, SEAT_HEIGHT[0], 0.3) * rising(ground - top, -SEAT_HEIGHT[1], -0.6)
     if np.isnan(floor):
         return max(_UNSEEN_FLOOR * rising(top - ground, 0.6, 0.7), maybe_chair)
     over_ground = rising(floor - ground, _NOT_GROUND - 0.05, _NOT_GROUND + 0.03)
-    # The floor that was found may be the vehicle's own; at a chair's height over it, it may as well be a chair.
+    # The ground found may be the vehicle's own floor; at a chair's height over it the seat may also be a chair.
     return max(over_ground * rising(top - floor, SEAT_HEIGHT[0], 0.3), maybe_chair)
 
 

@@ -1,7 +1,7 @@
-"""Surroundings of a seat: the back behind its cushion and the vehicle's floor before it.
+"""Surroundings of a seat: the back behind its cushion and the vehicle's floor in front.
 
-A vehicle's floor fills the place before the seat and ends ahead in what rises from it.  The top of a box, a table or a
-step ends in a drop: rays that pass its edge go on below it.
+A vehicle's floor fills the footwell and ends ahead at a surface that rises from it.  The top of a box, a table or a
+step ends in a drop: rays that pass its edge end below it.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from perception.detect.vehicle.level import filled_cells, is_inside
 
 _BACK = (0.08, 0.6)
 _OPEN_CELL = 0.06
-# Shares of its place that make known what is there.
+# Seen shares of the back's cells from which a back is partly and fully known.
 _KNOWN = (0.05, 0.2)
-# Of a cushion over the vehicle's floor.
+# Height of a cushion's top over the vehicle's floor [m].
 SEAT_HEIGHT = (0.22, 0.68)
 _AHEAD, _ASIDE = 0.6, 0.1
 _LAYER, _CELL = 0.02, 0.04
 _FEWEST = 20
 _LEAST_FLOOR = 0.04  # [m^2]
 _THICK = 0.03
-# Rays that go down past the floor, and what rises from it [m].
+# Depth below the floor at which a ray's crossing is located and depth it must reach; heights of risen points [m].
 _UNDER = (0.05, 0.08)
 _RISEN = (0.08, 0.6)
 _WELL = (0.06, 0.3)
@@ -36,13 +36,13 @@ _NEXT = 3  # cells
 
 @dataclass(frozen=True)
 class Back:
-    """The place of a seat's back as it was seen.
+    """Cells of the region of a seat's back.
 
     Attributes:
-        solid: share of what was seen that is solid.
-        n_solid: how many cells of it are.
-        seen: share of it that was seen.
-        reach_up: how high over the cushion what is there goes on [m].
+        solid: share of the seen cells that hold points.
+        n_solid: number of cells that hold points.
+        seen: share of the cells that hold points or that rays passed.
+        reach_up: height over the cushion up to which points continue without a gap [m].
     """
 
     solid: float
@@ -51,7 +51,7 @@ class Back:
     reach_up: float
 
     def evidence(self, unseen: float) -> float:
-        """Return how much it speaks for a back, ``unseen`` where it was not seen."""
+        """Return the score, 0 to 1, of a seat's back; ``unseen`` when the region was not seen."""
         known = rising(self.seen, *_KNOWN)
         sure = rising(self.solid, 0.3, 0.6) * rising(self.n_solid, 3.0, 10.0) * rising(self.reach_up, 0.35, 0.5)
         return known * sure * (1.0 - 0.8 * rising(self.reach_up, 1.15, 1.4)) + (1.0 - known) * unseen
@@ -64,7 +64,7 @@ def back_of(
     starts: Float[np.ndarray, "R 3"],
     ends: Float[np.ndarray, "R 3"],
 ) -> Back:
-    """Return what was seen of the place behind a cushion of some width and depth [m].
+    """Return the solid and open cells of the region behind a cushion.
 
     Args:
         width, depth: of the cushion [m].
@@ -80,7 +80,7 @@ def back_of(
     mine = local[is_inside(local, low, high)]
     cell = np.floor((mine[:, 1:] - low[1:]) / _OPEN_CELL).astype(int)
     solid[cell[:, 0], cell[:, 1]] = True
-    # Rays that cross the middle of the back's place from one side of it to the other.
+    # Rays that cross the whole back region, located at its middle plane.
     at = -0.5 * depth - 0.1
     through = (starts[:, 0] - low[0]) * (ends[:, 0] - low[0]) < 0.0
     through &= np.maximum(starts[:, 0], ends[:, 0]) > high[0]
@@ -97,7 +97,7 @@ def back_of(
 
 
 def _reach_up(local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> float:
-    """Return how high the back goes on without a gap; a wall ends far above seats [m]."""
+    """Return the height up to which the back continues without a gap [m]; a wall ends far above seats."""
     tall = local[is_inside(local, np.array([low[0], low[1], 0.3]), np.array([high[0], high[1], 1.6])), 2]
     steps = np.bincount(np.floor((tall - 0.3) / 0.1).astype(int), minlength=14) >= 5
     return 0.3 + 0.1 * float(np.argmin(np.concatenate([steps, [False]])))
@@ -105,13 +105,13 @@ def _reach_up(local: Float[np.ndarray, "N 3"], low: Float[np.ndarray, "3"], high
 
 @dataclass(frozen=True)
 class Footwell:
-    """The floor before a seat as it was seen.
+    """Floor in front of a seat.
 
     Attributes:
-        height: over the cushion's top; NaN where no floor was seen [m].
-        open_share: share of the place right before the cushion in which rays went on below the floor, or below where
-            one could be.
-        drop_share: of the rows ahead in which the floor was seen, share in which a drop ends it.
+        height: z of the floor from the cushion's top, negative [m]; NaN when unseen.
+        open_share: share of the cells just in front of the cushion in which rays passed below the floor, or, when
+            unseen, below the lowest possible floor.
+        drop_share: share of the rows with floor that end in a drop ahead.
     """
 
     height: float
@@ -120,7 +120,7 @@ class Footwell:
 
     @property
     def evidence(self) -> float:
-        """Evidence for a vehicle's floor, by the place where it ends."""
+        """Score, 0 to 1, of a vehicle's floor: closed footwell, and no drop at its end."""
         return (1.0 - 0.9 * rising(self.open_share, 0.15, 0.4)) * (1.0 - 0.9 * rising(self.drop_share, 0.1, 0.35))
 
 
@@ -131,11 +131,11 @@ def footwell_of(
     starts: Float[np.ndarray, "R 3"],
     ends: Float[np.ndarray, "R 3"],
 ) -> Footwell:
-    """Return what was seen of the floor before a cushion of some width and depth [m].
+    """Return the height of the floor in front of a cushion, and its open and drop shares.
 
     Args:
         width, depth: of the cushion [m].
-        local: (N, 3) points in the seat's frame, with those of the floor [m].
+        local: (N, 3) points in the seat's frame, floor included [m].
         starts, ends: (R, 3) of all rays, in the seat's frame [m].
     """
     front = 0.5 * depth
@@ -155,7 +155,7 @@ def footwell_of(
 
 
 def _height(width: float, front: float, local: Float[np.ndarray, "N 3"]) -> float:
-    """Return the height of the floor over the cushion's top; NaN: not seen [m]."""
+    """Return z of the floor from the cushion's top, negative [m]; NaN: unseen."""
     poll()
     down = is_inside(
         local,
@@ -165,7 +165,7 @@ def _height(width: float, front: float, local: Float[np.ndarray, "N 3"]) -> floa
     height, flat = local[down, 2], local[down, :2]
     if len(height) < _FEWEST:
         return np.nan
-    # The height at which most of the ground plan is covered; what stands up covers little of it.
+    # The height whose points cover most cells in plan; upright objects cover few.
     layer = np.floor((height + SEAT_HEIGHT[1]) / _LAYER).astype(int)
     cell = np.floor(flat / _CELL).astype(int)
     places = np.unique(np.column_stack([layer, cell]), axis=0)[:, 0]
@@ -180,7 +180,7 @@ def _height(width: float, front: float, local: Float[np.ndarray, "N 3"]) -> floa
 def _passing(
     starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"], level: float
 ) -> Float[np.ndarray, "K 2"]:
-    """Return where rays that end below a level went down past it [m]."""
+    """Return x and y where rays that end below a level passed down through it [m]."""
     poll()
     at = level - _UNDER[0]
     down = (ends[:, 2] < level - _UNDER[1]) & (starts[:, 2] > at)
@@ -190,7 +190,7 @@ def _passing(
 
 
 def _drops(solid: Bool[np.ndarray, "A B"], opened: Bool[np.ndarray, "A B"], risen: Bool[np.ndarray, "A B"]) -> float:
-    """Return the share of floor rows that end in a drop: rays go down behind the last cell."""
+    """Return the share of floor rows that end in a drop: rays pass below the floor just behind the last cell."""
     rows = np.flatnonzero(solid.any(axis=0))
     if not len(rows):
         return 0.0
@@ -200,6 +200,6 @@ def _drops(solid: Bool[np.ndarray, "A B"], opened: Bool[np.ndarray, "A B"], rise
     inside = steps < n
     steps = steps.clip(0, n - 1)
     rises, goes_down = risen[steps, rows] & inside, opened[steps, rows] & inside
-    # The cell the floor ends in may hold both.
+    # The last cell of the floor may also be open, so it does not count.
     goes_down[:2] = False
     return float((goes_down.any(axis=0) & ~rises.any(axis=0)).mean())
