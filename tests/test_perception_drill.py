@@ -7,7 +7,7 @@ import pytest
 
 from perception import CONFIDENT, KINDS, Cloud, View, detect_kinds, make_view
 from perception.detect.drill.detector import detect_drill
-from perception.detect.drill.shape import Shape, meet
+from perception.detect.drill.shape import DrillShape, meet
 from perception.detect.drill.supports import level_heights, standing_clusters
 from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
@@ -97,7 +97,7 @@ def test_boards_are_told_by_their_heights_and_what_stands_on_them_by_its_gaps() 
 
 
 def test_a_ray_at_the_grip_meets_it_and_one_through_the_notch_does_not() -> None:
-    shape = Shape(1.0, 0.0, 0.5 * np.pi)
+    shape = DrillShape(1.0, 0.0, 0.5 * np.pi)
     start = np.array([[0.0, 0.0, 0.12], [0.0, 0.07, 0.12]])
     rays = Sightlines(start, np.tile([1.0, 0.0, 0.0], (2, 1)), np.full(2, 3.0))
     outside, depth = meet(rays, shape, 0.0)

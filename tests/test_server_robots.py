@@ -53,7 +53,7 @@ def test_robots_come_change_break_and_go_while_the_server_runs(stub: PlannerServ
 
     (robots / "other").mkdir()
     (robots / "other" / "robot.urdf").write_text(URDF.format(upper=1))
-    assert told() == "robot: unknown robot 'swinger'; known: atlas; this server also has other"
+    assert told() == "robot: unknown robot 'swinger'; expected atlas; this server also has other"
     urdf = robots / "swinger" / "robot.urdf"
     urdf.parent.mkdir()
     urdf.write_text(URDF.format(upper=1))
@@ -104,7 +104,7 @@ def test_own_robot_is_left_out_of_a_scan(stub: PlannerServiceStub, robots: Path)
     assert "left out 27 points on the robot itself" in scene.notes
     fields = refusal(lambda: list(stub.BuildScene(built("nobody"), timeout=60)))[2]
     assert fields == {
-        "clouds.robot": "clouds.robot: unknown robot 'nobody'; known: atlas; this server also has swinger"
+        "clouds.robot": "clouds.robot: unknown robot 'nobody'; expected atlas; this server also has swinger"
     }
     for name in ("", "n" * 300, "a/b", "\0", "../swinger"):
         code, _, fields = refusal(lambda name=name: list(stub.BuildScene(built(name), timeout=60)))  # type: ignore[misc]

@@ -83,7 +83,7 @@ def test_what_was_uploaded_and_is_no_scene_is_told_by_its_name(stub: PlannerServ
     code, _, fields = refusal(lambda: stub.Plan(plan_request(QUICK | {"scene": {"file": no_scene}}), timeout=30))
     assert code == "INVALID_ARGUMENT"
     assert fields == {
-        "request.scene.file": f"scene.file: {no_scene} is no scene, its format is 'other', expected scopt-scene/1"
+        "request.scene.file": f"scene.file: {no_scene} is no scene, its format is 'other'; expected scopt-scene/1"
     }
     code, _, fields = refusal(lambda: stub.Plan(plan_request(QUICK | {"scene": {"cloud": no_scene}}), timeout=30))
     assert code == "INVALID_ARGUMENT"

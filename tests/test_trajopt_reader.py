@@ -21,7 +21,7 @@ from service.trajopt.problem import (
     JointStepTerm,
     JointTerm,
     PoseTerm,
-    Problem,
+    ProblemFile,
     ZmpTerm,
 )
 from service.trajopt.reader import read_problem
@@ -96,7 +96,7 @@ WHOLE: dict[str, Any] = {
 }
 
 
-def read(document: object) -> Problem:
+def read(document: object) -> ProblemFile:
     reading = read_problem(document)
     assert reading.findings == ()
     assert reading.problem is not None

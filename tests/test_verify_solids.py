@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from small_robots import CUBE
 
 from costs.robot import LinkBody
-from service.verify.solids import DistanceQuery, Solid, make_coal_convex, supports
+from service.verify.solids import CoalSolid, DistanceQuery, make_coal_convex, supports
 
 
 def _apart(first: np.ndarray, second: np.ndarray, shift: np.ndarray) -> tuple[float, np.ndarray]:
@@ -25,7 +25,7 @@ def _apart(first: np.ndarray, second: np.ndarray, shift: np.ndarray) -> tuple[fl
 @given(st.integers(0, 2**32 - 1))
 def test_supports_are_the_farthest_vertices_of_each_solid(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    solids = [Solid(f"s{k}", "", 0, rng.normal(size=(int(rng.integers(1, 90)), 3))) for k in range(5)]
+    solids = [CoalSolid(f"s{k}", "", 0, rng.normal(size=(int(rng.integers(1, 90)), 3))) for k in range(5)]
     which, directions = rng.integers(0, 5, size=40), rng.normal(size=(40, 3))
     found = supports(solids, which, directions)
     expected = [max(float(vertex @ d) for vertex in solids[k].vertices) for k, d in zip(which, directions, strict=True)]
@@ -76,5 +76,5 @@ def test_equal_points_share_a_convex_and_other_points_never_do() -> None:
 
 def test_the_solid_of_a_body_is_made_once() -> None:
     body = LinkBody("body", "link", 1, CUBE, CUBE)
-    assert Solid.of_body(body) is Solid.of_body(body)
-    assert Solid.of_body(LinkBody("body", "link", 1, 2.0 * CUBE, CUBE)).vertices is not CUBE
+    assert CoalSolid.of_body(body) is CoalSolid.of_body(body)
+    assert CoalSolid.of_body(LinkBody("body", "link", 1, 2.0 * CUBE, CUBE)).vertices is not CUBE

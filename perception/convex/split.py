@@ -29,7 +29,7 @@ _LEAST_VOLUME = 5e-5
 
 
 @dataclass(frozen=True)
-class Allowance:
+class SplitAllowance:
     """Seen-free space that a hull may hold, since noise explains it.
 
     Attributes:
@@ -43,8 +43,8 @@ class Allowance:
     skin: float = 0.0
 
 
-_DEFAULT = Allowance()
-_REFINED = Allowance(share=0.03, skin=SKIN)
+_DEFAULT = SplitAllowance()
+_REFINED = SplitAllowance(share=0.03, skin=SKIN)
 
 
 def find_clusters(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -> list[Int[np.ndarray, "K"]]:
@@ -66,7 +66,7 @@ def split(
     points: Float[np.ndarray, "N 3"],
     members: Int[np.ndarray, "K"],
     free: FreeSpace,
-    allowed: Allowance = _DEFAULT,
+    allowed: SplitAllowance = _DEFAULT,
 ) -> list[Hull]:
     """Make hulls of the members, cut in two until none holds seen-free space (or is as small as the noise)."""
     done: list[Hull] = []
@@ -81,7 +81,7 @@ def split(
     return done
 
 
-def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bool:
+def is_free_of(hull: Hull, free: FreeSpace, allowed: SplitAllowance = _DEFAULT) -> bool:
     """Return whether the hull holds no more seen-free space than noise explains."""
     if allowed.skin > 0.0:
         hull = make_hull(thicken(hull.vertices, allowed.skin), hull.members)
@@ -89,7 +89,7 @@ def is_free_of(hull: Hull, free: FreeSpace, allowed: Allowance = _DEFAULT) -> bo
     return free.count_inside(hull, most) <= most
 
 
-def _may_be_free(hull: Hull, free: FreeSpace, allowed: Allowance) -> bool:
+def _may_be_free(hull: Hull, free: FreeSpace, allowed: SplitAllowance) -> bool:
     """Return whether ``is_free_of`` may hold; a quick test without a skin, which takes longer to make."""
     most = int(allowed.volume / free.size**3 + 1e-6)
     return free.count_inside(hull, most) <= most
@@ -124,7 +124,7 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
 
 
 def merge(
-    hulls: Sequence[Hull], free: FreeSpace, gap: float | Float[np.ndarray, "H"], allowed: Allowance = _DEFAULT
+    hulls: Sequence[Hull], free: FreeSpace, gap: float | Float[np.ndarray, "H"], allowed: SplitAllowance = _DEFAULT
 ) -> list[Hull]:
     """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
 
@@ -145,7 +145,9 @@ def merge(
 class _Merger:
     """Hulls, which of them still stand, and the joints that may take the place of two."""
 
-    def __init__(self, hulls: list[Hull], free: FreeSpace, gap: Float[np.ndarray, "H"], allowed: Allowance) -> None:
+    def __init__(
+        self, hulls: list[Hull], free: FreeSpace, gap: Float[np.ndarray, "H"], allowed: SplitAllowance
+    ) -> None:
         self.hulls = hulls
         self.queue: list[tuple[float, int, int, Hull]] = []
         self.is_alive = np.ones(len(hulls), dtype=bool)

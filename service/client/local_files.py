@@ -22,7 +22,7 @@ NOT_UPLOADED = (
 
 
 @dataclass(frozen=True)
-class Upload:
+class PendingUpload:
     """Local cloud, mesh or scene file with its hash, by which the server recognises a file it has."""
 
     path: Path
@@ -38,7 +38,7 @@ class UploadParts(Iterator[UploadCloudRequest]):
         error: reason why the file could not be read to its end; None otherwise.
     """
 
-    def __init__(self, upload: Upload) -> None:
+    def __init__(self, upload: PendingUpload) -> None:
         header = CloudHeader(format=upload.format, sha256=upload.sha256, size_bytes=upload.n_bytes)
         self._header: CloudHeader | None = header
         self._chunks = _read_chunks(upload.path)
@@ -55,7 +55,7 @@ class UploadParts(Iterator[UploadCloudRequest]):
             raise StopIteration from None
 
 
-def hash_file(path: str | Path) -> Upload:
+def hash_file(path: str | Path) -> PendingUpload:
     """Read a file once for its hash.
 
     Raises:
@@ -68,7 +68,7 @@ def hash_file(path: str | Path) -> Upload:
     for chunk in _read_chunks(path):
         digest.update(chunk)
         n_bytes += len(chunk)
-    return Upload(path, path.suffix[1:].lower(), digest.hexdigest(), n_bytes)
+    return PendingUpload(path, path.suffix[1:].lower(), digest.hexdigest(), n_bytes)
 
 
 def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:

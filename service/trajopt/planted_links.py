@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import KinematicsEngine, Topology, locate_frame, locate_links
 from costs.robot import RobotModel
 from service.start.standing import FEET_GROUP
-from service.trajopt.problem import PoseTerm, Problem, ZmpTerm
+from service.trajopt.problem import PoseTerm, ProblemFile, ZmpTerm
 
 SHIFT, TURN = 1e-3, np.deg2rad(0.5)  # largest deviation of a planted link's pose in the file from its start [m, rad]
 
 
 @dataclass(frozen=True)
-class Standing:
+class PlantedLinks:
     """Planted links of a problem.
 
     Attributes:
@@ -32,14 +32,14 @@ class Standing:
 
     planted: tuple[str, ...]
     is_balanced: bool
-    problem: Problem
+    problem: ProblemFile
     notes: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
 
 
 def find_planted_links(
-    problem: Problem, robot: RobotModel, start: Float[np.ndarray, "n"], moving: Int[np.ndarray, "f"]
-) -> Standing:
+    problem: ProblemFile, robot: RobotModel, start: Float[np.ndarray, "n"], moving: Int[np.ndarray, "f"]
+) -> PlantedLinks:
     """Find the planted links of a robot with a free base, at configuration ``start``; ``moving`` may change."""
     balances = [term for term in problem.terms if isinstance(term, ZmpTerm)]
     if not robot.is_floating:
@@ -48,7 +48,7 @@ def find_planted_links(
             "the robot a floating base"
             for term in balances
         )
-        return Standing((), False, problem, problems=problems)
+        return PlantedLinks((), False, problem, problems=problems)
     held = {frame: terms for frame, terms in _find_held_links(problem) if _is_at_start(robot, start, terms[0])}
     named = {link for term in balances for link in term.links}
     with_shape = {body.link for body in robot.bodies}
@@ -79,10 +79,10 @@ def find_planted_links(
     elif balances:
         notes.append("no zmp with all planted links at every waypoint: balance is not part of the proof")
     rest = tuple(term for term in problem.terms if term.path not in replaced)
-    return Standing(planted, is_balanced, replace(problem, terms=rest), tuple(notes))
+    return PlantedLinks(planted, is_balanced, replace(problem, terms=rest), tuple(notes))
 
 
-def group_equal_poses(problem: Problem) -> list[list[PoseTerm]]:
+def group_equal_poses(problem: ProblemFile) -> list[list[PoseTerm]]:
     """Return groups of pose constraints that hold a frame at the same pose at every waypoint after the start."""
     groups: dict[tuple[object, ...], list[PoseTerm]] = defaultdict(list)
     for term in problem.terms:
@@ -93,7 +93,7 @@ def group_equal_poses(problem: Problem) -> list[list[PoseTerm]]:
     return [terms for terms in groups.values() if {term.step for term in terms} >= steps]
 
 
-def _find_held_links(problem: Problem) -> Iterator[tuple[str, list[PoseTerm]]]:
+def _find_held_links(problem: ProblemFile) -> Iterator[tuple[str, list[PoseTerm]]]:
     """Yield each link whose full pose in the world is held at every waypoint, with its terms."""
     for terms in group_equal_poses(problem):
         if terms[0].reference is None and all((*terms[0].position_axes, *terms[0].rotation_axes)):

@@ -231,7 +231,7 @@ class OptInfo:
 
 
 @dataclass(frozen=True)
-class Problem:
+class ProblemFile:
     """A whole file.
 
     Attributes:

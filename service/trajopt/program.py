@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from service.trajopt.problem import FootHeightTerm, PoseTerm, Problem, ZmpTerm
+from service.trajopt.problem import FootHeightTerm, PoseTerm, ProblemFile, ZmpTerm
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Program:
         notes: one line per assumption, and per setting of the file that has no effect.
     """
 
-    problem: Problem
+    problem: ProblemFile
     start: Float[np.ndarray, "n"]
     columns: Int[np.ndarray, "k"]
     free: Int[np.ndarray, "f"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from service.trajopt.json_fields import Fields
-from service.trajopt.problem import BasicInfo, InitInfo, OptInfo, Problem, Term
+from service.trajopt.problem import BasicInfo, InitInfo, OptInfo, ProblemFile, Term
 from service.trajopt.terms_reader import read_term
 
 MOST_STEPS = 500
@@ -42,7 +42,7 @@ class Reading:
         findings: one line per error of the document.
     """
 
-    problem: Problem | None
+    problem: ProblemFile | None
     findings: tuple[str, ...]
 
 
@@ -65,7 +65,7 @@ def read_problem(document: object) -> Reading:
             if term is not None:
                 terms.append(term)
     root.close()
-    problem = Problem(basic, init, opt, tuple(terms), tuple(notes)) if is_sound else None
+    problem = ProblemFile(basic, init, opt, tuple(terms), tuple(notes)) if is_sound else None
     return Reading(problem, tuple(findings))
 
 

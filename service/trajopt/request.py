@@ -14,7 +14,7 @@ from service.request.scene import SceneRequest
 from service.request.schema import PlanRequest, StartRequest
 from service.start.configuration import make_start_configuration
 from service.trajopt.json_fields import read_document
-from service.trajopt.problem import Problem
+from service.trajopt.problem import ProblemFile
 from service.trajopt.program import Program
 from service.trajopt.reader import read_problem, read_robot_name
 from service.trajopt.resolve import is_start_given, resolve
@@ -116,7 +116,7 @@ def make_program(
     return program, notes
 
 
-def _complete_start(start: StartRequest, problem: Problem | None, robot: RobotModel) -> StartRequest:
+def _complete_start(start: StartRequest, problem: ProblemFile | None, robot: RobotModel) -> StartRequest:
     """Add joint values of the trajectory's first row that are within the joint's limits."""
     row = () if problem is None or not problem.init.data else problem.init.data[0]
     columns = parse_manip(robot, problem.basic.manip)[0] if problem is not None and row else ()

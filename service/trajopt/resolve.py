@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from service.request.schema import StartRequest
-from service.trajopt.planted_links import Standing, find_planted_links
-from service.trajopt.problem import JointTerm, PoseTerm, Problem, Vector
+from service.trajopt.planted_links import PlantedLinks, find_planted_links
+from service.trajopt.problem import JointTerm, PoseTerm, ProblemFile, Vector
 from service.trajopt.program import JointRange, Program
 from service.trajopt.robot_checks import find_unknown_links, find_wrong_lengths, parse_manip
 
@@ -29,7 +29,7 @@ class Resolved:
     findings: tuple[str, ...]
 
 
-def resolve(problem: Problem, robot: RobotModel, start: Float[np.ndarray, "n"], request: StartRequest) -> Resolved:
+def resolve(problem: ProblemFile, robot: RobotModel, start: Float[np.ndarray, "n"], request: StartRequest) -> Resolved:
     """Check a problem against a robot and make it a program.
 
     Args:
@@ -60,7 +60,7 @@ def is_start_given(request: StartRequest, name: str) -> bool:
     return request.posture is not None or name in request.positions_by_joint
 
 
-def _express_in_world(problem: Problem, robot: RobotModel, start: Float[np.ndarray, "n"]) -> Problem:
+def _express_in_world(problem: ProblemFile, robot: RobotModel, start: Float[np.ndarray, "n"]) -> ProblemFile:
     """Convert poses relative to the world, or to a frame that no joint moves, to poses in the world."""
     terms = [
         _express_pose_in_world(term, robot, start) if isinstance(term, PoseTerm) else term for term in problem.terms
@@ -86,7 +86,7 @@ class _Resolver:
         columns: (k,) coordinates of ``manip``, in the file's order.
     """
 
-    problem: Problem
+    problem: ProblemFile
     robot: RobotModel
     columns: Int[np.ndarray, "k"]
 
@@ -158,7 +158,7 @@ class _Resolver:
         self,
         start: Float[np.ndarray, "n"],
         ranges: Mapping[int, Mapping[int, JointRange]],
-        standing: Standing,
+        standing: PlantedLinks,
         notes: tuple[str, ...],
     ) -> Program:
         """Make the program of a problem without errors."""

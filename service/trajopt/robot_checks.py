@@ -14,7 +14,7 @@ from service.trajopt.problem import (
     JointStepTerm,
     JointTerm,
     PoseTerm,
-    Problem,
+    ProblemFile,
     Vector,
     ZmpTerm,
 )
@@ -72,7 +72,7 @@ def _simplify(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def find_unknown_links(problem: Problem, robot: RobotModel) -> Iterator[str]:
+def find_unknown_links(problem: ProblemFile, robot: RobotModel) -> Iterator[str]:
     """Yield a line for each named link that the robot lacks, or that lacks a shape to stand on."""
     known = [frame.name for frame in robot.model.frames if frame.name != "universe"]
     with_shape = {body.link for body in robot.bodies}
@@ -83,7 +83,7 @@ def find_unknown_links(problem: Problem, robot: RobotModel) -> Iterator[str]:
             yield f"{path}: link {link!r} has no collision shape; expected {would_do(link, with_shape) or 'none'}"
 
 
-def _list_named_links(problem: Problem) -> Iterator[tuple[str, str, bool]]:
+def _list_named_links(problem: ProblemFile) -> Iterator[tuple[str, str, bool]]:
     """Yield path and name of each link or frame, and whether it needs a shape."""
     for term in problem.terms:
         params = f"{term.path}.params"
@@ -102,7 +102,7 @@ def _list_named_links(problem: Problem) -> Iterator[tuple[str, str, bool]]:
                     yield f"{pair.path}.link", pair.link, True
 
 
-def find_wrong_lengths(problem: Problem, n_dof: int) -> Iterator[str]:
+def find_wrong_lengths(problem: ProblemFile, n_dof: int) -> Iterator[str]:
     """Yield a line for each list that does not have one entry per degree of freedom."""
     for index in problem.basic.fixed_dofs:
         if index >= n_dof:

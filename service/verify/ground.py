@@ -15,7 +15,7 @@ from costs.scene import ConvexPiece
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Motion, Phase, PlantedContact, VerifyError, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.solids import Solid
+from service.verify.solids import CoalSolid
 from service.verify.timeline import find_time
 
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
@@ -111,6 +111,6 @@ def outside_link(robot: RobotModel, contact: PlantedContact) -> float:
     placement: pin.SE3 = model.frames[model.getFrameId(contact.link)].placement
     corners = contact.sole @ np.array(placement.rotation).T + np.array(placement.translation)
     distance = np.full(len(corners), np.inf)
-    for solid in (Solid.of_body(body) for body in robot.bodies if body.link == contact.link):
+    for solid in (CoalSolid.of_body(body) for body in robot.bodies if body.link == contact.link):
         distance = np.minimum(distance, solid.distances(corners))
     return float(distance.max())

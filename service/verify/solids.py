@@ -80,7 +80,7 @@ def _convex(points: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"])
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class CoalSolid:
     """Convex body of the robot (in the frame of its joint) or piece of the scene (joint 0, world frame).
 
     Attributes:
@@ -118,24 +118,24 @@ class Solid:
         return np.asarray(np.maximum(np.array(distances), 0.0))
 
     @staticmethod
-    def of_body(body: LinkBody) -> Solid:
+    def of_body(body: LinkBody) -> CoalSolid:
         """Return the solid of a body, cached while the body exists."""
         known = _BODIES.get(body)
         if known is None:
-            known = _BODIES[body] = Solid(body.name, body.link, body.joint, body.vertices)
+            known = _BODIES[body] = CoalSolid(body.name, body.link, body.joint, body.vertices)
         return known
 
     @staticmethod
-    def of_piece(piece: ConvexPiece) -> Solid:
+    def of_piece(piece: ConvexPiece) -> CoalSolid:
         """Return the solid of a piece."""
-        return Solid(piece.name, "", 0, piece.vertices)
+        return CoalSolid(piece.name, "", 0, piece.vertices)
 
 
-_BODIES: WeakKeyDictionary[LinkBody, Solid] = WeakKeyDictionary()
+_BODIES: WeakKeyDictionary[LinkBody, CoalSolid] = WeakKeyDictionary()
 
 
 def supports(
-    solids: Sequence[Solid], which: Int[np.ndarray, "K"], directions: Float[np.ndarray, "K 3"]
+    solids: Sequence[CoalSolid], which: Int[np.ndarray, "K"], directions: Float[np.ndarray, "K 3"]
 ) -> Float[np.ndarray, "K"]:
     """Return the support of each chosen solid along its direction, in its own frame: ``max_v direction . v``."""
     order = np.argsort(which, kind="stable")

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
 from perception.cleaning.clean import voxel_downsample
-from perception.detect.drill.shape import BODY_RADIUS, FOOT, Shape, about_up, meet, notch_open
+from perception.detect.drill.shape import BODY_RADIUS, FOOT, DrillShape, about_up, meet, notch_open
 from perception.detect.drill.supports import StandingCluster, dense_parts, standing_clusters, support_share
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
@@ -91,7 +91,7 @@ class _Begun:
     least: float
     rays: Sightlines
     few: Sightlines
-    starts: tuple[Shape, ...]
+    starts: tuple[DrillShape, ...]
     least_cost: float
 
 
@@ -116,7 +116,7 @@ def _finish(begun: _Begun, is_hinted: bool) -> Detection:
     fits = []
 
     def cost(values: Float[np.ndarray, "6"]) -> float:
-        return _cost(begun.few, begun.least, level, Shape.of(values))
+        return _cost(begun.few, begun.least, level, DrillShape.of(values))
 
     for start in begun.starts:
         simplex = np.concatenate([start.values[None], start.values + np.diag(steps)])
@@ -126,12 +126,12 @@ def _finish(begun: _Begun, is_hinted: bool) -> Detection:
             method="Nelder-Mead",
             options={"initial_simplex": simplex, "maxfev": 180, "xatol": 1e-3},
         )
-        fits.append(Shape.of(result.x))
+        fits.append(DrillShape.of(result.x))
     best = min(fits, key=lambda shape: _cost(begun.rays, begun.least, level, shape))
     return _judge(begun, best, is_hinted)
 
 
-def _starts(cluster: StandingCluster, grip: float) -> list[Shape]:
+def _starts(cluster: StandingCluster, grip: float) -> list[DrillShape]:
     """Start from a cluster's middle, which is somewhere between grip and chuck."""
     low, high = np.percentile(cluster.points[:, :2], [3, 97], axis=0)
     middle = 0.5 * (low + high)
@@ -139,13 +139,13 @@ def _starts(cluster: StandingCluster, grip: float) -> list[Shape]:
     for yaw in _YAWS.tolist():
         for ahead in (0.0, 0.03):
             x, y = middle - ahead * np.array([np.cos(yaw), np.sin(yaw)])
-            shapes.append(Shape(float(x), float(y), yaw, grip))
+            shapes.append(DrillShape(float(x), float(y), yaw, grip))
     return shapes
 
 
-def _drop_duplicates(shapes: list[Shape]) -> list[Shape]:
+def _drop_duplicates(shapes: list[DrillShape]) -> list[DrillShape]:
     """Keep only the first of those that look nearly the same way."""
-    kept: list[Shape] = []
+    kept: list[DrillShape] = []
     for shape in shapes:
         if all(abs(np.angle(np.exp(1j * (shape.yaw - other.yaw)))) > 0.6 for other in kept):
             kept.append(shape)
@@ -164,7 +164,7 @@ def _may_end(rays: Sightlines, least: float) -> Bool[np.ndarray, "N"]:
     return np.asarray(rays.start[:, 2] + rays.length * rays.direction[:, 2] > least)
 
 
-def _cost(rays: Sightlines, least: float, level: float, shape: Shape) -> float:
+def _cost(rays: Sightlines, least: float, level: float, shape: DrillShape) -> float:
     """Return mean squared residual of depth and outline, bounded at three deviations, with the prior's."""
     outside, depth = meet(rays, shape, level)
     gap = rays.length - depth
@@ -176,7 +176,7 @@ def _cost(rays: Sightlines, least: float, level: float, shape: Shape) -> float:
     return float(each.mean() + 0.03 * usual)
 
 
-def _judge(begun: _Begun, shape: Shape, is_hinted: bool) -> Detection:
+def _judge(begun: _Begun, shape: DrillShape, is_hinted: bool) -> Detection:
     """Return the drill as a detection."""
     rays, cluster = begun.rays, begun.cluster
     outside, depth = meet(rays, shape, cluster.level)

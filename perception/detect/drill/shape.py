@@ -21,7 +21,7 @@ _LEAST_INSIDE, _LEAST_DEEPER, _DEEP = 0.03, 0.055, 0.06
 
 
 @dataclass(frozen=True)
-class Shape:
+class DrillShape:
     """A drill's place and sizes.
 
     Attributes:
@@ -40,7 +40,7 @@ class Shape:
     back: float = 0.07
 
     @classmethod
-    def of(cls, values: Float[np.ndarray, "6"]) -> Shape:
+    def of(cls, values: Float[np.ndarray, "6"]) -> DrillShape:
         """Make a drill from numbers in the order of the attributes."""
         x, y, yaw, grip, body, back = values.tolist()
         return cls(x, y, yaw, grip, body, back)
@@ -64,7 +64,7 @@ class Solids:
     radius: Float[np.ndarray, "S"]
 
 
-def solids_of(shape: Shape) -> Solids:
+def solids_of(shape: DrillShape) -> Solids:
     """Return capsules: body, nose, grip and three for the battery's foot."""
     foot = 2.0 * FOOT[2]
     top = foot + shape.grip + 0.03
@@ -82,7 +82,7 @@ def solids_of(shape: Shape) -> Solids:
     return Solids(first, last, radius)
 
 
-def meet(rays: Sightlines, shape: Shape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+def meet(rays: Sightlines, shape: DrillShape, level: float) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """Return each ray's distance outside the drill (negative inside) and depth to its nearest part [m]."""
     poll()
     rotation = about_up(-shape.yaw)
@@ -127,7 +127,7 @@ def _rays_to_segments(
     return np.sqrt(square), along
 
 
-def notch_open(rays: Sightlines, shape: Shape, level: float) -> tuple[float, int]:
+def notch_open(rays: Sightlines, shape: DrillShape, level: float) -> tuple[float, int]:
     """Count, of the rays that tell a drill from a block of its outline, how many do, and how many there were.
 
     Between chuck and foot, before and behind the grip, a drill is open: rays go on where those into a block would end.

@@ -14,7 +14,7 @@ from perception.detect.shared.bars import Bar
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes
-from perception.detect.valve.lever_joint import Joint, joint_of, settle_joint
+from perception.detect.valve.lever_joint import LeverJoint, joint_of, settle_joint
 from perception.detect.valve.wheel import find_wheels
 from perception.ground.floor import FloorPlane
 from perception.sightlines import SightIndex
@@ -37,7 +37,7 @@ class _Lever:
 
     fitted: FittedBar
     bar: Bar
-    joint: Joint
+    joint: LeverJoint
     confidence: float
 
 

@@ -41,7 +41,7 @@ _FEWEST = 3
 
 
 @dataclass(frozen=True)
-class Joint:
+class LeverJoint:
     """A lever on a pipe.
 
     Attributes:
@@ -55,7 +55,7 @@ class Joint:
     spread: float
 
 
-def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex) -> Joint | None:
+def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex) -> LeverJoint | None:
     """Return the joint; None when they do not lie as lever and pipe do.
 
     Where they cross, the pivot lies where they come nearest to each other, and otherwise at the end behind which rays
@@ -100,7 +100,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
         end = bar.first if pivot.far > pivot.along else bar.last
         pivot = replace(pivot, along=float(end + np.sign(pivot.far - end) * _OVERHANG * bar.half[0]))
     axis, spread = _axis(bar, pipe, pivot.along, tilts)
-    return Joint(axis, pivot, spread)
+    return LeverJoint(axis, pivot, spread)
 
 
 def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:

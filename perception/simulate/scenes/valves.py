@@ -140,7 +140,7 @@ def tilt_axis(yaw_deg: float, pitch_deg: float) -> Vector:
 
 
 @dataclass(frozen=True)
-class Wheel:
+class PipeWheel:
     """One wheel valve on a pipe before a wall, pipes and boxes beside it.
 
     Attributes:
@@ -222,19 +222,19 @@ class BallValves:
 
 
 SCENES: Mapping[str, Recipe] = {
-    "valve_tiny": Wheel((0.6, 0.05, 1.2), outer=0.055, tube=0.007, n_spokes=3, stem=0.08, pipe_radius=0.025),
-    "valve_small": Wheel((0.65, 0.1, 1.15), outer=0.075, tube=0.009, n_spokes=3, stem=0.1, pipe_radius=0.03),
-    "valve_plain": Wheel((0.65, -0.05, 1.1)),
-    "valve_large": Wheel((0.75, 0.0, 1.1), (5.0, 5.0), 0.28, 0.016, 6, 0.25, _ACROSS, 0.08),
-    "valve_huge": Wheel((0.85, 0.05, 1.1), (-8.0, 0.0), 0.38, 0.019, 5, 0.3, _UP, 0.1),
-    "valve_tilted": Wheel((0.65, 0.0, 1.0), (0.0, 45.0), 0.16, 0.013, 5, 0.2, _ACROSS),
-    "valve_aside": Wheel((0.7, 0.25, 1.1), (40.0, 0.0), 0.15),
-    "valve_overhead": Wheel((0.7, -0.2, 1.75), (-30.0, -15.0), 0.14, 0.012, 4, 0.15, _ACROSS),
-    "valve_upright": Wheel((0.7, 0.05, 0.85), (0.0, 88.0), 0.16, 0.014, 5, 0.22, _ACROSS, wall_x=1.1),
-    "valve_low": Wheel((0.75, -0.1, 0.45), (10.0, 75.0), 0.2, 0.015, 4, 0.2, _ACROSS, wall_x=1.2),
-    "valve_near_wall": Wheel((0.7, 0.1, 1.15), (0.0, 0.0), 0.12, 0.012, 5, 0.09, _ACROSS, 0.03, wall_x=0.84),
-    "valve_far": Wheel((1.5, 0.2, 1.2), (10.0, 0.0), 0.17, 0.014),
-    "valve_crossed": Wheel((0.7, 0.0, 1.1), (0.0, 10.0), 0.15, n_spokes=5, is_crossed=True),
+    "valve_tiny": PipeWheel((0.6, 0.05, 1.2), outer=0.055, tube=0.007, n_spokes=3, stem=0.08, pipe_radius=0.025),
+    "valve_small": PipeWheel((0.65, 0.1, 1.15), outer=0.075, tube=0.009, n_spokes=3, stem=0.1, pipe_radius=0.03),
+    "valve_plain": PipeWheel((0.65, -0.05, 1.1)),
+    "valve_large": PipeWheel((0.75, 0.0, 1.1), (5.0, 5.0), 0.28, 0.016, 6, 0.25, _ACROSS, 0.08),
+    "valve_huge": PipeWheel((0.85, 0.05, 1.1), (-8.0, 0.0), 0.38, 0.019, 5, 0.3, _UP, 0.1),
+    "valve_tilted": PipeWheel((0.65, 0.0, 1.0), (0.0, 45.0), 0.16, 0.013, 5, 0.2, _ACROSS),
+    "valve_aside": PipeWheel((0.7, 0.25, 1.1), (40.0, 0.0), 0.15),
+    "valve_overhead": PipeWheel((0.7, -0.2, 1.75), (-30.0, -15.0), 0.14, 0.012, 4, 0.15, _ACROSS),
+    "valve_upright": PipeWheel((0.7, 0.05, 0.85), (0.0, 88.0), 0.16, 0.014, 5, 0.22, _ACROSS, wall_x=1.1),
+    "valve_low": PipeWheel((0.75, -0.1, 0.45), (10.0, 75.0), 0.2, 0.015, 4, 0.2, _ACROSS, wall_x=1.2),
+    "valve_near_wall": PipeWheel((0.7, 0.1, 1.15), (0.0, 0.0), 0.12, 0.012, 5, 0.09, _ACROSS, 0.03, wall_x=0.84),
+    "valve_far": PipeWheel((1.5, 0.2, 1.2), (10.0, 0.0), 0.17, 0.014),
+    "valve_crossed": PipeWheel((0.7, 0.0, 1.1), (0.0, 10.0), 0.15, n_spokes=5, is_crossed=True),
     "valve_manifold": Manifold(),
     "valve_lever": BallValves((((0.75, 0.05, 1.1), _UP, 0.24, _ACROSS),)),
     "valve_lever_along": BallValves((((0.7, -0.1, 1.0), _ACROSS, 0.2, _ACROSS),)),

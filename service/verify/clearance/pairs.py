@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from costs.allowance import Allowance, BodyIndex
 from service.verify.joint_chain import Chain, JointTree
 from service.verify.motion import Motion
-from service.verify.solids import Solid
+from service.verify.solids import CoalSolid
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class PairTable:
         chains: row by row, the joints that move a mover in its holder's frame.
     """
 
-    solids: tuple[Solid, ...]
+    solids: tuple[CoalSolid, ...]
     n_bodies: int
     mover: Int[np.ndarray, "C"]
     holder: Int[np.ndarray, "C"]
@@ -86,8 +86,8 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
 
     The links of ``motion.mechanism_links`` are checked against the robot's links only, those that stand still included.
     """
-    bodies = [Solid.of_body(body) for body in motion.robot.bodies]
-    pieces = [Solid.of_piece(piece) for piece in motion.scene.pieces]
+    bodies = [CoalSolid.of_body(body) for body in motion.robot.bodies]
+    pieces = [CoalSolid.of_piece(piece) for piece in motion.scene.pieces]
     solids = (*bodies, *pieces)
     joint = np.array([solid.joint for solid in bodies], dtype=int)
     is_mechanism = np.array([solid.link in motion.mechanism_links for solid in bodies], dtype=bool)
@@ -104,7 +104,7 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     return PairTable(solids, len(bodies), mover, holder, allowed, world, np.full(len(mover), -1), Chain.stack(()))
 
 
-def _are_ignored(bodies: Sequence[Solid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
+def _are_ignored(bodies: Sequence[CoalSolid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
     """Return a mask of the bodies of the same link and of two links that are not checked against each other."""
     links = {link: row for row, link in enumerate(dict.fromkeys(solid.link for solid in bodies))}
     ignored = np.eye(len(links), dtype=bool)

@@ -18,7 +18,7 @@ from service.verify.clearance.search import examine_pairs
 from service.verify.coverage.link_tree import LinkTree
 from service.verify.motion import Motion, RelativePoseTarget, VerifySettings
 from service.verify.prepared_motion import ForwardKinematics, Placements, PreparedMotion
-from service.verify.solids import DistanceQuery, Solid
+from service.verify.solids import CoalSolid, DistanceQuery
 from service.verify.timeline import find_time
 
 _SAMPLES = 32  # sampled first; pairs that overlap at no sample are proven apart, or reported
@@ -179,8 +179,8 @@ def _depths(
 ) -> Iterator[Float[np.ndarray, "S"]]:
     """Yield the same for each pair of their bodies."""
     query = DistanceQuery()
-    for first in (Solid.of_body(body) for body in bodies if body.link == pair[0]):
-        for second in (Solid.of_body(body) for body in bodies if body.link == pair[1]):
+    for first in (CoalSolid.of_body(body) for body in bodies if body.link == pair[0]):
+        for second in (CoalSolid.of_body(body) for body in bodies if body.link == pair[1]):
             depth = np.full(len(rows), -np.inf)
             between = _centre(placed, rows, first) - _centre(placed, rows, second)
             near = np.flatnonzero(np.linalg.norm(between, axis=1) < first.sphere[1] + second.sphere[1])
@@ -192,7 +192,7 @@ def _depths(
             yield depth
 
 
-def _centre(placed: Placements, rows: np.ndarray, solid: Solid) -> Float[np.ndarray, "S 3"]:
+def _centre(placed: Placements, rows: np.ndarray, solid: CoalSolid) -> Float[np.ndarray, "S 3"]:
     """Return the centre of a solid's sphere in the world at each pose [m]."""
     return np.asarray(placed.rotation[rows, solid.joint] @ solid.sphere[0] + placed.translation[rows, solid.joint])
 

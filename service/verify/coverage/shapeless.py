@@ -12,7 +12,7 @@ from jaxtyping import Float
 from service.verify.certificate import Shapeless
 from service.verify.coverage.link_tree import LinkTree
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.solids import Solid
+from service.verify.solids import CoalSolid
 
 _STEP_M = 0.02
 _TOKEN_SHARE = 0.2  # of the longest side of the drawn shapes; genuine collision shapes cover most of it
@@ -94,7 +94,7 @@ def _reach(prepared: PreparedMotion, tree: LinkTree, link: str, element: Element
     frame = prepared.motion.robot.model.frames[prepared.motion.robot.model.getFrameId(link, pin.FrameType.BODY)]
     in_joint = in_link @ np.array(frame.placement.rotation).T + np.array(frame.placement.translation)
     distance = np.full(len(in_link), np.inf)
-    for solid in (Solid.of_body(body) for body in prepared.motion.robot.bodies if body.link in near):
+    for solid in (CoalSolid.of_body(body) for body in prepared.motion.robot.bodies if body.link in near):
         rotation, translation = placed.relative(solid.joint, tree.joint[link], rows)
         distance = np.minimum(distance, solid.distances(in_joint @ rotation[0].T + translation[0]))
     size = float((in_link.max(axis=0) - in_link.min(axis=0)).max())
