@@ -1,4 +1,4 @@
-"""Bumps that stand out of a face: boxes of a handle's sizes, weighed by how rays towards them ended."""
+"""Boxes of a handle's size that stand out of a face, rated by the depths at which rays towards them ended."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CELL = 0.01
 _STANDOFFS = (0.04, 0.055, 0.07)
 _HEIGHTS = (0.75, 1.3)
 _DEEPEST = 0.12
-_MOST = 3.0  # what one ray may say, in natural logarithms of odds
+_MOST = 3.0  # bound on the vote of one ray [natural log odds]
 _BARS = ((0.05, 0.05), *((length, t) for length in (0.08, 0.11, 0.14, 0.18) for t in (0.02, 0.03, 0.05)))
 _PANICS = tuple((share, t) for share in (0.45, 0.6, 0.75) for t in (0.03, 0.05))
 _PULLS = tuple((t, length) for length in (0.16, 0.25, 0.35, 0.5) for t in (0.02, 0.03, 0.05))
@@ -31,7 +31,7 @@ class DoorFace:
 
     Attributes:
         low, high: its side edges along the plane [m].
-        sigma: how far rays that end on it do so from its plane [m].
+        sigma: standard deviation of its returns from its plane [m].
     """
 
     plane: Upright
@@ -42,23 +42,23 @@ class DoorFace:
 
     @property
     def width(self) -> float:
-        """Between the edges [m]."""
+        """Distance between the side edges [m]."""
         return self.high - self.low
 
     def votes(self, depth: Float[np.ndarray, "K"], out: float) -> Float[np.ndarray, "K"]:
-        """Return how much rather rays that ended ``depth`` out of the face met what is ``out`` before it [log odds]."""
+        """Return (K,) log odds that rays ending ``depth`` out of the face met an object of standoff ``out``."""
         likelier = out * (2.0 * np.minimum(depth, out + 0.01) - out) / (2.0 * self.sigma**2)
         return np.asarray(np.clip(likelier, -_MOST, _MOST))
 
 
 @dataclass(frozen=True)
 class Towards:
-    """Rays towards a plane before a face.
+    """Rays towards a plane in front of a face.
 
     Attributes:
-        at: (R, 2) where they cross it, along the face and up [m].
-        depth: (R,) how far out of the face they ended [m].
-        mine: (R,) which ones matter.
+        at: (R, 2) crossing with that plane, along the face and up [m].
+        depth: (R,) distance of the ray's end out of the face [m].
+        mine: (R,) rays that count as evidence.
     """
 
     at: Float[np.ndarray, "R 2"]
@@ -68,12 +68,12 @@ class Towards:
 
 @dataclass(frozen=True)
 class Bump:
-    """A place where something may stand out of a face.
+    """Box in which an object may stand out of a face.
 
     Attributes:
-        evidence: how much rather than the bare face, beyond what its noise would look like [log odds].
-        out: its standoff [m].
-        low, high: (2,) its corners along the face and up [m].
+        evidence: log odds against the bare face, minus those that noise alone reaches.
+        out: standoff of the object [m].
+        low, high: (2,) corners of the box along the face and up [m].
     """
 
     evidence: float
@@ -83,30 +83,30 @@ class Bump:
 
 
 def rays_towards(rays: Rays, face: DoorFace, out: float) -> Towards:
-    """Return the rays towards the plane ``out`` before a face."""
+    """Return the rays towards the plane ``out`` in front of a face [m]."""
     at, end, heading = rays.crossing(face.plane, out)
     depth = end + out
     inside = heading & (at[:, 0] > face.low) & (at[:, 0] < face.high)
     inside &= (at[:, 1] > face.ground + REACH[0]) & (at[:, 1] < face.ground + REACH[1])
-    # What stopped far before the face tells nothing of it, nor does a jamb that stands before its edges; what went on
-    # behind an open leaf tells that nothing stood out of it there.
+    # Rays that stop far before the face or on a jamb in front of its edges are no evidence; a ray that went on behind
+    # an open leaf shows that nothing stood out there.
     end_along = rays.ends @ face.plane.along
     inside &= ((end_along > face.low + JAMB) & (end_along < face.high - JAMB)) | (depth < -_WENT_ON)
     return Towards(at, depth, inside & (depth < _DEEPEST))
 
 
 def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
-    """Return the best box near each side edge of a face, and the best across it, where there is enough of one.
+    """Return the best box near each side edge of a face and the best across it, each if its evidence suffices.
 
     Args:
-        prefer: side on which it must be (-1 low, 1 high); 0 either.
+        prefer: side edge to search (-1 low, 1 high); 0 both.
     """
     best: dict[str, Bump] = {}
     noise = dict.fromkeys(("side", "across"), 0.0)
     for out in _STANDOFFS:
         seen = rays_towards(rays, face, out)
         grid = _sum_votes(face, seen, face.votes(seen.depth, out))
-        # No ray ends behind a face, so that what seems to lie as far behind it as a handle lies before it is noise.
+        # No ray ends behind a face, so boxes found in the mirrored depths measure the noise.
         within = seen.mine & (seen.depth > -_WENT_ON)
         mirrored = _sum_votes(face, Towards(seen.at, -seen.depth, within), face.votes(-seen.depth, out))
         for zone in _zones(prefer):
@@ -120,7 +120,7 @@ def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
 
 
 def _zones(prefer: int) -> tuple[str, ...]:
-    """Return where on a face a handle may be."""
+    """Return the zones of a face to search for a handle."""
     sides = {-1: ("low",), 1: ("high",), 0: ("low", "high")}[prefer]
     return (*sides, "across")
 
@@ -130,7 +130,7 @@ def _place(zone: str) -> str:
 
 
 def _sum_votes(face: DoorFace, seen: Towards, votes: Float[np.ndarray, "R"]) -> Float[np.ndarray, "U V"]:
-    """Return the votes in cells from the face's lower left corner."""
+    """Return (U, V) sums of votes in 1 cm cells, counted from the face's lower left corner."""
     shape = np.ceil([face.width / _CELL, (REACH[1] - REACH[0]) / _CELL]).astype(int) + 1
     cell = np.floor((seen.at[seen.mine] - [face.low, face.ground + REACH[0]]) / _CELL).astype(int)
     index = np.ravel_multi_index(tuple(cell.T), tuple(shape))
@@ -138,7 +138,7 @@ def _sum_votes(face: DoorFace, seen: Towards, votes: Float[np.ndarray, "R"]) -> 
 
 
 def _best_box(grid: Float[np.ndarray, "U V"], face: DoorFace, zone: str, out: float) -> Bump | None:
-    """Return the box with the greatest sum among those where a handle can be."""
+    """Return the box with the greatest vote sum in a zone; None when no box of a handle's size fits."""
     poll()
     sums = np.pad(np.cumsum(np.cumsum(grid, 0), 1), ((1, 0), (1, 0)))
     best: tuple[float, Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None = None

@@ -1,4 +1,4 @@
-"""Doors: a leaf, the wall it hangs in and its handle, found together and weighed against one another."""
+"""Detection of doors: leaves with their wall and handle, rated by all their evidence together."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _REPORTED = 0.05
 _EXAMINED = 12
 _HINT_REACH = 0.4
 _GUESSED_HEIGHT = 2.03
-_END_RADIUS = 0.008  # of a lever's butt: its pivot lies so far inside
+_END_RADIUS = 0.008  # distance of a lever's pivot from its butt end [m]
 _SHORT_SLACK = 0.03
 _USUAL_BACKSET = 0.065
 _AT_EDGE = 0.035
@@ -40,7 +40,7 @@ _ENOUGH = 60_000
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A leaf with what belongs to it; ``hinge`` is -1 for its low edge, 1 for its high one."""
+    """Leaf with its wall and handle; ``hinge`` is -1 at its low edge, 1 at its high edge."""
 
     leaf: Leaf
     frame: Frame | None
@@ -54,8 +54,8 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
     The frame of a hit: origin on the hinge edge of the leaf's seen face at floor height, x from hinge to free edge
     along the leaf, z up.  Sizes: ``width``, ``height`` [m]; ``ajar``, the leaf's angle out of its wall [rad];
-    ``side``, +1 when y points to the sensor, else -1; ``handle_x``, ``handle_y``, ``handle_z``, the place of the
-    handle's bar over its pivot in that frame [m] (left out when no handle was seen); ``lever_direction``, -1 towards
+    ``side``, +1 when y points to the sensor, else -1; ``handle_x``, ``handle_y``, ``handle_z``, the
+    position of the handle's bar at its pivot [m] (left out when no handle was seen); ``lever_direction``, -1 towards
     the hinge, +1 away, 0 for knobs and upright bars.
 
     Args:
@@ -87,14 +87,14 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def _ground(view: View) -> float:
-    """Return world z of the floor before the robot; without one, of the lowest points, at most zero."""
+    """Return world z of the floor in front of the robot; without a floor, of the lowest points, at most zero [m]."""
     if view.floor is not None:
         return float(view.floor.height(np.array([[view.reach.x, view.reach.y]]))[0])
     return min(float(np.percentile(view.near.points[:, 2], 1.0)), 0.0)
 
 
 def _useful(rays: Rays, view: View) -> Rays:
-    """Return rays that end, or pass, where the view reaches; a ray that stops far short of it tells nothing."""
+    """Return the rays that end above the floor; without a floor, above the bottom of the view's reach."""
     floor = view.floor
     low = view.reach.bottom if floor is None else floor.height(rays.ends[:, :2]) + 0.02
     keep = rays.ends[:, 2] > low
@@ -102,14 +102,14 @@ def _useful(rays: Rays, view: View) -> Rays:
 
 
 def _distance(leaf: Leaf, hint: Float[np.ndarray, "3"]) -> float:
-    """Return the distance of a place from the leaf's rectangle, at any height [m]."""
+    """Return the horizontal distance of the hint from the leaf's rectangle [m]."""
     along, _, out = leaf.plane.local(hint[None])[0]
     aside = max(leaf.low.at - along, along - leaf.high.at, 0.0)
     return float(np.hypot(aside, out))
 
 
 def _thin(rays: Rays, rng: np.random.Generator) -> Rays:
-    """Keep at most so many rays as are needed to tell where space is open."""
+    """Return a random sample of at most ``_ENOUGH`` rays."""
     if len(rays.ends) <= _ENOUGH:
         return rays
     chosen = np.sort(rng.permutation(len(rays.ends))[:_ENOUGH])
@@ -117,41 +117,41 @@ def _thin(rays: Rays, rng: np.random.Generator) -> Rays:
 
 
 def _some_points(points: Float[np.ndarray, "N 3"], rng: np.random.Generator) -> Float[np.ndarray, "M 3"]:
-    """Keep at most so many points as are needed to tell a wall."""
+    """Return a random sample of at most ``_ENOUGH`` points."""
     return points if len(points) <= _ENOUGH else points[np.sort(rng.permutation(len(points))[:_ENOUGH])]
 
 
 def _weigh(
     leaf: Leaf, frame: Frame | None, rays: Rays, ground: float, hint: Float[np.ndarray, "3"] | None
 ) -> _Candidate:
-    """Return the leaf with its handle, its hinge side, and how surely it is a door."""
+    """Return the leaf with its handle, hinge side and confidence of being a door."""
     sure_hinge = frame.hinge if frame is not None and frame.ajar > _SURELY_AJAR else 0
     handle = find_handle(leaf.plane, leaf.low.at, leaf.high.at, leaf.rms, ground, rays, -sure_hinge)
     hinge = sure_hinge or _hinge_by(handle, leaf) or (frame.hinge if frame is not None else 0)
     confidence = _confidence(leaf, frame, handle, hinge)
     if hint is not None:
-        # An operator who points at something has ruled out most of what else it could be.
+        # An operator's hint rules out most other objects.
         confidence = confidence**_HINT_TRUST
-        # No pointing tells on which side the hinges are.
+        # A hint does not show the hinge side.
         confidence = confidence if hinge else min(confidence, _HINGE_UNKNOWN)
     return _Candidate(leaf, frame, handle, hinge or -1, confidence)
 
 
 def _hinge_by(handle: Handle | None, leaf: Leaf) -> int:
-    """Return the side away from the handle; 0 when there is none or it lies across the leaf."""
+    """Return the side away from the handle, -1 or 1; 0 without a handle or when it lies across the leaf."""
     if handle is None or handle.is_panic:
         return 0
     return -1 if handle.centre[0] > 0.5 * (leaf.low.at + leaf.high.at) else 1
 
 
 def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: int) -> float:
-    """Return a flat face of a door's size with edges, times a wall that holds it, times what only doors have."""
+    """Return the product of three ratings: face of a door's size with edges, wall beside it, handle and gap."""
     ends = [leaf.low.strength, leaf.high.strength]
     if frame is not None and frame.hinge:
-        # The hinge edge of an open leaf runs into its jamb; that it lies at the wall tells more.
+        # The hinge edge of an open leaf merges with its jamb; its contact with the wall is the better evidence.
         ends[0 if frame.hinge < 0 else 1] = 1.0
     elif frame is not None:
-        # What stands out of the wall as well hides a part of the face and is no edge of it.
+        # An object that stands out of the wall hides part of the face; its outline is no edge of the leaf.
         for k, edge in enumerate((leaf.low, leaf.high)):
             if edge.jump > max(frame.depth, 0.0) + _CASING:
                 ends[k] = _OCCLUDED
@@ -168,31 +168,31 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
     grip = 0.0 if handle is None else handle.quality * (1.0 - 0.65 * rising(_unsure(handle, -hinge), 0.03, 0.09))
     if frame is not None and frame.ajar > _SURELY_AJAR:
         gap = max(frame.gap_share, (leaf.low if frame.hinge > 0 else leaf.high).open_share)
-        # A face square to a wall may as well be the side of a cupboard.
+        # A face perpendicular to a wall may also be the side of a cupboard.
         open_mark = 0.55 * rising(gap, 0.2, 0.6) * (1.0 - 0.5 * rising(frame.ajar, *_SQUARE))
         marks = 1.0 - (1.0 - open_mark) * (1.0 - 0.85 * grip)
         if handle is None:
-            # Who acts on it would not know where; seen along its face, a leaf hides what stands out of it.
+            # Without a handle there is nothing to grasp; seen edge-on, a leaf hides its handle.
             marks = min(marks, _HANDLE_UNKNOWN)
     else:
         marks = 0.2 + 0.8 * grip
     if not hinge:
         marks = min(marks, _HINGE_UNKNOWN)
     if handle is not None:
-        # Who acts on the door acts on its handle, whose place is not known any better than this.
+        # A door is opened by its handle, so the handle's position error limits the confidence.
         marks *= 1.0 - 0.45 * rising(_unsure(handle, -hinge), 0.045, 0.075)
     return float(face * wall * marks)
 
 
 def _unsure(handle: Handle, free_side: int) -> float:
-    """Return how far the end of the handle that tells its pivot may lie from where it was seen [m]."""
+    """Return the position error of the handle's end from which its pivot is derived [m]."""
     if handle.is_lever and free_side:
         return handle.slack[1 if free_side > 0 else 0]
     return 0.0 if handle.is_panic else max(handle.slack)
 
 
 def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
-    """Drop those whose middle lies on a surer one."""
+    """Drop candidates whose middle lies within 15 cm of a leaf of higher confidence."""
     kept: list[_Candidate] = []
     for candidate in candidates:
         middle = candidate.leaf.plane.place(0.5 * (candidate.leaf.low.at + candidate.leaf.high.at))
@@ -232,10 +232,10 @@ def _detection(candidate: _Candidate, ground: float) -> Detection:
 
 
 def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
-    """Return where the leaf's hinge and free edges are along its plane [m].
+    """Return the positions of the leaf's hinge edge and free edge along its plane [m].
 
-    A leaf that opens away is as wide as its opening.  A jamb hides one of its edges, mostly the hinge edge, or runs on
-    from it so that the leaf looks wider.
+    A leaf that opens away is as wide as its opening.  A jamb hides one of its edges, mostly the hinge edge, or
+    continues that edge so that the leaf looks wider.
     """
     ends = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
     at, free = ends[0].at, ends[1].at
@@ -250,7 +250,7 @@ def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
 
 
 def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[float, float]:
-    """Return where the handle turns, along the plane, and whether its lever points to the hinge (-1) or away (+1)."""
+    """Return the pivot's position along the plane [m] and the lever's direction: -1 to the hinge, +1 away, 0 none."""
     if not handle.is_lever:
         return float(handle.centre[0]), 0.0
     outwards = 1 if free_at > hinge_at else -1
@@ -260,7 +260,7 @@ def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[float, floa
     slack = handle.slack[1 if outwards > 0 else 0]
     if slack < _SHORT_SLACK:
         return float(near + outwards * (0.5 * slack - _END_RADIUS)), -1.0
-    # Between the last ray that met it and the first that did not, where pivots usually are.
+    # The usual pivot position, bounded by the last ray that met the lever and the first ray past it.
     usual = free_at - outwards * _USUAL_BACKSET
     reach = (near - outwards * _END_RADIUS, near + outwards * (slack - _END_RADIUS))
     return float(np.clip(usual, min(reach), max(reach))), -1.0

@@ -1,4 +1,4 @@
-"""Edges of a face: where it ends along its plane, and how far up and down it goes."""
+"""Edges of a face: its ends along its plane, and its height range."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Edge:
     """A side edge of a face.
 
     Attributes:
-        at: along the plane [m].
-        jump: distance of the surface beside it from the face's plane [m]; NaN without one.
-        step: sure distance of anything right beside it from that plane [m].
+        at: position along the plane [m].
+        jump: distance of the surface beside it out of the face's plane [m]; NaN without one.
+        step: lower bound on the distance of the columns beside it from that plane [m].
         open_share: share of the height bands beside it in which rays went on behind the face's plane.
-        is_seen: whether anything is known of what is beside it.
+        is_seen: whether enough rays reached the columns beside it.
     """
 
     at: float
@@ -41,7 +41,7 @@ class Edge:
 
     @property
     def strength(self) -> float:
-        """0 where the face goes on, 1 where it ends for certain; in between where nothing was seen."""
+        """Certainty that the face ends here: 0 where it continues, 1 where it ends, 0.5 where nothing was seen."""
         if not self.is_seen:
             return 0.5
         return float(max(min(self.step / 0.012, 1.0), min(self.open_share / 0.5, 1.0)))
@@ -50,14 +50,14 @@ class Edge:
 def side_edge(
     profile: Profile, end: int, side: int, local: Float[np.ndarray, "N 3"], ground: float, uneven: float = 0.0
 ) -> Edge:
-    """Return the edge of a face, with what is beside it.
+    """Return the edge of a face, refined on the points, with depth and openness of the columns beside it.
 
     Args:
-        profile: of the face's plane.
-        end: the column it is at.
-        side: where it looks to, -1 or 1.
+        profile: profile along the face's plane.
+        end: column border at which the face ends.
+        side: direction out of the face, -1 or 1.
         local: (N, 3) points along the plane, up, and out of it [m].
-        uneven: how far the face's own columns lie off its plane (:func:`unevenness`) [m].
+        uneven: deviation of the face's own columns from its plane (:func:`unevenness`) [m].
     """
     n_beside = round(_BESIDE / BIN)
     beside = np.arange(end, end + n_beside) if side > 0 else np.arange(end - n_beside, end)[::-1]
@@ -87,9 +87,9 @@ def side_edge(
 
 
 def unevenness(profile: Profile, first: int, last: int) -> float:
-    """Return by how much more than its own noise each column of a face lies off the plane.
+    """Return the deviation of a face's columns from its plane beyond their own noise [m].
 
-    A stereo camera's noise is shared by neighbours, so that a flat face looks wavy [m].
+    Neighbouring pixels of a stereo camera share their noise, so that a flat face looks wavy.
     """
     mine = np.arange(first, last)[profile.is_solid[first:last]]
     if len(mine) < _FEWEST:
@@ -99,7 +99,7 @@ def unevenness(profile: Profile, first: int, last: int) -> float:
 
 
 def _sure_step(profile: Profile, columns: Int[np.ndarray, "K"], uneven: float) -> float:
-    """Return how far two neighbouring columns both lie off the plane beyond doubt [m]."""
+    """Return the greatest mean distance of two neighbouring columns from the plane, less two standard errors [m]."""
     pairs = columns[:-1][np.abs(np.diff(columns)) == 1]
     if not len(pairs):
         return 0.0
@@ -122,13 +122,13 @@ def _wall_before(profile: Profile, end: int, side: int) -> int | None:
 
 
 def _step_at(at: float, side: int, jump: float, local: Float[np.ndarray, "N 3"]) -> float:
-    """Return where points change from lying on the face to lying ``jump`` out of it."""
+    """Return the position along the plane where points change from on the face to ``jump`` out of it [m]."""
     place, off = (local[:, 0] - at) * side, local[:, 2]
     mine = np.abs(off) < abs(jump) + 0.04
     if mine.sum() < 10:
         return at
     place, off = place[mine], off[mine]
-    # How much rather the point lies on the face than on what is beside it.
+    # Log odds that the point lies on the face, against the surface beside it.
     vote = np.clip(((off - jump) ** 2 - off**2) / (2.0 * 0.01**2), -3.0, 3.0)
     order = np.argsort(place, kind="stable")
     place, total = place[order], np.cumsum(vote[order])
@@ -139,7 +139,7 @@ def _step_at(at: float, side: int, jump: float, local: Float[np.ndarray, "N 3"])
 
 
 def _end_at(at: float, side: int, local: Float[np.ndarray, "N 3"]) -> float:
-    """Return where the points on the face end, a stray one not counted."""
+    """Return the position along the plane of the face's outermost points, the last 2 % ignored [m]."""
     place = (local[np.abs(local[:, 2]) < 0.025, 0] - at) * side
     place = place[np.abs(place) < 0.5 * _SHARP]
     if len(place) < 10:
@@ -148,9 +148,9 @@ def _end_at(at: float, side: int, local: Float[np.ndarray, "N 3"]) -> float:
 
 
 def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float) -> tuple[float, bool, float, bool]:
-    """Return the height range of the unbroken face, and whether anything else lies beyond each end."""
+    """Return (bottom, is seen, top, is seen) of the unbroken face: heights above ground [m], whether it ends there."""
     at, end, heading = rays.crossing(plane)
-    # Rays that stopped far before the face tell nothing of it.
+    # Rays that stopped far before the face are no evidence about it.
     mine = heading & (at[:, 0] > low + 0.03) & (at[:, 0] < high - 0.03) & (end < _BEFORE)
     height, off = at[mine, 1] - ground, end[mine]
     n_rows = round(2.6 / _ROW)
@@ -161,7 +161,7 @@ def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float
     total = np.bincount(row, minlength=n_rows)
     count = np.bincount(row, on, n_rows)
     share = count / np.maximum(total, 1)
-    # A lintel that stands out by little shows in the mean of its row.
+    # A lintel that stands out slightly shows in the mean depth of its row.
     mean = np.bincount(row[on], off[on], n_rows) / np.maximum(count, 1)
     aside = np.abs(mean) > np.maximum(0.008, 0.03 / np.sqrt(np.maximum(count, 1)))
     full = np.flatnonzero((total >= 2) & (share > 0.6) & ~aside)
@@ -170,7 +170,7 @@ def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float
     middle = int(full[np.argmin(np.abs(full - round(1.2 / _ROW)))])
     is_full = np.isin(np.arange(n_rows), full)
     is_broken = (total >= 3) & ((share < 0.4) | aside)
-    # A bar or rail across a face is no end of it.
+    # A bar or rail across a face does not end it.
     is_waist = (np.arange(n_rows) * _ROW > _WAIST[0]) & (np.arange(n_rows) * _ROW < _WAIST[1])
     is_broken &= ~is_waist
     n_up, top_is_seen = _run(is_full[middle:], is_broken[middle:])
@@ -179,7 +179,7 @@ def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float
 
 
 def _run(is_full: Bool[np.ndarray, "R"], is_broken: Bool[np.ndarray, "R"]) -> tuple[int, bool]:
-    """Return how many rows the face goes on, and whether something else follows."""
+    """Return the number of rows over which the face continues, and whether broken rows follow."""
     n_broken = np.cumsum(is_broken)
     last = 0
     for row in np.flatnonzero(is_full):

@@ -1,4 +1,4 @@
-"""The wall a leaf hangs in: how far the leaf is out of it, at which edge it is hinged, how wide the opening is."""
+"""Wall in which a leaf hangs: the leaf's angle and depth in it, its hinge edge, and the width of the opening."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class Frame:
     """A wall and the opening in it.
 
     Attributes:
-        plane: of the wall, towards the sensor.
+        plane: of the wall, normal towards the sensor.
         ajar: angle between leaf and wall [rad].
-        hinge: edge of the leaf that lies at the wall, -1 its low, 1 its high one; 0 when closed.
-        depth: how far the leaf's hinge edge (closed: its middle) lies behind the wall's face [m].
-        sides: share of what was seen of the wall beside the hinge edge and beyond the opening that is wall, 0 to 1
-            each; NaN where nothing was seen.
+        hinge: edge of the leaf at the wall, -1 low, 1 high; 0 when closed.
+        depth: distance of the leaf's hinge edge (closed: its middle) behind the wall's face [m].
+        sides: share of the observed columns that lie on the wall's plane, beside the hinge edge and beyond the
+            opening, 0 to 1 each; NaN where too few were observed.
         opening: width between the wall's ends on both sides [m]; NaN when one was not seen.
         opens_away: whether the leaf's free edge lies deeper than its hinge edge.
-        gap_share: ajar, share of the opening in which rays went on behind the wall.
+        gap_share: share of the opening's columns in which rays went on behind the wall; 0 when closed.
     """
 
     plane: Upright
@@ -46,7 +46,7 @@ class Frame:
 
     @property
     def support(self) -> float:
-        """Certainty of a wall about the leaf, 0 to 1."""
+        """Certainty that a wall surrounds the leaf, 0 to 1."""
         seen = [side for side in self.sides if not np.isnan(side)]
         if not seen:
             return 0.0
@@ -63,13 +63,13 @@ def find_frame(
     ground: float,
     uprights: list[Upright],
 ) -> Frame | None:
-    """Return the wall that best holds the leaf; None when no plane does."""
+    """Return the wall of greatest support for the leaf; None when no plane has enough."""
     best: tuple[float, Frame] | None = None
     for plane in (*_beside(leaf, points, origin, ground), *uprights):
         frame = _hang(leaf, plane, points, rays, origin, ground)
         if frame is None:
             continue
-        # Of walls that hold it equally well, the one whose yaw needs least opening.
+        # Of walls with equal support, the one at the smallest angle to the leaf.
         score = frame.support - 0.05 * frame.ajar
         if best is None or score > best[0]:
             best = (score, frame)
@@ -79,7 +79,7 @@ def find_frame(
 def _beside(
     leaf: Leaf, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], ground: float
 ) -> list[Upright]:
-    """Return planes through the straight stretches beside the leaf: both sides together, and each alone."""
+    """Return planes fitted to the straight stretches beside the leaf: to both sides together, and to each alone."""
     local = leaf.plane.local(points)
     band = (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
     chosen = []
@@ -111,7 +111,7 @@ def _hang(
     origin: Float[np.ndarray, "3"],
     ground: float,
 ) -> Frame | None:
-    """Return the leaf as hung in this wall; None when it cannot be."""
+    """Return the frame for this wall, its plane refined; None when the leaf cannot hang in it."""
     frame = _judge(leaf, start, points, rays, ground)
     if frame is None:
         return None
@@ -164,7 +164,7 @@ def _columns(profile: Profile, start: float, end: float) -> np.ndarray:
 
 
 def _wall_share(profile: Profile, start: float, end: float, least: float) -> float:
-    """Return the share of the columns seen that stand on the plane; NaN when little was seen."""
+    """Return the share of the observed columns that lie on the plane; NaN when too few were observed."""
     mine = _columns(profile, start, end)
     seen = profile.is_solid[mine] | (profile.open_storeys[mine] > 0)
     if seen.sum() * BIN < least * abs(end - start):
@@ -174,7 +174,7 @@ def _wall_share(profile: Profile, start: float, end: float, least: float) -> flo
 
 
 def _gap(profile: Profile, start: float, end: float) -> tuple[float, float]:
-    """Return shares of the opening's columns that are open, and that hold wall."""
+    """Return the share of the opening's columns that are open, and the share on the wall's plane."""
     mine = _columns(profile, start, end)
     if not len(mine):
         return 0.0, 0.0
@@ -184,11 +184,11 @@ def _gap(profile: Profile, start: float, end: float) -> tuple[float, float]:
 
 
 def _opening(profile: Profile, wall: Float[np.ndarray, "N"], middle: float, width: float) -> float:
-    """Return the distance between the ends of the wall on both sides of the opening's middle; NaN when not seen.
+    """Return the distance between the wall's ends on both sides of the opening [m]; NaN when one was not seen.
 
     Args:
-        wall: (N,) where along the plane points lie on it [m].
-        middle, width: of the opening, roughly [m].
+        wall: (N,) positions along the plane of the points on the wall [m].
+        middle, width: approximate, of the opening [m].
     """
     on = profile.is_solid & (np.abs(profile.depth) < _ON_WALL)
     centres = profile.centres
@@ -198,7 +198,7 @@ def _opening(profile: Profile, wall: Float[np.ndarray, "N"], middle: float, widt
         return float("nan")
     ends = []
     for at, side in ((low.max(), 1.0), (high.min(), -1.0)):
-        # The columns of the wall's very ends hold its reveal as well and do not count as wall.
+        # The outermost columns of the wall also hold its reveal and do not count as wall.
         beside = (wall - at) * side
         beside = beside[(beside > -BIN) & (beside < 2.5 * BIN)]
         ends.append(at + side * (float(np.percentile(beside, 98.0)) if len(beside) > 5 else 0.5 * BIN))
@@ -208,7 +208,7 @@ def _opening(profile: Profile, wall: Float[np.ndarray, "N"], middle: float, widt
 def _refine(
     leaf: Leaf, frame: Frame, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], ground: float
 ) -> Upright | None:
-    """Return the wall's plane fitted to its points within a metre of the opening, the leaf's own left out."""
+    """Return the wall's plane fitted to its points within 1.2 m of the opening, without the leaf's points."""
     own = leaf.plane.local(points)
     of_leaf = (own[:, 0] > leaf.low.at - 0.03) & (own[:, 0] < leaf.high.at + 0.03) & (np.abs(own[:, 2]) < 0.05)
     plane = frame.plane

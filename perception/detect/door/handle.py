@@ -1,4 +1,4 @@
-"""The handle on a face: a bar or knob standing out of it, weighed ray by ray."""
+"""Handle on a face: a bar or knob that stands out of the face, rated by the end of each ray towards it."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ _FEWEST, _MANY = 3, 40  # rays
 _RING = 0.04
 _MOST_SLACK = 0.12
 _PULL_END = 0.1
-_FRONT = 0.75  # of its radius, what is seen of a bar lies before its middle line on average
+_FRONT = 0.75  # mean distance of a bar's returns in front of its centre line, in radii
 _THIN, _BAR, _KNOB = 0.005, 0.012, 0.016  # least and largest radii [m]
 
 
 @dataclass(frozen=True)
 class Handle:
-    """Something that stands out of a face where a handle would.
+    """Bar or knob that stands out of a face.
 
     Attributes:
         low, high: (2,) corners along the plane and up [m].
-        out: how far the middle line of its bar stands out of the face [m].
+        out: distance of its bar's centre line from the face [m].
         is_lever: wider than high.
         is_pull: a bar much higher than wide.
         is_panic: a bar across most of the face.
-        evidence: how much better rays are explained by it than by the bare face and its noise [log odds].
-        purity: share of the rays towards it that met it.
+        evidence: log odds of its rays against the bare face, minus those that noise alone reaches.
+        purity: share of the rays through its rectangle that met it.
         alone: share of the rays just beside it that met the face behind; of a pull, also above and below it.
-        pivot_side: -1 or 1 where a neck or rose was seen nearer to one end of a lever, else 0.
-        slack: (2,) how far it may go on unseen beyond its low and high end along the plane [m].
+        pivot_side: end of a lever, -1 or 1, near which a neck or rose was seen; else 0.
+        slack: (2,) length by which it may extend unseen beyond its low and high end along the plane [m].
     """
 
     low: Float[np.ndarray, "2"]
@@ -52,12 +52,12 @@ class Handle:
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
-        """Along the plane and up [m]."""
+        """(2,) centre of its rectangle along the plane and up [m]."""
         return np.asarray(0.5 * (self.low + self.high))
 
     @property
     def quality(self) -> float:
-        """Certainty that it is something like a handle, 0 to 1."""
+        """Certainty that it is a handle, 0 to 1."""
         return float(
             np.clip(self.evidence / 30.0, 0.0, 1.0)
             * np.clip((self.purity - 0.4) / 0.25, 0.0, 1.0)
@@ -73,9 +73,9 @@ def find_handle(
     """Return the best handle near a side edge of a face, or a bar across it; None when nothing stands out.
 
     Args:
-        low, high: its side edges along the plane [m].
-        rms: scatter of its points [m].
-        prefer: side on which it must be (-1 low, 1 high); 0 either.
+        low, high: side edges of the face along the plane [m].
+        rms: scatter of the face's points [m].
+        prefer: side edge to search (-1 low, 1 high); 0 both.
     """
     face = DoorFace(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
     seen = [_measure(face, rays, bump) for bump in find_bumps(face, rays, prefer)]
@@ -84,16 +84,16 @@ def find_handle(
 
 @dataclass(frozen=True)
 class _Seen:
-    """The rays towards a bump that matter, and the corners of what they met there.
+    """The K rays that are evidence for a bump, and the rectangle of those that met it.
 
     Attributes:
-        mine: (R,) which of all rays they are.
-        at: (K, 2) where they cross the plane of its near side [m].
-        depth: (K,) how far out of the face they ended [m].
-        vote: (K,) how much rather they met the bump than the face [log odds].
-        met: (K,) which ones met it.
-        out: its standoff [m].
-        low, high: (2,) its corners [m].
+        mine: (R,) mask of these rays among all.
+        at: (K, 2) crossing with the plane of the bump's near side [m].
+        depth: (K,) distance of the ray's end out of the face [m].
+        vote: (K,) log odds that the ray met the bump, against the face.
+        met: (K,) rays that met the bump.
+        out: standoff of the bump [m].
+        low, high: (2,) corners of the rectangle [m].
     """
 
     mine: Bool[np.ndarray, "R"]
@@ -107,16 +107,16 @@ class _Seen:
 
     @property
     def size(self) -> Float[np.ndarray, "2"]:
-        """(2,) along the face and up [m]."""
+        """(2,) size of the rectangle along the face and up [m]."""
         return np.asarray(self.high - self.low)
 
     def within(self, margin: float) -> Bool[np.ndarray, "K"]:
-        """Return which of the rays pass inside its corners, or no further than the margin beside them."""
+        """Return (K,) rays that cross inside the rectangle grown by ``margin`` [m] on each side."""
         return np.asarray(((self.at >= self.low - margin) & (self.at <= self.high + margin)).all(axis=1))
 
 
 def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
-    """Return extent, standoff and surroundings of a bump, from the rays towards it."""
+    """Return the handle at a bump: its extent, standoff and surroundings, measured by the rays towards it."""
     seen = _look_at(face, rays, bump)
     width, height = seen.size
     is_panic = bool(width > 0.4 * face.width)
@@ -142,7 +142,7 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
 
 
 def _look_at(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
-    """Return what the rays towards a bump met: its standoff first, then where it ends."""
+    """Return the rays towards a bump with its measured standoff and the rectangle of those that met it."""
     out = bump.out
     for _ in range(2):
         seen = rays_towards(rays, face, out)
@@ -160,22 +160,22 @@ def _look_at(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
 
 
 def _corners(places: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return the corners of the rectangle about places, a few of many not counted [m]."""
+    """Return low and high corner of the points' bounding rectangle; of many points, 2 % at each end are ignored [m]."""
     trim = 2.0 if len(places) > _MANY else 0.0
     low, high = np.percentile(places, [trim, 100.0 - trim], axis=0)
     return low, high
 
 
 def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return corners on the plane of the bump's middle line, which all rays cross ``at``.
+    """Return low and high corner on the plane of the bump's centre line, which the rays cross ``at`` [m].
 
-    Rays from above meet a bar's near side higher up than they would cross that plane.
+    Rays from above meet a bar's near side higher up than that plane.
     """
     return _corners(at[seen.mine][seen.met]) if seen.met.sum() >= _FEWEST else (seen.low, seen.high)
 
 
 def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
-    """Return the share of rays beside it that met the face; low for a pipe, which goes on up and down."""
+    """Return the share of the rays beside a bump that met the face; low for a pipe, which continues up and down."""
     on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
     beside = [seen.within(_RING) & ~seen.within(_ABOUT)]
     if is_pull:
@@ -188,7 +188,7 @@ def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
 
 
 def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:
-    """Return the gap from either end to the first ray that went past beside it, or to the edge [m]."""
+    """Return the gap from the low and the high end to the first ray past it, or to the face's edge [m]."""
     middle, half = 0.5 * (seen.low[1] + seen.high[1]), max(0.35 * seen.size[1], 0.005)
     past = seen.at[(seen.vote < 0.0) & (np.abs(seen.at[:, 1] - middle) < half), 0]
     below, above = seen.low[0] - past[past < seen.low[0]], past[past > seen.high[0]] - seen.high[0]
@@ -200,7 +200,7 @@ def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:
 
 
 def _neck_side(face: DoorFace, seen: _Seen) -> int:
-    """Return the end near which more rays ended between bar and face: there is the neck; 0 when that is not clear."""
+    """Return the end, -1 or 1, near which more rays ended between bar and face (the neck); 0 when unclear."""
     middle = 0.5 * (seen.low + seen.high)
     along, up = seen.at.T
     about = (np.abs(up - middle[1]) < 0.035) & (along > seen.low[0] - 0.03) & (along < seen.high[0] + 0.03)

@@ -1,4 +1,4 @@
-"""Faces that may be door leaves: flat upright rectangles with edges, as the profile of their plane shows them."""
+"""Candidate door leaves: flat upright rectangles with edges, found in the profile along their plane."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class Leaf:
     """A flat upright face with its edges.
 
     Attributes:
-        plane: of the face, towards the sensor.
+        plane: of the face, normal towards the sensor.
         low, high: its side edges along the plane.
-        bottom: lowest height at which it is seen above the floor [m].
-        bottom_is_seen: whether something else was seen below it.
-        top: where it ends above the floor [m].
-        top_is_seen: whether something else was seen above it.
+        bottom: height of its lowest seen row above the floor [m].
+        bottom_is_seen: whether it was seen to end there.
+        top: height of its upper end above the floor [m].
+        top_is_seen: whether it was seen to end there.
         rms: scatter of its points about the plane [m].
         sigma: uncertainty of the plane's yaw [rad].
     """
@@ -49,7 +49,7 @@ class Leaf:
 
     @property
     def width(self) -> float:
-        """Between the edges [m]."""
+        """Distance between the side edges [m]."""
         return self.high.at - self.low.at
 
 
@@ -60,10 +60,10 @@ def find_leaves(
     ground: float,
     uprights: list[Upright],
 ) -> list[Leaf]:
-    """Return faces of a leaf's width with their edges, each once, widest seen first.
+    """Return flat faces of a leaf's width with their edges, without duplicates, in the order of the planes.
 
     Args:
-        uprights: planes to look along.
+        uprights: planes whose profiles are searched.
     """
     leaves: list[Leaf] = []
     for plane in uprights:
@@ -93,7 +93,7 @@ def _same(leaf: Leaf, other: Leaf) -> bool:
 
 
 def _flat_runs(profile: Profile, stretches: list[Stretch]) -> list[tuple[float, float, tuple[float, float]]]:
-    """Return neighbouring stretches that lie on one line and together are as wide as a leaf: (low, high, line)."""
+    """Return runs of stretches on one line that together are as wide as a leaf: (low, high, line) [m]."""
     centres = profile.centres
     out = []
     for seed in sorted(stretches, key=lambda s: s.first - s.last):
@@ -110,7 +110,7 @@ def _flat_runs(profile: Profile, stretches: list[Stretch]) -> list[tuple[float, 
 def _grow(
     profile: Profile, stretches: list[Stretch], index: int, off: Float[np.ndarray, "B"], tolerance: float
 ) -> tuple[int, int]:
-    """Return the seed and the stretches beside it that stay within the tolerance of its line; a narrow one may not."""
+    """Return first and last column of the stretches on the seed's line; narrow ones off the line are skipped."""
     first, last = stretches[index].first, stretches[index].last
     for step in (-1, 1):
         at, skipped = index + step, 0
@@ -130,9 +130,9 @@ def _grow(
 
 
 def _with_strips(profile: Profile, stretches: list[Stretch], first: int, last: int) -> tuple[int, int]:
-    """Add the narrow strips along the edges that stand out little and beyond which nothing like the face goes on.
+    """Return the columns grown by narrow strips at the edges that lie near the plane and beyond which no surface does.
 
-    Seals, edge bars and mixed returns look so; a casing does not, since the wall beside it is near the plane.
+    Such strips are seals, edge bars and mixed returns; a casing is none, since the wall beside it is near the plane.
     """
     wide = round(_STRIP / BIN)
     ends = []
@@ -167,7 +167,7 @@ def _settle_leaf(
     origin: Float[np.ndarray, "3"],
     ground: float,
 ) -> Leaf | None:
-    """Return the face these points lie on, its plane fitted and its edges sought anew on that plane."""
+    """Return the leaf through these points, with plane and edges refitted; None when it has no leaf's width."""
     middle = np.median(start, axis=0)
     members = start
     plane = fit_upright(members, origin)
@@ -208,7 +208,7 @@ def _settle_leaf(
 
 
 def _refit(plane: Upright, members: Float[np.ndarray, "K 3"], origin: Float[np.ndarray, "3"]) -> Upright:
-    """Return the plane through most members, hardly pulled by handle and seals."""
+    """Return the plane fitted to the inliers among the members; handle and seals are outliers."""
     for _ in range(4):
         off = members @ plane.normal - plane.offset
         scatter = max(1.4826 * float(np.median(np.abs(off - np.median(off)))), 0.004)

@@ -1,4 +1,4 @@
-"""Profile along an upright plane: depth column by column, and the straight stretches it is made of."""
+"""Depth profile along an upright plane, column by column, and its partition into straight stretches."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _BEHIND = 0.03
 _MARGIN = 7
 _FAR = 0.1
 _SHARED = 0.6
-_STEADY = 0.002  # what a mean of many points is still off by [m]
+_STEADY = 0.002  # error that remains in a mean of many points [m]
 _PIECE_COST = 30.0
 
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays and where they ended, those without a return included."""
+    """Start and end points of rays, those without a return included."""
 
     starts: Float[np.ndarray, "R 3"]
     ends: Float[np.ndarray, "R 3"]
@@ -35,10 +35,10 @@ class Rays:
     def crossing(
         self, plane: Upright, out: float = 0.0
     ) -> tuple[Float[np.ndarray, "R 2"], Float[np.ndarray, "R"], Bool[np.ndarray, "R"]]:
-        """Return where rays (made longer if need be) cross the plane moved ``out`` towards the sensor.
+        """Return the crossings of rays, extended if needed, with the plane moved ``out`` towards the sensor.
 
         Returns:
-            (R, 2) along and up [m], (R,) how far out of the moved plane they ended [m], (R,) which ones head for it.
+            (R, 2) along and up [m], (R,) distance of the end out of the moved plane [m], (R,) rays that head for it.
         """
         start = self.starts @ plane.normal - plane.offset - out
         end = self.ends @ plane.normal - plane.offset - out
@@ -59,11 +59,11 @@ class Profile:
     """Depth along a plane, in columns ``BIN`` wide.
 
     Attributes:
-        low: where the first column begins along the plane [m].
-        depth: (B,) mean distance out of the plane of what stands in the column, NaN where nothing does [m].
+        low: position of the first column's border along the plane [m].
+        depth: (B,) mean distance of the column's surface out of the plane, NaN without a surface [m].
         sigma: (B,) its standard error [m].
-        storeys: (B,) how many of the 10 cm storeys hold such points.
-        open_storeys: (B,) in how many storeys rays went on behind the plane's surroundings.
+        storeys: (B,) number of 10 cm height bands with points of that surface.
+        open_storeys: (B,) number of height bands in which rays went on behind it.
     """
 
     low: float
@@ -74,22 +74,22 @@ class Profile:
 
     @property
     def centres(self) -> Float[np.ndarray, "B"]:
-        """Along the plane [m]."""
+        """(B,) column centres along the plane [m]."""
         return self.low + BIN * (np.arange(len(self.depth)) + 0.5)
 
     @property
     def is_solid(self) -> Bool[np.ndarray, "B"]:
-        """Columns in which something stands."""
+        """(B,) columns with a surface, solid in at least as many height bands as open."""
         return np.asarray(~np.isnan(self.depth) & (self.storeys >= self.open_storeys))
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Columns ``first`` up to, not including, ``last`` that lie on one straight line, or in which nothing stands.
+    """Neighbouring columns on one straight line, or without a surface.
 
     Attributes:
-        first, last: columns.
-        slope, intercept: depth = slope * along + intercept [m]; NaN where nothing stands.
+        first, last: columns, ``last`` excluded.
+        slope, intercept: depth = slope * along + intercept [m]; NaN without a surface.
     """
 
     first: int
@@ -101,7 +101,7 @@ class Stretch:
 def take_profile(
     plane: Upright, points: Float[np.ndarray, "N 3"], rays: Rays, low: float, high: float, window: float = _WINDOW
 ) -> Profile:
-    """Return the profile of the band of heights between ``low`` and ``high``."""
+    """Return the profile of the points and rays at world heights between ``low`` and ``high`` [m]."""
     poll()
     local = plane.local(points)
     band = (local[:, 1] > low) & (local[:, 1] < high) & (np.abs(local[:, 2]) < window)
@@ -109,7 +109,7 @@ def take_profile(
     if len(local) < 20:
         empty = np.zeros(0)
         return Profile(0.0, empty, empty, empty.astype(int), empty.astype(int))
-    # A margin without points, where rays still tell whether space is open.
+    # A margin of columns without points, where rays may still show open space.
     start = float(np.floor(local[:, 0].min() / BIN) * BIN) - _MARGIN * BIN
     column = np.floor((local[:, 0] - start) / BIN).astype(int)
     n_columns = int(column.max()) + 1 + _MARGIN
@@ -123,7 +123,7 @@ def take_profile(
         total = np.bincount(column[near], local[near, 2], n_columns)
         centre = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     square = np.bincount(column[near], (local[near, 2] - centre[column[near]]) ** 2, n_columns)
-    # Few points tell nothing of their scatter: one centimetre is taken as known.
+    # The scatter of few points is unknown: one centimetre is the prior.
     sigma = np.sqrt((square + 1e-4) / (count + 1) / np.maximum(count, 1))
     storeys = _drop_duplicates(column[near], storey[near], (n_columns, n_storeys))
     centre[storeys < _LEAST_STOREYS] = np.nan
@@ -138,7 +138,7 @@ def _mode(
     shape: tuple[int, int],
     window: float,
 ) -> Float[np.ndarray, "B"]:
-    """Return the depth at which most storeys of a column hold points."""
+    """Return (B,) depth at which most height bands of each column hold points [m]."""
     layer = np.floor((depth + window) / _DEPTH_BIN).astype(int)
     n_layers = int(np.ceil(2.0 * window / _DEPTH_BIN)) + 1
     grid = np.zeros((*shape, n_layers), dtype=bool)
@@ -150,7 +150,7 @@ def _mode(
     votes = wide.sum(axis=1) + 0.5 * grid.sum(axis=1)
     middle = (np.arange(n_layers) + 0.5) * _DEPTH_BIN - window
     best = np.argmax(votes, axis=1)
-    # Seen askew, what lies far behind shares columns with what stands on the plane; the plane goes first.
+    # In an oblique view a column holds a surface on the plane and one far behind it; prefer the plane.
     on_plane = np.where(np.abs(middle) < _LAYER, votes, 0.0)
     is_hidden = (np.abs(middle[best]) > _FAR) & (on_plane.max(axis=1) > _SHARED * votes.max(axis=1))
     return np.asarray(middle[np.where(is_hidden, np.argmax(on_plane, axis=1), best)])
@@ -170,7 +170,7 @@ def _open_storeys(
     low: float,
     centre: Float[np.ndarray, "B"],
 ) -> Int[np.ndarray, "B"]:
-    """Return storeys of each column where rays went on past what stands there, or past the plane where nothing does."""
+    """Return (B,) number of height bands in which rays went on behind the column's surface (or else the plane)."""
     at, end, heading = rays.crossing(plane)
     cell = np.floor((at - [start, low]) / [BIN, _STOREY]).astype(int)
     inside = heading & ((cell >= 0) & (cell < shape)).all(axis=1)
@@ -181,7 +181,7 @@ def _open_storeys(
 
 
 def straight_stretches(profile: Profile) -> list[Stretch]:
-    """Return the profile as the fewest straight stretches that explain it: optimal partition with a cost for each."""
+    """Return the optimal partition of the profile into straight stretches: least misfit plus a cost per stretch."""
     solid = profile.is_solid
     out: list[Stretch] = []
     edges = np.flatnonzero(np.diff(np.concatenate([[0], solid.astype(int), [0]])))
@@ -197,7 +197,7 @@ def straight_stretches(profile: Profile) -> list[Stretch]:
 
 
 def _partition(profile: Profile, first: int, last: int) -> list[Stretch]:
-    """Run a dynamic programme over where stretches end; all fits at once from running sums."""
+    """Return the optimal stretches of solid columns, by dynamic programming; all line fits use running sums."""
     x = profile.centres[first:last]
     y = profile.depth[first:last]
     weight = 1.0 / (profile.sigma[first:last] ** 2 + _STEADY**2)
@@ -234,7 +234,7 @@ def _line(
 ) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
     """Return slope, intercept and misfit of weighted least-squares lines."""
     w, wx, wy, wxx, wxy, wyy = sums
-    # A column or two know no slope: a little stiffness holds it.
+    # One or two columns do not determine a slope: regularise it.
     spread = wxx - wx**2 / w + 1e-3 * w * BIN**2 + 1.0
     slope = (wxy - wx * wy / w) / spread
     intercept = (wy - slope * wx) / w

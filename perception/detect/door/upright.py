@@ -1,4 +1,4 @@
-"""Upright planes: where walls and door leaves stand, found by voting over yaw and offset."""
+"""Upright planes of walls and door leaves, found by voting over yaw and offset."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ class Upright:
 
     @property
     def along(self) -> Float[np.ndarray, "3"]:
-        """The horizontal direction in the plane; along, up and minus the normal are right-handed."""
+        """(3,) unit, horizontal, in the plane; along, up and minus the normal are right-handed."""
         return np.array([-self.normal[1], self.normal[0], 0.0])
 
     def local(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Return places along the plane, up (world z), and out of it towards the sensor [m]."""
+        """Return (N, 3) coordinates along the plane, up (world z), and out of it towards the sensor [m]."""
         poll()
         return np.column_stack([points @ self.along, points[:, 2], points @ self.normal - self.offset])
 
     def place(self, along: float, height: float = 0.0, out: float = 0.0) -> Float[np.ndarray, "3"]:
-        """Return world coordinates of a place given as :meth:`local` gives it."""
+        """Return (3,) world coordinates of a position given in the coordinates of :meth:`local` [m]."""
         return np.asarray((self.offset + out) * self.normal + along * self.along + [0.0, 0.0, height])
 
 
 def fit_upright(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) -> Upright:
-    """Return the least-squares vertical plane."""
+    """Return the least-squares vertical plane, its normal towards ``origin``."""
     centre = points[:, :2].mean(axis=0)
     flat = np.linalg.eigh(np.cov((points[:, :2] - centre).T))[1][:, 0]
     normal = np.array([flat[0], flat[1], 0.0])
@@ -57,7 +57,7 @@ def fit_upright(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]
 def settle_plane(
     start: Upright, points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"], band: float
 ) -> Upright:
-    """Return the plane of the points within ``band`` of it, taken until it stands still."""
+    """Return the plane refitted five times to the points within ``band`` of it [m]."""
     plane = start
     for _ in range(5):
         near = np.abs(points @ plane.normal - plane.offset) < band
@@ -68,10 +68,9 @@ def settle_plane(
 
 
 def find_uprights(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "3"]) -> list[Upright]:
-    """Return vertical planes by how many columns of points stand on them, most first.
+    """Return vertical planes by the votes of the columns of points on them, most first.
 
-    Faces one behind the other within a few centimetres (a leaf in its wall) come as one plane: telling them apart
-    needs more than a vote.
+    Parallel faces within a few centimetres (a leaf in its wall) give one plane: votes do not separate them.
 
     Args:
         points: (N, 3) without floor [m].

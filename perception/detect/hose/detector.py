@@ -1,4 +1,4 @@
-"""Detection of hose ends and standpipes: where something slim ends, held against the rays as the open end of a tube."""
+"""Detection of hose ends and standpipes: open ends of tubes fitted to the rays at the ends of slender objects."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _WIDEST = 0.095
 _HINT_RADIUS = 0.5
 _REPORTED = 0.05
 _RADII = (0.016, 0.021, 0.062, 0.075)
-# Noise makes a thing wider and longer than it is.
+# Noise makes an object look wider and longer [m].
 _WIDENED = (0.007, 0.017, 0.027)
 _LONGER = 0.01
 _BESIDE = 0.05
@@ -46,11 +46,11 @@ _ROUNDS = 2
 _SAME = 0.15
 _HIGHEST = 2.1
 _MOST_POINTS = 200
-# Of the directions about the axis, in how many its wall shows: looked into, all about it, as far as its returns are
-# enough to show that; else on the side in sight.
+# Share of the sectors about the axis with wall, from useless to certain: of a mouth that rays enter (relative to the
+# share that its number of hits can fill), and of any end.
 _ALL_ABOUT, _HALF_ABOUT = (0.6, 0.85), (0.35, 0.6)
 _TO_SHOW_ALL = 24.0
-# A vessel: how upright it opens, how tall it is, and where what it stands on is seen [m].
+# A vessel: least z of its axis, greatest height, and the band about its foot searched for a board [m].
 _UPRIGHT = 0.85
 _TALLEST = 0.35
 _COLLAR = 1.3
@@ -62,12 +62,12 @@ _N_SECTORS, _LEAST_SECTORS = 12, 5
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A tube to be fitted.
+    """Tube to be fitted.
 
     Attributes:
-        rays: that pass near its mouth.
-        mine: those that ended on it, whatever it is.
-        misfit: how badly it explains them.
+        rays: rays that pass near its mouth.
+        mine: (N,) rays that ended on the object the tube must explain.
+        misfit: mean squared residual of these rays (:func:`misfits`).
     """
 
     tube: Tube
@@ -78,7 +78,7 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _End:
-    """An end and what speaks for it."""
+    """Fitted open end with its evidence and confidence."""
 
     tube: Tube
     misfit: float
@@ -90,7 +90,7 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     """Find hose ends and standpipes, best first; origin the centre of the opening, z out of it, x horizontal.
 
     The size is the outer radius at the opening.  Without a hint, an end that rays do not enter
-    gets a low confidence.  A vessel that stands on a board and opens upwards is not reported.
+    gets a low confidence.  A vessel on a board or the floor that opens upwards is not reported.
 
     Args:
         hint: (3,) a point near the opening: only points within half a metre of it are searched, and hidden parts lower
@@ -103,7 +103,7 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     places = points[~is_flat(points)]
     if hint is not None:
         places = places[np.linalg.norm(places - hint, axis=1) < _HINT_RADIUS]
-    # The sums are many and small: with several threads BLAS spends its time on handing them out.
+    # Many small products: with several threads BLAS spends its time on distributing them.
     with threadpool_limits(limits=1, user_api="blas"):
         tips = [tip for tip in find_tips(points, places, _WIDEST) if _may_be_open(index, tip)]
         candidates = sorted((_candidate(index, tip) for tip in tips), key=lambda candidate: candidate.misfit)
@@ -129,7 +129,7 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
 
 def _may_be_open(index: SightIndex, tip: Tip) -> bool:
-    """Return whether rays come towards a tip and many of those at its middle go on behind it."""
+    """Return whether at least 40 % of the rays into the middle of a tip end behind it rather than at it."""
     rays = index.passing(tip.place[None], _LEAST_OPEN * tip.radius).thin(_FOR_RANKING)
     slope = rays.direction @ tip.axis
     rays, slope = rays.select(slope < -0.1), slope[slope < -0.1]
@@ -139,7 +139,7 @@ def _may_be_open(index: SightIndex, tip: Tip) -> bool:
 
 
 def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
-    """Return the tube of a usual width that explains best what is about a tip."""
+    """Return the tube at a tip with the radius of least misfit among those tried."""
     place = tip.place - _LONGER * tip.axis
     tubes = [Tube(place, tip.axis, max(_RADII[0], tip.radius - by)) for by in _WIDENED]
     rays = index.passing(np.stack([place, place - STRAIGHT * tip.axis]), tip.radius + 0.5 * _BESIDE)
@@ -155,7 +155,7 @@ def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
 
 
 def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
-    """Drop those that are nearly like a better one."""
+    """Drop candidates with nearly the mouth and axis of a better one."""
     kept: list[_Candidate] = []
     for candidate in candidates:
         apart = [np.linalg.norm(candidate.tube.mouth - other.tube.mouth) for other in kept]
@@ -166,13 +166,13 @@ def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
 
 
 def _fit(candidate: _Candidate) -> _Candidate:
-    """Fit the tube to its rays."""
+    """Return the candidate with its tube fitted to its rays."""
     tube = refine_tube(candidate.rays, candidate.mine, candidate.tube)
     return replace(candidate, tube=tube, misfit=float(misfits(candidate.rays, candidate.mine, [tube])[0]))
 
 
 def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | None) -> bool:
-    """Return whether it opens upwards, and a board or the floor is about its foot: pots, buckets and tins do so."""
+    """Return whether the tube opens upwards at most 35 cm above a board or the floor, as pots and buckets do."""
     if tube.axis[2] < _UPRIGHT:
         return False
     if floor is not None and float(floor.above(tube.mouth[None])[0]) < _TALLEST:
@@ -189,7 +189,7 @@ def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | No
 
 
 def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
-    """Return a fitted tube, weighed, then settled by all rays about it."""
+    """Return the tube refined on all rays near it, with the evidence and confidence of the unrefined tube."""
     tube = candidate.tube
     rays = index.passing(np.stack([tube.mouth, tube.mouth - STRAIGHT * tube.axis]), 1.2 * tube.radius + _BESIDE)
     evidence = weigh_tube(rays, tube)
@@ -199,7 +199,7 @@ def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
 
 
 def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
-    """Return the product of all evidence: wall, opening, free sides, agreeing depths, usual radius, within reach."""
+    """Return the product of all ratings, 0 to 1: wall, opening, free sides, depth residuals, usual radius, reach."""
     unseen = 0.8 if is_hinted else 0.4
     sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.2, 0.35)
     is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)

@@ -1,4 +1,4 @@
-"""Ends of slim things: places beyond which, in some direction, no points follow, the last ones close together."""
+"""Ends of slender objects: points beyond which no others follow in some direction, the last ones close together."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _ALIKE = 0.8
 
 @dataclass(frozen=True)
 class Tip:
-    """The end of something slim.
+    """End of a slender object.
 
     Attributes:
-        place: (3,) in the middle of its last points, as far out as they go [m].
-        axis: (3,) unit, beyond the end.
-        radius: of a circle about them [m].
-        n_points: how many they are.
+        place: (3,) centre of the outermost points, the cap [m].
+        axis: (3,) unit, out of the end.
+        radius: of the circle that encloses the cap, across the axis [m].
+        n_points: number of points of the cap.
     """
 
     place: Float[np.ndarray, "3"]
@@ -40,11 +40,11 @@ class Tip:
 
 
 def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"], widest: float) -> list[Tip]:
-    """Return ends up to ``widest`` in radius [m], those with the most points first; no two much alike.
+    """Return ends of radius below ``widest`` [m], most points first; no two with nearly equal position and axis.
 
     Args:
         points: (N, 3) thinned evenly [m].
-        places: (K, 3) some of them, at which ends are looked for [m].
+        places: (K, 3) the points among them to test as ends [m].
     """
     if not len(places) or len(points) < _LEAST_POINTS:
         return []
@@ -55,7 +55,7 @@ def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"]
         distance, near = tree.query(block, _MOST_NEAR, distance_upper_bound=_BALL)
         is_near = np.isfinite(distance)
         offset = np.where(is_near[:, :, None], points[np.minimum(near, len(points) - 1)] - block[:, None], 0.0)
-        # Where something ends all that is near lies on one side.
+        # At an end, all neighbours lie on one side.
         mean = offset.sum(axis=1) / is_near.sum(axis=1, keepdims=True)
         lopsided = np.linalg.norm(mean, axis=1) > _LEAST_LOPSIDED
         tips += _in_block(block[lopsided], offset[lopsided], is_near[lopsided], ways, widest)
@@ -75,7 +75,7 @@ def _in_block(
     ways: Float[np.ndarray, "D 3"],
     widest: float,
 ) -> list[Tip]:
-    """Return the tips at some places."""
+    """Return the tips among the tested points: no neighbour more than 12 mm ahead, and a cap below ``widest``."""
     poll()
     ahead = np.where(is_near[:, None], np.einsum("kmi,di->kdm", offset, ways), -np.inf)
     of_place, of_way = np.nonzero(ahead.max(axis=2) < _BEYOND)

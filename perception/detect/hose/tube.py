@@ -1,4 +1,4 @@
-"""Open ends of round tubes: how rays meet them, evidence for a fitted end, and its place by its own returns."""
+"""Open ends of round tubes: intersection with rays, evidence for a fitted end, and its refinement on its returns."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from scipy.special import ndtr
 from costs.stopping import poll
 from perception.sightlines import Sightlines
 
-# How far behind its mouth an end is taken to be straight and without a collar [m].
 _MOST_EVALUATIONS = 260
+# Length behind the mouth over which an end is taken as straight, without a collar [m].
 STRAIGHT = 0.055
 NEAR_WALL = 0.035
 _SIGMA_DEPTH = 0.01
 _SIGMA_EDGE = 0.005
 _WORST = 9.0
-# Usual changes of: tilts [rad], place [m], radius [m].
+# First simplex steps: tilts [rad], position [m], radius [m].
 _STEPS = np.array([0.15, 0.15, 0.012, 0.012, 0.012, 0.006])
 _LEAST_RADIUS = 0.008
 _SLOPE = 1e-4
@@ -40,7 +40,7 @@ _SHIFTS = np.arange(-0.03, 0.0201, 0.001)
 _ON_RIM = np.array([0.02, 0.1, 0.2, 0.35, 0.5, 0.7])
 _STRAY_RETURN = 0.03
 _LEAST_HITS = 15
-# How far from the wall returns may lie in each round; of its thickness; of what a fit may change [m, rad].
+# Least-squares fit: distance of its returns from the wall in each round; wall thickness; prior deviations [m, rad].
 _ROUNDS = (0.014, 0.009, 0.009)
 _THICK = 0.003
 _LEAST_SIGMA_ACROSS = 0.002
@@ -50,12 +50,12 @@ _AS_BEFORE = np.array([0.1, 0.1, 0.01, 0.01, 0.006])
 
 @dataclass(frozen=True)
 class Tube:
-    """The open end of a tube with a thin wall.
+    """Open end of a tube with a thin wall.
 
     Attributes:
         mouth: (3,) centre of the opening [m].
         axis: (3,) unit, out of the opening.
-        radius: outer [m].
+        radius: outer radius [m].
     """
 
     mouth: Float[np.ndarray, "3"]
@@ -65,17 +65,17 @@ class Tube:
 
 @dataclass(frozen=True)
 class Meeting:
-    """Meetings of rays with tubes; leading axis: the tubes.
+    """Intersections of N rays with B tubes.
 
     Attributes:
         on: the ray meets the outside of the wall.
-        into: it goes in through the mouth.
-        through: it goes in, and as deep as the end is known to be straight.
-        depth: along it to the wall, or to as deep as that, or to where it passes nearest [m].
-        plane: along it to the mouth's plane [m].
-        outside: how far from the tube it passes; negative: how far inside the outline it meets it [m].
-        along: place on the axis of ``depth``, from the mouth outwards [m].
-        across: how far from the axis it crosses the mouth's plane [m].
+        into: the ray enters through the mouth.
+        through: the ray enters and gets ``STRAIGHT`` deep without meeting the wall.
+        depth: distance along the ray to the wall; if through, to that depth; if it misses, to its closest approach [m].
+        plane: distance along the ray to the mouth's plane [m].
+        outside: distance of the ray from the tube; negative: how far inside the outline it meets the tube [m].
+        along: axial position of the point at ``depth``, from the mouth outwards [m].
+        across: distance from the axis at which the ray crosses the mouth's plane [m].
     """
 
     on: Bool[np.ndarray, "B N"]
@@ -89,7 +89,7 @@ class Meeting:
 
 
 def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
-    """Return how each ray meets each tube."""
+    """Return the intersection of each ray with each tube."""
     poll()
     mouth, axis = np.stack([tube.mouth for tube in tubes]), np.stack([tube.axis for tube in tubes])
     radius = np.array([tube.radius for tube in tubes])[:, None]
@@ -109,7 +109,7 @@ def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
     plane, bottom = -rise / steep, -(rise + STRAIGHT) / steep
     through = into & (bottom < middle + half)
     depth = np.where(on, middle - half, np.where(through, bottom, np.where(into, middle + half, middle)))
-    # A ray before the mouth is as far from it as it would have to be moved along the axis to meet the rim.
+    # For a ray that passes before the mouth, the distance follows from its shift along the axis to meet the rim.
     square_root = np.sqrt(square)
     before = np.minimum(np.abs(first), np.abs(last)) * square_root
     outside = np.where(in_line, np.where(on | into, -np.minimum(radius - side, before), before), side - radius)
@@ -118,12 +118,12 @@ def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
 
 
 def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]) -> Float[np.ndarray, "B"]:
-    """Return each tube's mean squared residual per ray that should meet it, bounded at three deviations.
+    """Return (B,) squared residuals of each tube, each bounded at three deviations, summed per ray of ``mine``.
 
-    What should end on the wall, outside or inside, should end at its depth; what goes in deep may end anywhere deeper.
+    Rays that meet the wall, outside or inside, should end at its depth; rays through the mouth may end deeper.
 
     Args:
-        mine: those that ended on what is to be explained: they should meet the tube.
+        mine: (N,) rays that ended on the object to explain: they should meet the tube.
     """
     met = meet_tubes(rays, tubes)
     gap = rays.length - met.depth
@@ -139,7 +139,7 @@ def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]
 
 
 def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tube:
-    """Return the tube of least misfit near one (Nelder and Mead's simplex)."""
+    """Return the tube of least misfit near a start tube (Nelder and Mead's simplex)."""
     across, over = square_to(tube.axis)
 
     def move(change: Float[np.ndarray, "6"]) -> Tube:
@@ -160,7 +160,7 @@ def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tu
 
 
 def square_to(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Return two unit directions square to an axis and to each other."""
+    """Return two unit directions perpendicular to an axis and to each other."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.8 else np.array([0.0, 1.0, 0.0])
     across = np.cross(helper, axis)
     across /= np.linalg.norm(across)
@@ -172,18 +172,18 @@ class TubeEvidence:
     """Evidence for a tube's end.
 
     Attributes:
-        n_hits: rays that ended on its wall, outside or inside.
-        solid: share of them among the rays that should.
-        open: share of rays at the middle of the mouth that went on behind it; NaN when there are none.
-        n_open: how many rays that rests on.
-        round: share of the directions about the axis in which its wall was seen: more rays ended on it than passed.
-        entering: share of the rays that go into the mouth among those that meet the end.
-        stopped: share of the rays that go into the mouth which ended before they could have met a tube's inside.
-        stray: share of what ended about the end that lies off the wall.
-        air: share of the directions in which rays just beside its end went on behind it, of those known.
-        known: share of the directions of which that is known.
-        rms: of the depths of its hits [m].
-        points: (K, 3) where they ended [m].
+        n_hits: number of rays that ended on the wall, outside or inside.
+        solid: share of hits among the rays that should meet the wall.
+        open: share of the rays into the middle of the mouth that ended behind it; NaN without such rays.
+        n_open: number of rays into the middle of the mouth.
+        round: share of the sectors about the axis in which more rays hit the wall than missed it.
+        entering: share of the rays into the mouth among all rays that meet the end.
+        stopped: share of the rays into the mouth that ended before the inner wall.
+        stray: share of the returns near the end that lie off the wall.
+        air: share of the known sectors in which most rays just beside the end went past it.
+        known: share of the sectors with rays just beside the end.
+        rms: root mean square depth residual of the hits [m].
+        points: (K, 3) ends of the hits [m].
     """
 
     n_hits: int
@@ -201,7 +201,7 @@ class TubeEvidence:
 
 
 def weigh_tube(rays: Sightlines, tube: Tube) -> TubeEvidence:
-    """Count rays on, into and beside the end."""
+    """Return the evidence from the rays on, into and beside the end."""
     met = meet_tubes(rays, [tube])
     on, into, through = met.on[0], met.into[0], met.through[0]
     gap = rays.length - met.depth[0]
@@ -237,7 +237,7 @@ def weigh_tube(rays: Sightlines, tube: Tube) -> TubeEvidence:
 
 
 def _stray_share(rays: Sightlines, tube: Tube) -> float:
-    """Return, of the rays that ended beside the axis, how many ended neither near the wall nor deep inside."""
+    """Return the share of the returns within 3 cm of the end that lie more than 2.5 cm off its wall."""
     offset = rays.ends - tube.mouth
     along = offset @ tube.axis
     across = np.linalg.norm(offset - along[:, None] * tube.axis, axis=1)
@@ -246,7 +246,7 @@ def _stray_share(rays: Sightlines, tube: Tube) -> float:
 
 
 def _sectors(rays: Sightlines, tube: Tube, depth: Float[np.ndarray, "N"]) -> np.ndarray:
-    """Return in which direction about the axis each ray is at a depth along it."""
+    """Return (N,) sector about the axis that each ray has reached at its ``depth``."""
     across, over = square_to(tube.axis)
     offset = rays.start + depth[:, None] * rays.direction - tube.mouth
     angle = np.arctan2(offset @ over, offset @ across) / (2.0 * np.pi) % 1.0
@@ -254,7 +254,7 @@ def _sectors(rays: Sightlines, tube: Tube, depth: Float[np.ndarray, "N"]) -> np.
 
 
 def settle_tube(rays: Sightlines, tube: Tube) -> Tube:
-    """Return the tube of least squares through the returns from its wall, as long as they most likely go."""
+    """Return the tube fitted to the returns from its wall by least squares, its mouth at the most likely position."""
     for near in _ROUNDS:
         tube = settle_mouth(rays, _through_returns(rays, tube, near))
     return tube
@@ -281,7 +281,7 @@ def _through_returns(rays: Sightlines, tube: Tube, near: float) -> Tube:
         return np.asarray((np.hypot(aside[:, 0], aside[:, 1]) - tube.radius - change[4] + depth) / sigma)
 
     def with_prior(change: Float[np.ndarray, "5"]) -> Float[np.ndarray, "L"]:
-        # Returns on one side alone leave some changes open: those stay small.
+        # Returns on one side alone leave some changes undetermined: the prior keeps those small.
         return np.concatenate([residuals(change), change / _AS_BEFORE])
 
     change = least_squares(with_prior, np.zeros(5), loss="soft_l1", max_nfev=30).x
@@ -293,10 +293,10 @@ def _through_returns(rays: Sightlines, tube: Tube, near: float) -> Tube:
 
 
 def settle_mouth(rays: Sightlines, tube: Tube) -> Tube:
-    """Return the tube moved along its axis to where its returns most likely end.
+    """Return the tube with its mouth moved along the axis to the position of greatest likelihood.
 
-    Looked into, range noise carries returns of wall and rim beyond the mouth; a tube that reaches as far as they do
-    would be too long.  Returns are taken to spread evenly over the wall, with some on the rim and few anywhere.
+    Range noise carries returns beyond the mouth, so a tube that ends at the outermost return would be too long.
+    Returns are modelled as uniform along the wall, with a share on the rim and a few anywhere.
     """
     offset = rays.ends - tube.mouth
     along = offset @ tube.axis

@@ -1,4 +1,4 @@
-"""A detected wheel: its measures, the solids that turn (rim, hub, spokes), the stem that stays, and its own points."""
+"""Detected wheel valve: its dimensions, the turning bodies (rim, hub, spokes), the fixed stem, and its points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EXPLAINED = 0.85
 
 @dataclass(frozen=True)
 class ValveDetection:
-    """A wheel valve as seen.
+    """Detected wheel valve.
 
     Attributes:
         centre: (3,) of the rim [m].
@@ -32,12 +32,12 @@ class ValveDetection:
         tube_radius: half width of the rim along the radius [m].
         half_depth: half thickness of the rim along the axis [m].
         spoke_angles: about the axis, from ``wheel_basis(axis)[0]`` (horizontal), right-handed [rad].
-        hub_radius: inside it nothing was seen through [m].
-        inner_depth: lowest and highest place along the axis of what was seen inside the rim [m].
-        rms: of the rim's depth residuals [m].
-        n_inliers: rays that ended on the rim.
-        spoke_half_width: of the spokes [m].
-        spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
+        hub_radius: radius within which almost all rays ended on the wheel [m].
+        inner_depth: lowest and highest axial position of the returns inside the rim [m].
+        rms: root mean square of the rim's depth residuals [m].
+        n_inliers: number of rays that ended on the rim.
+        spoke_half_width: half width of the spokes [m].
+        spoke_share: share of the returns between hub and rim that lie on the spokes, 0 to 1.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -57,7 +57,7 @@ class ValveDetection:
 
     @property
     def ring(self) -> Ring:
-        """The rim."""
+        """The rim as a ring."""
         return Ring(self.centre, self.axis, self.rim_radius, self.tube_radius, self.half_depth)
 
     def as_detection(self) -> Detection:
@@ -71,7 +71,7 @@ class ValveDetection:
         return Detection("valve", pose, sizes, self.confidence, {"rms": self.rms}, points, self)
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
-        """Return points that are wheel or stem, and the stem if one was seen."""
+        """Return (N,) points on wheel or stem, and the stem; no stem when none was seen."""
         own = wheel_points(self, points)
         stem = stem_of(self, points[~own])
         if stem is None:
@@ -90,12 +90,12 @@ def valve_bodies(
 ) -> dict[str, Float[np.ndarray, "V 3"]]:
     """Return the turning wheel as convex vertex sets, world coordinates [m].
 
-    ``rim/0`` ... circumscribe the rim.  What is inside it is ``hub`` and ``spoke/0`` ... when the spokes were clearly
-    seen, and otherwise ``hub`` alone, a disc out to the rim.
+    ``rim/0`` ... circumscribe the rim.  Its inside is ``hub`` and ``spoke/0`` ... when the spokes were clearly seen,
+    otherwise only ``hub``, a disc out to the rim.
 
     Args:
-        n_segments: of the rim, at least 3.
-        margin: added all round [m].
+        n_segments: number of rim segments, at least 3.
+        margin: added on all sides [m].
     """
     bodies = rim_bodies(detection, n_segments, margin)
     inner = max(detection.rim_radius - detection.tube_radius, 0.0)
@@ -110,12 +110,12 @@ def valve_bodies(
 def rim_bodies(
     detection: ValveDetection, n_segments: int = 20, margin: float = 0.004
 ) -> dict[str, Float[np.ndarray, "V 3"]]:
-    """Return those of ``valve_bodies`` that are the rim, ``rim/0`` ..., world coordinates [m]."""
+    """Return the rim's bodies of ``valve_bodies``, ``rim/0`` ..., world coordinates [m]."""
     return {f"rim/{i}": _segment(detection, i, n_segments, margin) for i in range(n_segments)}
 
 
 def has_clear_spokes(detection: ValveDetection) -> bool:
-    """Return whether the spokes were seen so clearly that a hand may rely on the openings between them."""
+    """Return whether the spokes were seen clearly enough for a hand to enter the openings between them."""
     n_spokes = len(detection.spoke_angles)
     return bool(
         detection.confidence >= CONFIDENT
@@ -127,7 +127,7 @@ def has_clear_spokes(detection: ValveDetection) -> bool:
 
 
 def _segment(detection: ValveDetection, i: int, n_segments: int, margin: float) -> Float[np.ndarray, "V 3"]:
-    """Return the hull of two circumscribed sections; the far side is pushed out to where the tangents meet."""
+    """Return the vertices of two circumscribed end sections, the outer ones extended to where the tangents meet."""
     corner = 2.0 * np.pi * (np.arange(_SECTION) + 0.5) / _SECTION
     grow = 1.0 / np.cos(np.pi / _SECTION)
     distance = detection.rim_radius + grow * (detection.tube_radius + margin) * np.cos(corner)
@@ -146,7 +146,7 @@ def _disc(detection: ValveDetection, radius: float, margin: float) -> Float[np.n
 
 
 def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.ndarray, "V 3"]:
-    """Return a bar from the hub into the rim, as wide as the spokes were seen."""
+    """Return the vertices of a bar from the hub into the rim, as wide as the detected spokes."""
     low, high = _depth(detection, margin)
     half = detection.spoke_half_width + margin
     start, end = 0.7 * detection.hub_radius, detection.rim_radius
@@ -156,7 +156,7 @@ def _spoke(detection: ValveDetection, angle: float, margin: float) -> Float[np.n
 
 
 def _depth(detection: ValveDetection, margin: float) -> tuple[float, float]:
-    """Return from where to where it reaches along the axis; at least the rim's own thickness."""
+    """Return lowest and highest axial position of the wheel, at least its rim's, with the margin [m]."""
     low, high = detection.inner_depth
     return min(low, -detection.half_depth) - margin, max(high, detection.half_depth) + margin
 
@@ -168,20 +168,20 @@ def _to_world(detection: ValveDetection, local: Float[np.ndarray, "V 3"]) -> Flo
 def _in_wheel(
     detection: ValveDetection, points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Return the distance from the axis and height along it of each point [m]."""
+    """Return (N,) distance from the axis and (N,) height along it of the points [m]."""
     local = (points - detection.centre) @ detection.ring.basis.T
     return np.hypot(local[:, 0], local[:, 1]), local[:, 2]
 
 
 def wheel_points(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return points that belong to the wheel: within 3 cm of its solid."""
+    """Return (N,) points of the wheel: within 3 cm of the cylinder that encloses it."""
     distance, height = _in_wheel(detection, points)
     low, high = _depth(detection, 0.0)
     return np.asarray((distance <= detection.outer_radius + _CUT) & (height >= low - _CUT) & (height <= high + _CUT))
 
 
 def stem_of(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> ConvexPiece | None:
-    """Return the prism ``stem`` from the wheel back to what carries it; None when nothing is behind."""
+    """Return the prism ``stem`` from the wheel to the carrier behind it; None when too few points are behind it."""
     distance, height = _in_wheel(detection, points)
     back = -_depth(detection, 0.0)[0]
     behind = (height < -back - _CUT) & (height > -_STEM_BEHIND)
@@ -202,7 +202,7 @@ def stem_of(detection: ValveDetection, points: Float[np.ndarray, "N 3"]) -> Conv
 def stem_points(
     detection: ValveDetection, stem: ConvexPiece, points: Float[np.ndarray, "N 3"]
 ) -> Bool[np.ndarray, "N"]:
-    """Return points within 1.5 cm of the stem, the carrier's own excepted."""
+    """Return (N,) points within 1.5 cm of the stem, without the carrier's points."""
     distance, height = _in_wheel(detection, points)
     radius, ends = _in_wheel(detection, stem.vertices)
     return np.asarray((distance <= radius.max() + 0.015) & (height >= ends.min() + _CUT) & (height <= ends.max()))

@@ -1,4 +1,4 @@
-"""Hypotheses of circles in a cloud: random triples near one another, refitted and scored by their points."""
+"""Circle hypotheses in a cloud: drawn from random triples of near points, refitted and scored by their inliers."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from costs.stopping import poll
 from perception.detect.shared.arithmetic import cross
 from perception.detect.shared.slender import slim_places
 
-# Radius [m], points and triples looked at, at every how many places: in a larger ball a rim has a smaller share, but
-# there are more places on a larger rim.
+# _BALLS: radius [m], number of points and of triples drawn, stride over the seeds.  In a larger ball a rim has a
+# smaller share of the points, but a larger rim has more seeds.
 _RADII = (0.04, 0.42)
 _MOST_SEEDS, _MOST_CIRCLES = 200, 60
 _BALLS = ((0.2, 200, 50, 1), (0.36, 250, 80, 1), (0.6, 400, 100, 2), (0.85, 500, 120, 2))
@@ -28,11 +28,11 @@ _FEWEST = 6
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle and how well points agree with it.
+    """Circle with its coverage and score by the points.
 
     Attributes:
         coverage: share of its 24 sectors with a point on it.
-        score: its square times the share of the points in its disc that lie on it.
+        score: coverage squared times the share of the points in its disc that lie on it (:func:`scores`).
     """
 
     centre: Float[np.ndarray, "3"]
@@ -46,7 +46,7 @@ def find_circles(
     points: Float[np.ndarray, "N 3"],
     rng: np.random.Generator,
 ) -> list[Circle]:
-    """Return the best circles, best first, no two about the same place.
+    """Return the best circles, best first; no two of nearly equal centre and radius.
 
     Args:
         points: (N, 3) downsampled, without walls and floor [m].
@@ -69,9 +69,9 @@ def find_circles(
 
 
 def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:
-    """Return places to look at: half of them random, half where points spread along one direction.
+    """Return indices of seed points: half of them random, half where points spread along one direction.
 
-    Among many other things a rim has few of all places, but a good part of the slim ones.
+    In clutter a rim has few of all points, but a good share of the slender ones.
     """
     slim, _ = slim_places(points, cKDTree(points), _SLIM_BALL)
     some = rng.choice(slim, min(most // 2, len(slim)), replace=False)
@@ -86,9 +86,9 @@ def _best_in(
     radii: tuple[float, float],
     n_triples: int,
 ) -> list[Circle]:
-    """Return the best circles through a seed and two of the points in a ball about it, if any.
+    """Return the three best circles through the seed and two points in a ball about it, or fewer.
 
-    Among many other things, two more points on the rim that a seed lies on are drawn sooner than three.
+    In clutter, two points on the seed's rim are drawn sooner than three points on one rim.
     """
     poll()
     pairs = local[rng.integers(len(local), size=(n_triples, 2))]
@@ -102,7 +102,7 @@ def _best_in(
 
 
 def _sharpen(hypotheses: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
-    """Refit circles to all points, and keep those that stay within the radii."""
+    """Return the circles refitted to all points, without those that leave the radii."""
     if not hypotheses:
         return []
     centres, axes = np.stack([circle.centre for circle in hypotheses]), np.stack([circle.axis for circle in hypotheses])
@@ -122,7 +122,7 @@ def _score(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement
 
 
 def _circles_through(triples: Float[np.ndarray, "H 3 3"]) -> Circles:
-    """Return the circle through each triple that is not nearly straight."""
+    """Return the circle through each triple that is not nearly collinear."""
     u, v = triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0]
     normal = cross(u, v)
     square = (normal**2).sum(axis=1)
@@ -135,13 +135,13 @@ def _circles_through(triples: Float[np.ndarray, "H 3 3"]) -> Circles:
 
 
 def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least_cosine: float = -1.0) -> list[Circle]:
-    """Return the first of those about the same place: of much the same centre, radius and axis.
+    """Return at most ``most`` circles: the first of each group of nearly equal centre, radius and axis.
 
     Args:
         circles: best first.
-        apart: centres further apart than this are not the same place, as a share of the larger radius; neither are
-            radii whose ratio differs from one by nearly twice that.
-        least_cosine: between axes that are taken for the same.
+        apart: greatest distance between the centres of duplicates, as a share of the larger radius; their log radii
+            differ by at most ``apart / 0.6``.
+        least_cosine: least cosine of the angle between the axes of duplicates, either sign.
     """
     centres, axes = np.array([circle.centre for circle in circles]), np.array([circle.axis for circle in circles])
     radii = np.array([circle.radius for circle in circles])
@@ -171,18 +171,18 @@ class Circles:
         return len(self.radii)
 
     def select(self, keep: Bool[np.ndarray, "C"] | Int[np.ndarray, "K"]) -> Circles:
-        """Keep only these."""
+        """Return the selected circles."""
         return Circles(self.centres[keep], self.axes[keep], self.radii[keep])
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of points with circles.
+    """Inliers of circles.
 
     Attributes:
-        on: (C, N) which points lie on each.
-        count: (C,) of them.
-        share: (C,) share of points about each disc that lie on the circle; clutter fills the disc, a wheel does not.
+        on: (C, N) points that lie on each circle.
+        count: (C,) their number.
+        share: (C,) share of inliers among the points in each disc; clutter fills the disc, a wheel does not.
     """
 
     on: Bool[np.ndarray, "C N"]
@@ -190,12 +190,12 @@ class Agreement:
     share: Float[np.ndarray, "C"]
 
     def select(self, keep: Int[np.ndarray, "K"]) -> Agreement:
-        """Keep only these circles."""
+        """Return the inliers of the selected circles."""
         return Agreement(self.on[keep], self.count[keep], self.share[keep])
 
 
 def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
-    """Return which of the points lie within 2 cm of each circle."""
+    """Return the inliers of each circle: the points within 2 cm of it."""
     poll()
     centres, axes = circles.centres, circles.axes
     # Squares of the points' heights over each circle's plane and of their distances from its axis.
@@ -219,18 +219,18 @@ def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
 def scores(
     points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement
 ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C"]]:
-    """Return the share of each circle's 24 sectors with a point, and its score: that squared, times the share on it.
+    """Return (C,) coverage of the 24 sectors by inliers, and (C,) score: coverage squared times the inlier share.
 
-    Sampling noise of few points must not look like a full circle.
+    Below 25 inliers the score is lowered in proportion: few random points may look like a full circle.
     """
     covered = _coverage(points, circles, agreed.on)
     return covered, covered**2 * agreed.share * np.minimum(1.0, agreed.count / _FULL)
 
 
 def refit_circles(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> Circles:
-    """Move each circle by one least-squares step (Kasa, IEEE Trans. Instrum. Meas. 25, 1976).
+    """Return each circle after one least-squares fit to its inliers (Kasa, IEEE Trans. Instrum. Meas. 25, 1976).
 
-    The axis of a circle through three points of a small noisy rim is off by tens of degrees.
+    A circle through three points of a small noisy rim has an axis error of tens of degrees.
     """
     poll()
     middle = points.mean(axis=0)
@@ -264,7 +264,7 @@ def refit_circles(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Ag
 def _coverage(
     points: Float[np.ndarray, "K 3"], circles: Circles, on: Bool[np.ndarray, "C K"]
 ) -> Float[np.ndarray, "C"]:
-    """Return the share of each circle's sectors with one of the points that lie on it."""
+    """Return (C,) share of each circle's sectors that hold an inlier."""
     poll()
     axes = circles.axes
     first = cross(np.eye(3)[np.argmin(np.abs(axes), axis=1)], axes)

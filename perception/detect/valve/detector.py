@@ -21,19 +21,19 @@ from perception.sightlines import SightIndex
 from perception.view import View
 
 _REPORTED, _HOPELESS = 0.05, 0.02
-_SLIM = (5.5, 8.5)  # length by radius; a hose's coupling on its standpipe is stouter
+_SLIM = (5.5, 8.5)  # length by radius; smaller for a hose coupling on a standpipe
 _END_UNSEEN = 0.4
-_AIR_ABOUT_A_PIPE = (0.5, 0.7)  # the edge of a box has it on one of two sides
-# Of a pipe's length, what rays tell of the air: of a box laid over by a pipe they tell it at its corners alone.
+_AIR_ABOUT_A_PIPE = (0.5, 0.7)  # the edge of a box has air on one of two sides
+# Share of a pipe's length beside which rays show air or none; of a box fitted as a pipe, only the corners.
 _KNOWN_OF_IT = (0.25, 0.5)
-_SPREADS = (np.radians(1.8), np.radians(3.2))  # of an axis that is sure, and of one that is not
-_SURE = 0.8  # with a hint, which makes weak evidence enough
+_SPREADS = (np.radians(1.8), np.radians(3.2))  # deviation of an axis rated 1, and of one rated 0 [rad]
+_SURE = 0.8  # least confidence of a sure wheel with a hint, which raises confidences
 _BESIDE = 0.05
 
 
 @dataclass(frozen=True)
 class _Lever:
-    """A lever on a pipe."""
+    """Lever valve: the fitted lever, its joint with the pipe, and the confidence."""
 
     fitted: FittedBar
     bar: Bar
@@ -46,11 +46,11 @@ def detect_lever_valve(
 ) -> list[Detection]:
     """Find lever valves, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
-    The pivot's axis is square to lever and pipe; where these cross, the pivot lies where they come nearest to each
-    other, and otherwise at the end behind which rays do not pass.
+    The pivot's axis is perpendicular to lever and pipe.  Where these cross, the pivot lies at their closest approach;
+    where they are parallel, at the end of the lever behind which no rays pass.
 
     Args:
-        hint: (3,) a point near the valve: only what lies within 0.6 m of it is looked at [m].
+        hint: (3,) a point near the valve: only points within 0.6 m of it are searched [m].
     """
     if not len(view.obstacles):
         return []
@@ -73,7 +73,7 @@ def detect_lever_valve(
 
 
 def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
-    """Return a bar and a pipe as a valve; None when they do not lie as lever and pipe do."""
+    """Return the valve of a lever and a pipe; None when their sizes or positions do not fit."""
     joint = joint_of(lever.bar, pipe.bar, (lever.fit.spread[0], pipe.fit.spread[0]), index)
     if joint is None:
         return None
@@ -100,13 +100,13 @@ def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlan
 
 
 def _as_a_lever(pivot: Pivot, radius: float) -> float:
-    """Return how much a bar held like this is like a lever: long enough, slim, held at one end."""
+    """Return the rating of a bar as a lever, 0 to 1: long enough, slim, held at one end."""
     length = abs(pivot.far - pivot.along)
     return rising(length, LENGTHS[0], LENGTHS[0] + 0.03) * rising(length / radius, *_SLIM) * pivot.confidence
 
 
 def _as_detection(valve: _Lever, is_hinted: bool) -> Detection:
-    """Return the valve in the words all detectors share."""
+    """Return the valve as a detection: pose at the pivot, sizes, residuals and points of the lever."""
     bar, pivot = valve.bar, valve.joint.pivot
     x = np.sign(pivot.far - pivot.along) * bar.axis
     z = valve.joint.axis - (valve.joint.axis @ x) * x
@@ -134,7 +134,7 @@ def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     foreground = Foreground.of(view)
     wheels = [valve.as_detection() for valve in find_wheels(view, hint, foreground)]
     sure = [wheel for wheel in wheels if wheel.confidence >= (CONFIDENT if hint is None else _SURE)]
-    # Spokes and pieces of a rim are slim bars as well, and what is about a lever has round edges.
+    # Spokes and rim segments look like levers, and round parts near a lever look like wheels.
     levers = [
         lever
         for lever in detect_lever_valve(view, hint, foreground)
@@ -150,7 +150,7 @@ def _is_part_of(lever: Detection, wheel: Detection) -> bool:
 
 
 def _is_about(wheel: Detection, lever: Detection) -> bool:
-    """Return whether a wheel less sure than a lever lies over it."""
+    """Return whether a wheel of lower confidence than the lever overlaps it."""
     pose, length = lever.pose_world_object, lever.sizes["lever_length"]
     offset = wheel.pose_world_object[:3, 3] - pose[:3, 3]
     along = float(np.clip(offset @ pose[:3, 0], 0.0, length))

@@ -1,4 +1,4 @@
-"""Evidence that a ring is the rim of a wheel that can be turned by hand."""
+"""Evidence that a ring is the rim of a handwheel."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ _UNKNOWN, _HUB_SEEN, _NO_HUB = 0.4, 0.2, 0.2
 # Half width by radius; flat rims have up to 0.3.
 _SLENDER = (-0.5, -0.35)
 _EVEN = (-0.008, -0.005)
-# Depths on true rims disagree by no more than 1.7 cm, by the noisiest of usual sensors.
+# The depth error of true rims is at most 1.7 cm, with the noisiest of usual sensors [m].
 _AGREE = (-0.023, -0.0175)
 _MOST_SPOKES = 12
 _MANY_SPOKES = 0.7
 _HAND = 0.035
 _AT_RIM = (-0.018, -0.005)
-# Of the rays inside the rim: how many have to go through it, and how many more for each outer radius by which depths
-# disagree beyond a fifth of it.
+# Required share of the rays inside the rim that pass through: _OPEN, plus _OPEN_BLURRED times the depth error, in outer
+# radii, beyond _SHARPLY.
 _OPEN, _SHARPLY, _OPEN_BLURRED = 0.08, 0.2, 1.2
 _LEAST_HUB = 0.012
 _ASIDE, _WALL, _USUAL_DEPTH = (0.015, 0.1), 0.025, 0.015
 _ENCLOSED, _FREE_ASIDE, _LENIENT = 0.05, 0.15, 0.75
-# Standard deviation of the axis.
+# Standard deviation of the axis [rad].
 _SHARP, _BLUNT = np.radians([1.0, 2.0])
-_BLURRED = 0.3  # where it does not tell the axis: still worth a report
+_BLURRED = 0.3  # rating of an uncertain axis: still worth a report
 
 
 @dataclass(frozen=True)
 class WheelEvidence:
-    """Evidence of the rays for a ring; each figure from 0 to 1.
+    """Ratings of a ring by the rays, each from 0 to 1.
 
     Attributes:
-        rim: seen all round, by enough rays whose depths agree with it, each and all about one place.
-        air: around it.
-        open: there are openings between rim and hub.
-        middle: a hub or spokes are in its middle, and not all of it behind the rim, as the far wall of a pipe is.
-        spokes: what is between hub and rim is a few narrow spokes.
-        free: a hand fits between it and the floor.
-        sharp: its axis is known well enough to turn it.
-        aside: what goes in through it may leave it sideways; a pipe's mouth and a bucket have walls there.
+        rim: hits all round, enough of them, with small and even depth residuals, on a slender section.
+        air: rays just outside the rim pass it.
+        open: rays pass between rim and hub.
+        middle: hub or spokes in the middle, not all of them behind the rim, as the far wall of a pipe is.
+        spokes: the solid parts between hub and rim are a few narrow spokes.
+        free: a hand fits between rim and floor.
+        sharp: the axis is known well enough to turn the wheel.
+        aside: rays through the disc leave sideways behind it; the wall of a pipe or bucket would stop them.
     """
 
     rim: float
@@ -62,12 +62,12 @@ class WheelEvidence:
 
     @property
     def confidence(self) -> float:
-        """Confidence that it is a wheel, from all evidence."""
+        """Confidence that the ring is a wheel: the product of all ratings."""
         return self.rim * self.air * self.open * self.middle * self.spokes * self.free * self.sharp * self.aside
 
     @property
     def solid_confidence(self) -> float:
-        """Confidence that it is a solid wheel where some wheel is known to be: openings and spokes do not count."""
+        """Confidence that the ring is a solid wheel, for use near a hint: openings and spokes do not count."""
         return self.rim * self.air * self.free * self.sharp * self.aside
 
 
@@ -79,7 +79,7 @@ def weigh_wheel(
     inside: Inside,
     floor: FloorPlane | None,
 ) -> WheelEvidence:
-    """Return what the rays near a ring say of it."""
+    """Return the ratings of a ring by the rays near it."""
     through = rays.length > passage.depth + _BEHIND
     distance = np.linalg.norm(passage.place, axis=1)
     sector = (
@@ -95,7 +95,7 @@ def weigh_wheel(
     seen = ~np.isnan(rim)
     if seen.mean() < 0.4:
         return WheelEvidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    # What is out of sight speaks neither for nor against the rim, but more than half must be seen.
+    # Unseen sectors count neither for nor against the rim, but more than half must be seen.
     complete = float(np.mean(rim[seen] > 0.6) * min(1.0, np.sum(rim[seen] > 0.6) / (0.6 * _SECTORS)))
     airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
     error = depth_error(rays, passage, hit)
@@ -104,7 +104,7 @@ def weigh_wheel(
     return WheelEvidence(
         rising(complete, 0.55, 0.9)
         * rising(-ring.half_width / ring.radius, *_SLENDER)
-        # Much deeper along the axis than wide is the wall of a tube that is seen from its end.
+        # A section much deeper along the axis than wide is the wall of a tube seen end-on.
         * rising(-ring.half_depth / ring.half_width, -4.0, -2.5)
         * rising(-error, *_AGREE)
         * rising(-unevenness(rays, passage, hit & inside_rim), *_EVEN)
@@ -122,24 +122,24 @@ def weigh_wheel(
 
 
 def _openings(inside: Inside, blur: float) -> float:
-    """Return whether there are openings, and the clearer ones the less the depths tell.
+    """Return the rating of the openings; the larger the depth error, the more open a wheel must be.
 
-    Where depths disagree by a good part of the radius, any lump as large would fit the rim as well: then it is by its
-    openings alone that a wheel is told from it.
+    With a depth error that is a large share of the radius, any lump of that size fits the rim: only its openings
+    distinguish a wheel.
 
     Args:
-        inside: of the rim.
-        blur: disagreement of the depths over the outer radius.
+        inside: inside of the rim.
+        blur: depth error over the outer radius.
     """
     enough = _OPEN + _OPEN_BLURRED * max(0.0, blur - _SHARPLY)
     return rising(inside.open_share, 0.25 * enough, enough)
 
 
 def _spoke_evidence(inside: Inside) -> float:
-    """Weigh narrow spokes between hub and rim; with few rays, a hub with openings about it counts.
+    """Return the rating of narrow spokes between hub and rim; with few rays, of a hub with openings about it.
 
-    Things close behind the wheel hide openings, so that neither what the spokes leave unexplained nor their number
-    speaks against them; one broad solid part does.
+    Objects close behind the wheel hide openings, so unexplained returns do not lower the rating and many spokes lower
+    it little; one broad solid sector does.
     """
     n_spokes = len(inside.spoke_angles)
     narrow = rising(-inside.widest_spoke, -1.8, -1.2)
@@ -150,7 +150,7 @@ def _spoke_evidence(inside: Inside) -> float:
 
 
 def _over_floor(ring: Ring, floor: FloorPlane | None) -> float:
-    """Return whether a hand fits between rim and floor: what stands on the floor rolls, or lies about."""
+    """Return the rating of the gap for a hand between rim and floor; a ring on the floor is a loose object."""
     if floor is None:
         return 1.0
     droop = np.sqrt(max(0.0, 1.0 - float(ring.axis @ floor.normal) ** 2))
@@ -159,9 +159,9 @@ def _over_floor(ring: Ring, floor: FloorPlane | None) -> float:
 
 
 def _free_aside(rays: Sightlines, ring: Ring) -> float:
-    """Return whether rays through the disc leave behind the rim; too few rays count as free.
+    """Return the rating of the share of rays through the disc that leave sideways behind the rim; 1 without such rays.
 
-    A ray leaves the tube that the rim would be the mouth of where it is as far from the axis as the rim for the
+    A ray leaves the tube whose mouth the rim would be where its distance from the axis is the rim's radius for the
     second time.
     """
     basis = ring.basis
@@ -170,7 +170,7 @@ def _free_aside(rays: Sightlines, ring: Ring) -> float:
     nearest = -(start[:, :2] * way[:, :2]).sum(axis=1) / speed
     square = nearest**2 - ((start[:, :2] ** 2).sum(axis=1) - ring.radius**2) / speed
     leaves = nearest + np.sqrt(np.maximum(square, 0.0))
-    # A ring fitted to the wall of a tube is deep: where it ends behind does not count.
+    # A ring fitted to the wall of a tube is deep: its depth is capped so that the wall behind it counts.
     deep = min(ring.half_depth, _USUAL_DEPTH)
     behind_there, behind_end = (-(start[:, 2] + t * way[:, 2]) - deep for t in (leaves, rays.length))
     goes_in = (square > 0.0) & (behind_end > _ASIDE[0] - 0.005)
@@ -180,7 +180,7 @@ def _free_aside(rays: Sightlines, ring: Ring) -> float:
 
 
 def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:
-    """Return the share per sector; NaN where there is nothing."""
+    """Return (S,) share of ``these`` among ``all_of`` in each sector; NaN in sectors without rays."""
     total = np.bincount(sector[all_of], minlength=_SECTORS).astype(float)
     total[total == 0.0] = np.nan
     return np.asarray(np.bincount(sector[these], minlength=_SECTORS) / total)

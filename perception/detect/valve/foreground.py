@@ -1,4 +1,4 @@
-"""Foreground of a scan: the points that no large closed plane explains."""
+"""Foreground of a scan: the points that lie on no large closed plane."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _MOST_RAYS = 40_000
 
 @dataclass(frozen=True)
 class Foreground:
-    """Points and rays that detectors of valves start from, made once for a view.
+    """Points and rays from which valve detectors start, computed once per view.
 
     Attributes:
-        points: (N, 3) obstacle points that no wall explains [m].
-        rng: as the search for walls left it.
+        points: (N, 3) obstacle points that lie on no wall [m].
+        rng: generator in its state after the search for walls.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -36,17 +36,17 @@ class Foreground:
 
     @staticmethod
     def of(view: View) -> Foreground:
-        """Return the foreground of a scan made ready."""
+        """Return the foreground of a view."""
         rng = np.random.default_rng(view.seed)
         index = sight_index(view.cloud)
         return Foreground(view.obstacles[before_walls(view.obstacles, view.starts, index.rays, rng)], index, rng)
 
     def near(self, hint: Float[np.ndarray, "3"] | None, radius: float) -> Float[np.ndarray, "M 3"]:
-        """Return the points within ``radius`` of a hint, all without one."""
+        """Return the points within ``radius`` of a hint [m]; without a hint, all points."""
         return self.points if hint is None else self.points[np.linalg.norm(self.points - hint, axis=1) < radius]
 
     def generator(self) -> np.random.Generator:
-        """Return a generator for hypotheses; each caller draws the same numbers."""
+        """Return a copy of the generator, so that each caller draws the same numbers."""
         return deepcopy(self.rng)
 
 
@@ -56,9 +56,9 @@ def before_walls(
     rays: Sightlines,
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, "N"]:
-    """Return which points no large plane explains; planes are sought in large voxels, whose means scatter less.
+    """Return (N,) points on no large closed plane; planes are fitted to means of large voxels, which scatter less.
 
-    A plane that most rays go through is none: a wheel, a fence and a heap have such planes.
+    Planes that most rays pass through do not count: they lie in wheels, fences and heaps.
 
     Args:
         points: (N, 3) without the floor [m].
@@ -77,7 +77,7 @@ def before_walls(
 
 
 def closed_share(plane: Plane, points: Float[np.ndarray, "N 3"], rays: Sightlines) -> float:
-    """Return how many of the rays that reach the plane within its outline end there, 0 to 1; 1 where none does."""
+    """Return the share of the rays reaching the plane within its outline that end there, 0 to 1; 1 without any."""
     outline = points[plane.members] @ plane.basis.T
     try:
         edges = ConvexHull(outline).equations

@@ -25,15 +25,15 @@ class Inside:
     """Openings, spokes and hub inside the rim.
 
     Attributes:
-        spoke_angles: of the spokes [rad].
-        spoke_share: how much of what was seen between hub and rim the spokes explain, 0 to 1.
-        spokes_known: whether rays are dense enough there to tell spokes from openings.
-        widest_spoke: angle of the widest solid part in the rim's plane [rad].
-        hub_radius: inside it nothing was seen through [m].
-        depth: lowest and highest place along the axis of what was seen inside the rim [m].
-        open_share: of the rays inside the rim, how many went on.
-        n_middle: rays that ended about the middle.
-        middle_share: of the rays about the middle, how many ended there.
+        spoke_angles: of the spokes about the axis [rad].
+        spoke_share: share of the returns between hub and rim that lie on the spokes, 0 to 1.
+        spokes_known: whether rays are dense enough between hub and rim to distinguish spokes from openings.
+        widest_spoke: angle of the widest solid sector in the rim's plane [rad].
+        hub_radius: radius within which almost all rays ended on the wheel [m].
+        depth: lowest and highest axial position of the returns inside the rim [m].
+        open_share: share of the rays inside the rim that went through.
+        n_middle: number of rays that ended on the wheel near its middle.
+        middle_share: share of the rays near the middle that ended on the wheel.
     """
 
     spoke_angles: tuple[float, ...]
@@ -58,7 +58,7 @@ class _Spokes:
 
 
 def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
-    """Return openings, spokes and hub from which rays inside the rim ended at the wheel and which went on."""
+    """Return openings, spokes and hub, from the rays inside the rim that ended on the wheel or went through."""
     distance = np.linalg.norm(passage.place, axis=1)
     inner = ring.radius - ring.half_width
     behind = rays.length - passage.crossing
@@ -77,7 +77,7 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
     spacing = float(np.sqrt(np.pi * inner**2 / known.sum()))
     spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 0.8 * spacing))
     if not spokes.known:
-        # Scan lines may lie further apart than rays on them.
+        # Scan lines may be further apart than the rays along them.
         spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 1.3 * spacing))
     return Inside(
         spokes.angles,
@@ -106,11 +106,11 @@ def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], 
 
 
 def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], corridor_half: float) -> _Spokes:
-    """Find spokes: a narrow corridor is turned about the axis; where most rays in it ended at the wheel there is one.
+    """Return the spokes: the angles at which most rays in a narrow radial corridor ended on the wheel.
 
     Args:
-        place: (N, 2) where rays cross the wheel between hub and rim [m].
-        behind: (N,) how far behind that place they ended [m].
+        place: (N, 2) crossings of rays with the rim's plane between hub and rim [m].
+        behind: (N,) distance along the ray from that crossing to its end [m].
         corridor_half: half width of the corridor [m].
     """
     solid = np.abs(behind) < _SPOKE_DEPTH
@@ -124,12 +124,12 @@ def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], cor
         return _Spokes(known=known)
     hits = corridor[solid].sum(axis=0)
     share = hits / np.maximum(total, 1)
-    # One or two mixed pixels make no spoke.
+    # One or two mixed pixels are not a spoke.
     is_spoke = (share > 0.4) & (hits >= 3)
     if is_spoke.all() or not is_spoke.any():
         return _Spokes(known=True, widest=2.0 * np.pi * float(is_spoke.all()))
     runs, start = _runs(is_spoke)
-    # What lies before or behind the rim's plane, as the end of a stem or the body below it, is no part of the wheel.
+    # Solid parts off the rim's plane, such as the end of a stem or the body below it, are not part of the wheel.
     depth = corridor[solid].T @ behind[solid] / np.maximum(hits, 1)
     in_plane, _ = _runs(is_spoke & (np.abs(depth) < _IN_PLANE))
     whole = _rejoin(runs, np.roll(share, -start))
@@ -150,14 +150,14 @@ def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], cor
 
 
 def _runs(these: Bool[np.ndarray, "A"]) -> tuple[Int[np.ndarray, "R 2"], int]:
-    """Return where runs of angles begin and end, counted from an angle that is in none, and that angle."""
+    """Return (R, 2) begin and end of each run, counted from an index in no run, and that index."""
     start = int(np.flatnonzero(~these)[0])
     turned = np.concatenate([[0], np.roll(these, -start).astype(int), [0]])
     return np.flatnonzero(np.diff(turned)).reshape(-1, 2), start
 
 
 def _rejoin(runs: Int[np.ndarray, "R 2"], share: Float[np.ndarray, "A"]) -> list[tuple[int, int]]:
-    """Return runs of angles, joined where a gap of few steps holds hits."""
+    """Return runs of angles, joined across gaps of at most three steps that all hold some hits."""
     joined: list[tuple[int, int]] = []
     for low, high in runs.tolist():
         if joined and low - joined[-1][1] <= _MOST_APART and share[joined[-1][1] : low].min() > _BETWEEN:

@@ -1,4 +1,4 @@
-"""Bars that may be a valve's lever or its pipe: lines of points, those about which rays went past looked at closely."""
+"""Candidates for a valve's lever and pipe: round bars fitted at lines of points with air about them."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _SEEN_SIDE = 0.7
 
 @dataclass(frozen=True)
 class FittedBar:
-    """A round bar with its ends and what speaks for it.
+    """Round bar with its ends and evidence.
 
     Attributes:
-        fit: with its ends and how surely it is there.
-        ends: which of them were seen.
-        evidence: by the rays about it.
+        fit: the fitted bar and its uncertainty.
+        ends: the bar cut to its ends, and which of them were seen.
+        evidence: of the rays about it.
     """
 
     fit: BarFit
@@ -52,17 +52,17 @@ class FittedBar:
 
     @property
     def bar(self) -> Bar:
-        """The bar with its ends."""
+        """The bar cut to its ends."""
         return self.ends.bar
 
 
 def find_levers(
     foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
 ) -> list[FittedBar]:
-    """Return slim bars with air about them and at least one end that was seen.
+    """Return slim bars with air about them and at least one seen end.
 
     Args:
-        hint: (3,) only what comes near it is looked at, and more closely [m].
+        hint: (3,) only lines near it are fitted; its surroundings are searched a second time [m].
     """
     lines = _lines(foreground, hint, _LEVER_TUBE, LENGTHS[0], _LEVER_PAIRS, _LEVER_BALL)
     short = [line for line in lines if line.last - line.first < 1.5 * LENGTHS[1]]
@@ -82,7 +82,7 @@ def find_levers(
 def find_pipes(
     foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
 ) -> list[FittedBar]:
-    """Return longer and thicker round bars; arguments as of :func:`find_levers`."""
+    """Return longer and thicker round bars; arguments as for :func:`find_levers`."""
     lines = _lines(foreground, hint, _PIPE_TUBES, _LEAST_PIPE, _PIPE_PAIRS, None)
     chosen = _in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
     fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
@@ -101,7 +101,7 @@ def _lines(
     n_pairs: int,
     ball: float | None,
 ) -> list[Line]:
-    """Return lines of points; with a hint only those that come near it, of the scan and of what is near."""
+    """Return lines of points; with a hint, the scan's lines near it and the lines of the points near it."""
     points, _ = voxel_downsample(foreground.points, _VOXEL)
     lines = find_lines(points, foreground.generator(), tubes, least_length, n_pairs=n_pairs, slim_ball=ball)
     if hint is None:
@@ -112,7 +112,7 @@ def _lines(
 
 
 def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
-    """Return the distance between a place and the nearest of a line [m]."""
+    """Return the distance of a point from a line between its ends [m]."""
     offset = place - line.place
     along = float(np.clip(offset @ line.axis, line.first, line.last))
     return float(np.linalg.norm(offset - along * line.axis))
@@ -121,9 +121,9 @@ def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
 def _in_air(
     lines: Sequence[Line], index: SightIndex, floor: FloorPlane | None, radii: Sequence[tuple[float, float]]
 ) -> list[Line]:
-    """Return lines that may be bars in air: for one of the sizes most rays end on the bar, and most beside it go on.
+    """Return lines that may be bars in air: at one of the radii, most rays end on the bar and most beside it go on.
 
-    Each scan row on a wall is a line as well.  This check takes a hundredth of the time of a fit.
+    Every scan row on a wall is a line too.  This check takes a hundredth of the time of a fit.
     """
     kept = []
     for line in lines:
@@ -133,7 +133,7 @@ def _in_air(
         away /= max(float(np.linalg.norm(away)), 1e-6)
         frame = np.stack([line.axis, cross(away, line.axis), away])
         for half in radii:
-            # Its points lie on the side that is seen.
+            # Points lie on the visible side of a bar.
             place = line.place + _SEEN_SIDE * half[0] * away
             evidence = weigh_bar(rays, Bar(frame, place, half, line.first, line.last, "round"))
             if evidence.solid * evidence.air * evidence.visible > _HOPELESS:
@@ -145,7 +145,7 @@ def _in_air(
 def _fit(
     line: Line, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
 ) -> FittedBar | None:
-    """Return a round bar about a line, fitted, cut to its ends and fitted again."""
+    """Return the round bar at a line, fitted, cut to its ends and fitted again; None when a fit fails."""
     first = _fit_once(Run(line.place, line.axis, line.first, line.last), index, floor, radii, tube)
     return None if first is None else _fit_once(run_of(first.bar), index, floor, radii, tube)
 
@@ -164,11 +164,11 @@ def _fit_once(
 def best_round(
     rays: SurroundingRays, run: Run, radii: tuple[tuple[float, float], ...], tube: float, most: int
 ) -> BarFit | None:
-    """Return the round bar that explains best what is seen about a run; None where too little is.
+    """Return the round bar of least misfit to the rays about a run; None with too few rays.
 
     Args:
-        radii: to start from, each twice [m].
-        tube: radius about the run whose points are to be explained [m].
+        radii: start values, each as a pair of equal half sizes [m].
+        tube: radius about the run within which the bar must explain the points [m].
     """
     sample = sample_about(rays, run, tube, most)
     if sample is None:

@@ -1,4 +1,4 @@
-"""A lever and its pipe: how they lie to one another, and the fit of each without the points of the other."""
+"""Lever and pipe of a valve: their joint, and the fit of each without the points of the other."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from perception.sightlines import SightIndex
 _APART = (0.04, 0.25)
 _PARALLEL_DEG = 20.0
 _PIVOT_FROM_END = 0.06
-# By the pipe's radius, where what holds a lever before it begins: the noise of the pipe itself is below that; a lever
-# across looks past it.
+# Distance from the pipe's axis, in its radii, beyond which returns belong to the lever's support: above the pipe's
+# noise for a parallel lever, lower for a lever across it.
 _OVER_PIPE, _IN_PIPE = 1.15, 0.8
-_OVERHANG = 1.25  # of a lever beyond its pivot, by its radius
-# What is known at best of: directions of bar and pipe [rad], their places across, the pivot's place along [m].
+_OVERHANG = 1.25  # length of a lever beyond its pivot, in its radii
+# Least deviations: directions of bar and pipe [rad], their lateral positions, the pivot's position along the bar [m].
 _SIGMA_WAY, _SIGMA_ACROSS, _SIGMA_ALONG = 0.004, 0.002, 0.012
 _BEYOND = 0.1
 _BELOW = 0.01
@@ -42,11 +42,11 @@ _FEWEST = 3
 
 @dataclass(frozen=True)
 class LeverJoint:
-    """A lever on a pipe.
+    """Joint of a lever on a pipe.
 
     Attributes:
-        axis: (3,) unit, of the pivot, from the pipe to the lever.
-        pivot: on the lever.
+        axis: (3,) unit, pivot axis, from the pipe to the lever.
+        pivot: position of the pivot and of the free end along the lever.
         spread: standard deviation of the axis [rad].
     """
 
@@ -56,14 +56,14 @@ class LeverJoint:
 
 
 def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex) -> LeverJoint | None:
-    """Return the joint; None when they do not lie as lever and pipe do.
+    """Return the joint of a bar and a pipe; None when their sizes or positions do not fit a lever on its pipe.
 
-    Where they cross, the pivot lies where they come nearest to each other, and otherwise at the end behind which rays
-    do not pass.  The pivot's axis is square to both and leads from the pipe's middle to the pivot: what is known best
-    counts most.
+    If they cross, the pivot lies at their closest approach; if parallel, at the end of the bar behind which no rays
+    pass.  The pivot's axis is perpendicular to both and leads from the pipe's axis to the pivot, each condition
+    weighted by its accuracy.
 
     Args:
-        tilts: standard deviations of their directions [rad].
+        tilts: standard deviations of the directions of bar and pipe [rad].
     """
     if pipe.half[0] < 1.2 * bar.half[0] or pipe.length < bar.length:
         return None
@@ -77,7 +77,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
     else:
         axis = cross(bar.axis, pipe.axis)
         axis *= np.sign(axis @ between) or 1.0
-        # Where the bar's line comes nearest to the pipe's.
+        # Position along the bar's axis that is closest to the pipe's axis.
         nearest = float((cosine * (offset @ pipe.axis) - offset @ bar.axis) / (1.0 - cosine**2))
     apart = float(np.linalg.norm(axis)) if is_parallel else abs(float(between @ axis) / float(np.linalg.norm(axis)))
     axis = axis / np.linalg.norm(axis)
@@ -92,11 +92,11 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
         k = int(np.argmin(np.abs(ends - nearest)))
         if abs(ends[k] - nearest) > _PIVOT_FROM_END or (nearest - ends[k]) * (1 - 2 * k) < -0.02:
             return None
-        # Where they cross tells the pivot better than what is seen behind the bar.
+        # The crossing locates the pivot better than the rays behind the bar.
         clear = pivot.confidence if pivot.far == ends[1 - k] else 0.0
         pivot = replace(pivot, along=nearest, far=float(ends[1 - k]), confidence=clear)
     else:
-        # What is seen of the body below it tells at which end a lever is held, but not where.
+        # The body seen below a lever shows at which end it is held, but not the position.
         end = bar.first if pivot.far > pivot.along else bar.last
         pivot = replace(pivot, along=float(end + np.sign(pivot.far - end) * _OVERHANG * bar.half[0]))
     axis, spread = _axis(bar, pipe, pivot.along, tilts)
@@ -104,7 +104,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
 
 
 def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Return the direction most nearly square to both bars and along the way between them, and its deviation [rad]."""
+    """Return the unit axis most nearly perpendicular to both bars and along their offset, and its deviation [rad]."""
     out = bar.centre + at * bar.axis - pipe.centre
     out = out - (out @ pipe.axis) * pipe.axis
     apart = float(np.linalg.norm(out))
@@ -120,7 +120,7 @@ def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[F
 
 
 def _pivot(bar: Bar, axis: Float[np.ndarray, "3"], gap: float, index: SightIndex) -> Pivot:
-    """Return where the bar is held over the pipe's near side, as if that were a face."""
+    """Return the pivot of the bar, with the pipe's near side taken as a face."""
     z = axis - (axis @ bar.axis) * bar.axis
     z /= np.linalg.norm(z)
     half = 0.5 * bar.length
@@ -136,13 +136,13 @@ def _pivot(bar: Bar, axis: Float[np.ndarray, "3"], gap: float, index: SightIndex
 
 @dataclass(frozen=True)
 class Settled:
-    """A lever and its pipe.
+    """Refitted lever and pipe.
 
     Attributes:
-        lever: with its ends.
-        pipe: with its ends.
-        fits: of both, with how surely they are there; None: as they were.
-        is_seen: whether rays went past right beyond the lever's free end.
+        lever: the lever cut to its ends.
+        pipe: the pipe cut to its ends.
+        fits: fits of lever and pipe with their uncertainty; None where the rough bar was kept.
+        is_seen: whether rays passed right beyond the lever's free end.
     """
 
     lever: Bar
@@ -159,12 +159,12 @@ def settle_joint(
     index: SightIndex,
     floor: FloorPlane | None,
 ) -> Settled:
-    """Fit both anew: a flange 3 cm below a lever widens it and draws it aside, as the body does with the pipe.
+    """Return lever and pipe refitted without flange and body: a flange 3 cm below a lever widens and shifts its fit.
 
     Args:
-        lever: roughly.
-        pipe: roughly.
-        pivot: where the lever is held, from its centre along its axis [m].
+        lever: rough lever.
+        pipe: rough pipe.
+        pivot: position of the pivot along the lever's axis, from its centre [m].
         up: (3,) unit, from the pipe to the lever.
     """
     place = lever.centre + pivot * lever.axis
@@ -191,7 +191,7 @@ def settle_joint(
 
 
 def _rays_near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> SurroundingRays:
-    """Return all rays close to a bar and its ends: the last one that met it tells its end."""
+    """Return all rays close to a bar and beyond its ends, unthinned: the last hit locates the end."""
     beyond = replace(bar, first=bar.first - _ABOUT_END, last=bar.last + _ABOUT_END)
     rays = index.passing(beyond.places(_SPACING), _BESIDE)
     elsewhere = np.zeros(len(rays), dtype=bool) if floor is None else floor.above(rays.ends) < _ON_FLOOR
@@ -199,7 +199,7 @@ def _rays_near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> Surroun
 
 
 def _between_ends(fitted: Bar, rough: Bar) -> Bar:
-    """Return a fitted bar from and to where the rough one goes."""
+    """Return the fitted bar with the ends of the rough one."""
     axis = fitted.axis
     sign = np.sign(axis @ rough.axis)
     ends = [float((rough.centre + at * rough.axis - fitted.centre) @ axis) for at in (rough.first, rough.last)]
@@ -209,16 +209,16 @@ def _between_ends(fitted: Bar, rough: Bar) -> Bar:
 
 
 def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar, bool]:
-    """Return the bar with its free end between the last hit and the first pass, and whether it is seen.
+    """Return the bar with its free end between the last hit and the first pass, and whether that end was seen.
 
-    A ray that leans on the bar goes past its end nearer to its middle than it would cross its near side.
+    An oblique ray that passes the end is closest to the axis nearer to the bar's middle than on its near side.
     """
     crossing = cross_bar(rays, bar)
     outcome = sort_rays(rays, crossing)
     radius = bar.half[0]
     inside = crossing.outside < -_INSIDE
-    # Where on the axis each ray comes nearest to it, and how far before that place a ball of the bar's radius would
-    # have to end to be missed.
+    # Axial position of each ray's closest approach, and from it the position at which a bar with a spherical end of
+    # its radius would just be missed.
     lean = rays.direction @ bar.axis
     square = np.sqrt(np.maximum(1.0 - lean**2, 1e-6))
     offset = rays.start - bar.centre
@@ -235,11 +235,11 @@ def _round_off_end(rays: SurroundingRays, bar: Bar, at_last: bool) -> tuple[Bar,
 
 
 def _border(hits: Float[np.ndarray, "K"], passes: Float[np.ndarray, "M"], fallback: float) -> float:
-    """Return the middle of the gap that best parts hits from passes further out."""
+    """Return the axial position that best separates hits from passes further out [m]."""
     if not len(hits) or not len(passes):
         return fallback
     places = np.sort(np.concatenate([hits, passes]))
-    # With the border right behind each place: hits beyond it and passes before it are wrong.
+    # Errors with the border right behind each position: hits beyond it and passes before it.
     wrong = (hits[None] > places[:, None]).sum(axis=1) + (passes[None] <= places[:, None]).sum(axis=1)
     best = np.flatnonzero(wrong == wrong.min())
     behind = np.append(places[1:], places[-1])

@@ -1,4 +1,4 @@
-"""Hypotheses of straight slender things in a cloud, scored by how much they stand out, grown along their line."""
+"""Line hypotheses for slender objects in a cloud, scored by their contrast to nearby points and extended."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ _GAP = 5
 _MOST_NEAR = 400
 _SHARED, _RUNS_IN = 0.6, 0.6
 _MOST_BINS = 20
-# A line begun at a few points is off by this much at most where it ends.
+# Greatest lateral error at its ends of a line started from a few points [m].
 _CORRIDOR = 0.25
 
 
 @dataclass(frozen=True)
 class Line:
-    """A straight run of points.
+    """Straight run of points.
 
     Attributes:
-        place: (3,) on it [m].
-        first, last: where it begins and ends, from ``place`` along ``axis`` [m].
-        radius: of the tube its points lie in [m].
+        place: (3,) point on it [m].
+        first, last: its ends along ``axis``, from ``place`` [m].
+        radius: of the tube that holds its points [m].
         members: indices of its points.
-        score: number of bins along it that hold points (no more than 20), times how much they stand out.
+        score: number of bins along it that hold points (at most 20), times their contrast to points about the tube.
     """
 
     place: Float[np.ndarray, "3"]
@@ -53,13 +53,13 @@ def find_lines(
     n_pairs: int = 14,
     slim_ball: float | None = None,
 ) -> list[Line]:
-    """Return the best lines, best first; no two that run through much the same place.
+    """Return the best lines, best first; none runs mostly inside another's tube.
 
     Args:
         points: (N, 3) thinned evenly, without large planes [m].
         radii: of the tubes to try [m].
-        slim_ball: what is sought is so slim that points in balls of this radius about it spread along it [m]: only
-            such places are looked at, and that direction is tried as well; None: it may be thick.
+        slim_ball: only points whose neighbours within this radius spread along one direction are seeds, and that
+            direction is tried as well [m]; None: every point may be a seed.
     """
     if len(points) < 12:
         return []
@@ -82,7 +82,7 @@ def find_lines(
     starts.sort(key=lambda start: -start[0])
     lines: list[Line] = []
     for _, start in starts[: 6 * _MOST_LINES]:
-        # What one line explains is not begun at again.
+        # Starts whose points mostly lie on an accepted line are skipped.
         if len(start.members) and taken[start.members].mean() > _SHARED:
             continue
         line = _grow(points, start)
@@ -105,7 +105,7 @@ def _best_at_seed(
     n_pairs: int,
     way: Float[np.ndarray, "3"] | None,
 ) -> list[tuple[float, Line]]:
-    """Return the best line through a seed for each radius."""
+    """Return (score, line) of the best line through a seed for each radius."""
     poll()
     if len(local) > _MOST_NEAR:
         local = np.sort(rng.choice(local, _MOST_NEAR, replace=False))
@@ -138,12 +138,12 @@ def _best_at_seed(
 
 
 def _contrast(share: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-    """Return 0 where points lie about the tube as densely as in it, as on a wall; 1 where there are none about it."""
+    """Return (K,) contrast: 0 where points about the tube are as dense as in it (on a wall), 1 where there are none."""
     return np.asarray(np.maximum(share - 0.4, 0.0) / 0.6)
 
 
 def _grow(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
-    """Return the line refitted to its points and extended as far as they go on; None when too few are left."""
+    """Return the line refitted to its points and extended over their run of bins; None with too few points."""
     poll()
     if not len(line.members):
         return None
@@ -181,14 +181,14 @@ def _grow(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
 def _about(
     points: Float[np.ndarray, "N 3"], place: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Return where along a line each point is, and how far from it [m]."""
+    """Return (N,) positions of points along a line and (N,) distances from it [m]."""
     offset = points - place
     along = offset @ axis
     return along, np.sqrt(np.maximum(np.einsum("ni,ni->n", offset, offset) - along**2, 0.0))
 
 
 def _run(along: Float[np.ndarray, "K"]) -> tuple[float, float]:
-    """Return ends of the run of filled bins through the middle, gaps of up to five bins included."""
+    """Return both ends of the run of filled bins nearest to position 0, gaps of up to five bins included [m]."""
     bins = np.unique(np.floor(along / _BIN).astype(np.int64))
     breaks = np.flatnonzero(np.diff(bins) > _GAP)
     begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(bins) - 1]])
@@ -198,7 +198,7 @@ def _run(along: Float[np.ndarray, "K"]) -> tuple[float, float]:
 
 
 def _runs_in_any(line: Line, others: Sequence[Line]) -> bool:
-    """Return whether a line runs in another's tube for most of its length."""
+    """Return whether most of a line's length lies inside another's tube."""
     if not others:
         return False
     places = line.place + np.linspace(line.first, line.last, 9)[:, None] * line.axis

@@ -1,7 +1,7 @@
-"""A handwheel's rim: a ring of elliptic section, how rays pass it, and its fit to rays that hit and rays that missed.
+"""Rim of a handwheel: a ring of elliptic section, its intersection with rays, and its fit to hits and misses.
 
-A scanner's noise lies along its rays, so where a ray ended tells how far the rim is, and whether it ended there or went
-on tells where the rim's edges are.  Both enter the fit: depth of the hits, and the side of the edge for all.  A
+A scanner's noise lies along its rays, so the depths of hits locate the rim along the rays, and the border between hits
+and misses locates its edges.  Both enter the fit: depth residuals of hits, edge residuals of all rays.  A
 Levenberg-Marquardt loop with derivatives by hand takes a tenth of the time of scipy's solver with differences.
 """
 
@@ -37,7 +37,7 @@ _STILL = 1e-4
 
 @dataclass(frozen=True)
 class Ring:
-    """A torus of elliptic section.
+    """Torus of elliptic section.
 
     Attributes:
         axis: (3,) unit, towards the sensor.
@@ -61,7 +61,7 @@ class Ring:
 def wheel_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Return rows e0, e90, axis: angles about the axis count from e0, right-handed.
 
-    e0 is horizontal, z x axis; for an upright axis it is what of x is at right angles to it.
+    e0 is horizontal, z x axis; for a nearly vertical axis it is x projected perpendicular to the axis.
     """
     x, y, z = axis
     first = np.array([-y, x, 0.0]) if x * x + y * y > 0.01 else np.array([1.0 - x * x, -x * y, -x * z])
@@ -71,12 +71,12 @@ def wheel_basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 @dataclass(frozen=True)
 class Passage:
-    """Passages of rays by a ring.
+    """Crossing and closest approach of rays at a ring.
 
     Attributes:
-        place: (N, 2) where it crosses the ring's plane, in the wheel's basis [m].
-        crossing: (N,) distance along the ray to that place [m].
-        level: (N,) smallest value of the section's ellipse function on the ray: below one it meets the rim.
+        place: (N, 2) crossing of the ray with the ring's plane, in the wheel's basis [m].
+        crossing: (N,) distance along the ray to that crossing [m].
+        level: (N,) root of the section's ellipse function at its minimum on the ray; below one the ray meets the rim.
         depth: (N,) distance along the ray to the rim, or to the closest approach [m].
     """
 
@@ -88,19 +88,19 @@ class Passage:
 
 @dataclass(frozen=True)
 class RingCrossing:
-    """Ways of rays through the ring's section at the angle where each crosses the ring's plane.
+    """Intersection of rays with the ring's section at the angle where each crosses the ring's plane.
 
     Attributes:
-        place: (N, 2) where it crosses the plane, in the wheel's basis [m].
-        crossing: (N,) distance along the ray to that place [m].
-        distance: (N,) of that place from the axis [m].
-        unit: (N, 2) direction of that place.
-        sideways: (N, 2) of the ray's direction, what lies in the plane.
-        outward, along, slope: (N,) of the ray's direction, what points away from the axis, about it, and along it.
-        across: (N,) how far beyond the rim's centre line it crosses the plane [m].
+        place: (N, 2) crossing of the ray with the plane, in the wheel's basis [m].
+        crossing: (N,) distance along the ray to that crossing [m].
+        distance: (N,) of the crossing from the axis [m].
+        unit: (N, 2) unit direction from the axis to the crossing.
+        sideways: (N, 2) component of the ray's direction in the plane.
+        outward, along, slope: (N,) radial, tangential and axial component of the ray's direction.
+        across: (N,) distance of the crossing outside the rim's centre line [m].
         alpha: (N,) curvature of the section's ellipse function on the ray [1/m^2].
-        nearest: (N,) how far before the plane the ellipse function is smallest [m].
-        level: (N,) the root of its smallest value.
+        nearest: (N,) distance along the ray from the ellipse function's minimum to the crossing [m].
+        level: (N,) root of that minimum.
     """
 
     place: Float[np.ndarray, "N 2"]
@@ -118,7 +118,7 @@ class RingCrossing:
 
 
 def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
-    """Meet every ray with the section of the ring at the angle where the ray crosses its plane."""
+    """Return the intersection of each ray with the ring's section at the angle where it crosses the ring's plane."""
     basis = ring.basis
     start = (rays.start - ring.centre) @ basis.T
     direction = rays.direction @ basis.T
@@ -140,7 +140,7 @@ def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
 
 
 def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
-    """Return where every ray passes a ring, and how closely."""
+    """Return the crossing and closest approach of each ray at a ring."""
     met = cross_ring(rays, ring)
     depth = met.crossing - met.nearest - np.sqrt(np.maximum(1.0 - met.level**2, 0.0) / met.alpha)
     return Passage(met.place, met.crossing, met.level, depth)
@@ -148,11 +148,11 @@ def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
 
 @dataclass(frozen=True)
 class Gate:
-    """Distances off a rim up to which a ray counts as ended on it.
+    """Greatest distances from a rim at which a ray's end counts as a hit.
 
     Attributes:
-        along: before or behind it [m].
-        beside: its section [m].
+        along: along the ray, before or behind the rim [m].
+        beside: outside the rim's section [m].
     """
 
     along: float
@@ -160,7 +160,7 @@ class Gate:
 
 
 ABOUT = Gate(0.04, 0.008)
-# Of a ring that is nearly right: what ends further off at its edges is mixed of it and what is behind.
+# For a nearly correct ring: returns further off at its edges are mixed pixels of rim and background.
 CLOSE = Gate(0.03, 0.004)
 
 
@@ -170,26 +170,26 @@ def rough_gate(ring: Ring) -> Gate:
 
 
 def rim_hits(rays: Sightlines, ring: Ring, passage: Passage, gate: Gate = ABOUT) -> Bool[np.ndarray, "N"]:
-    """Return rays that ended on the rim: near its depth, and inside its section or just beside it."""
+    """Return (N,) rays that ended on the rim: near its depth, and inside its section or just beside it."""
     beside = passage.level < 1.0 + gate.beside / ring.half_width
     return np.asarray(beside & (np.abs(rays.length - passage.depth) < gate.along))
 
 
 def depth_error(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -> float:
-    """Return the root of the mean square over all [m]; infinite where there are none."""
+    """Return the root mean square depth residual of the hits [m]; infinite without hits."""
     return float(np.sqrt(np.mean((rays.length - passage.depth)[hit] ** 2))) if hit.any() else np.inf
 
 
 def axis_error(rays: Sightlines, ring: Ring, passage: Passage) -> float:
-    """Return the standard deviation of the axis that follows from the depths it was fitted to [rad]."""
+    """Return the standard deviation of the axis, from the depth residuals of the close hits [rad]."""
     close = rim_hits(rays, ring, passage, CLOSE)
     return depth_error(rays, passage, close) / ring.radius * float(np.sqrt(2.0 / max(int(close.sum()), 1)))
 
 
 def unevenness(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -> float:
-    """Return how far the rays on each twelfth of the rim do so in the mean, beyond what their scatter explains [m].
+    """Return the root mean square over twelfths of the rim of their mean depth residual, beyond scatter [m].
 
-    A rim lies where its rays end all round; a ring laid through parts of other things is before some and behind others.
+    A true rim fits its returns all round; a ring through parts of other objects is before some and behind others.
     """
     off = (rays.length - passage.depth)[hit]
     angle = np.arctan2(passage.place[hit, 1], passage.place[hit, 0])
@@ -205,7 +205,7 @@ def unevenness(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -
 
 
 def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
-    """Refine a ring; which rays count as hits is decided anew each round."""
+    """Return the refined ring; hits and misses are selected anew in each round."""
     for _ in range(n_rounds):
         passage = pass_ring(rays, ring)
         hit = rim_hits(rays, ring, passage, gate)
@@ -219,7 +219,7 @@ def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
 
 
 def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
-    """Return the ring of least robust (soft l1) squared residuals."""
+    """Return the ring of least robust (soft l1) cost, by Levenberg-Marquardt steps."""
     ring, trial, cost, damping = start, start, np.inf, _FIRST_DAMPING
     for _ in range(_STEPS):
         residuals, jacobian = linearize_ring(rays, hit, trial)
@@ -241,7 +241,7 @@ def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
 def _step(
     ring: Ring, gradient: Float[np.ndarray, "8"], curvature: Float[np.ndarray, "8 8"], damping: float
 ) -> Float[np.ndarray, "8"]:
-    """Keep sizes at their limits that would go beyond."""
+    """Return the damped step (8,) in :func:`move_ring`'s unknowns; sizes at a limit do not go beyond it."""
     sizes = np.array([ring.radius, ring.half_width, ring.half_depth])
     low, high = sizes <= _SIZE_LIMITS[0], sizes >= _SIZE_LIMITS[1]
     free = np.ones(8, dtype=bool)
@@ -265,12 +265,12 @@ def move_ring(ring: Ring, x: Float[np.ndarray, "8"]) -> Ring:
 def linearize_ring(
     rays: Sightlines, hit: Bool[np.ndarray, "N"], ring: Ring
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "8 M"]]:
-    """Return residuals (depth, edge, usual thickness) in deviations and derivatives by :func:`move_ring`'s unknowns."""
+    """Return residuals (depth, edge, thickness) in deviations, and derivatives by :func:`move_ring`'s unknowns."""
     poll()
     met = cross_ring(rays, ring)
     a, b = ring.half_width, ring.half_depth
     far, steep, outward, along = met.across / a, met.slope / b, met.outward / a, met.along
-    # How the ray meets the ring when this moves: distance from the axis, outward and axial speed, crossing.
+    # Derivatives by the ring's motion: distance from the axis, radial and axial component, crossing.
     n = len(rays)
     distance, speed, slope, crossing = (np.zeros((8, n)) for _ in range(4))
     unit, lag = met.unit, along / met.distance
@@ -289,7 +289,7 @@ def linearize_ring(
     half = 0.5 / met.alpha * d_alpha
     d_level = np.sign(far * steep) * (steep * d_far + far * d_steep) / np.sqrt(met.alpha) - met.level * half
     chord = np.sqrt(np.maximum(1.0 - met.level**2, 0.0) / met.alpha)
-    # At the very edge the depth changes without bound.
+    # Bounded, because the derivative of the depth is infinite at the edge.
     lean = np.where(met.level < 1.0, met.level / (met.alpha * np.maximum(chord, 0.2 / np.sqrt(met.alpha))), 0.0)
     d_nearest = (outward * d_far + far * d_outward) / met.alpha - 2.0 * met.nearest * half
     d_depth = crossing - d_nearest + lean * d_level + chord * half
@@ -299,7 +299,7 @@ def linearize_ring(
     wrong = np.flatnonzero(np.where(hit, outside > 0.0, outside < 0.0))
     edge_sign = np.where(hit[wrong], 1.0, -1.0) / _SIGMA_EDGE
     depth = met.crossing - met.nearest - chord
-    # As strong as the mean depth of all hits, or it would drown in their number and mixed pixels would deepen the rim.
+    # As strong as the mean depth of all hits; with a weaker prior, mixed pixels would deepen the rim.
     prior = np.sqrt(max(int(hit.sum()), 1)) / _SIGMA_HALF_DEPTH
     d_prior = np.zeros((8, 1))
     d_prior[6], d_prior[7] = -prior * (a < _USUAL_HALF_DEPTH), prior

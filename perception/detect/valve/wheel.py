@@ -1,4 +1,4 @@
-"""Detection of wheel valves: circles proposed, rims fitted to the rays, evidence weighed, steering wheels set aside."""
+"""Detection of wheel valves: circle hypotheses, rims fitted to the rays and rated; steering wheels rated down."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _MOST_RAYS = 4000
 _WIDER, _BESIDE, _JUST_BESIDE = 1.15, 0.07, 0.03
 _MOST_COARSE = 60_000
 _RADII = (0.13, 0.28)
-# From the middle of the cushion's top: forward, to either side, up [m].
+# Region of a steering wheel from the middle of the cushion's top: forward, to either side, up [m].
 _AHEAD, _ASIDE, _UP = (0.2, 0.75), 0.25, (0.1, 0.65)
 _FACING, _SIDEWAYS = 0.3, 0.35
 _SURE_SEAT = 0.5
@@ -53,7 +53,7 @@ _SURE_SEAT = 0.5
 def detect_wheels(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
     """Find wheel valves, best first; each with its ``ValveDetection`` as model.
 
-    z of a hit's frame is the axis, x horizontal, the origin the rim's centre.
+    Frame of a hit: origin the rim's centre, z the axis, x horizontal.
     """
     return [valve.as_detection() for valve in find_wheels(view, hint)]
 
@@ -62,11 +62,11 @@ def detect_valves(
     cloud: Cloud,
     hint: Float[np.ndarray, "3"] | None = None,
 ) -> list[ValveDetection]:
-    """Find wheel valves, best first; a confidence of 0.5 or more is one to act on.
+    """Find wheel valves, best first; act only on a confidence of 0.5 or more.
 
     Args:
-        cloud: the scan, of which 3 m about the origin are searched.
-        hint: (3,) a point near the wheel: only what lies within half a metre of it is looked at, and weaker evidence
+        cloud: the scan; its points within 3 m of the origin are searched.
+        hint: (3,) a point near the wheel: only points within half a metre of it are searched, and weaker evidence
             is enough [m].
     """
     return find_wheels(make_view(cloud), hint)
@@ -75,17 +75,17 @@ def detect_valves(
 def find_wheels(
     view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
 ) -> list[ValveDetection]:
-    """Find wheel valves as :func:`detect_valves` does; makes the foreground where none is given."""
+    """Find wheel valves as :func:`detect_valves` does; the foreground is computed when none is given."""
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
     index, rng = foreground.index, foreground.generator()
     candidates, _ = voxel_downsample(foreground.near(hint, _HINT_RADIUS), _VOXEL)
-    # The fits are many and small: with several threads BLAS spends seven times as long on handing them out.
+    # Many small fits: with several threads BLAS spends seven times as long on distributing them.
     with threadpool_limits(limits=1, user_api="blas"):
         circles = find_circles(candidates, rng)
         some = index_of(index.rays.thin(_MOST_COARSE))
-        # Hubs are circles as well: of two as good, the larger one first.
+        # Hubs are circles too: of two equally good circles, the larger one comes first.
         circles.sort(key=lambda circle: -circle.score * _promise(circle, some) * np.sqrt(circle.radius))
         detections = _examine_circles(circles, index, view.floor, hint is not None)
     if hint is None:
@@ -98,7 +98,7 @@ def find_wheels(
 def _examine_circles(
     circles: list[Circle], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
 ) -> list[ValveDetection]:
-    """Return the most promising circles as wheels; what lies in the disc of a sure one is not looked at again."""
+    """Return wheels fitted to the first circles, without circles centred in the disc of a sure wheel."""
     valves: list[ValveDetection] = []
     n_examined = 0
     for circle in circles:
@@ -113,7 +113,7 @@ def _examine_circles(
 
 
 def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
-    """Lower the confidence of wheels that a vehicle is steered by."""
+    """Return the detections, with lower confidence for steering wheels of vehicles."""
     if not any(valve.confidence > _STEERING and could_steer(valve.ring) for valve in detections):
         return detections
     seats = find_seats(view)
@@ -126,7 +126,7 @@ def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveD
 
 
 def _promise(circle: Circle, index: SightIndex) -> float:
-    """Return how much more often rays end on the circle than just outside it, 0 to 1; needs no exact circle."""
+    """Return the share of rays that end on the circle, less the share just outside, 0 to 1; a rough circle is fine."""
     near = index.passing(circle.centre[None], circle.radius + 0.09).thin(_MOST_RAYS)
     passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
     behind = near.length - passage.crossing
@@ -141,7 +141,7 @@ def _promise(circle: Circle, index: SightIndex) -> float:
 
 
 def _drop_duplicates(detections: list[ValveDetection]) -> list[ValveDetection]:
-    """Drop those inside the disc of a surer one: rings about its hub or spokes are the same wheel."""
+    """Drop wheels centred in the disc of a surer one: rings about its hub or spokes are the same wheel."""
     kept: list[ValveDetection] = []
     for valve in detections:
         if all(np.linalg.norm(valve.centre - other.centre) > other.outer_radius for other in kept):
@@ -151,7 +151,7 @@ def _drop_duplicates(detections: list[ValveDetection]) -> list[ValveDetection]:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """A ring with what is inside it, how much speaks for it, and how well rays agree with it."""
+    """Ring with its inside, its evidence, and the depth error and number of its hits."""
 
     ring: Ring
     inside: Inside
@@ -161,14 +161,14 @@ class _Weighed:
 
 
 def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
-    """Fit the rim and weigh the evidence."""
+    """Return the valve at a circle: its rim fitted to the rays and rated."""
     start = Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012)
     ring = fit_ring(_rays_about(index, start), start, rough_gate(start), n_rounds=1)
     first = _weigh(index, ring, floor)
     # The openings of a small wheel show only when its rim is fitted closely.
     if first.evidence.solid_confidence < _HOPELESS:
         return _as_valve(first, is_hinted)
-    # Without the air about it more rays of a small rim are left when they are thinned.
+    # Without the rays further outside, thinning keeps more rays on a small rim.
     ring = fit_ring(_rays_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2)
     return _as_valve(_weigh(index, ring, floor), is_hinted)
 
@@ -209,26 +209,26 @@ def _as_valve(weighed: _Weighed, is_hinted: bool) -> ValveDetection:
 
 
 def _turn_to_sensor(rays: Sightlines, ring: Ring) -> Ring:
-    """Return the ring with its axis towards where most rays came from."""
+    """Return the ring with its axis towards the starts of most rays."""
     if len(rays) and np.median((rays.start - ring.centre) @ ring.axis) < 0.0:
         return Ring(ring.centre, -ring.axis, ring.radius, ring.half_width, ring.half_depth)
     return ring
 
 
 def _hinted_confidence(evidence: WheelEvidence) -> float:
-    """Return the confidence for a wheel near a hint: the odds are better, and it may be a solid one."""
+    """Return the confidence of a wheel near a hint: higher than without, and solid wheels count too."""
     return float(max(np.sqrt(evidence.confidence), _SOLID * evidence.solid_confidence))
 
 
 def could_steer(ring: Ring) -> bool:
-    """Return whether a ring is of a steering wheel's size."""
+    """Return whether a ring has the size of a steering wheel."""
     return _RADII[0] < ring.radius + ring.half_width < _RADII[1]
 
 
 def steers(ring: Ring, seats: Sequence[Seat]) -> bool:
-    """Return whether a ring is before the chest of a person on one of the seats, and faces them.
+    """Return whether a ring lies in front of the chest of a person on one of the seats, and faces that person.
 
-    A chair before a valve is no reason to doubt the valve: seats of vehicles alone count, and only sure ones.
+    Only sure seats of vehicles count: a chair in front of a valve is no reason to doubt the valve.
     """
     for seat in seats:
         x, y, z = seat.local(ring.centre[None])[0]
