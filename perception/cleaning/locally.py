@@ -13,7 +13,7 @@ from perception.cleaning.clean import row_keys
 from perception.cleaning.outliers import surface_points
 
 _NARROWEST = 0.008  # width of a bin of directions [rad]
-_LEAST_RAYS = 5  # mean per bin; bins up to two away then hold twice the 32 neighbours that are used
+_LEAST_RAYS = 5  # mean per bin; bins up to two away then contain twice the 32 neighbours that are used
 _WIDER = 1.5
 _STEPS = range(-2, 3)
 _MOST_STARTS = 8
@@ -67,7 +67,7 @@ class LocalJudge:
         return np.asarray(kept[np.searchsorted(beside, queries)])
 
     def _beside(self, queries: Int[np.ndarray, "K"]) -> Int[np.ndarray, "M"]:
-        """Return indices, ascending, of points with rays close to those of the queries; all where most are close."""
+        """Return ascending indices of points with rays close to those of the queries; all points if most are close."""
         everyone = np.arange(len(self.points))
         n_sensors = 1 if self.sensor is None else int(self.sensor.max()) + 1
         if n_sensors > _MOST_STARTS or len(queries) > _MOST_SHARE * len(everyone):

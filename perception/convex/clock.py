@@ -13,7 +13,7 @@ class Clock:
         self._since = time.perf_counter()
 
     def lap(self, step: str) -> None:
-        """Add the time since the last call to the step [s]."""
+        """Add the time since the previous lap to the step's total [s]."""
         now = time.perf_counter()
         self.timings[step] = self.timings.get(step, 0.0) + now - self._since
         self._since = now

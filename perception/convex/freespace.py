@@ -215,7 +215,7 @@ class _Rays:
         )
 
     def select_under_way(self, near: float, far: float, size: float) -> Int[np.ndarray, "K"]:
-        """Return rays that are in the grid between two distances [m]; of rays within a cell only the longest."""
+        """Return rays in the grid between two distances [m]; of rays less than a cell apart only the longest."""
         poll()
         first = int(np.searchsorted(self.leave, np.float32(near), side="right"))
         chosen = first + np.flatnonzero(self.enter[first:] < far)
@@ -322,7 +322,7 @@ def _march(
 def _clear_beside(
     surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], size: float, free: Bool[np.ndarray, "X Y Z"]
 ) -> None:
-    """Mark cells that hold a surface point, and their six neighbours, as not free."""
+    """Mark the cells of the surface points, and their six neighbours, as not free."""
     cells = [np.floor((column - low) / size).astype(np.int64) for column, low in zip(surface.T, lower, strict=True)]
     inside = np.ones(len(surface), dtype=bool)
     for column, length in zip(cells, free.shape, strict=True):

@@ -203,7 +203,7 @@ def _cut(
 
 
 def _merge_parts(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int[np.ndarray, "K"]]:
-    """Merge parts, each smallest one with the neighbour that gives the least area, if the outline has no opening."""
+    """Merge parts, smallest first, with the neighbour that gives the least bounding area, if no opening is covered."""
     waiting = sorted((_Part.of(region, part) for part in parts), key=_Part.rank)
     kept: list[Int[np.ndarray, "K"]] = []
     while waiting:

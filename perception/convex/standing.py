@@ -59,7 +59,7 @@ class Standing:
     held: list[Int[np.ndarray, "K"]]
 
     def find_hidden(self, passed: FreeSpace) -> list[int]:
-        """Return indices of pieces that only a few points, possibly mixed pixels, keep from being contradicted.
+        """Return indices of pieces that rays passed through, but that a few points (mixed pixels?) seem to confirm.
 
         Args:
             passed: cells that rays passed through, cells beside points included.

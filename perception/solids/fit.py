@@ -173,7 +173,7 @@ class PoseJudge:
     wide: Float[np.ndarray, "P 4"]
 
     def count(self, pose: MeshPose, most_rays: int, most_points: int) -> RayCounts:
-        """Count the rays that agree with a pose and those that contradict it, on thinned rays and points."""
+        """Count rays that agree with a pose and rays that contradict it, from a subset of rays and points."""
         rays = self.rays.thin(most_rays)
         hit = self.surface.hits(pose.to_mesh(rays.start), rays.direction @ pose.rotation)
         met = np.isfinite(hit)
