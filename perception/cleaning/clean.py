@@ -24,10 +24,10 @@ class Reach:
     """A vertical cylinder of interest.
 
     Attributes:
-        x, y: position of its axis in the world [m].
+        x, y: axis in the world [m].
         radius: horizontal radius [m].
-        top: height of the upper end in the world [m].
-        bottom: height of the lower end in the world [m].
+        top: world z of the upper end [m].
+        bottom: world z of the lower end [m].
     """
 
     x: float = 0.0
@@ -109,8 +109,8 @@ def inside_hulls(
 ) -> Bool[np.ndarray, "N"]:
     """Return which points lie inside any hull or within ``margin`` [m] outside it.
 
-    Edges and corners have a slightly larger margin (a tenth more at a right-angled edge): rather one point too many
-    is taken for the robot's than one too few.
+    Edges and corners have a slightly larger margin (a tenth more at a right-angled edge), so that no robot point is
+    kept.
 
     Args:
         hulls: vertices (V, 3) of each hull, in the frame of the points [m].

@@ -23,12 +23,12 @@ _WIDEST = 0.5
 
 @dataclass(frozen=True)
 class LocalJudge:
-    """Scan prepared for surface tests of a few of its points.
+    """Scan prepared for surface tests of a few points.
 
     Attributes:
         candidates: which points are not on the floor.
         directions: (3, N) unit vectors of the rays.
-        sensor: (N,) number of the sensor position of each ray; None when all rays share one.
+        sensor: (N,) sensor position number of each ray; None for a single one.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -41,7 +41,7 @@ class LocalJudge:
     def of(
         cls, points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], candidates: Bool[np.ndarray, "N"]
     ) -> LocalJudge:
-        """Compute ray directions and sensor numbers; the arguments are the attributes of the same names."""
+        """Compute ray directions and sensor numbers; arguments as the attributes."""
         directions = np.subtract(points.T, starts.T, order="C").astype(np.float32)
         lengths = np.sqrt(directions[0] ** 2 + directions[1] ** 2 + directions[2] ** 2)
         directions /= np.maximum(lengths, np.float32(1e-9))

@@ -29,9 +29,9 @@ _SHARE_ON_PLANE = 0.8
 # Points at this distance from a plane have a quarter of the weight in its fit; other surfaces have almost none [m].
 _ROBUST = 0.004
 _FITS = 4
-# Largest sine of the angle between ray and surface that counts as grazing; ``support`` covers larger angles.
+# Largest sine of a grazing angle; ``support`` covers larger angles.
 _STEEP = 0.12
-# Mixed pixels along an edge lie in a plane through the sensor; a surface must miss the sensor by this [m].
+# Mixed pixels at an edge lie in a plane through the sensor; surfaces miss it by this [m].
 _ASIDE = 0.02
 # Most rounds of growth over a grazed surface.
 _MOST_ROUNDS = 24

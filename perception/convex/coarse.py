@@ -98,7 +98,7 @@ def _find_nearest_starts(
 
 @dataclass(frozen=True)
 class Groups:
-    """Indices of the points of each voxel: ``order[first[i]:first[i + 1]]`` for voxel i."""
+    """Point indices of voxel i: ``order[first[i]:first[i + 1]]``."""
 
     order: Int[np.ndarray, "N"]
     first: Int[np.ndarray, "M+1"]
@@ -129,10 +129,10 @@ def smooth_points(
     """Return the chosen points, each moved along its ray onto the plane fitted to its neighbours [m].
 
     Neighbours lie at most 2 cm beside the ray and differ in depth by no more than range noise; their weight is a
-    Gaussian of the distance from the ray with a standard deviation of 8 mm.
+    Gaussian of 8 mm in the distance from the ray.
 
     Args:
-        counts: (N,) number of measured points that each point is the mean of.
+        counts: (N,) measured points per point.
     """
     if len(points) < 2 or not len(chosen):
         return np.asarray(points[chosen])

@@ -70,7 +70,7 @@ class FreeSpace:
         margin = 0.25 * self.size if margin is None else margin
         cells = self.list_cells(hull.lower, hull.upper)
         count = 0
-        # Every n-th cell at a time: a hull with many free cells exceeds ``most`` after the first few.
+        # Every n-th cell at a time: a few of them show a hull with many free cells.
         n_parts = -(-len(cells) // _CHUNK)
         for part in range(n_parts):
             inside = cells[part::n_parts]
@@ -94,7 +94,7 @@ def carve(
     """Return the cells that rays passed through, in a grid from ``lower`` to ``upper``.
 
     Args:
-        ends: (R, 3) ends of the rays; the last 5 cm of a ray are not used (range noise) [m].
+        ends: (R, 3) ray ends; the last 5 cm of a ray are not used (range noise) [m].
         surface: (M, 3) points whose cells and their six neighbours are never free [m].
     """
     return Crossing.of(starts, ends, lower, upper, size).mark_free(surface)
@@ -122,7 +122,7 @@ class Crossing:
         upper: Float[np.ndarray, "3"],
         size: float,
     ) -> Crossing:
-        """Clip the rays to the grid; the arguments are those of ``carve``."""
+        """Clip rays to the grid; arguments as for ``carve``."""
         while np.prod(np.ceil((upper - lower) / size)) > _MAX_CELLS:
             size *= 1.26
         shape = np.maximum(np.ceil((upper - lower) / size).astype(int), 1)
@@ -156,14 +156,14 @@ class Crossing:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Rays that cross the grid, in ascending order of ``leave``.
+    """Rays that cross the grid, sorted by ``leave``.
 
     Attributes:
-        start: (3, R), or (3, 1) when all rays share one start, in cells from the grid's lower corner.
+        start: (3, R), or (3, 1) for a common start, in cells from the grid's lower corner.
         direction: (3, R) unit vectors divided by the cell size [cells/m].
-        enter, leave: (R,) distances from the start between which each ray is in the grid and shows free space [m].
-        bundle: (R,) number of the group of rays with the same start.
-        facing: (R,) face of a cube around the start through which each ray leaves the cube.
+        enter, leave: (R,) distances between which each ray is in the grid and shows free space [m].
+        bundle: (R,) group number of rays with the same start.
+        facing: (R,) face by which each ray leaves a cube around its start.
         across: (2, R) coordinates on that face, 0 to 2.
     """
 
@@ -241,7 +241,7 @@ def _sort_ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
 
 
 def _number_bundles(start: Float[np.ndarray, "3 R"], size: float) -> Int[np.ndarray, "R"]:
-    """Return the group number of each ray; rays of one group start in the same small cell."""
+    """Return the group number of each ray; a group starts in one small cell."""
     keys = row_keys(np.floor(start / (_BIN * size)).T)
     if (keys == keys[:1]).all():
         return np.zeros(len(keys), dtype=np.int64)

@@ -34,7 +34,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Piece:
-    """A convex piece with the points and ray evidence behind it.
+    """A convex piece, its points and its ray evidence.
 
     Attributes:
         shape: name, vertices and kind (``plane``, ``wall``, ``clutter``).

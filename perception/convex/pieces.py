@@ -178,7 +178,7 @@ def _choose_kind(plane: Plane, slab: Slab) -> str:
 
 @dataclass(frozen=True)
 class Body:
-    """Kind, vertices and plane of a piece that has no name yet."""
+    """Kind, vertices and plane of an unnamed piece."""
 
     kind: str
     vertices: Float[np.ndarray, "V 3"]

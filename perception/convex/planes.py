@@ -24,7 +24,7 @@ class PlaneSettings:
         distance: largest distance of an inlier from the plane [m].
         normal_dot: least cosine between an inlier's normal and the plane's.
         min_points: fewest inliers.
-        min_size: least width of a region, along its second principal axis [m].
+        min_size: least extent of a region along its second axis [m].
         max_planes: largest number of planes.
         n_candidates: hypotheses per plane.
         n_refined: number of best hypotheses that are refitted.
@@ -65,7 +65,7 @@ class Plane:
         normal: (3,) unit, towards the sensor.
         offset: ``normal . x == offset`` on the plane [m].
         members: indices of its inliers.
-        noise: indices of points that are its noise and do not count for its outline.
+        noise: indices of its noise, which does not count for its outline.
     """
 
     normal: Float[np.ndarray, "3"]
@@ -110,8 +110,8 @@ def find_planes(
     """Return planes with connected inliers, in order of search; no point belongs to two planes.
 
     Args:
-        points: (N, 3) downsampled points [m].
-        counts: (N,) number of measured points that each point is the mean of.
+        points: (N, 3) downsampled [m].
+        counts: (N,) measured points per point.
     """
     settings = settings or PlaneSettings()
     planes: list[Plane] = []
@@ -225,7 +225,7 @@ def _drop_biased(
     plane: Plane,
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"]:
-    """Return the members around which the mean distance of all points from the plane is below ``settings.bias``.
+    """Return members around which all points are, on average, within ``settings.bias`` of the plane.
 
     Half of the noise of a face 3 cm behind the plane lies within 2 cm of it; only the mean reveals that face.
     """
@@ -297,7 +297,7 @@ def find_noise(
 
 @dataclass(frozen=True)
 class _Raster:
-    """Grid of square cells over a region of a plane; ``lower`` is its corner in the plane's basis [m]."""
+    """Grid of square cells over a region of a plane, from corner ``lower`` [m]."""
 
     lower: Float[np.ndarray, "2"]
     shape: Int[np.ndarray, "2"]

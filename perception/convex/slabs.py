@@ -37,7 +37,7 @@ class Slab:
 
     Attributes:
         outline: (K, 2) corners in the plane's basis [m], counter-clockwise.
-        vertices: (2 K, 3) corners of the front and back face in the world [m].
+        vertices: (2 K, 3) front and back corners in the world [m].
         faces: (K, 3) half-planes ``a . u + b <= 0`` of the outline.
     """
 
@@ -53,7 +53,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class _Region:
-    """Members in the plane's basis (``flat``) and a grid, from corner ``lower`` [m], of the cells that are openings."""
+    """Members in the plane's basis (``flat``) and a grid of openings from corner ``lower`` [m]."""
 
     flat: Float[np.ndarray, "N 2"]
     lower: Float[np.ndarray, "2"]
@@ -185,8 +185,8 @@ def _cut(
 ) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
     """Cut the points into two groups: the largest that a straight line separates from all openings, and the rest.
 
-    Lines touch the outermost openings, along the plane's basis or the points' principal axes.  If the group has less
-    than 5 % of the points, they are halved across their longest axis instead.
+    Lines touch the outermost openings, along the plane's basis or the points' principal axes.  If the group has
+    less than 5 % of the points, they are halved across their longest axis.
     """
     frames = (np.eye(2), np.linalg.eigh(np.cov(flat.T))[1])
     best = np.zeros(len(flat), dtype=bool)
@@ -237,7 +237,7 @@ class _Part:
         return cls(members, flat.min(axis=0), flat.max(axis=0))
 
     def rank(self) -> tuple[int, int]:
-        """Return the sort key: number of members, then first member."""
+        """Sort key: number of members, first member."""
         return len(self.members), int(self.members[0])
 
     def find_beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:

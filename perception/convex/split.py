@@ -34,8 +34,8 @@ class SplitAllowance:
 
     Attributes:
         volume: largest free volume [m^3].
-        share: largest share of the hull's volume; both limits apply.
-        skin: thickness by which the hull is grown before the test [m].
+        share: largest share of the hull (both limits apply).
+        skin: growth of the hull before the test [m].
     """
 
     volume: float = 2.4e-5
@@ -262,7 +262,7 @@ class _Passing:
         return cls(np.broadcast_to(starts, ends.shape), ends, sheaf)
 
     def near(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
-        """Return indices of rays that pass through the bounding sphere of a box."""
+        """Return indices of rays through the bounding sphere of a box."""
         centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
         chosen = slice(None) if self.sheaf is None else self.sheaf.select_about(centre, radius)
         starts, along = self.starts[chosen], self.ends[chosen] - self.starts[chosen]

@@ -137,7 +137,7 @@ def find_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> S
 
 
 def _count_grazed(piece: Piece, free: FreeSpace) -> int:
-    """Return how many free cells a piece may contain, because rays graze it, before it is contradicted."""
+    """Return how many free cells a piece may contain because rays graze it."""
     n_cells = piece.hull.volume / free.size**3
     return piece.evidence.free_cells + max(1, min(_FREE_CELLS, int(0.4 * n_cells)), int(_FREE_SHARE * n_cells))
 

@@ -100,7 +100,7 @@ class Sheaf:
     Attributes:
         bearings: directions and lengths of the rays.
         order: (R,) indices of the rays, sorted by direction cell.
-        first: (C + 1,) index in ``order`` of the first ray of each cell.
+        first: (C + 1,) index in ``order`` of each cell's first ray.
     """
 
     bearings: Bearings

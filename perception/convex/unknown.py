@@ -74,7 +74,7 @@ def _find_hidden(
     floors: Sequence[Level],
     own: Sequence[Float[np.ndarray, "V 3"]],
 ) -> tuple[Bool[np.ndarray, "X Y Z"], FreeSpace]:
-    """Return a grid of the unknown cells, and the cells that no piece may cover (seen, or near the robot)."""
+    """Return the unknown cells, and the cells that no piece may cover (seen or near the robot)."""
     lower = np.array([reach.x - reach.radius, reach.y - reach.radius, reach.bottom])
     upper = np.array([reach.x + reach.radius, reach.y + reach.radius, reach.top])
     rim = np.array([[x, y] for x in (lower[0], upper[0]) for y in (lower[1], upper[1])])
@@ -96,8 +96,8 @@ def _find_hidden(
 
 
 def _make_bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np.ndarray, "V 3"]]:
-    """Return vertices of convex bodies in the hidden cells, the thickest first; they may overlap [m]."""
-    # The largest cube of hidden cells around a cell has an edge of 2 d - 1 cells.
+    """Return convex bodies (V, 3) in the hidden cells, thickest first; they may overlap [m]."""
+    # The largest hidden cube around a cell has an edge of 2 d - 1 cells.
     poll()
     depth = ndimage.distance_transform_cdt(np.pad(hidden, 1), metric="chessboard")[1:-1, 1:-1, 1:-1].astype(np.int64)
     score = np.where(depth >= 2, depth, 0)
@@ -133,7 +133,7 @@ def _inflate(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hul
     scaled = (walls - centre) / half
     ahead = np.concatenate([(upper - centre) / half, (centre - lower) / half])
     normals, offsets = [*np.eye(3), *-np.eye(3)], list(ahead)
-    # Farther wall cells are dropped: the six faces added here bound the polytope at that distance.
+    # Farther wall cells do not count: six faces bound the polytope there.
     scaled = scaled[(np.abs(scaled) <= _FARTHEST).all(axis=1)]
     normals += [*np.eye(3), *-np.eye(3)]
     offsets += [_FARTHEST] * 6

@@ -123,7 +123,7 @@ class _Scan:
     def rays_towards(
         self, boxes: Float[np.ndarray, "B 2 3"]
     ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "K 3"]]:
-        """Return the rays that may pass through any of the boxes; all rays if that is most of them."""
+        """Return rays that may pass through any of the boxes; all if most do."""
         if self.bearings is None:
             return self.rays
         chosen = self.bearings.may_pass(boxes)

@@ -32,7 +32,7 @@ def pierced_cells(
         normal, offset: plane ``normal . x == offset``.
         rays: starts and ends (R, 3) [m].
         seen: (K, 2) x and y of the plane's inliers [m].
-        centre, extent: centre and half side of the square that is searched [m].
+        centre, extent: centre and half side of the searched square [m].
     """
     starts, ends = rays
     before, behind = starts @ normal - offset, ends @ normal - offset

@@ -214,7 +214,7 @@ def _from_within(
 def _under_robot(
     points: Float[np.ndarray, "N 3"], levels: list[_Level], stand: Float[np.ndarray, "3"]
 ) -> _Level | None:
-    """Return the largest level within 0.5 m of the one nearest to the robot's feet; None if no level qualifies."""
+    """Return the largest of the levels about nearest (within 0.5 m) to the robot; None without any."""
     able = [
         level
         for level in levels

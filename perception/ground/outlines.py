@@ -70,11 +70,11 @@ def outlines_of(
 ) -> tuple[Float[np.ndarray, "K 2"], ...]:
     """Return corners (counter-clockwise) of convex outlines that cover the points and no opening, largest first [m].
 
-    The lowest boards of two shelves may form one level, but rays went through the level between them.  Gaps of about
+    The lowest boards of two shelves may form one level, but rays went through between them.  Gaps of about
     10 cm are covered, wider ones are not.
 
     Args:
-        points: (N, 3) points near the level [m].
+        points: (N, 3) near the level [m].
         core: (C, 2) positions that certainly belong to the level; parts not connected to them are left out [m].
     """
     points = points[np.unique(voxel_index(points, _THIN)[0], return_index=True)[1]]

@@ -23,8 +23,8 @@ class Patches:
         centre: (P, 3) mean of its points [m].
         normal: (P, 3) unit, upwards.
         count: (P,) number of points.
-        is_upright: (P,) whether it is flat and its normal within 40 degrees of the vertical.
-        is_bare: (P,) whether it has too few points, or too narrow a row, for a normal.
+        is_upright: (P,) flat, with a normal within 40 degrees of the vertical.
+        is_bare: (P,) too few points, or too narrow a row, for a normal.
         of_point: (N,) patch index of each point.
     """
 

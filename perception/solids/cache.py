@@ -29,7 +29,7 @@ class PartsCache:
     """Cache files named by the hash of their input; the least recently used are removed first.
 
     Attributes:
-        folder: folder of the files, created when first needed.
+        folder: created when first needed.
         max_bytes: largest total size of the files.
     """
 

@@ -158,7 +158,7 @@ class RayCounts:
 
     @property
     def score(self) -> float:
-        """Rays that end on the mesh minus weighted rays that contradict it, over the square root of their number."""
+        """Rays that end on the mesh minus weighted contradicting ones, over the root of their number."""
         n = self.agreeing + self.through
         return 0.0 if n == 0 else (self.agreeing - 2.0 * self.through - 0.5 * self.unexplained) / np.sqrt(n)
 

@@ -157,7 +157,7 @@ def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4
 
 
 def _measure_solid(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float]:
-    """Return the whole surface, and centre and radius of its bounding box's circumscribed sphere [m]."""
+    """Return the whole surface, and centre and radius of the sphere around its box [m]."""
     whole = _join_meshes([*solid.closed, *solid.open])
     lower, upper = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
     return Surface(whole), 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))

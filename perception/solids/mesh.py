@@ -161,7 +161,7 @@ def _pair_edges(number: Int[np.ndarray, "E"], counts: Int[np.ndarray, "K"]) -> I
 
 
 def _split_connected(mesh: Mesh) -> list[Mesh]:
-    """Split the mesh into parts whose triangles are connected by edges that exactly two triangles share."""
+    """Split the mesh into parts connected by edges that exactly two triangles share."""
     number, _, counts = _count_edges(mesh.triangles)
     a, b = _pair_edges(number, counts).T // 3
     n = len(mesh.triangles)
@@ -208,7 +208,7 @@ def is_closed(mesh: Mesh) -> bool:
 
 
 def _fill_holes(part: Mesh) -> tuple[Mesh, int]:
-    """Return the part with small holes closed by triangle fans around their centres, and the number of holes."""
+    """Return the part with small holes closed by triangle fans, and the number of holes."""
     number, _, counts = _count_edges(part.triangles)
     lone = np.flatnonzero(counts[number] == 1)
     start, end = part.triangles.reshape(-1)[lone], np.roll(part.triangles, -1, axis=1).reshape(-1)[lone]

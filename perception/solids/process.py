@@ -20,10 +20,10 @@ COACD_LIMITS = ProcessLimits(max_bytes=4 * 2**30, max_wall_s=120.0)
 def run_coacd(
     meshes: Sequence[Mesh], options: Mapping[str, object], limits: ProcessLimits = COACD_LIMITS, name: str = "mesh"
 ) -> list[Parts]:
-    """Return the convex parts of each mesh, as CoACD makes them, from a sandboxed process.
+    """Return the convex parts of each mesh, computed by CoACD in a sandboxed process.
 
     Args:
-        meshes: closed and finite meshes, wound outwards.
+        meshes: closed, finite, wound outwards.
         options: keyword arguments of ``coacd.run_coacd``.
 
     Raises:
@@ -47,7 +47,7 @@ def split_meshes(n_meshes: int, options: dict[str, Any], **arrays: np.ndarray) -
         arrays: ``vertices_i`` and ``triangles_i`` of each mesh.
 
     Returns:
-        For each mesh ``parts_i``, the vertices of all its parts, and ``counts_i``, the number of vertices per part.
+        For each mesh ``parts_i``, the vertices of all parts, and ``counts_i``, the vertices per part.
     """
     import coacd
 

@@ -18,14 +18,14 @@ _SMALLEST_M = 1e-3
 
 
 def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> Mesh:
-    """Read the triangles of a mesh file, in metres; faces with more than three corners become triangle fans.
+    """Read the triangles of a mesh file, in metres; larger faces become triangle fans.
 
     Args:
-        path: mesh file; its suffix gives the format, and text and binary STL are distinguished by content.
+        path: its suffix gives the format; text and binary STL are distinguished by content.
         scale: metres per unit of the file, one number or one for each axis.
 
     Raises:
-        MeshError: the file cannot be used; the message names the file, the problem and what is expected.
+        MeshError: names the file, the problem and what is expected.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
