@@ -109,8 +109,8 @@ def inside_hulls(
 ) -> Bool[np.ndarray, "N"]:
     """Return which points lie inside any hull or within ``margin`` [m] outside it.
 
-    Edges and corners have a slightly larger margin (a tenth more at a right-angled edge), so that no robot point is
-    kept.
+    Edges and corners have a slightly larger margin (a tenth more at a right-angled edge), so that doubtful
+    points count as the robot's.
 
     Args:
         hulls: vertices (V, 3) of each hull, in the frame of the points [m].

@@ -59,7 +59,7 @@ class Standing:
     held: list[Int[np.ndarray, "K"]]
 
     def find_hidden(self, passed: FreeSpace) -> list[int]:
-        """Return indices of pieces that rays passed through, but that a few points (mixed pixels?) seem to confirm.
+        """Return indices of pieces that rays passed through but a few points, maybe mixed pixels, seem to confirm.
 
         Args:
             passed: cells that rays passed through, cells beside points included.
