@@ -1,1 +1,1 @@
-"""A cloud made ready: what lies in reach, and which points surfaces stand for."""
+"""Point cloud preparation: crop, removal of strays and mixed pixels, warnings about unit and frame."""

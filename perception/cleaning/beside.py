@@ -1,4 +1,4 @@
-"""Support of a point by the rays beside its own: those that ended on a surface that it could lie on too."""
+"""Support of a point: the number of neighbouring rays that ended on the same surface."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from perception.cleaning.clean import nearest, row_keys
 STARTS_APART = 0.1
 RADIUS = 0.03
 RADIUS_SHARE = 0.02
-# Surfaces scatter along a ray by less than this plus the share of the range; mixed pixels lie anywhere.
+# Range noise of a surface is less than this plus the share of the range; mixed pixels may have any depth.
 _DEPTH = 0.02
 _DEPTH_SHARE = 0.01
 _NEIGHBOURS = 32
-# Rays lie about as far apart as the 8th nearest divided by the square root of two: exactly so on a square grid.
+# Ray spacing is the distance of the 8th nearest ray divided by the square root of two (exact on a square grid).
 _EIGHTH = 7
 _FAR_ASIDE = 1.5
 _SLANT = 3.0
-# Slopes that are tried: those towards so many neighbours.
+# Number of nearest neighbours whose slope from the point is tried.
 _SLOPES = 8
 _STEEPEST = 10.0
 _ON_SLOPE = 4
@@ -31,12 +31,12 @@ _MOST = 0.8
 
 
 def spacing_radius(ranges: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-    """Return how near neighbours are looked for: 3 cm plus 2 % of the range [m]."""
+    """Return the search radius for neighbours: 3 cm plus 2 % of the range [m]."""
     return np.asarray(RADIUS + RADIUS_SHARE * ranges)
 
 
 def depth_noise(ranges: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-    """Return how far along its ray a point may be off its surface: 2 cm plus 1 % of the range [m]."""
+    """Return the depth tolerance of a point along its ray: 2 cm plus 1 % of the range [m]."""
     return np.asarray(_DEPTH + _DEPTH_SHARE * ranges)
 
 
@@ -47,14 +47,14 @@ def support(
     like: Bool[np.ndarray, "N"],
     is_thin: Bool[np.ndarray, "K"],
 ) -> Int[np.ndarray, "K"]:
-    """Return how many of the 32 rays next to each queried point's own ended on one surface with it.
+    """Return how many of the 32 rays nearest to each queried point's ray ended on the same surface as the point.
 
-    They did when they ended at its depth, where rays lie far apart within three times their distance; or on a slope
-    through it, if that goes on: a point between two surfaces is on a slope to either, but not to what lies beyond.
+    A ray counts if it ends at the point's depth (within three ray spacings where rays are sparse), or on a slope
+    through the point that continues: a mixed pixel has a slope towards either surface, but the slope ends there.
 
     Args:
-        like: of which kind thin things are: for them only these count.
-        is_thin: which of the queried points are taken for thin things.
+        like: points that may support a thin object; other points do not count for it.
+        is_thin: which of the queried points are treated as thin objects.
     """
     counts = np.zeros(len(queries), dtype=np.int64)
     if not len(queries):
@@ -103,11 +103,11 @@ def _support_in(
 
 @dataclass(frozen=True)
 class _Around:
-    """The rays next to those of some points, nearest first.
+    """Neighbouring rays of K points, nearest first.
 
     Attributes:
-        u, v: (K, 32) how far aside each passes, in two directions at right angles to the point's ray [m].
-        depth: (K, 32) how much farther it went [m].
+        u, v: (K, 32) lateral offsets of each neighbour, along two axes perpendicular to the point's ray [m].
+        depth: (K, 32) range of each neighbour minus the point's range [m].
     """
 
     u: Float[np.ndarray, "K M"]
@@ -132,21 +132,21 @@ class _Around:
 
     @property
     def aside(self) -> Float[np.ndarray, "K M"]:
-        """Distance aside at which each passes [m]."""
+        """Lateral distance of each neighbour from the point's ray [m]."""
         return np.asarray(np.hypot(self.u, self.v))
 
 
 def _on_slope(
     around: _Around, counted: Bool[np.ndarray, "K M"], neighbour: int, noise: Float[np.ndarray, "K"]
 ) -> Int[np.ndarray, "K"]:
-    """Count rays that ended on the plane through each point and one neighbour; 0 where that plane does not go on."""
+    """Count rays that ended on the plane through each point and one neighbour; 0 where that plane ends there."""
     poll()
     u, v, depth = around.u, around.v, around.depth
     flat = np.maximum(u[:, neighbour] ** 2 + v[:, neighbour] ** 2, 1e-12)
     slope = depth[:, neighbour] / flat
     expected = slope[:, None] * (u[:, neighbour, None] * u + v[:, neighbour, None] * v)
     on = (counted & (np.abs(depth - expected) <= noise[:, None])).astype(float)
-    # Least squares of those near it, through the point; a little ridge keeps a row of rays from a slope across it.
+    # Least-squares plane of the inliers, through the point; the ridge keeps a single scan line from tilting sideways.
     uu, vv, uv = (on * u * u).sum(axis=1) + 1e-6, (on * v * v).sum(axis=1) + 1e-6, (on * u * v).sum(axis=1)
     poll()
     ud, vd = (on * u * depth).sum(axis=1), (on * v * depth).sum(axis=1)

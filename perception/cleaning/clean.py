@@ -1,4 +1,4 @@
-"""Basic steps on points: crop, voxels, exact copies, robot hulls and nearest neighbours."""
+"""Basic operations on points: crop, voxels, duplicates, robot hulls and nearest neighbours."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from perception.errors import PerceptionError
 
 SELF_MARGIN = 0.025
 _FEW_VOXELS = 4
-# Neighbours that one thread finds between two polls: some 30 ms.
+# Neighbours that one thread finds between two polls, about 30 ms.
 _AT_ONCE = 50_000
 
 
@@ -24,10 +24,10 @@ class Reach:
     """A vertical cylinder of interest.
 
     Attributes:
-        x, y: its axis in the world [m].
+        x, y: axis in the world [m].
         radius: horizontal radius [m].
-        top: upper end [m above zero].
-        bottom: lower end [m above zero].
+        top: world z of the upper end [m].
+        bottom: world z of the lower end [m].
     """
 
     x: float = 0.0
@@ -49,7 +49,7 @@ class Reach:
 
 
 def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.ndarray, "N"], int]:
-    """Return the number of each point's voxel, counted from 0 in order of coordinates, and how many there are."""
+    """Return the voxel number of each point, from 0 in order of coordinates, and the number of occupied voxels."""
     keys = np.zeros(len(points), dtype=np.int64)
     n_keys = 1
     for column in points.T:
@@ -58,7 +58,7 @@ def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.n
         keys *= span
         keys += cells
         n_keys *= span
-    if n_keys <= _FEW_VOXELS * len(points):  # then counting beats sorting
+    if n_keys <= _FEW_VOXELS * len(points):  # counting is faster than sorting
         is_there = np.zeros(n_keys, dtype=bool)
         is_there[keys] = True
         number = np.cumsum(is_there)
@@ -70,7 +70,7 @@ def voxel_index(points: Float[np.ndarray, "N 3"], size: float) -> tuple[Int[np.n
 def voxel_downsample(
     points: Float[np.ndarray, "N 3"], size: float
 ) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
-    """Return the mean of the points in each occupied voxel of edge ``size`` [m], and how many they are."""
+    """Return the mean and the number of the points in each occupied voxel of edge ``size`` [m]."""
     if not len(points):
         return points, np.zeros(0, dtype=int)
     index, n_voxels = voxel_index(points, size)
@@ -80,9 +80,9 @@ def voxel_downsample(
 
 
 def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
-    """Return a number for each row, the same for equal rows (and, once in 10^9 clouds of a million, for two others)."""
+    """Return a 64-bit hash of each row; equal rows have equal hashes, and collisions are negligible."""
     poll()
-    words = (np.ascontiguousarray(rows, dtype=np.float64) + 0.0).view(np.uint64)  # + 0.0: there is one zero
+    words = (np.ascontiguousarray(rows, dtype=np.float64) + 0.0).view(np.uint64)  # + 0.0 turns -0.0 into 0.0
     keys = np.full(len(rows), 0x9E3779B97F4A7C15, dtype=np.uint64)
     for column in words.T:
         keys = (keys ^ column) * np.uint64(0xBF58476D1CE4E5B9)
@@ -93,7 +93,7 @@ def row_keys(rows: Float[np.ndarray, "N K"]) -> Int[np.ndarray, "N"]:
 
 
 def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return which points are not exact copies, ray start included, of one before them."""
+    """Return which points are not exact duplicates, ray start included, of an earlier point."""
     constant = starts.strides[0] == 0 or bool((starts == starts[:1]).all())
     keys = row_keys(points if constant else np.hstack([points, starts]))
     ordered = np.sort(keys)
@@ -107,13 +107,13 @@ def first_of_equals(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, 
 def inside_hulls(
     points: Float[np.ndarray, "N 3"], hulls: Sequence[Float[np.ndarray, "V 3"]], margin: float = SELF_MARGIN
 ) -> Bool[np.ndarray, "N"]:
-    """Return points within ``margin`` of any hull.
+    """Return which points lie inside any hull or within ``margin`` [m] outside it.
 
-    At an edge or corner this reaches a little farther (a tenth of the margin at a right-angled edge), on the side of
-    taking a point for the robot's own.
+    Edges and corners have a slightly larger margin (a tenth more at a right-angled edge), so that doubtful
+    points count as the robot's.
 
     Args:
-        hulls: (V, 3) vertices each, in the frame of the points.
+        hulls: vertices (V, 3) of each hull, in the frame of the points [m].
     """
     poll()
     inside = np.zeros(len(points), dtype=bool)
@@ -142,7 +142,7 @@ def _in_box(
 
 
 def _add_roundings(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
-    """Add half-spaces between neighbouring faces of the hull, so that a margin leaves no spikes."""
+    """Return the hull's half-spaces plus bevels at its edges and corners, so that a margin adds no spikes."""
     hull = _convex_hull(vertices)
     faces, neighbours = hull.equations[:, :3], hull.neighbors
     between = faces[:, None, :] + faces[neighbours]
@@ -170,12 +170,12 @@ def nearest(
     k: int | list[int] | Int[np.ndarray, "K"],
     within: float = np.inf,
 ) -> tuple[Float[np.ndarray, "N *K"], Int[np.ndarray, "N *K"]]:
-    """Return distances and indices as ``tree.query`` does: infinite and ``tree.n`` beyond ``within``.
+    """Return distances and indices of neighbours like ``tree.query``: infinite and ``tree.n`` beyond ``within``.
 
-    It uses as many threads as ``costs.threads`` says; they have ended when it returns, or raises.
+    The number of threads comes from ``costs.threads``; all have ended when the function returns or raises.
 
     Raises:
-        Stopped: the caller wants to stop (``costs.stopping``).
+        Stopped: the caller cancelled (``costs.stopping``).
     """
     n_neighbours, n_threads = k if isinstance(k, int) else int(np.max(k, initial=1)), thread_count()
     step = max(1, n_threads * _AT_ONCE // max(n_neighbours, 4))

@@ -1,4 +1,4 @@
-"""Doubts about a cloud's unit and frame, raised by its numbers and by what a crop leaves of it: sentences to read."""
+"""Warnings about a cloud's unit and frame, from its coordinates and from the share of points that a crop keeps."""
 
 from __future__ import annotations
 
@@ -7,37 +7,37 @@ from jaxtyping import Float
 
 from perception.cleaning.clean import Reach
 
-# A scan of one place spans tens of metres; beyond these the numbers are in another unit or frame.
+# A scan of one site spans tens of metres; beyond these limits its unit or frame is wrong [m].
 _LARGEST_SPAN = 400.0
 _SMALLEST_SPAN = 0.05
 _FAR = 50.0
-# No scan spans that much in any unit.
+# No scan spans this much in any unit.
 _NOWHERE = 1e7
-# Times its height: narrower than that, a cloud stands on a point.
+# Share of its height: in a narrower cloud x and y have another unit than z.
 _NARROW = 1e-3
 _LARGEST_ANGLE = 180.0  # [deg]
-# A scene of this size is one a robot stands in.
+# Usual span of a robot's scene, least and most [m].
 _SCENE = (0.8, 60.0)
 _SMALL_UNITS = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "ft": 0.3048}
-_IN_WORDS = {"in": "inches, "}  # a word of its own else
-# A crop that leaves less than this has hardly met the scene, and one from which most is gone deserves a word.
+_IN_WORDS = {"in": "inches, "}  # "in" alone reads as a preposition
+# A crop that keeps less than the first share missed the scene; one that removes more than the second gets a note.
 _LEFT_OVER = 0.02
 _MOST = 0.5
-# Times the reach: wider than that, a cloud may be in a smaller unit, or of a wide place.
+# Multiples of the reach: a wider cloud may be in a smaller unit; above the second its middle is not the robot.
 _WIDE, _TOO_WIDE = 1.5, 10.0
 _FEWEST_POINTS = 50
 _LAYER = 0.04
-# A sensor is that much higher than what it stands on, at least.
+# Least height of a sensor above the floor [m].
 _SENSOR_ABOVE_FLOOR = 0.05
 _FEW = 0.01
 
 
 def find_doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
-    """Return sentences about unit and frame, judged from the numbers alone.
+    """Return warnings about unit and frame, from the coordinates alone.
 
     Args:
-        points: (N, 3) finite, N >= 1, taken for metres in the world.
-        origin: (3,) or (N, 3) where their rays started.
+        points: (N, 3) finite, N >= 1, assumed to be in metres in the world frame.
+        origin: (3,) or (N, 3) starts of their rays.
     """
     low, high = np.percentile(points, [1, 99], axis=0)
     span = float((high - low).max())
@@ -66,7 +66,7 @@ def find_doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 
 def _far_sensor(
     low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], origin: Float[np.ndarray, "*N 3"]
 ) -> tuple[str, ...]:
-    """Return the notes for when rays start farther from the cloud than any ray reaches."""
+    """Return a note when the rays start farther from the cloud's bounding box than any sensor's range."""
     start = np.median(np.atleast_2d(origin), axis=0)
     distance = float(np.linalg.norm(np.maximum(np.maximum(low - start, start - high), 0.0)))
     if distance < _LARGEST_SPAN:
@@ -86,10 +86,10 @@ def _are_degrees(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> b
 
 
 def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, missing: str) -> tuple[str, ...]:
-    """Return the notes for when a crop took most of a cloud.
+    """Return a note when a crop removed more than half of the points.
 
     Args:
-        missing: what the kept points do not show, though a scene would; empty when nothing is missing.
+        missing: what every scene has but the kept points lack; empty when nothing is missing.
     """
     if n_left >= (1.0 - _MOST) * len(points):
         return ()
@@ -100,10 +100,10 @@ def crop_doubt(points: Float[np.ndarray, "N 3"], n_left: int, reach: Reach, miss
 
 
 def low_sensor_doubt(starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray, "N"]) -> tuple[str, ...]:
-    """Return a note when rays start on or under the floor: then their starts were not known.
+    """Return a note when rays start on or under the floor, so that the sensor position must be wrong.
 
     Args:
-        lowest: (N,) height of the lowest floor there [m].
+        lowest: (N,) height of the lowest floor at each start [m].
     """
     is_low = starts[:, 2] - lowest < _SENSOR_ABOVE_FLOOR
     if np.mean(is_low) < _FEW:
@@ -116,7 +116,7 @@ def low_sensor_doubt(starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray,
 
 
 def nothing_left(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
-    """Return the notes for when a crop took all of a cloud, beside what ``find_doubts`` says of it."""
+    """Return the message for a crop that kept no point, without repeating ``find_doubts``."""
     low, high = np.percentile(points, [1, 99], axis=0)
     is_told = (high - low).max() > _LARGEST_SPAN or _is_far(low, high)
     centre = ", ".join(f"{value:.1f}" for value in np.median(points, axis=0))
@@ -128,7 +128,7 @@ def nothing_left(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
 
 
 def shift_to_zero(points: Float[np.ndarray, "N 3"], x: float = 0.0, y: float = 0.0) -> str:
-    """Return the transform that moves a cloud's middle over a place and its lowest layer to zero height."""
+    """Return the transform, as text, that moves a cloud's median to (x, y) and its lowest layer to height zero."""
     middle = np.median(points[:, :2], axis=0) - (x, y)
     heights = points[:, 2]
     bottom = float(np.percentile(heights, 1))
@@ -138,7 +138,7 @@ def shift_to_zero(points: Float[np.ndarray, "N 3"], x: float = 0.0, y: float = 0
 
 
 def _is_far(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> bool:
-    """Return whether the world's zero lies so far outside of a cloud that it stands in another frame."""
+    """Return whether the world's origin lies so far outside a cloud that the cloud must be in another frame."""
     gap = float(np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0)))
     return gap > max(_FAR, float((high - low).max()))
 
@@ -151,7 +151,7 @@ def _why_so_few(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:
         likely = _likely_units(span, 0.5 * reach.radius, 2.0 * _WIDE * reach.radius)
         question = f"they span {span:.3g} m: is its unit {likely}? Else " if likely else ""
     needed = f"{question}metres in the robot's start frame (z up, floor at 0) are needed"
-    if span > _TOO_WIDE * reach.radius:  # the middle of so much is no place of a robot
+    if span > _TOO_WIDE * reach.radius:  # the robot is not at the middle of such a cloud
         return needed
     return f"{needed}; the transform {shift_to_zero(points, reach.x, reach.y)} would bring their middle into reach"
 
@@ -164,7 +164,7 @@ def _unit_question(span: float) -> str:
 
 
 def _likely_units(span: float, least: float, most: float) -> str:
-    """Return which units would make a scene of so many metres one that is so wide; empty when none would."""
+    """Return the units in which a span would lie between ``least`` and ``most`` [m]; empty when none fits."""
     likely = [
         f"{unit} ({_IN_WORDS.get(unit, '')}it would be {metres * span:.1f} m)"
         for unit, metres in _SMALL_UNITS.items()
@@ -174,7 +174,7 @@ def _likely_units(span: float, least: float, most: float) -> str:
 
 
 def _sensor_frame_hint(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], lowest: float) -> str:
-    """Return a hint when points seem given in the sensor's frame: rays start at zero, off the floor."""
+    """Return a hint when points seem to be in the sensor's frame: rays start at zero, and not on the floor."""
     if len(points) < _FEWEST_POINTS or np.abs(origin).max() > 1e-6:
         return ""
     depth = points[:, 2]

@@ -1,4 +1,4 @@
-"""Judgement of a few points, from the rays beside theirs alone: those that a surface stands for."""
+"""Surface test for a few points of a scan, from their neighbouring rays only."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from perception.cleaning.beside import STARTS_APART
 from perception.cleaning.clean import row_keys
 from perception.cleaning.outliers import surface_points
 
-_NARROWEST = 0.008  # of a bin of directions [rad]
-_LEAST_RAYS = 5  # in a bin, as a median: within two bins there are then twice the 32 that are looked at
+_NARROWEST = 0.008  # width of a bin of directions [rad]
+_LEAST_RAYS = 5  # mean per bin; bins up to two away then contain twice the 32 neighbours that are used
 _WIDER = 1.5
 _STEPS = range(-2, 3)
 _MOST_STARTS = 8
@@ -23,12 +23,12 @@ _WIDEST = 0.5
 
 @dataclass(frozen=True)
 class LocalJudge:
-    """A scan that judges a few of its points.
+    """Scan prepared for surface tests of a few points.
 
     Attributes:
-        candidates: which are not the floor's.
-        directions: (3, N) unit.
-        sensor: (N,) number of the place that each ray started at; None where it is the same for all.
+        candidates: which points are not on the floor.
+        directions: (3, N) unit vectors of the rays.
+        sensor: (N,) sensor position number of each ray; None for a single one.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -41,7 +41,7 @@ class LocalJudge:
     def of(
         cls, points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], candidates: Bool[np.ndarray, "N"]
     ) -> LocalJudge:
-        """Prepare points for questions, from the attributes of these names."""
+        """Compute ray directions and sensor numbers; arguments as the attributes."""
         directions = np.subtract(points.T, starts.T, order="C").astype(np.float32)
         lengths = np.sqrt(directions[0] ** 2 + directions[1] ** 2 + directions[2] ** 2)
         directions /= np.maximum(lengths, np.float32(1e-9))
@@ -52,9 +52,9 @@ class LocalJudge:
         return cls(points, starts, candidates, directions, sensor)
 
     def surface_among(self, queries: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "K"]:
-        """Return which of the queried points, candidates all, a surface stands for.
+        """Return which of the queried points lie on a surface.
 
-        All other candidates are known to be of surfaces.
+        All queries must be candidates; all other candidates are assumed to lie on surfaces.
         """
         if not len(queries):
             return np.zeros(0, dtype=bool)
@@ -67,7 +67,7 @@ class LocalJudge:
         return np.asarray(kept[np.searchsorted(beside, queries)])
 
     def _beside(self, queries: Int[np.ndarray, "K"]) -> Int[np.ndarray, "M"]:
-        """Return points whose rays pass beside those of the queried points, ascending; all where most do."""
+        """Return ascending indices of points with rays close to those of the queries; all points if most are close."""
         everyone = np.arange(len(self.points))
         n_sensors = 1 if self.sensor is None else int(self.sensor.max()) + 1
         if n_sensors > _MOST_STARTS or len(queries) > _MOST_SHARE * len(everyone):
@@ -86,8 +86,8 @@ class LocalJudge:
         return everyone
 
     def _cells(self, width: float) -> tuple[Int[np.ndarray, "N"], int]:
-        """Return the number of each ray's bin of directions, and how many bins there are along each axis."""
-        # Two cells to all sides of those that directions of unit length may lie in are there, too.
+        """Return the number of each ray's direction bin, and the number of bins along each axis."""
+        # Two more cells on every side, so that the neighbours of all unit directions are in the grid.
         n_cells = int(np.ceil(2.0 / width)) + 5
         u, v, w = (((column + 1.0) * (1.0 / width)).astype(np.int32) + 2 for column in self.directions)
         cells = (u * n_cells + v) * n_cells + w

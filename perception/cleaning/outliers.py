@@ -1,6 +1,6 @@
-"""Points that no surface stands for: strays far from all others, and mixed pixels that float along a ray.
+"""Removal of outliers: strays far from all other points, and mixed pixels that float between two surfaces.
 
-Points that go on with a surface that rays graze are kept, as far as it leads on.
+Points that continue a surface seen at a grazing angle are kept.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from perception.cleaning.clean import nearest, row_keys, voxel_index
 _LEAST_NEIGHBOURS = 5
 _WIDE = 0.7
 _DEEP = 3.0
-# A surface steeper than this to its rays cannot be distinguished from a curtain of mixed pixels by depth alone.
+# Depth alone cannot distinguish a steeper surface from mixed pixels [m depth per m aside].
 _MOST_STEEP = 4.0
 _THIN_SUPPORT = 4
 _LEAST_SUPPORT = 3
@@ -26,22 +26,22 @@ _NEIGHBOURS = 24
 _MOST_OFF = 0.005
 _ON_PLANE = 0.008
 _SHARE_ON_PLANE = 0.8
-# What is so far off a plane counts a quarter when it is fitted; another surface has no say in the end.
+# Points at this distance from a plane have a quarter of the weight in its fit; other surfaces have almost none [m].
 _ROBUST = 0.004
 _FITS = 4
-# Less steep surfaces show in the depths of the rays beside.
+# Largest sine of a grazing angle; ``support`` covers larger angles.
 _STEEP = 0.12
-# A curtain of mixed pixels lies in a plane with the place its rays started at.
+# Mixed pixels at an edge lie in a plane through the sensor; surfaces miss it by this [m].
 _ASIDE = 0.02
-# Points of a surface that rays graze are found from those beside them, at least a few at a time.
+# Most rounds of growth over a grazed surface.
 _MOST_ROUNDS = 24
 
 
 def inliers(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return points with at least five others within 3 cm plus 2 % of their range.
+    """Return which points have at least five others within 3 cm plus 2 % of their range.
 
     Args:
-        origin: (3,) or (N, 3) where the rays started [m].
+        origin: (3,) or (N, 3) starts of the rays [m].
     """
     if len(points) <= _LEAST_NEIGHBOURS:
         return np.zeros(len(points), dtype=bool)
@@ -62,15 +62,15 @@ def surface_points(
     candidates: Bool[np.ndarray, "N"] | None = None,
     known: Bool[np.ndarray, "N"] | None = None,
 ) -> Bool[np.ndarray, "N"]:
-    """Return points that a surface stands for, thin things such as pipes and wires included.
+    """Return which points lie on a surface, thin objects such as pipes and wires included.
 
-    A point must have neighbours (:func:`inliers`) or be one of a row of points at its depth, as on a wire; and among
-    the rays next to its own some must end at its depth: between two surfaces a mixed pixel is alone there.  On a
-    surface that rays graze they end far apart, but in one plane.
+    A point needs neighbours (:func:`inliers`) or a row of points at its depth, as on a wire; and some neighbouring
+    rays must end at its depth, which a mixed pixel between two surfaces lacks.  On a surface seen at a grazing angle
+    the neighbours differ in depth but lie in one plane.
 
     Args:
-        candidates: which to judge; the others (the floor's) only bear witness and come out False.
-        known: which of them are known to be of surfaces.
+        candidates: points to judge; the others (the floor's) only support them and are False in the result.
+        known: candidates that are known to lie on surfaces.
     """
     chosen = np.flatnonzero(np.ones(len(points), dtype=bool) if candidates is None else candidates)
     kept = np.zeros(len(points), dtype=bool)
@@ -83,7 +83,7 @@ def surface_points(
         doubtful &= ~known[chosen]
     kept[chosen[~doubtful]] = True
     queries, is_thin = chosen[doubtful], ~crowded[doubtful]
-    # A row of the floor's own noise is no wire: thin things are held up by their like.
+    # Noise of the floor may form a row like a wire, so only candidates support thin objects.
     like = np.ones(len(points), dtype=bool) if candidates is None else candidates
     kept[queries] = support(points, starts, queries, like, is_thin) >= np.where(is_thin, _THIN_SUPPORT, _LEAST_SUPPORT)
     left = queries[~kept[queries]]
@@ -100,10 +100,10 @@ def _tree(points: Float[np.ndarray, "N 3"]) -> cKDTree:
 def _voxels(
     points: Float[np.ndarray, "N 3"], radius: Float[np.ndarray, "N"]
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
-    """Return each point's voxel and the counts; points of a voxel lie within each other's radius."""
+    """Return the voxel number of each point and the counts; points of one voxel lie within each other's radius."""
     level = np.floor(np.log(radius) / np.log(1.3)).astype(np.int64)
     size = 1.3**level / np.sqrt(3.0)
-    # Voxels of another level start far away, so that one call numbers all.
+    # Voxels of each size are shifted away from the others, so that one call numbers all.
     shifted = points / size[:, None]
     shifted -= shifted.min(axis=0)
     span = np.ceil(shifted[:, 0].max()) + 2.0
@@ -115,8 +115,8 @@ def _voxels(
 def _cones(
     rays: Float[np.ndarray, "N 3"], ranges: Float[np.ndarray, "N"], starts: Float[np.ndarray, "N 3"]
 ) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "V"]]:
-    """Return each point's piece of a narrow cone, a radius wide and three deep, and the counts."""
-    # The radius grows with the range; so many pieces, each _DEEP radii deep, lie before a range.
+    """Return the number of each point's cone section, 0.7 search radii wide and three deep, and the counts."""
+    # Number of sections, each _DEEP radii deep, between sensor and point; the radius grows with the range.
     poll()
     before = np.log1p(ranges * (RADIUS_SHARE / RADIUS)) / (_DEEP * RADIUS_SHARE)
     level = np.floor(before)
@@ -133,7 +133,7 @@ def _cones(
 
 
 def _on_smooth_depth(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return points whose voxel is explained by one plane over the rays, not too steep to them, and that lie on it."""
+    """Return which points lie on the plane of their cone section, if that plane fits well and is not too steep."""
     poll()
     rays = points - starts
     ranges = np.linalg.norm(rays, axis=1)
@@ -150,7 +150,7 @@ def _on_smooth_depth(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray,
     upright = np.cross(along, aside)
     relative = points - np.stack([mean(column) for column in points.T], axis=1)[voxel]
     depth, u, v = (np.einsum("ij,ij->i", relative, axis[voxel]) for axis in (along, aside, upright))
-    # Least squares of depth over (u, v); a little ridge keeps a single scan line from having any slope across it.
+    # Least squares of depth over (u, v); the ridge keeps a single scan line from tilting sideways.
     uu, vv, uv = mean(u * u) + 1e-6, mean(v * v) + 1e-6, mean(u * v)
     ud, vd = mean(u * depth), mean(v * depth)
     determinant = uu * vv - uv * uv
@@ -167,16 +167,16 @@ def on_grazed_surface(
     surface: Float[np.ndarray, "N 3"],
     apart: Float[np.ndarray, "K"],
 ) -> Bool[np.ndarray, "K"]:
-    """Return points within 5 mm of a plane, steep to their rays, that holds most of the 24 nearest surface points.
+    """Return which points lie within 5 mm of the plane of their 24 nearest surface points, seen at a grazing angle.
 
-    Rays that graze a surface end as far from each other as mixed pixels do, but in one plane, and that plane passes
-    the place they started at.  What is found so is of the surface for the points beside it.
+    Returns of a grazed surface are as far apart as mixed pixels, but they lie in one plane, and that plane misses the
+    sensor.  Accepted points become surface points for their neighbours.
 
     Args:
-        points: (K, 3) which to judge [m].
-        rays: (K, 3) from where their rays started to each [m].
-        surface: (N, 3) points that are known to be of surfaces [m].
-        apart: (K,) how far from the nearest of them each may be [m].
+        points: (K, 3) points to judge [m].
+        rays: (K, 3) vectors from the ray starts to the points [m].
+        surface: (N, 3) known surface points [m].
+        apart: (K,) largest accepted distance to the nearest surface point [m].
     """
     reached = np.zeros(len(points), dtype=bool)
     if len(surface) < _NEIGHBOURS or not len(points):
@@ -195,11 +195,11 @@ def on_grazed_surface(
 
 @dataclass
 class _Nearest:
-    """Nearest 24 surface points of each of K points, nearest first.
+    """The 24 nearest surface points of each of K points, nearest first.
 
     Attributes:
-        distance: (K, 24) [m].
-        place: (K, 24, 3) [m].
+        distance: (K, 24) distances [m].
+        place: (K, 24, 3) positions [m].
     """
 
     distance: Float[np.ndarray, "K M"]
@@ -212,13 +212,13 @@ class _Nearest:
         return cls(distance, surface[index])
 
     def among(self, chosen: Int[np.ndarray, "C"]) -> _Nearest:
-        """Keep only the chosen points."""
+        """Return the neighbours of the chosen points only."""
         return _Nearest(self.distance[chosen], self.place[chosen])
 
     def join(
         self, points: Float[np.ndarray, "K 3"], chosen: Int[np.ndarray, "C"], new: Float[np.ndarray, "M 3"]
     ) -> Int[np.ndarray, "D"]:
-        """Take in further points of the surface; which of the chosen ones have another set of nearest ones then."""
+        """Add new surface points, and return those of the chosen points whose nearest neighbours changed."""
         k = np.arange(1, min(_NEIGHBOURS, len(new)) + 1)
         distance, index = nearest(cKDTree(new), points[chosen], k)
         nearer = distance[:, 0] < self.distance[chosen, -1]
@@ -232,7 +232,7 @@ class _Nearest:
 
 
 def _goes_on(points: Float[np.ndarray, "K 3"], rays: Float[np.ndarray, "K 3"], near: _Nearest) -> Bool[np.ndarray, "K"]:
-    """Return which points lie in one plane with the surface points nearest to them, steep to their rays."""
+    """Return which points lie on the plane of their nearest surface points, if their rays graze that plane."""
     if not len(points):
         return np.zeros(0, dtype=bool)
     around = near.place - points[:, None]

@@ -1,1 +1,1 @@
-"""Convex pieces that cover the points of a scan and leave free what was seen free."""
+"""Convex pieces that cover the points of a scan and contain no space that rays passed through."""

@@ -1,4 +1,4 @@
-"""Fewer points with less noise: one for each voxel, averaged along their rays."""
+"""Downsampling to one point per voxel, and smoothing of points along their rays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from perception.cleaning.clean import nearest, row_keys
 
 _QUANTUM = 1e-6
 _NEIGHBOURS = 24
-# Neighbours are looked for in a body that is so many times as long along the ray as it is wide.
+# Length along the ray over width of the region in which neighbours are searched.
 _LENGTHWISE = 2.5
 _ASIDE = 0.008
 _FAR_ASIDE = 0.02
@@ -30,13 +30,13 @@ _MANY = 0.5
 
 @dataclass(frozen=True)
 class Coarse:
-    """Means of the points in each occupied voxel, in order of the voxels' coordinates.
+    """Mean of the points in each occupied voxel, in order of the voxels' coordinates.
 
     Attributes:
-        counts: (M,) how many points each stands for.
-        starts: (M, 3) where the nearest sensor stood that saw one of them [m].
-        voxel: (N,) number of the mean that each point went into.
-        column: (M,) which voxel along x each is in, ascending.
+        counts: (M,) number of points in each voxel.
+        starts: (M, 3) start of the shortest ray to each voxel [m].
+        voxel: (N,) index of each point's voxel mean.
+        column: (M,) cell index of each voxel along x, ascending.
     """
 
     points: Float[np.ndarray, "M 3"]
@@ -48,7 +48,7 @@ class Coarse:
 
     def select_within(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
         """Return indices of the points in an axis-aligned box."""
-        # Whole numbers: a float would have numpy turn all columns into floats.
+        # Integers: a float would make numpy convert the whole column to floats.
         first = int(np.searchsorted(self.column, int(np.floor((lower[0] - _QUANTUM) / self.size))))
         last = int(np.searchsorted(self.column, int(np.floor((upper[0] + _QUANTUM) / self.size)), side="right"))
         columns = self.points[first:last].T
@@ -60,7 +60,7 @@ class Coarse:
 
 
 def coarsen(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], size: float) -> Coarse:
-    """Make one point for each voxel of edge ``size`` [m]; the order of the points does not matter.
+    """Return the mean of the points in each occupied voxel; the order of the points does not matter.
 
     Args:
         size: edge of a voxel; voxels are aligned with the world's origin [m].
@@ -76,7 +76,7 @@ def coarsen(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"],
     distinct, voxel = np.unique(keys, return_inverse=True)
     along_x = distinct // (spans[1] * spans[2]) + lowest[0]
     counts = np.bincount(voxel, minlength=len(distinct))
-    # Sums of whole numbers do not depend on their order; sums of fractions would, in the last digit.
+    # Sums of integers do not depend on the order of the points; sums of fractions do, in the last digit.
     sums = [np.bincount(voxel, weights=np.rint(column / _QUANTUM), minlength=len(distinct)) for column in points.T]
     means = np.stack(sums, axis=1) * _QUANTUM / counts[:, None]
     return Coarse(means, counts, _find_nearest_starts(points, starts, voxel, len(distinct)), voxel, along_x, size)
@@ -85,7 +85,7 @@ def coarsen(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"],
 def _find_nearest_starts(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], voxel: Int[np.ndarray, "N"], n_voxels: int
 ) -> Float[np.ndarray, "M 3"]:
-    """Return for each voxel the start, of all its points, of the shortest ray."""
+    """Return the start of the shortest ray that ended in each voxel [m]."""
     if starts.ndim == 1:
         return np.broadcast_to(starts, (n_voxels, 3))
     if starts.strides[0] == 0 or (starts == starts[0]).all():
@@ -98,7 +98,7 @@ def _find_nearest_starts(
 
 @dataclass(frozen=True)
 class Groups:
-    """Points of each voxel."""
+    """Point indices of voxel i: ``order[first[i]:first[i + 1]]``."""
 
     order: Int[np.ndarray, "N"]
     first: Int[np.ndarray, "M+1"]
@@ -109,7 +109,7 @@ class Groups:
         return cls(order, np.concatenate([[0], np.cumsum(coarse.counts)]))
 
     def find_holding(self, kept: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "M"]:
-        """Find the voxels that hold any of the points that are kept."""
+        """Return which voxels contain at least one kept point."""
         before = np.concatenate([[0], np.cumsum(kept[self.order])])
         return np.asarray(before[self.first[1:]] > before[self.first[:-1]])
 
@@ -126,13 +126,13 @@ def smooth_points(
     starts: Float[np.ndarray, "N 3"],
     chosen: Int[np.ndarray, "C"],
 ) -> Float[np.ndarray, "C 3"]:
-    """Move the chosen points, each to where its ray meets the plane of those seen beside it.
+    """Return the chosen points, each moved along its ray onto the plane fitted to its neighbours [m].
 
-    Those count that lie at most 2 cm aside and at most so far ahead or behind as the noise of ranges explains; the
-    nearer to the ray the more, as a Gaussian of 8 mm.
+    Neighbours lie at most 2 cm beside the ray and differ in depth by no more than range noise; their weight is a
+    Gaussian of 8 mm in the distance from the ray.
 
     Args:
-        counts: (N,) how many measured points each stands for.
+        counts: (N,) measured points per point.
     """
     if len(points) < 2 or not len(chosen):
         return np.asarray(points[chosen])
@@ -159,7 +159,7 @@ def smooth_points(
         poll()
         return np.asarray(np.einsum("nk,nk->n", weight, values))
 
-    # Least squares of the depth over (u, v); a little ridge keeps a single scan line from having any slope across it.
+    # Least squares of the depth over (u, v); the ridge keeps a single scan line from tilting sideways.
     mean_u, mean_v, depth = mean(u), mean(v), mean(ahead)
     uu, vv = mean(u * u) - mean_u**2 + _RIDGE**2, mean(v * v) - mean_v**2 + _RIDGE**2
     uv, ud, vd = mean(u * v) - mean_u * mean_v, mean(u * ahead) - mean_u * depth, mean(v * ahead) - mean_v * depth
@@ -169,7 +169,7 @@ def smooth_points(
 
 
 def _find_reach(rays: Float[np.ndarray, "C 3"]) -> float:
-    """Return how far from the ends of rays points can influence them [m]."""
+    """Return the largest distance at which a point can be a neighbour of a ray's end [m]."""
     ahead = _AHEAD * depth_noise(np.linalg.norm(rays, axis=1)).max()
     return float(_LENGTHWISE * np.hypot(_FAR_ASIDE, ahead / _LENGTHWISE)) + _FAR_ASIDE
 
@@ -180,8 +180,8 @@ def _find_beside(
     starts: Float[np.ndarray, "N 3"],
     chosen: Int[np.ndarray, "C"],
 ) -> Int[np.ndarray, "C K"]:
-    """Return for each chosen point those, itself included, whose rays share its sensor and end near it, or N."""
-    # A small step along the ray is so much shorter here than an equal one aside.
+    """Return the nearest points to each chosen one, itself included, from the same sensor; N where there are fewer."""
+    # This scaling shortens distances along the ray relative to distances beside it.
     places = along * (ranges ** (1.0 / _LENGTHWISE))[:, None]
     sensors = row_keys(np.floor(starts / STARTS_APART))
     if (sensors != sensors[0]).any():
@@ -194,7 +194,7 @@ def _find_beside(
 def measure_spacing(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"]
 ) -> Float[np.ndarray, "C"]:
-    """Measure the distance of each chosen point to its fourth nearest, at most 2.5 % of its range [m]."""
+    """Return the distance of each chosen point to its fourth nearest neighbour, at most 2.5 % of its range [m]."""
     if len(points) <= _FOURTH:
         return np.zeros(len(chosen))
     mine = points[chosen]
@@ -206,9 +206,9 @@ def measure_spacing(
 
 
 def select_nearby(points: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"], reach: float) -> Int[np.ndarray, "K"]:
-    """Return ascending indices of points; all that lie at most ``reach`` [m] from a chosen one are among them.
+    """Return ascending indices of points that include all within ``reach`` [m] of a chosen point.
 
-    All points are returned if a closer search would not pay.
+    All points are returned where a closer search would take longer.
     """
     if not len(chosen) or len(chosen) > _MANY * len(points):
         return np.arange(len(points))
@@ -216,7 +216,7 @@ def select_nearby(points: Float[np.ndarray, "N 3"], chosen: Int[np.ndarray, "C"]
     shape = np.floor((upper - lower) / reach).astype(np.int64) + 5
     if np.prod(shape.astype(float)) > _MOST_CELLS:
         return np.arange(len(points))
-    # The outermost cells to each side take in all that lies beyond, and are nobody's neighbours.
+    # Points outside the grid go into its outermost cells, which are not next to any chosen point's cell.
     cells = [
         (np.floor((column - low) / reach) + 2.0).clip(0, n - 1).astype(np.int64)
         for column, low, n in zip(points.T, lower, shape, strict=True)

@@ -1,4 +1,4 @@
-"""Space seen to be free: a grid of cells that rays passed through."""
+"""Free space of a scan: a grid of cells that rays passed through."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ _BIN = 0.6
 _FUZZ = 1e-4
 _CHUNK = 400
 _FACES = 12
-# Rays that are taken along at a time: what is worked on then stays in the cache of one core.
+# Rays processed at a time, so that the arrays stay in the cache of one core.
 _MARCHING = 1024
 _MEETING = 16_384
-# Rays that come near to where it matters are found in blocks of so many cells.
+# Edge in cells of the blocks in which rays near the boxes are found.
 _CELLS_OF_BLOCK = 4
 
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Cells seen to be free and not beside a measured point."""
+    """Grid of cells, of edge ``size`` [m], that a ray passed through and that are not beside a measured point."""
 
     lower: Float[np.ndarray, "3"]
     size: float
     free: Bool[np.ndarray, "X Y Z"]
 
     def list_cells(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Float[np.ndarray, "M 3"]:
-        """Return centres of the free cells in an axis-aligned box [m]."""
+        """Return centres (M, 3) of the free cells in an axis-aligned box [m]."""
         poll()
         first = np.maximum(np.ceil((lower - self.lower) / self.size - 0.5), 0).astype(int)
         last = np.minimum(np.floor((upper - self.lower) / self.size - 0.5), np.array(self.free.shape) - 1).astype(int)
@@ -45,7 +45,7 @@ class FreeSpace:
         return np.asarray((np.argwhere(block) + first + 0.5) * self.size + self.lower)
 
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        """Find the points that lie in a free cell."""
+        """Return which points lie in a free cell."""
         poll()
         cells = np.floor((points - self.lower) / self.size).astype(int)
         known = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)
@@ -54,23 +54,23 @@ class FreeSpace:
         return inside
 
     def clear_beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
-        """Return a copy in which cells that hold one of these points, and their six neighbours, are not free either."""
+        """Return a copy in which the cells of these points and their six neighbours are not free."""
         free = self.free.copy()
         _clear_beside(surface, self.lower, self.size, free)
         return FreeSpace(self.lower, self.size, free)
 
     def count_inside(self, hull: Hull, most: int | None = None, margin: float | None = None) -> int:
-        """Count the free cell centres that lie deeper than ``margin`` in a hull.
+        """Count the free cells whose centre lies deeper than ``margin`` inside a hull.
 
         Args:
-            most: the count may end as soon as it is above this.
-            margin: a quarter of a cell unless given [m].
+            most: counting may stop once the count exceeds this.
+            margin: by default a quarter of a cell [m].
         """
         poll()
         margin = 0.25 * self.size if margin is None else margin
         cells = self.list_cells(hull.lower, hull.upper)
         count = 0
-        # A body that holds many free cells shows it in any few of them.
+        # Every n-th cell at a time: a few of them show a hull with many free cells.
         n_parts = -(-len(cells) // _CHUNK)
         for part in range(n_parts):
             inside = cells[part::n_parts]
@@ -91,21 +91,21 @@ def carve(
     upper: Float[np.ndarray, "3"],
     size: float = 0.02,
 ) -> FreeSpace:
-    """March all rays in step through the grid.
+    """Return the cells that rays passed through, in a grid from ``lower`` to ``upper``.
 
     Args:
-        ends: (R, 3) where they ended; the last 5 cm of a ray are no evidence (range noise).
-        surface: (M, 3) points whose cells and their six neighbours are never free.
+        ends: (R, 3) ray ends; the last 5 cm of a ray are not used (range noise) [m].
+        surface: (M, 3) points whose cells and their six neighbours are never free [m].
     """
     return Crossing.of(starts, ends, lower, upper, size).mark_free(surface)
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Rays made ready to be marched through a grid, as ``carve`` does, or through some places of it.
+    """Rays clipped to a grid, to be marched through all of it, as ``carve`` does, or through some boxes in it.
 
     Attributes:
-        rays: clipped to the grid.
+        rays: rays clipped to the grid.
     """
 
     rays: _Rays
@@ -122,7 +122,7 @@ class Crossing:
         upper: Float[np.ndarray, "3"],
         size: float,
     ) -> Crossing:
-        """See ``carve``."""
+        """Clip rays to the grid; arguments as for ``carve``."""
         while np.prod(np.ceil((upper - lower) / size)) > _MAX_CELLS:
             size *= 1.26
         shape = np.maximum(np.ceil((upper - lower) / size).astype(int), 1)
@@ -132,11 +132,11 @@ class Crossing:
     def mark_free(
         self, surface: Float[np.ndarray, "M 3"], boxes: Float[np.ndarray, "B 2 3"] | None = None
     ) -> FreeSpace:
-        """March the rays and return what they saw to be free.
+        """Return the cells that the rays passed through.
 
         Args:
-            surface: (M, 3) points whose cells and their six neighbours are never free.
-            boxes: (B, 2, 3) lower and upper corners of where it matters; other places need not be marked [m].
+            surface: (M, 3) points whose cells and their six neighbours are never free [m].
+            boxes: (B, 2, 3) lower and upper corners of boxes; cells outside them may be left unmarked [m].
         """
         free = np.zeros(int(np.prod(self.shape)), dtype=bool)
         blocks = None if boxes is None else _mark_blocks(boxes, self.lower, self.size, self.shape)
@@ -156,15 +156,15 @@ class Crossing:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Rays that cross the grid, the farthest last.
+    """Rays that cross the grid, sorted by ``leave``.
 
     Attributes:
-        start: (3, R), or (3, 1) when all start in the same place, in cells from the grid's corner.
-        direction: (3, R) unit, in cells per metre.
-        enter, leave: (R,) distances between which each is in the grid and evidence [m].
-        bundle: (R,) number of the group of rays that start in the same place.
-        facing: (R,) side of a cube about its start that each ray leaves it by.
-        across: (2, R) where on that side, 0 to 2.
+        start: (3, R), or (3, 1) for a common start, in cells from the grid's lower corner.
+        direction: (3, R) unit vectors divided by the cell size [cells/m].
+        enter, leave: (R,) distances between which each ray is in the grid and shows free space [m].
+        bundle: (R,) group number of rays with the same start.
+        facing: (R,) face by which each ray leaves a cube around its start.
+        across: (2, R) coordinates on that face, 0 to 2.
     """
 
     start: Float[np.ndarray, "3 *R"]
@@ -184,7 +184,7 @@ class _Rays:
         upper: Float[np.ndarray, "3"],
         size: float,
     ) -> _Rays:
-        """The rays clipped to the grid (slab method), without the last 5 cm of each."""
+        """Clip the rays to the grid (slab method) and drop the last 5 cm of each."""
         poll()
         is_one_start = bool(len(starts)) and (starts.strides[0] == 0 or bool((starts == starts[0]).all()))
         start = starts[:1].T if is_one_start else starts.T
@@ -195,7 +195,7 @@ class _Rays:
             direction /= length
             for axis in range(3):
                 a, b = (lower[axis] - start[axis]) / direction[axis], (upper[axis] - start[axis]) / direction[axis]
-                # A ray along a side of the grid gives NaN there, which is no bound.
+                # A ray in a side plane of the grid gives NaN, which fmax and fmin ignore.
                 np.fmax(enter, np.minimum(a, b), out=enter)
                 np.fmin(beyond, np.maximum(a, b), out=beyond)
         enter += _FUZZ
@@ -215,7 +215,7 @@ class _Rays:
         )
 
     def select_under_way(self, near: float, far: float, size: float) -> Int[np.ndarray, "K"]:
-        """Rays in the grid between two distances, of those less than a cell apart there only the longest."""
+        """Return rays in the grid between two distances [m]; of rays less than a cell apart only the longest."""
         poll()
         first = int(np.searchsorted(self.leave, np.float32(near), side="right"))
         chosen = first + np.flatnonzero(self.enter[first:] < far)
@@ -225,14 +225,14 @@ class _Rays:
             return chosen
         u, v = (np.minimum((side[chosen] * (n_bins / 2)).astype(np.int64), n_bins - 1) for side in self.across)
         bins = ((self.bundle[chosen] * 6 + self.facing[chosen]) * n_bins + u) * n_bins + v
-        # Of several writes to one place the last stays: the ray that goes farthest.
+        # Of several writes to one bin the last stays, which is the longest ray.
         longest = np.full(6 * n_bins**2 * n_bundles, -1)
         longest[bins] = chosen
         return np.asarray(longest[longest >= 0])
 
 
 def _sort_ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
-    """Return a stable order of positive numbers, 16 bits at a time: numpy sorts those in linear time."""
+    """Return the indices that sort positive numbers (stable); 16 bits at a time, which numpy sorts in linear time."""
     bits = np.ascontiguousarray(values, dtype=np.float64).view(np.uint64)
     order = np.arange(len(bits))
     for shift in range(0, 64, 16):
@@ -241,7 +241,7 @@ def _sort_ascending(values: Float[np.ndarray, "N"]) -> Int[np.ndarray, "N"]:
 
 
 def _number_bundles(start: Float[np.ndarray, "3 R"], size: float) -> Int[np.ndarray, "R"]:
-    """Number the groups of rays that start in the same place."""
+    """Return the group number of each ray; a group starts in one small cell."""
     keys = row_keys(np.floor(start / (_BIN * size)).T)
     if (keys == keys[:1]).all():
         return np.zeros(len(keys), dtype=np.int64)
@@ -249,7 +249,7 @@ def _number_bundles(start: Float[np.ndarray, "3 R"], size: float) -> Int[np.ndar
 
 
 def _project_on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarray, "R"], Float[np.ndarray, "2 R"]]:
-    """Side of a cube of edge 2 about its start that each ray leaves it by, and where on that side, 0 to 2."""
+    """Return the face by which each ray leaves a cube of edge 2 around its start, and the coordinates there, 0 to 2."""
     x, y, z = direction
     size_x, size_y, size_z = np.abs(direction)
     along_y = size_y > size_x
@@ -265,7 +265,7 @@ def _project_on_cube(direction: Float[np.ndarray, "3 R"]) -> tuple[Int[np.ndarra
 def _mark_blocks(
     boxes: Float[np.ndarray, "B 2 3"], lower: Float[np.ndarray, "3"], size: float, shape: Int[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "X Y Z"]:
-    """Mark blocks of cells that lie no farther from any of the boxes than a ray goes before and behind its sample."""
+    """Mark blocks of cells within half a marching distance (0.2 m) of any box."""
     blocks = np.zeros(-(-shape // _CELLS_OF_BLOCK), dtype=bool)
     cells = (boxes - lower) / size
     reach = 0.5 * _BLOCK / size
@@ -279,7 +279,7 @@ def _mark_blocks(
 def _meet(
     rays: _Rays, chosen: Int[np.ndarray, "K"], near: float, blocks: Bool[np.ndarray, "X Y Z"]
 ) -> Bool[np.ndarray, "K"]:
-    """Find the chosen rays that are in any of these blocks in the middle of a block of distances."""
+    """Return which chosen rays are in a marked block at the middle of the distance interval that starts at ``near``."""
     poll()
     is_there = np.zeros(len(chosen), dtype=bool)
     middle = np.float32(near + _BLOCK / 2)
@@ -305,7 +305,7 @@ def _march(
     shape: Int[np.ndarray, "3"],
     free: Bool[np.ndarray, "C"],
 ) -> None:
-    """Mark the cells that the chosen rays pass in one block of distances."""
+    """Mark the cells that the chosen rays pass in the 0.4 m from distance ``near`` on."""
     poll()
     _, ny, nz = (int(n) for n in shape)
     step = _STEP * size
@@ -322,7 +322,7 @@ def _march(
 def _clear_beside(
     surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], size: float, free: Bool[np.ndarray, "X Y Z"]
 ) -> None:
-    """Mark cells that hold a surface point, and their six neighbours, as not free."""
+    """Mark the cells of the surface points, and their six neighbours, as not free."""
     cells = [np.floor((column - low) / size).astype(np.int64) for column, low in zip(surface.T, lower, strict=True)]
     inside = np.ones(len(surface), dtype=bool)
     for column, length in zip(cells, free.shape, strict=True):

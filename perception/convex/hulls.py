@@ -1,4 +1,4 @@
-"""Convex hulls of points that may be flat, with few vertices."""
+"""Convex hulls with a limited number of vertices, also of flat point sets."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True)
 class Hull:
-    """A convex hull and the points it was made for.
+    """A convex hull and the points it was made of.
 
     Attributes:
-        triangles: (F, 3) indices of the vertices of its faces.
+        triangles: (F, 3) vertex indices of its faces.
         faces: (F, 4) half-spaces ``a . x + b <= 0``, one for each triangle.
-        members: indices of the points it holds.
+        members: (K,) indices of the points it was made of.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -47,16 +47,16 @@ class Hull:
 
     @property
     def simplified(self) -> Hull:
-        """Return the hull with each face's plane once and without triangles."""
+        """Return the hull with repeated face planes removed and without triangles."""
         rounded = np.round(self.faces, 9)
         faces = rounded[np.unique(row_keys(rounded), return_index=True)[1]]
         return replace(self, faces=faces, triangles=self.triangles[:0])
 
     def is_within(self, points: Float[np.ndarray, "N 3"], margin: float) -> Bool[np.ndarray, "N"]:
-        """Find the points behind all faces or at most ``margin`` before them."""
+        """Return which points lie inside all faces or at most ``margin`` [m] outside them."""
         poll()
         left = np.arange(len(points))
-        # Few points are left after few faces.
+        # The first few faces exclude most points.
         for first in range(0, len(self.faces), _FACES):
             some = self.faces[first : first + _FACES]
             left = left[(some[:, :3] @ points[left].T <= margin - some[:, 3:]).all(axis=0)]
@@ -66,7 +66,7 @@ class Hull:
 
 
 def make_hull(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"] = _NOTHING) -> Hull:
-    """Make the hull of the points; flat ones are given a skin of 5 mm."""
+    """Return the convex hull of the points; flat point sets are thickened by 5 mm first."""
     poll()
     try:
         hull = ConvexHull(points)
@@ -79,14 +79,14 @@ def make_hull(points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "K"] = 
 
 
 def thicken(points: Float[np.ndarray, "N 3"], skin: float) -> Float[np.ndarray, "M 3"]:
-    """Return the points moved by ``skin`` along each axis both ways: their hull holds all of them with a margin."""
+    """Return six copies of each point, moved by ``skin`` [m] along each axis both ways; their hull has that margin."""
     return np.asarray((points[:, None, :] + skin * _OCTAHEDRON).reshape(-1, 3))
 
 
 def limit_vertices(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
-    """Return at most 64 vertices of a hull that contains the given one.
+    """Return at most 64 vertices whose hull contains the hull of the given ones.
 
-    The extreme vertices in evenly spread directions are kept and scaled about their centre until they hold the rest.
+    Keeps the extreme vertices in evenly spread directions and scales them about their centre until they contain all.
     """
     poll()
     vertices = vertices[ConvexHull(vertices).vertices]
@@ -96,7 +96,7 @@ def limit_vertices(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3
     z = 1.0 - 2.0 * (k + 0.5) / MAX_VERTICES
     angle = np.pi * (3.0 - np.sqrt(5.0)) * k
     spread = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
-    # Directions are spread over the body's own shape, or a long thin one would get all its vertices at its ends.
+    # Directions are scaled with the hull's shape, or a long thin hull would have all its vertices at its ends.
     centred = vertices - vertices.mean(axis=0)
     _, scale, axes = np.linalg.svd(centred, full_matrices=False)
     directions = (spread / np.maximum(scale, 1e-3 * scale[0])) @ axes

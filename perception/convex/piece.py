@@ -1,4 +1,4 @@
-"""Convex piece of a scene: its shape, the points it stands for, and the evidence of the rays."""
+"""Convex piece of a scene: its shape, its points, and the evidence from the rays."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ _SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence of the rays of a scan for a piece.
+    """Evidence for and against a piece from the rays of a scan.
 
     Attributes:
-        free_cells: cells inside the piece that rays went through.
-        free_share: their share of the piece's volume.
-        open_share: share of its surface that borders space seen to be free; the rest borders what no ray has seen,
-            or other things.
+        free_cells: number of cells inside the piece that rays went through.
+        free_share: share of the piece's volume in these cells.
+        open_share: share of its surface next to free space; the rest is next to unseen space or other objects.
     """
 
     free_cells: int
@@ -35,14 +34,14 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Piece:
-    """A convex piece and what it rests on.
+    """A convex piece, its points and its ray evidence.
 
     Attributes:
         shape: name, vertices and kind (``plane``, ``wall``, ``clutter``).
-        points: indices of the obstacle points within 1 cm of it that no piece before it has.
-        evidence: of the rays of the scan it was made from.
-        hull: its half-spaces, each once.
-        plane: (4,) unit normal and offset of the plane it is a slab of; None for other shapes.
+        points: indices of the obstacle points within 1 cm of it, without those of earlier pieces.
+        evidence: from the rays of the scan it was made from.
+        hull: its hull, without repeated half-spaces.
+        plane: (4,) unit normal and offset of a slab's plane; None for other shapes.
     """
 
     shape: ConvexPiece
@@ -53,7 +52,7 @@ class Piece:
 
     @property
     def name(self) -> str:
-        """Unique in its scene."""
+        """Name, unique in its scene."""
         return self.shape.name
 
     @property
@@ -62,7 +61,7 @@ class Piece:
         return self.shape.kind
 
     def summary(self) -> dict[str, object]:
-        """Return name, kind, number of points and evidence, JSON-ready."""
+        """Return name, kind, number of points and evidence, ready for JSON."""
         return {
             "name": self.name,
             "kind": self.kind,
@@ -74,7 +73,7 @@ class Piece:
 
 
 def measure_evidence(hull: Hull, free: FreeSpace) -> Evidence:
-    """Count free cells in the hull, and how much of its surface borders free ones."""
+    """Return the free cells inside the hull and the share of its surface that is next to free cells."""
     inside = free.count_inside(hull)
     around = _sample_around(hull)
     near = np.concatenate([around, *(around + sign * free.size * axis for axis in np.eye(3) for sign in (-1.0, 1.0))])
@@ -83,7 +82,7 @@ def measure_evidence(hull: Hull, free: FreeSpace) -> Evidence:
 
 
 def _sample_around(hull: Hull) -> Float[np.ndarray, "K 3"]:
-    """Return places 5 cm off the hull, spread evenly over its surface."""
+    """Return 128 positions 5 cm outside the hull, spread evenly over its surface [m]."""
     corners = hull.vertices[hull.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1)

@@ -1,4 +1,4 @@
-"""Convex pieces of a cleaned cloud, which cover its points and leave free what was seen free."""
+"""Convex pieces of a cleaned cloud: they cover its points and contain no space that rays passed through."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MOST_SKIN = 0.02
 AROUND = 0.1
 _UPRIGHT = 0.17
 _WALL = (0.8, 1.2)
-# What stands for a surface follows it closely: planes of bent ones are cut where their points lie beside them.
+# Slabs follow curved surfaces closely: a plane loses the members around which the points are off the plane.
 _PLANES = PlaneSettings(covered=FRONT + _WITHIN, bias=0.007)
 
 
@@ -41,7 +41,7 @@ class Pieces:
 
     Attributes:
         pieces: ``plane/0`` ..., ``wall/0`` ... and ``clutter/0`` ...
-        timings: seconds by step.
+        timings: time per step [s].
     """
 
     pieces: tuple[Piece, ...]
@@ -54,12 +54,12 @@ def make_pieces(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     seed: int = 0,
 ) -> Pieces:
-    """Make thin slabs of planes, and of what is left hulls that hold no seen-free space.
+    """Return thin slabs for the planes of a cloud, and hulls without free space for the remaining points.
 
     Args:
         points: (N, 3) obstacle points, cleaned [m].
-        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan, those of the floor, of the robot and
-            those that met nothing included: evidence of free space [m].
+        rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan, which show free space; rays that end on
+            the floor, on the robot or nowhere are included [m].
         seed: of the plane search; the same points, in any order, and the same seed give the same pieces.
     """
     if not len(points):
@@ -84,7 +84,7 @@ def make_bodies(
     seed: int,
     clock: Clock,
 ) -> list[Body]:
-    """Make slabs and hulls for the points that are left."""
+    """Return slabs and hulls for the points with the indices ``left``."""
     if not len(left):
         return []
     points, starts = coarse.points[left], coarse.starts[left]
@@ -109,7 +109,7 @@ def make_bodies(
 def share_start(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
 ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]:
-    """Return the rays with one start (3,) if it is the same for all."""
+    """Return the rays with a single start (3,) if all rays share it."""
     starts, ends = rays
     return (starts[0] if starts.ndim == 2 and len(starts) and (starts == starts[0]).all() else starts), ends
 
@@ -117,13 +117,13 @@ def share_start(
 def make_crossing(
     held: Float[np.ndarray, "H 3"], rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]
 ) -> Crossing:
-    """Put the rays into a grid around places [m], whose cells are aligned with the world's origin."""
+    """Clip the rays to a grid 10 cm larger than the bounding box of ``held`` [m], aligned with the world's origin."""
     lower = _CELL * np.floor((held.min(axis=0) - AROUND) / _CELL)
     return Crossing.of(*rays, lower, held.max(axis=0) + AROUND, _CELL)
 
 
 def _make_clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], free: FreeSpace) -> list[Hull]:
-    """Make hulls of what no plane explains, merged while they stay free."""
+    """Return hulls of points that are on no plane, merged while they contain no free space."""
     if not len(points):
         return []
     hulls = [hull for members in find_clusters(points, starts) for hull in split(points, members, free)]
@@ -133,12 +133,12 @@ def _make_clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N
 
 
 def _find_covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Slab]]) -> Bool[np.ndarray, "N"]:
-    """Find points that a slab stands for: inside it, its noise, and what seems to lie up to 2 cm behind it.
+    """Return which points a slab represents: points inside it, noise of its plane, and points up to 2 cm behind it.
 
-    What protrudes from a plane by more than its slab is an object of its own, as buttons are.
+    Points that protrude farther than the slab's front face belong to another object, such as a button.
 
     Args:
-        points: (N, 3) freed of noise [m].
+        points: (N, 3) smoothed points [m].
     """
     covered = np.zeros(len(points), dtype=bool)
     for plane, slab in slabs:
@@ -152,13 +152,13 @@ def _find_covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Sla
 
 
 def _add_skin(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Float[np.ndarray, "V 3"]:
-    """Give the hull a skin, which covers the surface between points, and at most 64 vertices.
+    """Return at most 64 vertices of the hull grown by a skin that covers the surface between its points.
 
-    The skin is 5 mm, or where points lie far apart two fifths of that if it holds no more seen-free space.
+    The skin is 5 mm, or two fifths of a larger point spacing if the hull then contains no more free space.
 
     Args:
         hull: its members index ``apart``.
-        apart: (N,) distance of the points from those beside them [m].
+        apart: (N,) distance of each point to its neighbours [m].
     """
     skinned = make_hull(thicken(hull.vertices, SKIN), hull.members)
     skin = min(_SKIN_OF_SPACING * float(np.median(apart[hull.members])), _MOST_SKIN)
@@ -170,7 +170,7 @@ def _add_skin(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Flo
 
 
 def _choose_kind(plane: Plane, slab: Slab) -> str:
-    """Return ``wall`` for what is upright and larger than a person is wide and half a person high."""
+    """Return ``wall`` for an upright slab at least 0.8 m wide and 1.2 m high, else ``plane``."""
     width, height = np.ptp(slab.outline, axis=0)
     is_wall = abs(plane.normal[2]) < _UPRIGHT and width >= _WALL[0] and height >= _WALL[1]
     return "wall" if is_wall else "plane"
@@ -178,7 +178,7 @@ def _choose_kind(plane: Plane, slab: Slab) -> str:
 
 @dataclass(frozen=True)
 class Body:
-    """A piece before it has a name."""
+    """Kind, vertices and plane of an unnamed piece."""
 
     kind: str
     vertices: Float[np.ndarray, "V 3"]
@@ -186,7 +186,7 @@ class Body:
 
 
 def name_bodies(bodies: Sequence[Body], first: Mapping[str, int], free: FreeSpace) -> list[Piece]:
-    """Make pieces without points, numbered from ``first`` by kind."""
+    """Return pieces without points; the numbers in their names start at ``first[kind]``."""
     serial, nothing = Counter(first), np.zeros(0, dtype=np.int64)
     pieces = []
     for body in bodies:
@@ -204,7 +204,7 @@ def assign_points(
     groups: Groups,
     coarse: Coarse,
 ) -> tuple[Piece, ...]:
-    """Give each piece the kept points that lie at most 1 cm from it and in no piece before it."""
+    """Return the pieces with their points: kept points within 1 cm of the piece and of no earlier piece."""
     taken = ~kept
     made = []
     for piece in pieces:

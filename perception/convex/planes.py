@@ -1,4 +1,4 @@
-"""Flat regions of a cloud: planes by one-point RANSAC over normals, connected and refitted."""
+"""Plane detection: one-point RANSAC over normals, refit, and largest connected region."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ _AT_A_TIME = 16
 
 @dataclass(frozen=True)
 class PlaneSettings:
-    """Criteria of a plane.
+    """Criteria of the plane search.
 
     Attributes:
-        distance: farthest a member lies from the plane [m].
-        normal_dot: least cosine between a member's normal and the plane's.
-        min_points: fewest members.
-        min_size: least extent of a region in its second direction [m].
-        max_planes: at most so many.
+        distance: largest distance of an inlier from the plane [m].
+        normal_dot: least cosine between an inlier's normal and the plane's.
+        min_points: fewest inliers.
+        min_size: least extent of a region along its second axis [m].
+        max_planes: largest number of planes.
         n_candidates: hypotheses per plane.
-        n_refined: so many of the best are fitted again,
-        n_refits: at most so many times.
-        n_neighbours: points that make a normal.
-        absorb: points this close to a plane may be its noise [m].
-        noise_share: they are when there are fewer than this share of the members around them.
-        covered: a slab covers what is this close to its plane [m].
-        tail_share: farther off they are noise only when those on their side are fewer than this share of the members,
-        tail_points: or than these points,
-        tail_ratio: or than so many times those on the other side.
-        bias: farthest the mean of the points around a member lies from the plane [m].
+        n_refined: number of best hypotheses that are refitted.
+        n_refits: most refits of a hypothesis.
+        n_neighbours: number of points used for a normal.
+        absorb: largest distance of noise from its plane [m].
+        noise_share: points are noise when fewer than this share of the inliers around them.
+        covered: largest distance from the plane that its slab covers [m].
+        tail_share: beyond ``covered``, points on one side are noise if fewer than this share of the inliers,
+        tail_points: or fewer than this number,
+        tail_ratio: or fewer than this multiple of the points on the other side.
+        bias: largest distance from the plane of the mean of the points around an inlier [m].
     """
 
     distance: float = 0.02
@@ -59,13 +59,13 @@ class PlaneSettings:
 
 @dataclass(frozen=True)
 class Plane:
-    """A flat region.
+    """A plane and its points.
 
     Attributes:
         normal: (3,) unit, towards the sensor.
-        offset: ``normal . x == offset`` on it [m].
-        members: indices of its points.
-        noise: indices of points that it explains but that do not shape it.
+        offset: ``normal . x == offset`` on the plane [m].
+        members: indices of its inliers.
+        noise: indices of its noise, which does not count for its outline.
     """
 
     normal: Float[np.ndarray, "3"]
@@ -75,9 +75,9 @@ class Plane:
 
     @property
     def basis(self) -> Float[np.ndarray, "2 3"]:
-        """Two unit directions in the plane, the second as upright as can be."""
+        """Two unit axes (2, 3) in the plane, the second as vertical as possible."""
         x, y, z = map(float, self.normal)
-        # Across the normal and the vertical, or the x axis where the normal is upright; numpy's cross is slow on one.
+        # Cross product with z, or with x where the normal is near z; numpy's cross is slow for a single vector.
         a, b, c = (-y, x, 0.0) if abs(z) < 0.9 else (0.0, -z, y)
         length = np.sqrt(a * a + b * b + c * c)
         a, b, c = a / length, b / length, c / length
@@ -87,7 +87,7 @@ class Plane:
 def estimate_normals(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"], n_neighbours: int
 ) -> Float[np.ndarray, "N 3"]:
-    """Estimate unit normals by principal components of the nearest neighbours, turned to the starts of the rays."""
+    """Return unit normals from the principal components of the nearest neighbours, facing the ray starts."""
     k = min(n_neighbours, len(points))
     _, neighbours = nearest(cKDTree(points), points, k)
     poll()
@@ -107,11 +107,11 @@ def find_planes(
     rng: np.random.Generator,
     settings: PlaneSettings | None = None,
 ) -> tuple[Plane, ...]:
-    """Find flat connected regions, in order of search; their members are disjoint.
+    """Return planes with connected inliers, in order of search; no point belongs to two planes.
 
     Args:
         points: (N, 3) downsampled [m].
-        counts: (N,) measured points each stands for.
+        counts: (N,) measured points per point.
     """
     settings = settings or PlaneSettings()
     planes: list[Plane] = []
@@ -131,7 +131,7 @@ def find_planes(
         left = np.setdiff1d(left, members, assume_unique=True)
         noise = find_noise(plane, points, counts, left, settings)
         distance = np.abs(points[left] @ plane.normal - plane.offset)
-        # Close noise is the surface itself, whatever its normal; it belongs to the outline.
+        # Noise this close to the plane is part of the surface, whatever its normal, and counts for the outline.
         grown = np.concatenate([members, left[noise & (distance < settings.distance)]])
         planes.append(replace(plane, members=grown, noise=left[noise & (distance >= settings.distance)]))
         left = left[~noise]
@@ -147,7 +147,7 @@ def _find_best_region(
     rng: np.random.Generator,
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"] | None:
-    """Return the connected members of the plane that most of a sample agrees on; None when too few or too thin."""
+    """Return the connected inliers of the plane with most support; None when they are too few or too narrow."""
     poll()
     sample = left if len(left) <= 3000 else rng.choice(left, 3000, replace=False)
     seeds = rng.choice(left, min(settings.n_candidates, len(left)), replace=False)
@@ -176,11 +176,11 @@ def _find_agreeing(
     seeds: Int[np.ndarray, "S"],
     settings: PlaneSettings,
 ) -> Bool[np.ndarray, "S K"]:
-    """Find those of the sample that lie on the plane through each seed, with a normal like its own."""
+    """Return which sample points are inliers of the plane through each seed, by distance and normal."""
     places, directions = np.ascontiguousarray(points[sample].T), np.ascontiguousarray(normals[sample].T)
     through, offsets = normals[seeds], (points[seeds] * normals[seeds]).sum(axis=1)
     agree = np.zeros((len(seeds), len(sample)), dtype=bool)
-    # A few at a time: what is worked on then stays in the cache of one core.
+    # A few seeds at a time, so that the arrays stay in the cache of one core.
     for first in range(0, len(seeds), _AT_A_TIME):
         poll()
         some = slice(first, first + _AT_A_TIME)
@@ -199,9 +199,9 @@ def _refit(
     among: Int[np.ndarray, "L"],
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"]:
-    """Return members of the plane fitted to the region, fitted again until their number no longer grows.
+    """Return the inliers of the plane fitted to a region, refitted until their number stops growing.
 
-    A single normal is off by many degrees where points are few, and its plane is a strip of the true one.
+    A single normal can be off by many degrees, and its plane then has only a strip of the true inliers.
     """
     poll()
     count = 0
@@ -225,9 +225,9 @@ def _drop_biased(
     plane: Plane,
     settings: PlaneSettings,
 ) -> Int[np.ndarray, "M"]:
-    """Return members where the points around, near the plane or not, scatter about it.
+    """Return members around which all points are, on average, within ``settings.bias`` of the plane.
 
-    Half of the noise of a face 3 cm behind lies within 2 cm of the plane; its mean gives it away.
+    Half of the noise of a face 3 cm behind the plane lies within 2 cm of it; only the mean reveals that face.
     """
     poll()
     if not len(plane.members):
@@ -244,7 +244,7 @@ def _drop_biased(
 
 
 def _fit(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Fit a plane by least squares; its normal points to where most of the rays came from."""
+    """Return normal and offset of the least-squares plane; the normal faces most of the ray starts."""
     poll()
     centre = points.mean(axis=0)
     relative = points - centre
@@ -261,13 +261,13 @@ def find_noise(
     left: Int[np.ndarray, "K"],
     settings: PlaneSettings,
 ) -> Bool[np.ndarray, "K"]:
-    """Return the points left that are the plane's noise: near it, and few or evenly on both sides of it.
+    """Return which of the points ``left`` are noise of the plane: near it, and few or evenly spread over both sides.
 
-    Farther off than a slab covers they are noise only where one side holds no more than the noise's tail, or than some
-    times what lies on the other side.
+    Points beyond the slab's thickness are noise only where those on their side are few compared with the inliers or
+    with the other side (``settings.tail_*``).
 
-    Without this, the tails of the range noise are found as further planes before a wall.  A real thing that lies on
-    the plane hides it: there the members are missing, and its points are kept.
+    Without this, the tails of the range noise become further planes before a wall.  A real object on the plane
+    occludes it: there the plane has no inliers, and the object's points are kept.
     """
     near = np.flatnonzero(np.abs(points[left] @ plane.normal - plane.offset) < settings.absorb)
     mine = points[plane.members] @ plane.basis.T
@@ -287,7 +287,7 @@ def find_noise(
     sides = [distance > settings.covered, distance < -settings.covered]
     tails = [_count_cells(cells[side], weights[side], raster.shape) for side in sides]
     for side, tail, opposite in zip(sides, tails, tails[::-1], strict=True):
-        # What is to be fewer than whole points comes out of sums of fractions.
+        # The counts are averages with rounding errors; the margin keeps equal counts from passing.
         is_tail = tail < np.maximum(most, settings.tail_ratio * opposite) - 1e-9
         is_noise[side] &= is_tail[tuple(cells[side].T)]
     noise = np.zeros(len(left), dtype=bool)
@@ -297,7 +297,7 @@ def find_noise(
 
 @dataclass(frozen=True)
 class _Raster:
-    """Square cells over a region of a plane."""
+    """Grid of square cells over a region of a plane, from corner ``lower`` [m]."""
 
     lower: Float[np.ndarray, "2"]
     shape: Int[np.ndarray, "2"]
@@ -314,7 +314,7 @@ class _Raster:
 def _count_cells(
     cells: Int[np.ndarray, "N 2"], weights: np.ndarray, shape: Int[np.ndarray, "2"]
 ) -> Float[np.ndarray, "U V"]:
-    """Count points per cell, averaged over the cell and its eight neighbours."""
+    """Return the sum of weights per cell, averaged over the cell and its eight neighbours."""
     poll()
     flat = np.ravel_multi_index(tuple(cells.T), tuple(shape))
     counts = np.bincount(flat, weights, minlength=int(np.prod(shape))).reshape(shape)
@@ -324,7 +324,7 @@ def _count_cells(
 def _select_largest(
     points: Float[np.ndarray, "N 3"], region: Int[np.ndarray, "K"], plane: Plane, starts: Float[np.ndarray, "N 3"]
 ) -> Int[np.ndarray, "M"]:
-    """Return members of the largest patch, linked over max(5 cm, 4.5 % of range) in the plane."""
+    """Return the points of the largest connected patch; gaps up to max(5 cm, 4.5 % of range) connect."""
     poll()
     if not len(region):
         return region

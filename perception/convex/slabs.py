@@ -1,4 +1,4 @@
-"""Flat regions to convex slabs: outlines are cut so that no slab covers an opening, and take in hulls beside them."""
+"""Convex slabs of planes: outlines cut so that no slab covers an opening, and extended by hulls beside them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WORTHWHILE = 0.05
 _NOISE = 0.001
 _MOST_CORNERS = 32
 _BESIDE = 0.06
-# Three times the range noise of a usual lidar.
+# Three times the range noise of a usual lidar [m].
 _IN_PLANE = 0.03
 _ASIDE = 0.12
 _FEW = 1
@@ -33,11 +33,11 @@ _FEW = 1
 
 @dataclass(frozen=True)
 class Slab:
-    """A convex patch of a plane with some thickness.
+    """A convex patch of a plane with a thickness.
 
     Attributes:
         outline: (K, 2) corners in the plane's basis [m], counter-clockwise.
-        vertices: (2 K, 3) world [m].
+        vertices: (2 K, 3) front and back corners in the world [m].
         faces: (K, 3) half-planes ``a . u + b <= 0`` of the outline.
     """
 
@@ -47,13 +47,13 @@ class Slab:
 
     @property
     def area(self) -> float:
-        """Of the outline [m^2]."""
+        """Area of the outline [m^2]."""
         return _measure_area(self.outline)
 
 
 @dataclass(frozen=True)
 class _Region:
-    """A plane seen as a picture: where rays went through it, and where its members are."""
+    """Members in the plane's basis (``flat``) and a grid of openings from corner ``lower`` [m]."""
 
     flat: Float[np.ndarray, "N 2"]
     lower: Float[np.ndarray, "2"]
@@ -69,12 +69,12 @@ def make_slabs(
     apart: Float[np.ndarray, "N"] | None = None,
     gaps: Float[np.ndarray, "G 2"] | None = None,
 ) -> list[Slab]:
-    """Make convex slabs that cover the plane's members and no opening.
+    """Return convex slabs that cover the plane's members and no opening.
 
     Args:
-        points: (N, 3) the cloud its members index [m].
-        apart: (N,) distance of the points from those beside them; where it is large, slabs go on half as far [m].
-        gaps: further places that are not to be covered, in the plane's basis [m].
+        points: (N, 3) cloud that the plane's members index [m].
+        apart: (N,) distance of each point to its neighbours; slabs extend past their points by half of it [m].
+        gaps: further positions that no slab may cover, in the plane's basis [m].
     """
     flat = points[plane.members] @ plane.basis.T
     openings = [
@@ -98,7 +98,7 @@ def make_slabs(
 
 
 def _make_region(flat: Float[np.ndarray, "N 2"], opened: Float[np.ndarray, "H 2"]) -> _Region:
-    """Mark cells of the region's rectangle that hold openings and no member, nor does a neighbour."""
+    """Mark cells that contain an opening, unless they or a neighbouring cell contain a member."""
     lower = flat.min(axis=0) - 2 * _CELL
     shape = np.ceil((flat.max(axis=0) + 2 * _CELL - lower) / _CELL).astype(int) + 1
     hit = ndimage.binary_dilation(_rasterise(flat, lower, shape), structure=np.ones((3, 3), dtype=bool))
@@ -108,7 +108,7 @@ def _make_region(flat: Float[np.ndarray, "N 2"], opened: Float[np.ndarray, "H 2"
 def _find_crossings(
     plane: Plane, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"]
 ) -> Float[np.ndarray, "K 2"]:
-    """Return where rays went through the plane, either way: a scan from behind sees an opening as well."""
+    """Return where rays crossed the plane, in its basis [m]; both directions count, since a scan may be from behind."""
     poll()
     before, after = starts @ plane.normal - plane.offset, ends @ plane.normal - plane.offset
     through = np.flatnonzero((np.minimum(before, after) < -_BEHIND) & (np.maximum(before, after) > _BEHIND))
@@ -121,9 +121,9 @@ def _find_crossings(
 
 
 def _find_free_cells(plane: Plane, flat: Float[np.ndarray, "N 2"], free: FreeSpace) -> Float[np.ndarray, "K 2"]:
-    """Return free cells that a slab over the whole region would hold behind its plane, where the surface bends away.
+    """Return the free cells behind the plane in a slab over the whole region, where the surface bends away [m].
 
-    Those before it are what rays that graze the surface always leave.
+    Free cells before the plane do not count: rays that graze the surface always leave some.
     """
     low, high = flat.min(axis=0), flat.max(axis=0)
     corners = np.array([[u, v] for u in (low[0], high[0]) for v in (low[1], high[1])]) @ plane.basis
@@ -147,7 +147,7 @@ def _rasterise(
 def _make_outline(
     flat: Float[np.ndarray, "N 2"], pad: float = 0.0
 ) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]:
-    """Return corners, counter-clockwise, and half-planes of the hull; ``pad`` is added on all sides."""
+    """Return corners, counter-clockwise, and half-planes of the convex hull, grown by ``pad`` [m] on all sides."""
     poll()
     if pad > 0.0:
         flat = _pad_points(flat, pad)
@@ -165,7 +165,7 @@ def _pad_points(flat: Float[np.ndarray, "N 2"], pad: float) -> Float[np.ndarray,
 def _find_open_cells(
     region: _Region, outline: tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "F 3"]]
 ) -> Float[np.ndarray, "H 2"]:
-    """Return centres of the pierced cells inside the outline; empty when they are so few that noise explains them."""
+    """Return centres of the openings inside the outline [m]; none if they cover at most 0.1 % of its area (noise)."""
     corners, faces = outline
     first = np.floor((corners.min(axis=0) - region.lower) / _CELL).astype(int).clip(0)
     last = np.ceil((corners.max(axis=0) - region.lower) / _CELL).astype(int)
@@ -183,10 +183,10 @@ def _measure_area(corners: Float[np.ndarray, "K 2"]) -> float:
 def _cut(
     flat: Float[np.ndarray, "N 2"], open_cells: Float[np.ndarray, "H 2"]
 ) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
-    """Cut the points in two groups: the largest that one straight cut frees of all open cells, and the rest.
+    """Cut the points into two groups: the largest that a straight line separates from all openings, and the rest.
 
-    Cuts run along the outermost open cells, upright or turned with the points.  When they would free little, the
-    points are halved across their longest side instead.
+    Lines touch the outermost openings, along the plane's basis or the points' principal axes.  If the group has
+    less than 5 % of the points, they are halved across their longest axis.
     """
     frames = (np.eye(2), np.linalg.eigh(np.cov(flat.T))[1])
     best = np.zeros(len(flat), dtype=bool)
@@ -203,7 +203,7 @@ def _cut(
 
 
 def _merge_parts(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int[np.ndarray, "K"]]:
-    """Join parts, the smallest with the neighbour that adds least area, while the joint outline is closed."""
+    """Merge parts, smallest first, with the neighbour that gives the least bounding area, if no opening is covered."""
     waiting = sorted((_Part.of(region, part) for part in parts), key=_Part.rank)
     kept: list[Int[np.ndarray, "K"]] = []
     while waiting:
@@ -225,7 +225,7 @@ def _merge_parts(region: _Region, parts: list[Int[np.ndarray, "K"]]) -> list[Int
 
 @dataclass(frozen=True)
 class _Part:
-    """Some members of a plane and the corners of the rectangle they fill [m]."""
+    """Some members of a plane and the corners of their bounding rectangle in the plane's basis [m]."""
 
     members: Int[np.ndarray, "K"]
     lower: Float[np.ndarray, "2"]
@@ -237,11 +237,11 @@ class _Part:
         return cls(members, flat.min(axis=0), flat.max(axis=0))
 
     def rank(self) -> tuple[int, int]:
-        """The smallest first."""
+        """Sort key: number of members, first member."""
         return len(self.members), int(self.members[0])
 
     def find_beside(self, others: list[_Part]) -> Int[np.ndarray, "J"]:
-        """Find the other parts whose rectangles are at most 6 cm away."""
+        """Return indices of the other parts whose bounding rectangles are at most 6 cm away."""
         lower = np.array([other.lower for other in others]).reshape(-1, 2)
         upper = np.array([other.upper for other in others]).reshape(-1, 2)
         near = (lower <= self.upper + _BESIDE) & (upper >= self.lower - _BESIDE)
@@ -249,13 +249,13 @@ class _Part:
 
 
 def join_slab(plane: Plane, slab: Slab, flat: Float[np.ndarray, "K 2"]) -> Slab:
-    """Make the slab of the hull of a slab's outline and further places in its plane [m]."""
+    """Return a slab over the convex hull of a slab's outline and further positions in the plane's basis [m]."""
     corners, faces = _make_outline(np.concatenate([slab.outline, _pad_points(flat, _PAD)]))
     return _thicken_outline(plane, corners, faces)
 
 
 def _make_slab(plane: Plane, region: _Region, part: Int[np.ndarray, "K"], apart: float) -> Slab:
-    """Make the slab of some members, half their distance from each other larger all round unless it is open there."""
+    """Return the slab of some members, padded by half their spacing ``apart`` [m] unless it then covers an opening."""
     flat = region.flat[part]
     pad = min(0.5 * apart, _MOST_PAD)
     if pad > _PAD:
@@ -266,7 +266,7 @@ def _make_slab(plane: Plane, region: _Region, part: Int[np.ndarray, "K"], apart:
 
 
 def _thicken_outline(plane: Plane, corners: Float[np.ndarray, "K 2"], faces: Float[np.ndarray, "F 3"]) -> Slab:
-    """Thicken an outline, its corners thinned to at most 32."""
+    """Return the slab of an outline, with at most 32 corners."""
     if len(corners) > _MOST_CORNERS:
         corners, faces = _drop_corners(corners)
     middle = corners @ plane.basis + plane.offset * plane.normal
@@ -275,7 +275,7 @@ def _thicken_outline(plane: Plane, corners: Float[np.ndarray, "K 2"], faces: Flo
 
 
 def _drop_corners(corners: Float[np.ndarray, "K 2"]) -> tuple[Float[np.ndarray, "M 2"], Float[np.ndarray, "F 3"]]:
-    """Return an outline of 32 corners around the given one; sides whose neighbours meet near beyond them go first."""
+    """Return an outline of 32 corners around the given one; sides whose removal adds least area are removed first."""
     while len(corners) > _MOST_CORNERS:
         before, last, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0), np.roll(corners, -2, axis=0)
         ahead, back, side = corners - before, last - after, last - corners
@@ -298,14 +298,14 @@ def _cross(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "K 2"]) -> Float[np
 def attach_hulls(
     slabs: Sequence[tuple[Plane, Slab]], hulls: Sequence[Hull], free: FreeSpace
 ) -> tuple[list[tuple[Plane, Slab]], list[Hull]]:
-    """Return the slabs with the hulls that became part of them, and the hulls that did not.
+    """Return the slabs, extended by hulls that lie in their plane, and the remaining hulls.
 
-    Where scan lines lie far apart, the ends of a surface are too few points to count as part of its plane.  A hull
-    joins when it lies in a slab's plane, at most 12 cm beside it, and the slab of both holds no more seen-free space
-    than the slab did; of several slabs the slab that grows least takes it.
+    Where scan lines are far apart, the ends of a surface have too few points to be inliers of its plane.  A hull joins
+    a slab if it lies in the slab's plane, at most 12 cm beside it, and the extended slab contains at most one more
+    free cell; of several slabs, the one whose area grows least takes the hull.
 
     Args:
-        hulls: of what no plane explains, without skin.
+        hulls: hulls of the points on no plane, without skin.
     """
     grown, left = list(slabs), []
     free_before = [_count_free_cells(slab, free) for _, slab in slabs]

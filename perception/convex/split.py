@@ -1,4 +1,4 @@
-"""Points to convex hulls: split while a hull holds space that was seen free, then merged while they do not."""
+"""Convex hulls of points: split until no hull contains free space, then merged while they contain none."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _CELL = 0.01
 _CLOSE = 2
 _AROUND = 0.03
 _FEW = 3
-# Smaller hulls are as small as noise and skin make them, and so much seen-free space is noise [m^3].
+# Smaller hulls consist of noise and skin only; free space in them is noise and is not refined [m^3].
 _LEAST_VOLUME = 5e-5
 
 
 @dataclass(frozen=True)
 class SplitAllowance:
-    """Seen-free space that a hull may hold, since noise explains it.
+    """Free space that a hull may contain because of noise.
 
     Attributes:
-        volume: at most so much [m^3],
-        share: and at most this share of the hull.
-        skin: that the hull has when it is judged [m].
+        volume: largest free volume [m^3].
+        share: largest share of the hull (both limits apply).
+        skin: growth of the hull before the test [m].
     """
 
     volume: float = 2.4e-5
@@ -48,7 +48,7 @@ _REFINED = SplitAllowance(share=0.03, skin=SKIN)
 
 
 def find_clusters(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -> list[Int[np.ndarray, "K"]]:
-    """Return indices of connected points, linked over max(5 cm, 4.5 % of range)."""
+    """Return the indices of each cluster of points; gaps up to max(5 cm, 4.5 % of range) connect."""
     if len(points) == 1:
         return [np.array([0])]
     k = min(_NEIGHBOURS, len(points))
@@ -68,7 +68,7 @@ def split(
     free: FreeSpace,
     allowed: SplitAllowance = _DEFAULT,
 ) -> list[Hull]:
-    """Make hulls of the members, cut in two until none holds seen-free space (or is as small as the noise)."""
+    """Return hulls of the members, cut in two until each contains no free space or is at most 3 cm long."""
     done: list[Hull] = []
     todo = [members]
     while todo:
@@ -82,7 +82,7 @@ def split(
 
 
 def is_free_of(hull: Hull, free: FreeSpace, allowed: SplitAllowance = _DEFAULT) -> bool:
-    """Return whether the hull holds no more seen-free space than noise explains."""
+    """Return whether the hull contains no more free space than ``allowed``."""
     if allowed.skin > 0.0:
         hull = make_hull(thicken(hull.vertices, allowed.skin), hull.members)
     most = int(min(allowed.volume, allowed.share * hull.volume) / free.size**3 + 1e-6)
@@ -90,13 +90,13 @@ def is_free_of(hull: Hull, free: FreeSpace, allowed: SplitAllowance = _DEFAULT) 
 
 
 def _may_be_free(hull: Hull, free: FreeSpace, allowed: SplitAllowance) -> bool:
-    """Return whether ``is_free_of`` may hold; a quick test without a skin, which takes longer to make."""
+    """Return False if ``is_free_of`` is certain to be False; quicker, since it ignores the skin."""
     most = int(allowed.volume / free.size**3 + 1e-6)
     return free.count_inside(hull, most) <= most
 
 
 def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np.ndarray, "M"]]:
-    """Cut the points in two across a principal or world axis, so that the volume of both boxes is least."""
+    """Cut the points in two across a principal or world axis, minimising the summed volume of both bounding boxes."""
     axes = np.linalg.eigh(np.cov((points - points.mean(axis=0)).T))[1]
     best: tuple[float, Int[np.ndarray, "K"], int] | None = None
     for frame in (axes, np.eye(3)):
@@ -114,7 +114,7 @@ def _cut(points: Float[np.ndarray, "N 3"]) -> tuple[Int[np.ndarray, "K"], Int[np
 
 
 def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
-    """Return the summed volume of the boxes of the first i + 1 and the remaining points, each 1 cm larger all round."""
+    """Return the summed volume of the bounding boxes of the first i + 1 and the other points, each 1 cm larger."""
     skin = 0.01
     low, high = np.minimum.accumulate(ordered), np.maximum.accumulate(ordered)
     low_r, high_r = np.minimum.accumulate(ordered[::-1])[::-1], np.maximum.accumulate(ordered[::-1])[::-1]
@@ -126,11 +126,11 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
 def merge(
     hulls: Sequence[Hull], free: FreeSpace, gap: float | Float[np.ndarray, "H"], allowed: SplitAllowance = _DEFAULT
 ) -> list[Hull]:
-    """Join neighbours, least added volume first, while the joint hull holds no seen-free space.
+    """Merge neighbouring hulls, least added volume first, while the merged hull contains no free space.
 
     Args:
-        gap: boxes farther apart than this, or than the lesser of the two hulls' own, are not neighbours [m].
-        allowed: how much seen-free space a joint hull may hold.
+        gap: largest distance between the bounding boxes of neighbours; per hull, the smaller of both counts [m].
+        allowed: free space that a merged hull may contain.
     """
     merger = _Merger(list(hulls), free, np.broadcast_to(gap, len(hulls)), allowed)
     for i in range(len(hulls)):
@@ -143,7 +143,7 @@ def merge(
 
 
 class _Merger:
-    """Hulls, which of them still stand, and the joints that may take the place of two."""
+    """Hulls, which of them are not merged yet (``is_alive``), and a queue of candidate merges."""
 
     def __init__(
         self, hulls: list[Hull], free: FreeSpace, gap: Float[np.ndarray, "H"], allowed: SplitAllowance
@@ -156,7 +156,7 @@ class _Merger:
         self._upper = np.array([hull.upper for hull in hulls]).reshape(-1, 3)
 
     def replace(self, i: int, j: int, joint: Hull) -> None:
-        """Put the joint in the place of both and look for its neighbours."""
+        """Replace both hulls by the merged one and queue merges with its neighbours."""
         self.is_alive[[i, j]] = False
         self.hulls.append(joint)
         self.is_alive = np.append(self.is_alive, True)
@@ -166,7 +166,7 @@ class _Merger:
         self.propose(len(self.hulls) - 1, len(self.hulls) - 1)
 
     def propose(self, i: int, before: int) -> None:
-        """Queue the joints of hull ``i`` with its neighbours among the first ones."""
+        """Queue merges of hull ``i`` with its neighbours among the first ``before`` hulls."""
         gap = np.minimum(self._gap[i], self._gap[:before])[:, None]
         near = (self._lower[:before] <= self._upper[i] + gap) & (self._upper[:before] >= self._lower[i] - gap)
         hull = self.hulls[i]
@@ -181,11 +181,11 @@ class _Merger:
 
 
 def _is_open_between(hull: Hull, other: Hull, free: FreeSpace) -> bool:
-    """Return whether free cells half-way between two hulls already rule out a joint hull."""
+    """Return whether free cells half-way between two hulls already rule out a merge."""
     a, b = (hull.vertices[:: -(-len(hull.vertices) // _PROBES)] for hull in (hull, other))
     centre = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
     halfway = 0.5 * (a[:, None] + b).reshape(-1, 3)
-    # Drawn in a little, so that none lies on the surface of the joint hull.
+    # Moved towards the centre, so that none lies on the surface of the merged hull.
     halfway = centre + 0.9 * (halfway - centre)
     hits = halfway[free.contains(halfway)]
     if len(hits) <= _MOST_FREE_CELLS:
@@ -201,15 +201,15 @@ def refine_hulls(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     gap: float,
 ) -> list[Hull]:
-    """Split hulls that with a skin hold seen-free space more than 2 cm from any point until they do not.
+    """Split hulls until they contain, skin included, no free space more than 2 cm from any point.
 
-    The points of a single scan line round a corner span no volume, but with a skin their hull is a sheet through the
-    air before them.
+    The hull of a single scan line around a corner has no volume, but with its skin it is a sheet through the free
+    space inside the corner.
 
     Args:
-        points: (N, 3) that their members index [m].
-        surface: (M, 3) all points that surfaces stand for [m].
-        gap: parts whose boxes are farther apart are not joined again [m].
+        points: (N, 3) points that the hulls' members index [m].
+        surface: (M, 3) all surface points of the scan [m].
+        gap: parts whose bounding boxes are farther apart are not merged again [m].
     """
     is_large = [make_hull(thicken(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
     passing = _Passing.of(*rays, sum(is_large))
@@ -230,7 +230,7 @@ def refine_hulls(
 def _carve_fine(
     passing: _Passing, surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
 ) -> FreeSpace:
-    """Mark cells in a box that rays passed, more than about 2 cm from any surface."""
+    """Return the 1 cm cells in a box that rays passed through, more than about 2 cm from any surface point."""
     near = passing.near(lower, upper)
     inside = surface
     for axis in range(3):
@@ -244,11 +244,11 @@ def _carve_fine(
 
 @dataclass(frozen=True)
 class _Passing:
-    """Rays prepared for a search of those that pass a place.
+    """Rays of a scan, prepared to find those that pass near a box.
 
     Attributes:
         starts, ends: (R, 3) [m].
-        sheaf: the same, if all start in one place and many places are searched.
+        sheaf: the rays sorted by direction, if they share one start and many boxes are searched.
     """
 
     starts: Float[np.ndarray, "R 3"]
@@ -257,12 +257,12 @@ class _Passing:
 
     @classmethod
     def of(cls, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], n_places: int) -> _Passing:
-        """Prepare rays for so many places."""
+        """Prepare the rays for ``n_places`` searches."""
         sheaf = Sheaf.of(starts, ends) if starts.ndim == 1 and n_places > _FEW else None
         return cls(np.broadcast_to(starts, ends.shape), ends, sheaf)
 
     def near(self, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]) -> Int[np.ndarray, "K"]:
-        """Return rays that pass the ball about a box."""
+        """Return indices of rays through the bounding sphere of a box."""
         centre, radius = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
         chosen = slice(None) if self.sheaf is None else self.sheaf.select_about(centre, radius)
         starts, along = self.starts[chosen], self.ends[chosen] - self.starts[chosen]

@@ -1,4 +1,4 @@
-"""Pieces of an earlier scan that a new scan does not contradict, and its points that they do not explain."""
+"""Pieces of an earlier scan that a new scan does not contradict, and points of the new scan outside them."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _CELLS_OF_POINT = 0.25
 
 @dataclass(frozen=True)
 class Ground:
-    """The floor, which explains what is noise about it.
+    """Floor whose noise is not an obstacle.
 
     Attributes:
-        hulls: of its pieces.
+        hulls: hulls of its pieces.
     """
 
     hulls: tuple[Hull, ...] = ()
@@ -51,18 +51,18 @@ class Standing:
     """Pieces that the new scan does not contradict.
 
     Attributes:
-        pieces: as they were.
-        held: indices of the points in each or at most 1 cm before each of its faces.
+        pieces: the unchanged pieces.
+        held: indices of the points in each piece or at most 1 cm outside it.
     """
 
     pieces: list[Piece]
     held: list[Int[np.ndarray, "K"]]
 
     def find_hidden(self, passed: FreeSpace) -> list[int]:
-        """Find those that may stand only since points in them hide that rays went through: few points for many cells.
+        """Return indices of pieces that rays passed through but a few points, maybe mixed pixels, seem to confirm.
 
         Args:
-            passed: what rays went through, whatever points lie there.
+            passed: cells that rays passed through, cells beside points included.
         """
         hidden = []
         for i, (piece, held) in enumerate(zip(self.pieces, self.held, strict=True)):
@@ -72,7 +72,7 @@ class Standing:
         return hidden
 
     def select_beside(self, chosen: Sequence[int], passed: FreeSpace, coarse: Coarse) -> Int[np.ndarray, "K"]:
-        """Return points in cells that rays went through, in or right beside some of the pieces."""
+        """Return indices of points in cells that rays passed through, in or within two cells of the chosen pieces."""
         is_there = np.zeros(len(coarse.points), dtype=bool)
         for hull in (self.pieces[i].hull for i in chosen):
             is_there[coarse.select_within(hull.lower - 2.0 * passed.size, hull.upper + 2.0 * passed.size)] = True
@@ -80,7 +80,7 @@ class Standing:
         return np.asarray(there[passed.contains(coarse.points[there])])
 
     def drop(self, chosen: Sequence[int], but: Standing) -> Standing:
-        """Return the pieces without the chosen ones, except those in ``but``."""
+        """Return the pieces without the chosen ones; chosen ones that are in ``but`` stay."""
         gone = {id(self.pieces[i]) for i in chosen} - {id(piece) for piece in but.pieces}
         left = [(piece, held) for piece, held in zip(self.pieces, self.held, strict=True) if id(piece) not in gone]
         return Standing([piece for piece, _ in left], [held for _, held in left])
@@ -88,23 +88,23 @@ class Standing:
 
 @dataclass(frozen=True)
 class Left:
-    """Points more than 1 cm before all pieces, their noise averaged out.
+    """Points that are, after smoothing, more than 1 cm outside all pieces.
 
     Attributes:
-        members: (K,) which they are.
-        is_far: (K,) which are farther from the pieces than noise explains.
+        members: (K,) indices of the points.
+        is_far: (K,) whether each is farther from the pieces than range noise.
     """
 
     members: Int[np.ndarray, "K"]
     is_far: Bool[np.ndarray, "K"]
 
     def keep(self, kept: Bool[np.ndarray, "M"]) -> Left:
-        """Return those that are kept."""
+        """Return the points that are True in ``kept``."""
         mine = kept[self.members]
         return Left(self.members[mine], self.is_far[mine])
 
     def find_new(self, coarse: Coarse) -> Int[np.ndarray, "L"]:
-        """Return those of clusters of which part lies beyond the noise."""
+        """Return indices of the points in clusters with at least one point beyond range noise."""
         left = self.members
         if not self.is_far.any():
             return left[:0]
@@ -114,11 +114,11 @@ class Left:
 
 
 def find_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> Standing:
-    """Find pieces that the new rays do not pass through.
+    """Return the pieces that the new rays do not pass through, with their points.
 
-    Rays may graze a piece about as much as they did before, but hardly any may pass deep inside: of a thing that is
-    gone, a sparse scan sees no more than some cells.  What is so small that it holds only some, as what noise had
-    left, is gone when most of them are free and nothing of it is seen.
+    Rays may graze a piece about as much as in the earlier scan, but may pass through few cells deep inside it: a
+    sparse scan through a removed object frees only a few cells.  A piece of only a few cells is removed when most of
+    them are free and it has no points.
     """
     standing = Standing([], [])
     for piece in pieces:
@@ -127,7 +127,7 @@ def find_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> S
         grazed = _count_grazed(piece, free)
         deep = max(_DEEP_CELLS, int(_DEEP_SHARE * n_cells))
         count = free.count_inside(hull, grazed)
-        # What is deep inside is among what was counted.
+        # The cells deep inside are a subset of those counted.
         if count <= grazed and (count <= deep or free.count_inside(hull, deep, _DEEP) <= deep):
             held = _find_held(hull, coarse)
             if len(held) or not _is_passed(hull, free, grazed):
@@ -137,13 +137,13 @@ def find_standing(pieces: Sequence[Piece], free: FreeSpace, coarse: Coarse) -> S
 
 
 def _count_grazed(piece: Piece, free: FreeSpace) -> int:
-    """Count the cells of a piece that rays may graze though it stands."""
+    """Return how many free cells a piece may contain because rays graze it."""
     n_cells = piece.hull.volume / free.size**3
     return piece.evidence.free_cells + max(1, min(_FREE_CELLS, int(0.4 * n_cells)), int(_FREE_SHARE * n_cells))
 
 
 def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
-    """Return whether rays pass through an unseen piece that may be thinner than the cells."""
+    """Return whether rays pass through a piece without points; the piece may be thinner than a cell."""
     heights = hull.faces[:, :3] @ hull.vertices.T
     thickness = float(np.ptp(heights, axis=1).min())
     margin = 0.25 * free.size * float(np.clip(thickness / free.size - 1.0, 0.0, 1.0))
@@ -153,21 +153,21 @@ def _is_passed(hull: Hull, free: FreeSpace, grazed: int) -> bool:
 
 
 def _find_held(hull: Hull, coarse: Coarse) -> Int[np.ndarray, "K"]:
-    """Return points at most 1 cm before each of its faces."""
+    """Return indices of the points in the hull or at most 1 cm outside it."""
     near = coarse.select_within(hull.lower - _AROUND, hull.upper + _AROUND)
     return np.asarray(near[hull.is_within(coarse.points[near], _WITHIN)])
 
 
 def _probe_inside(hull: Hull) -> Float[np.ndarray, "V 3"]:
-    """Return places half-way between the hull's middle and its vertices."""
+    """Return positions half-way between the hull's centre and its vertices [m]."""
     return np.asarray(0.5 * (hull.vertices + hull.vertices.mean(axis=0)))
 
 
 def find_unexplained(standing: Standing, coarse: Coarse, ground: Ground) -> Left:
-    """Find points that lie neither in pieces that stand, nor on the floor, nor are noise about them.
+    """Return the points that are not in a standing piece, not on the floor and not noise of either.
 
-    Pieces are made of points whose noise along their rays is averaged out, and are held against such points: what is
-    as thin as the noise of single points would be missed otherwise.
+    The points are smoothed along their rays before the test, as for making pieces: otherwise an object as thin as
+    the noise of single points would be missed.
     """
     is_explained = np.zeros(len(coarse.points), dtype=bool)
     for held in standing.held:
@@ -183,7 +183,7 @@ def find_unexplained(standing: Standing, coarse: Coarse, ground: Ground) -> Left
 
 
 def _smooth_with(ground: Ground, coarse: Coarse, left: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
-    """Average the noise out of the points left, with the floor's points beside them among their neighbours."""
+    """Return the points ``left``, smoothed along their rays; nearby floor points count as neighbours [m]."""
     points, counts, starts = coarse.points, coarse.counts, coarse.starts
     low = np.zeros(len(left), dtype=bool)
     for hull in ground.hulls:
@@ -197,7 +197,7 @@ def _smooth_with(ground: Ground, coarse: Coarse, left: Int[np.ndarray, "K"]) -> 
 
 
 def _select_beside(places: Float[np.ndarray, "N 2"], others: Float[np.ndarray, "K 2"]) -> Bool[np.ndarray, "N"]:
-    """Find the places in a cell that holds one of the others, or beside one."""
+    """Return which positions are in the same or a neighbouring 5 cm cell of one of the others."""
     lower = np.floor(others.min(axis=0) / _LOW).astype(int) - 1
     cells = np.floor(others / _LOW).astype(int) - lower
     picture = np.zeros(cells.max(axis=0) + 2, dtype=bool)
@@ -210,7 +210,7 @@ def _select_beside(places: Float[np.ndarray, "N 2"], others: Float[np.ndarray, "
 
 
 def _measure_distance(hulls: Sequence[Hull], points: Float[np.ndarray, "K 3"], most: float) -> Float[np.ndarray, "K"]:
-    """Return how far before the nearest hull each point lies, negative inside; infinite beyond ``most`` [m]."""
+    """Return the distance of each point outside the nearest hull, negative inside; infinite beyond ``most`` [m]."""
     distance, columns = np.full(len(points), np.inf), np.ascontiguousarray(points.T)
     for hull in hulls:
         near = np.arange(len(points))
@@ -234,10 +234,10 @@ def _is_new(is_far: Bool[np.ndarray, "K"], coarse: Coarse, group: Int[np.ndarray
 def make_boxes(
     points: Float[np.ndarray, "K 3"], starts: Float[np.ndarray, "K 3"], around: float
 ) -> Float[np.ndarray, "B 2 3"]:
-    """Make boxes (lower, upper corner) about groups of points so far apart that no piece is made of two groups [m].
+    """Return a box (lower, upper corner) around each group of points; no piece can span two groups [m].
 
     Args:
-        around: how far a box goes on beyond its points [m].
+        around: margin of a box around its points [m].
     """
     apart = max(_APART, _APART_OF_RANGE * float(np.linalg.norm(points - starts, axis=1).max(initial=0.0)))
     cells = np.floor(points / apart).astype(int)

@@ -1,4 +1,4 @@
-"""Fast search of the rays of a scan that may pass some places, by their directions and lengths."""
+"""Fast search, by direction and length, for the rays of a scan that may pass near given boxes."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-_WIDTH = 0.05  # of a cell of directions
+_WIDTH = 0.05  # edge of a direction cell
 _N_CELLS = int(np.ceil(2.0 / _WIDTH)) + 1
 _BLOCK = 0.08
-# Rays up to so far beside a place count as passing it.
+# Rays up to this far beside a box count as passing it [m].
 _AROUND = 0.06
 _NEAREST = 0.3
 _SHELL = 1.6
@@ -20,11 +20,11 @@ _AT_A_TIME = 16_384
 
 @dataclass(frozen=True)
 class Bearings:
-    """Directions and lengths of rays that start in one place.
+    """Directions and lengths of rays with a common start.
 
     Attributes:
-        start: (3,) that place [m].
-        cell: (R,) number of the cell of directions that each goes to.
+        start: (3,) common start [m].
+        cell: (R,) number of the direction cell of each ray.
     """
 
     start: Float[np.ndarray, "3"]
@@ -33,7 +33,7 @@ class Bearings:
 
     @classmethod
     def of(cls, start: Float[np.ndarray, "3"], ends: Float[np.ndarray, "R 3"]) -> Bearings:
-        """Of rays that end there [m]."""
+        """Compute directions and lengths of rays from ``start`` to ``ends`` [m]."""
         cell, length = np.empty(len(ends), dtype=np.int32), np.empty(len(ends), dtype=np.float32)
         for first in range(0, len(ends), _AT_A_TIME):
             some = slice(first, first + _AT_A_TIME)
@@ -43,9 +43,9 @@ class Bearings:
         return cls(start, cell, length)
 
     def may_pass(self, boxes: Float[np.ndarray, "B 2 3"]) -> Bool[np.ndarray, "R"]:
-        """Find rays that may pass any of these boxes, lower and upper corners [m], or at most 6 cm beside it.
+        """Return which rays may pass through any box (lower and upper corner [m]) or within 6 cm of it.
 
-        All that do are among them, and some that do not.
+        No such ray is missed; some of the returned ones pass farther away.
         """
         if not len(boxes):
             return np.zeros(len(self.cell), dtype=bool)
@@ -62,7 +62,7 @@ class Bearings:
             near = float(distance[mine].min())
             picture = np.zeros(_N_CELLS**3, dtype=np.uint8)
             picture[cell[mine]] = 1
-            # Directions whose angle has the sine radius / near lie no farther apart than this.
+            # Cells between two directions whose angle has a sine of radius / near.
             steps = int(1.1 * radius / near / _WIDTH) + 1
             seen = _grow(picture.reshape(3 * (_N_CELLS,)), steps).ravel() > 0
             nearest[seen] = np.minimum(nearest[seen], near - radius)
@@ -70,20 +70,20 @@ class Bearings:
 
 
 def _number_cells(directions: Float[np.ndarray, "3 N"]) -> Int[np.ndarray, "N"]:
-    """Return the number of the cell that each unit vector lies in."""
+    """Return the direction cell number of each unit vector."""
     x, y, z = ((directions + np.float32(1.0)) * np.float32(1.0 / _WIDTH)).astype(np.int32)
     return np.asarray((x * _N_CELLS + y) * _N_CELLS + z)
 
 
 def _grow(picture: np.ndarray, steps: int) -> np.ndarray:
-    """Return the picture with so many cells more to all sides."""
+    """Return the picture with its marked cells dilated by ``steps`` cells on all sides."""
     for axis in range(3):
         picture = ndimage.maximum_filter1d(picture, 2 * steps + 1, axis=axis, mode="constant")
     return picture
 
 
 def _find_blocks(boxes: Float[np.ndarray, "B 2 3"]) -> Float[np.ndarray, "K 3"]:
-    """Return middles of the cells of a grid that any of the boxes meets [m]."""
+    """Return centres of the 8 cm grid cells that intersect any of the boxes [m]."""
     cells = np.floor(boxes / _BLOCK).astype(int)
     lowest = cells[:, 0].min(axis=0)
     cells -= lowest
@@ -95,12 +95,12 @@ def _find_blocks(boxes: Float[np.ndarray, "B 2 3"]) -> Float[np.ndarray, "K 3"]:
 
 @dataclass(frozen=True)
 class Sheaf:
-    """Rays that start in one place, in order of where they go.
+    """Rays with a common start, sorted by direction cell.
 
     Attributes:
-        bearings: of the rays.
-        order: (R,) their indices by cell of directions.
-        first: (C + 1,) place in the order of the first ray of each cell.
+        bearings: directions and lengths of the rays.
+        order: (R,) indices of the rays, sorted by direction cell.
+        first: (C + 1,) index in ``order`` of each cell's first ray.
     """
 
     bearings: Bearings
@@ -109,18 +109,18 @@ class Sheaf:
 
     @classmethod
     def of(cls, start: Float[np.ndarray, "3"], ends: Float[np.ndarray, "R 3"]) -> Sheaf:
-        """Of rays that end there [m]."""
+        """Sort the rays from ``start`` to ``ends`` [m] by direction cell."""
         bearings = Bearings.of(start, ends)
         counts = np.bincount(bearings.cell, minlength=_N_CELLS**3)
         return cls(bearings, np.argsort(bearings.cell), np.concatenate([[0], np.cumsum(counts)]))
 
     def select_about(self, centre: Float[np.ndarray, "3"], radius: float) -> Int[np.ndarray, "K"]:
-        """Return indices, ascending, of rays that may pass a ball; all that do are among them."""
+        """Return ascending indices of rays that may pass through a sphere; no ray that does is missed."""
         ahead = centre - self.bearings.start
         distance = float(np.linalg.norm(ahead))
         if distance < 2.0 * radius:
             return np.arange(len(self.order))
-        # Unit vectors whose angle has a sine of up to a half lie no farther apart than this times the sine.
+        # Unit vectors are at most 1.1 times the sine of their angle apart, for sines up to a half.
         around = 1.1 * radius / distance
         lower, upper = (np.floor((ahead / distance + sign * around + 1.0) / _WIDTH).astype(int) for sign in (-1, 1))
         lower, upper = lower.clip(0), upper.clip(max=_N_CELLS - 1)

@@ -1,4 +1,4 @@
-"""Space that no ray has seen, behind things and inside them, as few convex pieces."""
+"""Unseen space, behind and inside objects, as a small number of convex pieces."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 
 class Level(Protocol):
-    """A level of the floor, as far as unknown space depends on it."""
+    """Height functions of a floor level that unseen space needs."""
 
     def height(self, xy: Float[np.ndarray, "N 2"], /) -> Float[np.ndarray, "N"]:
-        """World z at the given places [m]."""
+        """World z of the level at the given x and y [m]."""
         ...
 
     def above(self, points: Float[np.ndarray, "N 3"], /) -> Float[np.ndarray, "N"]:
-        """Distance over the level [m], negative below."""
+        """Signed distance of points above the level [m]."""
         ...
 
 
@@ -49,14 +49,14 @@ def make_unknown_pieces(
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
 ) -> tuple[ConvexPiece, ...]:
-    """Make pieces ``unknown/i`` in what lies in reach, above the floor, and more than a cell (5 cm) from every ray.
+    """Return pieces ``unknown/i`` of the space in reach, above the floor, and more than a cell (5 cm) from every ray.
 
-    They hold no place that a ray has seen.  Shadows narrower than three cells are left out, and so are 10 cm about
-    the robot.
+    The pieces contain no seen space.  Shadows narrower than three cells and the space within 10 cm of the robot are
+    left out.
 
     Args:
-        floors: what lies below all of them is left out.
-        soles: (S, 3) corners of the planted soles; what lies just over them is left out [m].
+        floors: levels; space below all of them is left out.
+        soles: corners (S, 3) of each planted sole; the space just above it is left out [m].
     """
     over_soles = [
         np.asarray(sole) + np.array([0.0, 0.0, height]) for sole in soles for height in (-_CLEARANCE, _OVER_SOLE)
@@ -74,7 +74,7 @@ def _find_hidden(
     floors: Sequence[Level],
     own: Sequence[Float[np.ndarray, "V 3"]],
 ) -> tuple[Bool[np.ndarray, "X Y Z"], FreeSpace]:
-    """Mark cells that count as unknown, and those that must not be covered."""
+    """Return the unknown cells, and the cells that no piece may cover (seen or near the robot)."""
     lower = np.array([reach.x - reach.radius, reach.y - reach.radius, reach.bottom])
     upper = np.array([reach.x + reach.radius, reach.y + reach.radius, reach.top])
     rim = np.array([[x, y] for x in (lower[0], upper[0]) for y in (lower[1], upper[1])])
@@ -82,7 +82,7 @@ def _find_hidden(
         lower[2] = max(lower[2], min(float(floor.height(rim).min()) for floor in floors))
     size = max(_CELL, float(np.cbrt(np.prod(upper - lower) / _MOST_CELLS)))
     passed = carve(*rays, np.zeros((0, 3)), lower, upper, size)
-    # One cell more all round: a ray that only grazes a cell is not marched through it.
+    # One more cell on all sides: marching misses cells that a ray only grazes.
     free = ndimage.binary_dilation(passed.free, structure=np.ones((3, 3, 3), dtype=bool))
     centres = (np.argwhere(~free) + 0.5) * passed.size + lower
     known = ~reach.contains(centres) | inside_hulls(centres, own, _CLEARANCE)
@@ -96,8 +96,8 @@ def _find_hidden(
 
 
 def _make_bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Float[np.ndarray, "V 3"]]:
-    """Make convex bodies in the hidden cells, the thickest first; they may overlap."""
-    # Edge lengths of the largest cube about each cell: 2 d - 1.
+    """Return convex bodies (V, 3) in the hidden cells, thickest first; they may overlap [m]."""
+    # The largest hidden cube around a cell has an edge of 2 d - 1 cells.
     poll()
     depth = ndimage.distance_transform_cdt(np.pad(hidden, 1), metric="chessboard")[1:-1, 1:-1, 1:-1].astype(np.int64)
     score = np.where(depth >= 2, depth, 0)
@@ -122,10 +122,10 @@ def _make_bodies(hidden: Bool[np.ndarray, "X Y Z"], seen: FreeSpace) -> list[Flo
 
 
 def _inflate(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hull:
-    """Make a polytope about the ellipsoid in the box that no wall cell's middle lies in; the box where none will do.
+    """Return a polytope around the box's inscribed ellipsoid without wall cell centres; the box if there is none.
 
-    The nearest wall cell, by the ellipsoid's measure, gives a face, which hides what lies behind it, and so on: the
-    inflation of a sphere in Deits and Tedrake, WAFR 2014, with a given ellipsoid.
+    The nearest wall cell, in the ellipsoid's metric, gives a face; cells beyond that face are dropped, and so on: the
+    inflation step of Deits and Tedrake, WAFR 2014, with a given ellipsoid.
     """
     poll()
     centre, half = 0.5 * (box.lower + box.upper), 0.5 * (box.upper - box.lower)
@@ -133,7 +133,7 @@ def _inflate(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hul
     scaled = (walls - centre) / half
     ahead = np.concatenate([(upper - centre) / half, (centre - lower) / half])
     normals, offsets = [*np.eye(3), *-np.eye(3)], list(ahead)
-    # What is not visible from the box is behind the faces of what is.
+    # Farther wall cells do not count: six faces bound the polytope there.
     scaled = scaled[(np.abs(scaled) <= _FARTHEST).all(axis=1)]
     normals += [*np.eye(3), *-np.eye(3)]
     offsets += [_FARTHEST] * 6
@@ -142,7 +142,7 @@ def _inflate(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hul
         nearest = int(np.argmin(distance))
         length = float(np.sqrt(distance[nearest]))
         normal = scaled[nearest] / length
-        # Drawn in by most of a cell, one face serves for all cells along an oblique border.
+        # Moved inwards by most of a cell, so that one face serves all cells along an oblique border.
         offset = length - _DRAWN_IN * seen.size * float(np.linalg.norm(normal / half))
         normals.append(normal)
         offsets.append(offset)
@@ -157,12 +157,12 @@ def _inflate(box: Hull, walls: Float[np.ndarray, "W 3"], seen: FreeSpace) -> Hul
 
 
 def _find_cells(body: Hull, seen: FreeSpace) -> tuple[tuple[slice, ...], Bool[np.ndarray, "A B C"]]:
-    """Find cells whose middle is in the body: a block of the grid, and which of its cells."""
+    """Return a block of the grid and a mask of the cells in it whose centre is in the body."""
     poll()
     first = np.maximum(np.floor((body.lower - seen.lower) / seen.size).astype(int), 0)
     last = np.minimum(np.ceil((body.upper - seen.lower) / seen.size).astype(int), seen.free.shape)
     x, y, z = (seen.lower[i] + (np.arange(first[i], last[i]) + 0.5) * seen.size for i in range(3))
-    # Where each upright line of cells enters and leaves the body.
+    # Heights at which each vertical column of cells enters and leaves the body.
     low, high = np.full((len(x), len(y)), -np.inf), np.full((len(x), len(y)), np.inf)
     for nx, ny, nz, offset in body.faces:
         rest = nx * x[:, None] + ny * y + offset
@@ -179,7 +179,7 @@ def _find_cells(body: Hull, seen: FreeSpace) -> tuple[tuple[slice, ...], Bool[np
 def _grow_box(
     hidden: Bool[np.ndarray, "X Y Z"], first: Int[np.ndarray, "3"], last: Int[np.ndarray, "3"]
 ) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
-    """Move the box outwards side by side, a layer at a time, as long as a layer is hidden."""
+    """Grow a box of cells on all sides, one layer at a time, while the layer is hidden; return its first and last."""
     poll()
     first, last = first.copy(), last.copy()
     growing = [(axis, sign) for axis in range(3) for sign in (-1, 1)]

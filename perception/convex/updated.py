@@ -1,4 +1,4 @@
-"""Pieces of a new scan; earlier ones that it does not contradict keep their shape and name."""
+"""Pieces of a new scan; earlier pieces that it does not contradict keep their shape and name."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Updated(Pieces):
     """Convex pieces of a new scan.
 
     Attributes:
-        is_surface: (N,) points that are no strays: explained by a piece, its noise, or part of a surface.
-        is_left_off: whether the update ended without pieces.
+        is_surface: (N,) False for points that the judge rejected, such as strays and mixed pixels.
+        is_left_off: whether the update stopped without making pieces.
     """
 
     is_surface: Bool[np.ndarray, "N"]
@@ -54,17 +54,17 @@ def update_pieces(
     judge: Judge | None = None,
     is_enough: Callable[[Float[np.ndarray, "K 3"]], bool] = lambda _: False,
 ) -> Updated:
-    """Make the pieces of a new scan; earlier ones that it does not contradict keep their shape and name.
+    """Return the pieces of a new scan; earlier ones that it does not contradict keep their shape and name.
 
-    A piece goes when rays of the new scan pass through it; where the new scan cannot see it, it stays.  New pieces are
-    made of the points that none of those left explains, noise about their surfaces taken as explained.
+    A piece is removed when rays of the new scan pass through it; an occluded piece stays.  New pieces are made of the
+    points that are neither in a remaining piece nor its noise.
 
     Args:
         points, starts, rays, seed: see ``make_pieces``; the points need not be cleaned if there is a judge.
-        ground: what else explains points.
-        judge: returns which of the points of these indices lie on surfaces; called only with those that no piece
-            explains.
-        is_enough: whether to end without pieces, given the points that new pieces would be made of.
+        ground: floor, whose points and noise make no pieces.
+        judge: returns which of the points with the given indices lie on surfaces; called only for points outside all
+            pieces and for points in pieces that rays passed through.
+        is_enough: given the points of new pieces, whether to stop without making pieces.
     """
     if not len(points) and not len(before):
         return Updated((), {}, np.ones(0, dtype=bool))
@@ -93,11 +93,11 @@ class _Scan:
     """A new scan.
 
     Attributes:
-        coarse: its points thinned.
-        groups: which points went into each of them.
+        coarse: its downsampled points.
+        groups: indices of the points of each voxel.
         rays: starts, (3,) or (R, 3), and ends (R, 3) [m].
-        bearings: directions of the rays, if they start in one place.
-        held: places that the grid of what they saw has to hold [m].
+        bearings: directions of the rays, if they have a common start.
+        held: (H, 3) positions that the free-space grid must contain [m].
     """
 
     coarse: Coarse
@@ -123,7 +123,7 @@ class _Scan:
     def rays_towards(
         self, boxes: Float[np.ndarray, "B 2 3"]
     ) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "K 3"]]:
-        """Return rays that may pass any of the boxes; all where most do."""
+        """Return rays that may pass through any of the boxes; all if most do."""
         if self.bearings is None:
             return self.rays
         chosen = self.bearings.may_pass(boxes)
@@ -131,7 +131,7 @@ class _Scan:
         return self.rays if most else (self.rays[0], self.rays[1][chosen])
 
     def passed_by(self, pieces: Sequence[Piece]) -> tuple[FreeSpace, Crossing | None]:
-        """Return what rays went through in and about the pieces, also beside points, and the rays if all were used."""
+        """Return cells near the pieces that rays passed through, also beside points, and the rays if all were used."""
         boxes = np.array([(piece.hull.lower, piece.hull.upper) for piece in pieces]).reshape(-1, 2, 3)
         rays = self.rays_towards(boxes)
         crossing = make_crossing(self.held, rays)
@@ -141,13 +141,13 @@ class _Scan:
 def _judge_standing(
     before: Sequence[Piece], scan: _Scan, passed: FreeSpace, judge: Judge | None, clock: Clock
 ) -> tuple[Standing, Bool[np.ndarray, "N"]]:
-    """Find the pieces that still stand, and the points kept after judging those that may hide rays."""
+    """Return the pieces that are not contradicted, and which points the judge kept in pieces that rays passed."""
     coarse, kept = scan.coarse, np.ones(len(scan.coarse.voxel), dtype=bool)
     standing = find_standing(before, passed.clear_beside(coarse.points), coarse)
     clock.lap("contradicted")
     if judge is None:
         return standing, kept
-    # A mixed pixel in a piece that is gone hides that rays went through it.
+    # A mixed pixel in a removed piece hides the free cells around it.
     hidden = standing.find_hidden(passed)
     kept = _judge_points(kept, judge, scan.groups.list_members(standing.select_beside(hidden, passed, coarse)))
     clock.lap("cleaning")
@@ -158,7 +158,7 @@ def _judge_standing(
 
 
 def _judge_points(kept: Bool[np.ndarray, "N"], judge: Judge, chosen: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "N"]:
-    """Keep of the chosen points those that the judge finds on surfaces."""
+    """Return ``kept`` without the chosen points that the judge rejects."""
     kept = kept.copy()
     kept[chosen] = judge(chosen)
     return kept
@@ -173,7 +173,7 @@ def _make_new_pieces(
     seed: int,
     clock: Clock,
 ) -> list[Piece]:
-    """Make pieces, without points, for what nothing explains."""
+    """Return pieces, without points yet, of the new points."""
     if not len(new):
         return []
     boxes = make_boxes(scan.coarse.points[new], scan.coarse.starts[new], AROUND)
@@ -185,7 +185,7 @@ def _make_new_pieces(
 
 
 def _number_kinds(before: Sequence[Piece]) -> dict[str, int]:
-    """Return for each kind of piece the number of the first new piece."""
+    """Return the number of the first new piece of each kind."""
     named = sorted((piece.kind, int(piece.name.rpartition("/")[2])) for piece in before)
     return {
         kind: 1 + max(number for _, number in of_kind) for kind, of_kind in groupby(named, key=lambda name: name[0])

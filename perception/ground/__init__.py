@@ -1,1 +1,1 @@
-"""The floor of a scan: its levels, how far each goes, and the pieces that stand for them."""
+"""Floor of a scan: its levels, their extents, and their convex pieces."""

@@ -1,4 +1,4 @@
-"""Extent of a level of the floor: convex patches of what was seen of it, or of all that no ray went through."""
+"""Extent of a floor level as rectangles, and the holes where rays went through its plane."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def pierced_cells(
     centre: Float[np.ndarray, "2"],
     extent: float,
 ) -> Float[np.ndarray, "H 2"]:
-    """Return middles of the cells of a plane where rays went through it and nothing of it was seen [m].
+    """Return centres (x, y) of 5 cm cells where rays went through a plane and none of its points were seen [m].
 
     Args:
-        normal, offset: of the plane.
+        normal, offset: plane ``normal . x == offset``.
         rays: starts and ends (R, 3) [m].
-        seen: (K, 2) places of the plane's own points [m].
-        centre, extent: a square of half side ``extent`` that matters [m].
+        seen: (K, 2) x and y of the plane's inliers [m].
+        centre, extent: centre and half side of the searched square [m].
     """
     starts, ends = rays
     before, behind = starts @ normal - offset, ends @ normal - offset
@@ -60,13 +60,13 @@ def _counts(xy: Float[np.ndarray, "N 2"], lower: Float[np.ndarray, "2"], n_cells
 def convex_patches(
     seen: Float[np.ndarray, "K 2"], cell: float, holes: Float[np.ndarray, "H 2"] | None = None
 ) -> tuple[Float[np.ndarray, "4 2"], ...]:
-    """Return rectangles, the largest first, that cover what was seen and gaps of a hand's width.
+    """Return rectangles, the largest first, that cover the seen positions and gaps of a hand's width.
 
-    With holes, all places are covered, up to the farthest that was seen, that are nearer to what was seen than to a
-    hole: a floor goes on in a shadow, but not behind its edge.
+    With holes, the rectangles also cover unseen positions inside the seen extent that are nearer to a seen position
+    than to a hole: a floor continues in a shadow, but not beyond its edge.
 
     Returns:
-        Corners (4, 2), counter-clockwise, of rectangles that do not overlap and lie along the main direction.
+        Corners (4, 2), counter-clockwise, of rectangles that do not overlap and lie along the main direction [m].
     """
     turn = _main_direction(seen)
     flat = seen @ turn
@@ -81,7 +81,7 @@ def convex_patches(
 
 
 def _main_direction(xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "2 2"]:
-    """Return columns: the sides of the smallest rectangle around the places."""
+    """Return the side directions, as columns, of the smallest rectangle around the positions."""
     try:
         corners = xy[ConvexHull(xy).vertices]
     except (QhullError, ValueError):
@@ -105,7 +105,7 @@ def _picture(
 def _rectangles(
     mask: Bool[np.ndarray, "U V"], lower: Float[np.ndarray, "2"], cell: float, flat: Float[np.ndarray, "K 2"]
 ) -> list[Float[np.ndarray, "4 2"]]:
-    """Return the largest rectangles of a picture, one after the other, drawn in to the points they hold."""
+    """Return the largest rectangles of marked cells, one after the other, each shrunk to the points inside [m]."""
     mask, whole = mask.copy(), mask.sum()
     rectangles: list[Float[np.ndarray, "4 2"]] = []
     for _ in range(_MOST_PATCHES):
@@ -124,7 +124,7 @@ def _rectangles(
 
 
 def _largest(mask: Bool[np.ndarray, "U V"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and last-plus-one cells of the largest rectangle of a picture."""
+    """Return the first and last-plus-one cell of the largest rectangle of marked cells."""
     best, corners = 0, (np.zeros(2, dtype=int), np.zeros(2, dtype=int))
     columns = np.arange(mask.shape[1])
     for top in range(mask.shape[0]):

@@ -1,4 +1,4 @@
-"""A level of the floor: its plane and extent, what belongs to it, and the pieces that stand for it."""
+"""A floor level: its plane and extent, its points, and its convex pieces."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class FloorPlane:
 
     Attributes:
         normal: (3,) unit, upwards.
-        rms: scatter of its points about it [m].
+        rms: standard deviation of its inliers from the plane [m].
         area: seen area [m^2].
-        outlines: (K, 2) corners in the world, counter-clockwise, of convex patches that together are its extent;
-            none: it goes on as far as it matters.
+        outlines: corners (K, 2), counter-clockwise, of convex patches that together are its extent, in the world [m];
+            empty for an unlimited floor.
     """
 
     normal: Float[np.ndarray, "3"]
@@ -40,15 +40,15 @@ class FloorPlane:
 
     @property
     def slope_deg(self) -> float:
-        """Angle to the horizontal."""
+        """Angle to the horizontal [deg]."""
         return float(np.degrees(np.arccos(min(1.0, float(self.normal[2])))))
 
     def height(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
-        """Return world z of the floor at the given places [m]."""
+        """Return world z of the floor at the given x and y [m]."""
         return np.asarray((self.offset - xy @ self.normal[:2]) / self.normal[2])
 
     def above(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
-        """Return the distance over the plane [m], negative below."""
+        """Return the signed distance of points above the plane [m]."""
         return np.asarray(points @ self.normal - self.offset)
 
 
@@ -59,11 +59,11 @@ def on_floor(
     clearance: float = _CLEARANCE,
     depth: float = np.inf,
 ) -> Bool[np.ndarray, "N"]:
-    """Return points of the floor's extent below it, up to ``clearance`` over it, and up to 3 cm over it under a sole.
+    """Return which points in the floor's extent are below it, up to ``clearance`` above it, or 3 cm under a sole.
 
     Args:
-        soles: corners (S, 3) of each convex sole, any order, world [m].
-        depth: how far below it points may lie [m].
+        soles: corners (S, 3) of each convex sole, in any order, in the world [m].
+        depth: largest distance of points below the floor [m].
     """
     above = floor.above(points)
     mask = (above <= clearance) & (above >= -depth)
@@ -80,10 +80,10 @@ def on_floor(
 def on_floors(
     points: Float[np.ndarray, "N 3"], floors: Sequence[FloorPlane], soles: Sequence[Float[np.ndarray, "S 3"]] = ()
 ) -> Bool[np.ndarray, "N"]:
-    """Return points that belong to any of the levels.
+    """Return which points belong to any of the levels.
 
-    What lies below the first, on which the robot stands, is its noise; of the others only what is near their planes
-    belongs to them, for things may stand under a step.
+    All points below the first level, on which the robot stands, are its noise; points far below another level are
+    not, since objects may stand under a step.
     """
     mask = np.zeros(len(points), dtype=bool)
     for i, floor in enumerate(floors):
@@ -92,7 +92,7 @@ def on_floors(
 
 
 def _within(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "K 2"]]) -> Bool[np.ndarray, "N"]:
-    """Return which places lie in any of the outlines or up to 3 cm outside; all of them where there is no outline."""
+    """Return which positions lie in any of the outlines or up to 3 cm outside; all if there is no outline."""
     if not outlines:
         return np.ones(len(xy), dtype=bool)
     mask = np.zeros(len(xy), dtype=bool)
@@ -107,7 +107,7 @@ def _within(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "
 def _under(
     xy: Float[np.ndarray, "N 2"], polygon: Float[np.ndarray, "S 2"], margin: float = 0.0
 ) -> Bool[np.ndarray, "N"]:
-    """Return which places lie inside the convex polygon, or at most ``margin`` outside it."""
+    """Return which positions lie inside the convex polygon or at most ``margin`` [m] outside it."""
     centre = polygon.mean(axis=0)
     order = np.argsort(np.arctan2(*(polygon - centre).T[::-1]))
     corners = polygon[order]
@@ -121,17 +121,17 @@ def _under(
 
 
 def floor_piece(floor: FloorPlane, reach: Reach) -> ConvexPiece:
-    """Return a box ``floor`` 0.2 m thick whose top face is the plane, reaching 1 m beyond the reach."""
+    """Return a box ``floor``, 0.2 m thick, whose top face is the plane and extends 1 m beyond the reach."""
     half = reach.radius + _EXTENSION
     xy = np.array([(reach.x + sx * half, reach.y + sy * half) for sx in (-1, 1) for sy in (-1, 1)])
     return _slab("floor", floor, xy, _THICKNESS)
 
 
 def floor_pieces(floors: Sequence[FloorPlane], reach: Reach) -> list[ConvexPiece]:
-    """Return pieces of kind ``floor`` for all levels: ``floor``, under the robot, then ``floor/1`` and on.
+    """Return pieces of kind ``floor`` for all levels: ``floor`` under the robot, then ``floor/1``, ``floor/2`` ...
 
-    A level without outlines reaches 1 m beyond the reach; the others are as large as they were seen.  The level under
-    the robot is 0.2 m thick, the others, which may be treads or plates, 5 cm.
+    A level without outlines extends 1 m beyond the reach; the others have their seen extent.  The level under the
+    robot is 0.2 m thick, the others, which may be treads or plates, 5 cm.
     """
     slabs: list[tuple[FloorPlane, Float[np.ndarray, "K 2"] | None, float]] = []
     for i, floor in enumerate(floors):

@@ -1,4 +1,4 @@
-"""The levels of the floor that a scan shows: ground, ramps, steps; which one the robot stands on; how far each goes."""
+"""Search for the floor levels of a scan (ground, ramps, steps), the level under the robot, and their extents."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ _ROUGHER = 1.3
 
 @dataclass(frozen=True)
 class _Level:
-    """A plane and where it was seen: ``cells`` (C, 2) integer places in a grid of 10 cm.
+    """A plane, its seen ``cells`` (C, 2) in a 10 cm grid of the world, and the indices ``members`` (K,) of its points.
 
-    Of all points, ``members`` (K,) are the level's.  Ground below the robot's level counts whatever stands on it.
+    Ground below the robot's level (``is_ground_below``) counts even if objects break it into parts.
     """
 
     plane: FloorPlane
@@ -57,7 +57,7 @@ class _Level:
 
     @property
     def places(self) -> Float[np.ndarray, "C 3"]:
-        """Centres of the cells, on the plane [m]."""
+        """Centres (C, 3) of the cells, on the plane [m]."""
         xy = (self.cells + 0.5) * _CELL
         return np.column_stack([xy, self.plane.height(xy)])
 
@@ -70,19 +70,19 @@ def find_floors(
     extent: float = 4.0,
     seed: int = 0,
 ) -> tuple[FloorPlane, ...]:
-    """Return planes that slope by at most 15 degrees and hang together by steps, the one under the robot first.
+    """Return floor levels that slope by at most 15 degrees and are connected by steps, the one under the robot first.
 
-    A plane above knee height over the place where the robot stands is a table and no floor, however large; so is one
-    with things under it.  Treads, ramps and platforms must be met by steps of at most 36 cm from level to level;
-    large ground below belongs to the floor at any depth.
+    A plane higher than 0.4 m above the robot's feet, or with objects under it, is a table and not a floor.  Treads,
+    ramps and platforms must be reached by steps of at most 36 cm from level to level; large ground below counts at
+    any depth.
 
     Args:
-        points: (N, 3) in reach, without the robot's own [m].
-        stand: (3,) where the robot stands [m], the world's origin by default.
-        extent: how far from there the first level is held against the rays [m].
+        points: (N, 3) points in reach, without those on the robot [m].
+        stand: (3,) position of the robot's feet, the world's origin by default [m].
+        extent: half side of the square around ``stand`` in which rays can cut the first level [m].
 
     Returns:
-        The first without outlines when nothing says that it ends; all others with outlines.
+        The first level has no outlines if no ray went through it; all others have outlines.
     """
     stand = np.zeros(3) if stand is None else stand
     if len(points) < _FEWEST_POINTS:
@@ -99,14 +99,14 @@ def find_floors(
 
 
 def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
-    """Return planes of the patches, the largest first, each with what no larger one has taken."""
+    """Yield planes through the patches, the largest first, each without the points of earlier ones."""
     poll()
     free = patches.is_upright | patches.is_bare
     normals, offsets = candidates(patches, rng)
     if not len(normals):
         return
     ground = np.flatnonzero(free)
-    # Near the plane counts more than at the band's border, or a plane between two low steps would win.
+    # Patches near the plane weigh more than those at the band's border, or a plane between two low steps would win.
     near = 1.0 - ((patches.centre[ground] @ normals.T - offsets) / _BAND) ** 2
     np.maximum(near, 0.0, out=near)
     weight = np.where(patches.is_upright[ground], 1.0, 0.3)
@@ -121,7 +121,7 @@ def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.G
         if level is not None:
             free[patches.of_point[level.members]] = False
             yield level
-        # Whatever it was, its likes are no better.
+        # Whether accepted or not, similar candidates give no new level.
         shared = np.flatnonzero(near[:, best] > 0.0)
         unlike = weight[shared] @ near[shared] <= _ALIKE * whole
         if not unlike.any():
@@ -136,13 +136,13 @@ def _fit(
     normal: Float[np.ndarray, "3"],
     offset: float,
 ) -> tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, "K"]] | None:
-    """Return the better least-squares plane of the points near the candidate, and their indices."""
+    """Return the better of two least-squares planes (normal, offset) near a candidate, and its inliers' indices."""
     poll()
     beside = np.abs(patches.centre @ normal - offset) < 2 * _BAND + PATCH
     usable = np.flatnonzero((free & beside)[patches.of_point])
     mine = points[usable]
     best: tuple[float, Float[np.ndarray, "3"], float] | None = None
-    # A rough candidate needs a wide band at first; an exact one would be drawn away by the next step in it.
+    # A rough candidate needs a wide band first; in that band, an exact one would be biased by the next step.
     for bands in ((2 * _BAND, _BAND, _BAND), (0.8 * _BAND, 0.8 * _BAND)):
         plane = least_squares(mine, normal, offset, bands)
         if plane is not None and plane[0][2] >= np.cos(np.radians(MAX_SLOPE_DEG)):
@@ -160,13 +160,13 @@ def _find_parts(
     offset: float,
     members: Int[np.ndarray, "K"],
 ) -> _Level | None:
-    """Return parts of a plane large enough to stand on; None without any, or where its patches tilt."""
+    """Return the level made of a plane's large parts (0.12 m^2); None without any, or if its patches are tilted."""
     poll()
     cells = np.floor(points[members, :2] / _CELL).astype(int)
     lower = cells.min(axis=0) - 2
     picture = np.zeros(cells.max(axis=0) - lower + 3, dtype=bool)
     picture[tuple((cells - lower).T)] = True
-    # Scan lines are a hand apart where the floor is seen flatly.
+    # Scan lines are about 10 cm apart where the floor is seen at a grazing angle.
     closed = ndimage.binary_closing(picture, structure=_AROUND, iterations=2)
     broad = ndimage.binary_opening(closed, structure=_AROUND[:2, :2])
     label, n_parts = ndimage.label(broad, structure=_AROUND)
@@ -181,7 +181,7 @@ def _find_parts(
     tilts = patches.normal[held[patches.is_upright[held]]]
     if len(tilts) < _UPRIGHT_SHARE * len(held):
         return None
-    usual = np.median(tilts, axis=0)  # patches at an edge are tilted by what goes up or down there
+    usual = np.median(tilts, axis=0)  # the median ignores patches tilted by an edge
     if normal @ usual < np.cos(np.radians(_SAME_WAY_DEG)) * np.linalg.norm(usual):
         return None
     normal, offset = _from_within(points[members], normal, offset)
@@ -193,7 +193,7 @@ def _find_parts(
 def _from_within(
     points: Float[np.ndarray, "K 3"], normal: Float[np.ndarray, "3"], offset: float
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """Return the plane fitted anew without its border, where rising or falling ground was taken in."""
+    """Return the plane refitted without its border, which may contain points of rising or falling ground."""
     fine = np.floor(points[:, :2] / (_CELL / 2)).astype(int)
     lower = fine.min(axis=0) - 2
     picture = np.zeros(fine.max(axis=0) - lower + 3, dtype=bool)
@@ -205,7 +205,7 @@ def _from_within(
     fitted, height = plane_of(inner)
     if fitted[2] < np.cos(np.radians(MAX_SLOPE_DEG)):
         return normal, offset
-    # The tilt of a tread is known poorly: it is level unless the points say otherwise.
+    # The tilt of a small tread is uncertain: it is level unless a tilted plane fits clearly better.
     if np.std(inner[:, 2]) <= _NO_WORSE * np.std(inner @ fitted - height):
         return np.array([0.0, 0.0, 1.0]), float(inner[:, 2].mean())
     return fitted, height
@@ -214,7 +214,7 @@ def _from_within(
 def _under_robot(
     points: Float[np.ndarray, "N 3"], levels: list[_Level], stand: Float[np.ndarray, "3"]
 ) -> _Level | None:
-    """Return the largest of those that come about nearest to where the robot stands."""
+    """Return the largest of the levels about nearest (within 0.5 m) to the robot; None without any."""
     able = [
         level
         for level in levels
@@ -231,7 +231,7 @@ def _under_robot(
 
 
 def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
-    """Return whether many points lie under the middle of the plane, as under a table."""
+    """Return whether over 5 % of the points in the plane's inner cells lie below it, as under a table."""
     lower = level.cells.min(axis=0) - 1
     picture = np.zeros(level.cells.max(axis=0) - lower + 2, dtype=bool)
     picture[tuple((level.cells - lower).T)] = True
@@ -243,7 +243,7 @@ def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
 
 
 def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.ndarray, "3"]) -> bool:
-    """Return whether much lies under the plane near the robot and it is not at the feet's height."""
+    """Return whether the plane is off the feet's height and many points between it and the robot lie below it."""
     if abs(float(level.plane.height(stand[None, :2])[0]) - stand[2]) <= 2 * _BAND:
         return False
     apart = np.linalg.norm(points[:, :2] - stand[:2], axis=1)
@@ -253,10 +253,10 @@ def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.
 
 
 def _reach(points: Float[np.ndarray, "N 3"], main: _Level, others: list[_Level]) -> Iterator[_Level]:
-    """Return levels reached by steps from level to level, and large ground below, without broken parts."""
+    """Yield the levels reached by steps from level to level, without broken parts, and large ground below."""
     open_ends = [main]
     lowest = main.places[:, 2].min()
-    # Rougher ones are slices through heaps, or two low steps at once.
+    # Rougher planes are cuts through heaps, or two low steps at once.
     roughest = max(_ROUGH, _ROUGHER * main.plane.rms)
     waiting = [level for level in others if level.plane.rms <= roughest]
     while open_ends:
@@ -288,9 +288,9 @@ def _outline(
     level: _Level,
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]] | None,
 ) -> FloorPlane:
-    """Return the level with its extent, a little longer where it runs into another as ramps do.
+    """Return the plane with its outlines, extended by up to 0.35 m where it meets another level, as ramps do.
 
-    A slope does so up and down, but not to its sides.
+    A slope is extended up and down, but not sideways.
     """
     beside = np.flatnonzero(np.abs(level.plane.above(points)) < _BAND)
     near = points[beside]
@@ -318,7 +318,7 @@ def _bound(
     stand: Float[np.ndarray, "3"],
     extent: float,
 ) -> FloorPlane:
-    """Return the first level, with its extent where rays went through it, as over a hole or step down."""
+    """Return the first level's plane, with outlines if rays went through it, as at a hole or a step down."""
     plane = main.plane
     foothold = stand[:2] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([[1.0, 0.0]])
     foothold = (foothold[:, None, :] + np.linspace(-_FOOTHOLD, _FOOTHOLD, 7)[:, None] * np.array([0.0, 1.0])).reshape(

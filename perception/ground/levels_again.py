@@ -1,4 +1,4 @@
-"""Test whether a new scan shows the floor of an earlier one, which is quicker than a search for it."""
+"""Test whether a new scan shows the floor levels of an earlier scan, which is quicker than a new search."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def are_there(
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
     reach: Reach,
 ) -> bool:
-    """Return whether all levels are seen where they were, at least half of each, and no rays go through.
+    """Return whether the scan shows at least half of each level, unmoved, with no rays through it.
 
-    The level under the robot is there as well where less of it is seen but nothing under it: a sensor may look
-    elsewhere.  Where half is seen it may have moved by 3 mm, else by 1 cm, as levels may that are small and rough.
+    The level under the robot also passes when less than half is seen but nothing below it: the sensor may look
+    elsewhere.  Its tolerance is 3 mm where half is seen; otherwise, and for other levels, it is 1 cm.
     """
     points = points[:: -(-len(points) // _MOST_POINTS)]
     return len(floors) > 0 and all(_is_there(floor, i == 0, points, rays, reach) for i, floor in enumerate(floors))
@@ -63,12 +63,12 @@ def _is_there(
 
 
 def _is_lowest(floor: FloorPlane, own: Float[np.ndarray, "M 3"], points: Float[np.ndarray, "N 3"]) -> bool:
-    """Return whether hardly any points lie under the level."""
+    """Return whether at most 5 % as many points lie under the level as on it."""
     return int((floor.above(points) < -_BAND).sum()) <= _SHARE_UNDER * len(own)
 
 
 def _area(xy: Float[np.ndarray, "N 2"]) -> float:
-    """Return the area of the cells that hold any of the places [m^2]."""
+    """Return the area of the 10 cm cells that contain at least one position [m^2]."""
     if not len(xy):
         return 0.0
     u, v = np.floor(xy / _CELL).astype(np.int64).T
@@ -79,7 +79,7 @@ def _area(xy: Float[np.ndarray, "N 2"]) -> float:
 
 
 def _movement(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
-    """Return how far the points' plane lies off the level at its worst point; 0 with few points [m]."""
+    """Return the largest distance, over the points, between their plane and the level; 0 with few points [m]."""
     fitted = least_squares(own, floor.normal, floor.offset, (_BAND, _BAND))
     if fitted is None:
         return 0.0
@@ -87,7 +87,7 @@ def _movement(floor: FloorPlane, own: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _inside(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "K 2"]]) -> Bool[np.ndarray, "N"]:
-    """Return which places lie more than 10 cm inside of any outline, corners counter-clockwise."""
+    """Return which positions lie more than 10 cm inside any outline (corners counter-clockwise)."""
     inside = np.zeros(len(xy), dtype=bool)
     for corners in outlines:
         sides = np.roll(corners, -1, axis=0) - corners
@@ -103,13 +103,13 @@ def may_be_level(
     ground: Float[np.ndarray, "F 3"],
     known: Sequence[Hull] = (),
 ) -> bool:
-    """Return whether new points show so much flat and low surface that it may be a level of the floor.
+    """Return whether new points show enough flat, low surface (0.12 m^2) to be a new floor level.
 
-    What is flat over a place where more of the floor is seen is its noise: a level would hide what lies under it.
+    A flat patch over more floor points than it has itself is noise: a real level would occlude the floor below.
 
     Args:
-        ground: (F, 3) points that belong to them [m].
-        known: bodies whose faces are no new levels.
+        ground: (F, 3) points of the known levels [m].
+        known: hulls whose faces are not new levels.
     """
     low = np.zeros(len(points), dtype=bool)
     for floor in floors:
@@ -128,13 +128,13 @@ def may_be_level(
 
 
 def _seen_in_columns(places: Float[np.ndarray, "P 3"], ground: Float[np.ndarray, "F 3"]) -> Int[np.ndarray, "P"]:
-    """Return how many points of the ground lie in the column, as wide as a patch, of each place."""
+    """Return the number of ground points in the vertical 12 cm column of each position."""
     if not len(places) or not len(ground):
         return np.zeros(len(places), dtype=np.int64)
     columns = np.floor(np.concatenate([places, ground])[:, :2] / PATCH).astype(np.int64)
     columns -= columns.min(axis=0)
     keys = columns[:, 0] * (columns[:, 1].max() + 1) + columns[:, 1]
-    # Far ground could make the count of all columns larger than memory: those of the places are enough.
+    # Only columns of the positions are counted: with far ground, all columns could exceed the memory.
     wanted, column = np.unique(keys[: len(places)], return_inverse=True)
     at = np.searchsorted(wanted, keys[len(places) :]).clip(max=len(wanted) - 1)
     counts = np.bincount(at[wanted[at] == keys[len(places) :]], minlength=len(wanted))

@@ -1,4 +1,4 @@
-"""Parts of a level that are one surface to stand on, and their convex outlines, cut where rays went through."""
+"""Unbroken parts of a floor level, and their convex outlines, cut where rays went through."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CELL = 0.1
 _FINE = 0.06
 _THIN = 0.015
 _AROUND = np.ones((3, 3), dtype=bool)
-# Scan lines are a hand apart where the floor is seen flatly.
+# Scan lines are about 10 cm apart where the floor is seen at a grazing angle.
 _CLOSING = 2
 _NARROWEST = 0.08
 _NOTHING = FreeSpace(np.zeros(3), 1.0, np.zeros((1, 1, 1), dtype=bool))
@@ -30,13 +30,13 @@ _NOTHING = FreeSpace(np.zeros(3), 1.0, np.zeros((1, 1, 1), dtype=bool))
 def is_unbroken(
     points: Float[np.ndarray, "N 3"], own: Float[np.ndarray, "K 3"], plane: FloorPlane
 ) -> Bool[np.ndarray, "K"]:
-    """Return which points of a level belong to wide parts with hardly anything just under or over them.
+    """Return which points of a level belong to wide parts with few other points just below or above them.
 
-    Beams in a heap have their upper faces at much the same height here and there, but between them one sees what lies
-    lower, and across them what lies higher.  Five centimetres along the border do not count: there are risers.
+    Beams in a heap have some upper faces at the same height, but points show lower surfaces between them and higher
+    ones across them.  The outermost 5 cm are ignored because of risers.
 
     Args:
-        own: (K, 3) those of the level [m].
+        own: (K, 3) points of the level [m].
     """
     lower = np.floor(own[:, :2].min(axis=0) / _PART_CELL).astype(int) - _MARGIN
     shape = np.floor(own[:, :2].max(axis=0) / _PART_CELL).astype(int) - lower + _MARGIN + 1
@@ -49,7 +49,7 @@ def is_unbroken(
     above = plane.above(points)
     n_off = count(points[(above < -_OFF) | ((above > _OFF) & (above < _OVER))])
     n_on = count(points[np.abs(above) < _NEAR])
-    # Gaps between scan lines are no gaps of the level; where something else is seen it has one.
+    # Gaps between scan lines are closed, but not cells in which most points are off the level.
     closed = ndimage.binary_closing(count(own) > 0, structure=_AROUND, iterations=2) & (n_on >= n_off)
     label, n_parts = ndimage.label(ndimage.binary_erosion(closed, structure=_AROUND), structure=_AROUND)
     size, on, off = (
@@ -68,14 +68,14 @@ def outlines_of(
     core: Float[np.ndarray, "C 2"],
     rays: tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]],
 ) -> tuple[Float[np.ndarray, "K 2"], ...]:
-    """Return corners, counter-clockwise, of convex outlines, the largest first, that cover the points and no opening.
+    """Return corners (counter-clockwise) of convex outlines that cover the points and no opening, largest first [m].
 
-    The lowest boards of two shelves may be one level, but between them rays went through it.  Gaps of a hand's width
-    are covered, wider ones are not.
+    The lowest boards of two shelves may form one level, but rays went through between them.  Gaps of about
+    10 cm are covered, wider ones are not.
 
     Args:
-        points: (N, 3) near it [m].
-        core: (C, 2) places that belong to it for sure; what does not hang together with any of them is left out [m].
+        points: (N, 3) near the level [m].
+        core: (C, 2) positions that certainly belong to the level; parts not connected to them are left out [m].
     """
     points = points[np.unique(voxel_index(points, _THIN)[0], return_index=True)[1]]
     places = points[:, :2]
@@ -98,7 +98,7 @@ def outlines_of(
 def _parts(
     places: Float[np.ndarray, "N 2"], core: Float[np.ndarray, "C 2"], holes: Float[np.ndarray, "H 2"]
 ) -> list[Int[np.ndarray, "L"]]:
-    """Return indices of places connected to the core across gaps of scan lines, but not across holes."""
+    """Return the indices of each part connected to the core; gaps between scan lines connect, holes do not."""
     lower, shape = _grid(places, _CELL)
     seen = _picture(places, lower, shape, _CELL)
     joined = _close(seen) & ~_picture(holes, lower, shape, _CELL)
@@ -110,14 +110,14 @@ def _parts(
 
 
 def _wide_gaps(places: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "G 2"]:
-    """Return middles of cells farther from the places than gaps between scan lines and a ragged border explain [m]."""
+    """Return centres of 6 cm cells farther from the positions than gaps between scan lines are wide [m]."""
     lower, shape = _grid(places, _FINE)
     closed = _close(_picture(places, lower, shape, _FINE))
     return np.asarray((np.argwhere(~ndimage.binary_dilation(closed, structure=_AROUND)) + 0.5) * _FINE + lower)
 
 
 def _grid(places: Float[np.ndarray, "N 2"], cell: float) -> tuple[Float[np.ndarray, "2"], Int[np.ndarray, "2"]]:
-    """Lower corner and shape of a grid with space to close gaps at its border."""
+    """Return lower corner [m] and shape of a grid, with a margin for closing gaps at its border."""
     lower = places.min(axis=0) - (_CLOSING + 0.5) * cell
     return lower, np.ceil((places.max(axis=0) - lower) / cell).astype(int) + _CLOSING + 1
 
@@ -136,7 +136,7 @@ def _picture(
 
 
 def _width(outline: Float[np.ndarray, "K 2"]) -> float:
-    """Return the least extent of a convex outline [m]."""
+    """Return the least width of a convex outline [m]."""
     sides = np.roll(outline, -1, axis=0) - outline
     across = np.column_stack([-sides[:, 1], sides[:, 0]]) / np.maximum(np.linalg.norm(sides, axis=1), 1e-9)[:, None]
     return float(np.ptp(outline @ across.T, axis=0).min())

@@ -1,4 +1,4 @@
-"""Surface patches, the points of small cubes each with its plane, and level planes through several of them."""
+"""Surface patches (points of small cubes with a fitted plane), and candidate floor planes through them."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _MOST_TILTED = np.cos(np.radians(40.0))
 
 @dataclass(frozen=True)
 class Patches:
-    """Surface patches: the points of small cubes, each with its plane.
+    """Surface patches: the points of 12 cm cubes, each with a fitted plane.
 
     Attributes:
         centre: (P, 3) mean of its points [m].
         normal: (P, 3) unit, upwards.
-        count: (P,) of points.
-        is_upright: (P,) flat and more floor than wall.
-        is_bare: (P,) too few points or too thin a row to have a normal.
-        of_point: (N,) the patch of each point.
+        count: (P,) number of points.
+        is_upright: (P,) flat, with a normal within 40 degrees of the vertical.
+        is_bare: (P,) too few points, or too narrow a row, for a normal.
+        of_point: (N,) patch index of each point.
     """
 
     centre: Float[np.ndarray, "P 3"]
@@ -37,7 +37,7 @@ class Patches:
 
 
 def patches_of(points: Float[np.ndarray, "N 3"]) -> Patches:
-    """Return the mean and normal of the points in each cube of 12 cm."""
+    """Return the patch of each 12 cm cube: mean, normal and number of its points."""
     voxel, n = voxel_index(points, PATCH)
     count = np.bincount(voxel, minlength=n)
 
@@ -59,7 +59,7 @@ def patches_of(points: Float[np.ndarray, "N 3"]) -> Patches:
 
 
 def candidates(patches: Patches, rng: np.random.Generator) -> tuple[Float[np.ndarray, "H 3"], Float[np.ndarray, "H"]]:
-    """Return planes through three patches, some near each other, some far apart; not too steep ones only."""
+    """Return normals and offsets of planes sloping at most 16.5 degrees through patch triples, and of level planes."""
     upright = patches.centre[patches.is_upright]
     if len(upright) < 3:
         return np.zeros((0, 3)), np.zeros(0)
@@ -68,7 +68,7 @@ def candidates(patches: Patches, rng: np.random.Generator) -> tuple[Float[np.nda
     near = np.asarray(cKDTree(upright).query(upright[first], k=np.arange(1, k + 1))[1])
     rows = np.arange(len(first))
     local = np.stack([first, near[rows, rng.integers(1, k, len(first))], near[rows, rng.integers(1, k, len(first))]], 1)
-    # Thin layers of equal height, and anything: large planes are met by far triples, and more exactly.
+    # Triples of similar height, and random ones: triples far apart give large planes more exactly.
     order = np.argsort(upright[:, 2])
     start = rng.integers(max(1, len(order) - 40), size=(300, 1))
     layered = order[np.minimum(start + rng.integers(40, size=(300, 3)), len(order) - 1)]
@@ -87,7 +87,7 @@ def candidates(patches: Patches, rng: np.random.Generator) -> tuple[Float[np.nda
 def least_squares(
     points: Float[np.ndarray, "N 3"], normal: Float[np.ndarray, "3"], offset: float, bands: tuple[float, ...]
 ) -> tuple[Float[np.ndarray, "3"], float] | None:
-    """Return the plane of the points near it, taken anew for each band; None when too few are."""
+    """Return the plane (normal, offset) refitted to the points within each band in turn; None if under 20 points."""
     for band in bands:
         chosen = points[np.abs(points @ normal - offset) < band]
         if len(chosen) < 20:
@@ -97,7 +97,7 @@ def least_squares(
 
 
 def plane_of(points: Float[np.ndarray, "K 3"]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Return the least-squares plane: unit normal, upwards, and offset."""
+    """Return the least-squares plane: unit normal, upwards, and offset [m]."""
     centre = points.mean(axis=0)
     relative = points - centre
     normal = np.linalg.eigh(relative.T @ relative)[1][:, 0]

@@ -1,1 +1,1 @@
-"""Closed meshes: read, checked, split by CoACD into convex parts, and located in a scan; scans split alike."""
+"""Meshes: reading, checks, convex decomposition by CoACD (also of scans), and pose search in a scan."""

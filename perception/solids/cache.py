@@ -1,4 +1,4 @@
-"""Convex parts kept on disk by what they were made of: bounded, shared by processes, and checked when read."""
+"""Disk cache of convex parts, keyed by a hash of their input; limited in size and shared by processes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def _default_folder() -> Path:
 
 @dataclass(frozen=True)
 class PartsCache:
-    """Files named by the hash of their input; the ones not used for longest go first.
+    """Cache files named by the hash of their input; the least recently used are removed first.
 
     Attributes:
-        folder: where they are; made when first needed.
-        max_bytes: of all files together.
+        folder: created when first needed.
+        max_bytes: largest total size of the files.
     """
 
     folder: Path
@@ -42,10 +42,10 @@ class PartsCache:
         return PartsCache(_default_folder())
 
     def get(self, key: str) -> Parts | None:
-        """Return the parts kept under ``key``; None if there are none, or the file is damaged (then it is removed)."""
+        """Return the parts stored under ``key``; None if there are none or the file is damaged (it is then removed)."""
         path = self._path(key)
         try:
-            # Opened here: np.load leaves a broken file open.
+            # Opened here because np.load leaves a broken file open.
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
                 parts = _split_parts(kept["vertices"], kept["counts"])
             os.utime(path)
@@ -58,7 +58,7 @@ class PartsCache:
         return parts
 
     def put(self, key: str, parts: Sequence[Float[np.ndarray, "V 3"]]) -> None:
-        """Keep parts, at once or not at all; a folder that cannot be written keeps nothing."""
+        """Store parts under ``key`` atomically; a folder that cannot be written is ignored."""
         with suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
             handle, fresh = tempfile.mkstemp(dir=self.folder, prefix=".", suffix=".npz")
@@ -78,7 +78,7 @@ class PartsCache:
         return self.folder / f"{key}.npz"
 
     def _evict(self) -> None:
-        """Remove the files used least recently until the rest fits; another process may do so at the same time."""
+        """Remove the least recently used files until the rest fits; other processes may do so at the same time."""
         entries = []
         for path in self.folder.glob("*.npz"):
             with suppress(OSError):

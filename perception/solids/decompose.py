@@ -1,4 +1,4 @@
-"""Meshes to convex parts that together contain them: hulls where that is what they are, CoACD where not."""
+"""Convex decomposition of meshes: the hull of a convex mesh, CoACD for others; the parts contain the mesh."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import simplify_mesh, wrap_mesh
 
 CONVEX_SHARE = 0.98  # a closed mesh that fills its hull to this share is convex
-ENOUGH_TRIANGLES = 1500  # of a part; more cost time and show nothing at these thresholds
+ENOUGH_TRIANGLES = 1500  # per part; more cost time and add no detail at these thresholds
 _OUTSIDE = 0.0005  # [m]
 
 
 @dataclass(frozen=True)
 class CoacdSettings:
-    """Accuracy of the parts, and search effort of CoACD (Wei et al., SIGGRAPH 2022) for few of them.
+    """Accuracy and search effort of CoACD (Wei et al., SIGGRAPH 2022).
 
-    Its search is shallower than by default, which takes a table from 18 s to 4 s.
+    The search is shallower than CoACD's default, which takes a table from 18 s to 4 s.
 
     Attributes:
-        threshold_m: how deep a part may bridge a hollow [m].
-        iterations, nodes, depth: of its tree search.
-        seed: of its sampling.
+        threshold_m: largest depth of a hollow that a part may bridge [m].
+        iterations, nodes, depth: limits of the tree search.
+        seed: seed of the sampling.
     """
 
     threshold_m: float = 0.01
@@ -44,11 +44,11 @@ class CoacdSettings:
     seed: int = 0
 
     def options(self) -> dict[str, object]:
-        """Keyword arguments of ``coacd.run_coacd``."""
+        """Return the keyword arguments of ``coacd.run_coacd``."""
         return {
             "threshold": self.threshold_m,
             "real_metric": True,
-            "preprocess_mode": "off",  # what it is given is closed; its own way of closing takes minutes
+            "preprocess_mode": "off",  # input meshes are closed; CoACD's preprocessing takes minutes
             "mcts_iterations": self.iterations,
             "mcts_nodes": self.nodes,
             "mcts_max_depth": self.depth,
@@ -60,10 +60,10 @@ class CoacdSettings:
 
 @dataclass(frozen=True)
 class CoacdResources:
-    """Cache of results, and limits of the process.
+    """Cache of results, and limits of the CoACD process.
 
     Attributes:
-        cache: of results; None keeps none.
+        cache: cache of results; None for no cache.
     """
 
     cache: PartsCache | None = field(default_factory=PartsCache.of_user)
@@ -76,11 +76,11 @@ def split_solid(
     """Return vertices of convex parts, at most 64 each, that together contain the solid's surface to a millimetre [m].
 
     Args:
-        solid: closed parts are split as they are, open ones as shells.
+        solid: closed parts are split directly, open parts as thin shells.
 
     Raises:
-        MeshError: CoACD crashed or needs too much.
-        Stopped: the caller was asked to stop.
+        MeshError: CoACD crashed or exceeded its memory or time limit.
+        Stopped: the caller cancelled.
     """
     stray = (settings or CoacdSettings()).threshold_m / 10.0
     whole = [simplify_mesh(mesh, ENOUGH_TRIANGLES, stray) for mesh in solid.closed]
@@ -93,7 +93,7 @@ def split_solid(
 
 
 def make_hull_part(solid: Solid) -> Float[np.ndarray, "V 3"]:
-    """Return at most 64 vertices of a convex body that contains the whole solid [m]."""
+    """Return at most 64 vertices of a convex hull that contains the whole solid [m]."""
     return limit_vertices(np.concatenate([mesh.vertices for mesh in (*solid.closed, *solid.open)]))
 
 
@@ -103,7 +103,7 @@ def decompose(
     resources: CoacdResources | None = None,
     name: str = "mesh",
 ) -> list[Parts]:
-    """Return convex parts of each closed mesh; one process splits those that are not in the cache.
+    """Return convex parts of each closed mesh; one process splits all meshes that are not in the cache.
 
     Raises:
         MeshError, Stopped: as ``split_solid``.
@@ -126,7 +126,7 @@ def decompose(
 
 
 def hash_mesh(mesh: Mesh, settings: CoacdSettings) -> str:
-    """Return the SHA-256 of vertices, triangles, settings and CoACD's version."""
+    """Return the SHA-256 of vertices, triangles, settings and the version of CoACD."""
     digest = hashlib.sha256(json.dumps([version("coacd"), asdict(settings), settings.options()]).encode())
     digest.update(np.array(mesh.vertices.shape + mesh.triangles.shape).tobytes())
     digest.update(np.ascontiguousarray(mesh.vertices, dtype="<f8").tobytes())
@@ -140,7 +140,7 @@ def _take_if_convex(mesh: Mesh) -> Parts | None:
 
 
 def _drop_slivers(parts: Parts) -> Parts:
-    """Drop slivers that span no volume, which CoACD sometimes returns."""
+    """Return the parts without those of zero volume, which CoACD sometimes makes."""
     kept = []
     for part in parts:
         try:
@@ -152,7 +152,7 @@ def _drop_slivers(parts: Parts) -> Parts:
 
 
 def _grow_to_contain(parts: Parts, mesh: Mesh) -> Parts:
-    """Grow thinned parts until all corners, edge middles and face middles of the mesh lie inside."""
+    """Return the parts grown to contain all vertices, edge midpoints and face centres of the mesh, within 0.5 mm."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     surface = np.concatenate([mesh.vertices, (a + b + c) / 3.0, (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0])
     if not parts:

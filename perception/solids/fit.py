@@ -1,4 +1,4 @@
-"""Mesh poses in a scan: fitted by point-to-plane ICP on the sides that face the sensor, judged by the rays."""
+"""Fit of a mesh pose to a scan by point-to-plane ICP on faces towards the sensor, and its score from the rays."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _FACING = 0.05  # cosine
 _FEWEST = 12
 _MOST_TURN = 0.3  # [rad] in one step
 _DAMPING = 1e-3
-_LEAST_SIZE = 1e-3  # of what points are held against [m]
+_LEAST_SIZE = 1e-3  # of the matched surface, for damping [m]
 MIN_AGREEING = 30
 _PLANE_BAND = 0.025
 _TOLERANCE = (0.012, 0.03)
 
 
 class Surface:
-    """Triangles prepared for distances and rays, in the mesh's own frame."""
+    """Mesh prepared for distance and ray queries, in the mesh's own frame."""
 
     def __init__(self, mesh: Mesh) -> None:
         # open3d takes 0.7 s to import.
@@ -39,12 +39,12 @@ class Surface:
         self._scene.add_triangles(self._tensor(mesh.vertices.astype(np.float32)), triangles)
 
     def nearest(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-        """Find the nearest place on the mesh for each point, and the unit outward normal there."""
+        """Return the nearest position on the mesh to each point [m], and the unit outward normal there."""
         answer = self._scene.compute_closest_points(self._tensor(points.astype(np.float32)))
         return _array(answer["points"]), _array(answer["primitive_normals"])
 
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        """Find the points inside of the mesh, which must be closed; three rays vote, since one may hit an edge."""
+        """Return which points are inside the mesh, which must be closed; three rays vote, since one may hit an edge."""
         places = self._tensor(points.astype(np.float32))
         return np.asarray(_array(self._scene.compute_occupancy(places, nsamples=3)) > 0.5)
 
@@ -60,54 +60,54 @@ def _array(tensor: object) -> np.ndarray:
 
 @dataclass(frozen=True)
 class MeshPose:
-    """World from mesh: ``rotation`` (3, 3) and ``shift`` (3,) [m]."""
+    """Transform from the mesh frame to the world: ``rotation`` (3, 3) and ``shift`` (3,) [m]."""
 
     rotation: Float[np.ndarray, "3 3"]
     shift: Float[np.ndarray, "3"]
 
     @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:
-        """As a homogeneous matrix."""
+        """Homogeneous matrix ``pose_world_mesh`` (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift
         return matrix
 
     def to_world(self, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-        """Points of the mesh's frame in the world."""
+        """Transform points from the mesh frame to the world [m]."""
         return np.asarray(points @ self.rotation.T + self.shift)
 
     def to_mesh(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Points of the world in the mesh's frame."""
+        """Transform points from the world to the mesh frame [m]."""
         return np.asarray((points - self.shift) @ self.rotation)
 
     def rotate(self, turn: Float[np.ndarray, "3"], about: Float[np.ndarray, "3"]) -> MeshPose:
-        """Return the pose turned by a rotation vector about a point of the world."""
+        """Return the pose rotated by a rotation vector [rad] about a point, both in the world."""
         rotation = Rotation.from_rotvec(turn).as_matrix()
         return MeshPose(rotation @ self.rotation, rotation @ (self.shift - about) + about)
 
     def translate(self, by: Float[np.ndarray, "3"]) -> MeshPose:
-        """Return the pose moved by a vector of the world."""
+        """Return the pose moved by a vector in the world [m]."""
         return MeshPose(self.rotation, self.shift + by)
 
 
 @dataclass(frozen=True)
 class Region:
-    """Measured points (N, 3) and where their rays started (N, 3) [m]."""
+    """Measured points (N, 3) and the starts of their rays (N, 3), in the world [m]."""
 
     points: Float[np.ndarray, "N 3"]
     starts: Float[np.ndarray, "N 3"]
 
     def thin(self, most: int) -> Region:
-        """Every k-th, so that at most ``most`` are left."""
+        """Return every k-th point, at most ``most`` in all."""
         step = max(1, -(-len(self.points) // most))
         return Region(self.points[::step], self.starts[::step])
 
 
 def fit_pose(surface: Surface, region: Region, start: MeshPose, gates: Iterable[float]) -> MeshPose:
-    """Take one Gauss-Newton step of point-to-plane ICP (Chen and Medioni, 1992) for each gate.
+    """Return the pose after one Gauss-Newton step of point-to-plane ICP (Chen and Medioni, 1992) per gate.
 
     Args:
-        gates: points farther from the mesh than this have no weight, nearer ones Tukey's biweight [m].
+        gates: inlier distance of each step; nearer points have Tukey's biweight, farther ones no weight [m].
     """
     pose = start
     for gate in gates:
@@ -132,11 +132,11 @@ def _take_step(
     offset: Float[np.ndarray, "K 3"],
     weight: Float[np.ndarray, "K"],
 ) -> MeshPose:
-    """Turn and shift the mesh so that its planes meet the points, all in its own frame."""
+    """Return the pose after one damped least-squares step on the point-to-plane residuals, in the mesh frame."""
     middle = place.mean(axis=0)
     J = np.concatenate([np.cross(place - middle, normal), normal], axis=1)
     residual = (normal * offset).sum(axis=1)
-    # Points that are all nearest to one corner do not determine the orientation.
+    # Damping: points that are all nearest to one corner do not determine the orientation.
     size = max(float(np.linalg.norm(place - middle, axis=1).mean()), _LEAST_SIZE)
     damping = _DAMPING * weight.sum() * np.diag([size**2] * 3 + [1.0] * 3)
     step = np.linalg.solve(J.T @ (weight[:, None] * J) + damping, J.T @ (weight * residual))
@@ -147,7 +147,7 @@ def _take_step(
 
 @dataclass(frozen=True)
 class RayCounts:
-    """Counts of rays that agree with a pose and that contradict it."""
+    """Numbers of rays that end on the mesh, pass through it or end before it, and of unexplained points near it."""
 
     agreeing: int
     through: int
@@ -158,14 +158,14 @@ class RayCounts:
 
     @property
     def score(self) -> float:
-        """Rays that end on it, less those that go through it."""
+        """Rays that end on the mesh minus weighted contradicting ones, over the root of their number."""
         n = self.agreeing + self.through
         return 0.0 if n == 0 else (self.agreeing - 2.0 * self.through - 0.5 * self.unexplained) / np.sqrt(n)
 
 
 @dataclass(frozen=True)
 class PoseJudge:
-    """The rays and points about a place; ``wide`` are planes (P, 4) that reach farther than the object does."""
+    """Rays and points near a candidate position; ``wide`` (P, 4) are planes larger than the object."""
 
     surface: Surface
     rays: Sightlines
@@ -173,7 +173,7 @@ class PoseJudge:
     wide: Float[np.ndarray, "P 4"]
 
     def count(self, pose: MeshPose, most_rays: int, most_points: int) -> RayCounts:
-        """Count the rays that agree with a pose and those that contradict it."""
+        """Count rays that agree with a pose and rays that contradict it, from a subset of rays and points."""
         rays = self.rays.thin(most_rays)
         hit = self.surface.hits(pose.to_mesh(rays.start), rays.direction @ pose.rotation)
         met = np.isfinite(hit)
@@ -184,10 +184,10 @@ class PoseJudge:
         distance = np.linalg.norm(offset, axis=1)
         close = distance[distance < _TOLERANCE[1]]
         tolerance = float(np.clip(3.0 * 1.48 * np.median(close), *_TOLERANCE)) if len(close) else _TOLERANCE[0]
-        # Things stand on tables: only what is well before the surface and far from its base is held against it.
+        # Only points in the 5 cm beyond two tolerances contradict the pose: objects stand on tables.
         outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
         share = len(rays) / max(1, len(region.points))
-        # A ray that ends on a wall is no evidence of an object whose side lies in that wall.
+        # A ray that ends on a wide plane, such as a wall, is no evidence for an object beside that plane.
         agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
         return RayCounts(
             int((~lie_on_planes(rays.ends[agreeing], self.wide)).sum()),
@@ -202,7 +202,7 @@ class PoseJudge:
 def make_pose_judge(
     surface: Surface, index: SightIndex, view: View, place: Float[np.ndarray, "3"], radius: float
 ) -> PoseJudge:
-    """Collect the rays about a place, and the points that may be the object's: not those of planes wider than it is."""
+    """Return the rays near a position, and the points there that are not on planes larger than the object."""
     near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
     points, starts = view.obstacles[near], view.starts[near]
     wide = find_wide_planes(points, starts, radius, view.seed)
@@ -214,7 +214,7 @@ def make_pose_judge(
 def find_wide_planes(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], radius: float, seed: int
 ) -> Float[np.ndarray, "P 4"]:
-    """Find planes (unit normal, offset) that reach farther than an object of this radius: tables, walls."""
+    """Return planes (unit normal, offset) larger than an object of this radius [m], such as tables and walls."""
     if len(points) < MIN_AGREEING:
         return np.zeros((0, 4))
     coarse = coarsen(points, starts, VOXEL)

@@ -1,4 +1,4 @@
-"""MeshPose of a known mesh in a scan: ICP from many starts, judged by the scan's own rays."""
+"""Pose search for a known mesh in a scan: ICP from many start poses, scored by the rays of the scan."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class MeshMatch:
     """A mesh located in a scan.
 
     Attributes:
-        confidence: 0 to 1; 0.5 and more is one to act on.
-        residuals: ``rms`` and ``median`` distance of the points it explains [m]; ``seen_through``, the share of rays
-            that should have met it and went on; ``hidden``, the share that met something before it; ``unexplained``,
-            points close before its surface as a share of those on it; ``rival``, how well the best clearly different
-            pose does against this one (near 1: the scan does not distinguish them); ``n_points`` on it.
+        confidence: 0 to 1; 0.5 and more is reliable.
+        residuals: ``rms`` and ``median`` distance of the points on the mesh [m]; ``seen_through``, share of the rays
+            through the mesh that should have ended on it; ``hidden``, share that ended before it; ``unexplained``,
+            points close to its surface as a share of those on it; ``rival``, score of the best clearly different pose
+            over this one's (near 1: the scan does not distinguish them); ``n_points`` on the mesh.
         solid: the mesh in its own frame.
-        tolerance: how far from its surface its points lie at most [m].
+        tolerance: largest distance of its points from its surface [m].
     """
 
     pose_world_mesh: Float[np.ndarray, "4 4"]
@@ -60,7 +60,7 @@ class MeshMatch:
     tolerance: float
 
     def explains(self, points: Float[np.ndarray, "M 3"], times: float = 1.0) -> Bool[np.ndarray, "M"]:
-        """Find the points of the world within some times the tolerance of its surface, or inside of closed parts."""
+        """Return which world points are within ``times`` the tolerance of its surface or inside its closed parts."""
         tolerance = times * self.tolerance
         pose = MeshPose(self.pose_world_mesh[:3, :3], self.pose_world_mesh[:3, 3])
         points = pose.to_mesh(points)
@@ -71,7 +71,7 @@ class MeshMatch:
             offset = points[near] - Surface(whole).nearest(points[near])[0]
             explained[near] = np.linalg.norm(offset, axis=1) <= tolerance
         for part in self.solid.closed:
-            # Each by itself: they may overlap, and then counting crossings of all of them would tell nothing.
+            # One by one, since parts may overlap and joint crossing counts would then be wrong.
             rest = _select_near(points, part, 0.0)
             rest = rest[~explained[rest]]
             if len(rest):
@@ -81,13 +81,13 @@ class MeshMatch:
 
 @dataclass(frozen=True)
 class KnownMesh:
-    """An object of known shape, and what is known of its pose.
+    """An object of known shape, with its exact, approximate or unknown pose.
 
     Attributes:
         solid: its shape in its own frame [m].
-        pose_world_mesh: (4, 4), right within 20 degrees and 15 cm unless it ``is_placed``; None: it is searched for.
-        hint: (3,) a point on or near it, where there is no pose; None: it is looked for everywhere [m].
-        is_placed: whether it stands exactly at its pose, whatever the scan shows.
+        pose_world_mesh: (4, 4), exact if ``is_placed``, else within 20 degrees and 15 cm; None if unknown.
+        hint: (3,) a point on or near an object without a pose; None to search the whole scan [m].
+        is_placed: whether its pose is exact and stays as it is, whatever the scan shows.
     """
 
     name: str
@@ -98,7 +98,7 @@ class KnownMesh:
 
 
 def locate(known: KnownMesh, view: View) -> MeshMatch:
-    """Find an object's pose in the scan; the pose of a placed one stays, and only its agreement is measured."""
+    """Return an object's pose in the scan; a placed object keeps its pose, and only the agreement is measured."""
     if known.is_placed and known.pose_world_mesh is not None:
         return judge_placed(known.solid, view, known.pose_world_mesh)
     return match_mesh(known.solid, view, hint=known.hint, initial=known.pose_world_mesh)
@@ -110,15 +110,15 @@ def match_mesh(
     hint: Float[np.ndarray, "3"] | None = None,
     initial: Float[np.ndarray, "4 4"] | None = None,
 ) -> MeshMatch:
-    """Find the pose at which the scan's points lie on the mesh and no ray goes through it.
+    """Return the pose at which the scan's points lie on the mesh and no ray passes through it.
 
-    Only what a ray could have met counts, so a scan from one side is enough.
+    Only surfaces that a ray could hit count, so a scan from one side is enough.
 
     Args:
-        mesh: the object, in its own frame [m]; as a solid where it is checked already.
-        hint: (3,) a point on or near the object; without it and ``initial`` every cluster of its size is tried
-            that is left when planes wider than it are taken away.
-        initial: (4, 4) about where it stands (20 degrees, 15 cm); only poses near it are tried.
+        mesh: the object, in its own frame [m]; a solid if it is already checked.
+        hint: (3,) a point on or near the object [m]; without it and ``initial``, every cluster of the object's size is
+            tried, after removal of planes larger than the object.
+        initial: (4, 4) approximate pose (within 20 degrees and 15 cm); only poses near it are tried.
 
     Raises:
         MeshError: the mesh cannot be used.
@@ -144,7 +144,7 @@ def match_mesh(
 
 
 def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) -> MeshMatch:
-    """Measure how well the scan agrees with a mesh in a given pose; its residuals have no ``rival``.
+    """Return how well the scan agrees with a mesh at a given pose; the residuals have no ``rival``.
 
     Args:
         solid: the object, in its own frame [m].
@@ -157,7 +157,7 @@ def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4
 
 
 def _measure_solid(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float]:
-    """Return the whole surface, and the ball about its box."""
+    """Return the whole surface, and centre and radius of the sphere around its box [m]."""
     whole = _join_meshes([*solid.closed, *solid.open])
     lower, upper = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
     return Surface(whole), 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
@@ -166,7 +166,7 @@ def _measure_solid(solid: Solid) -> tuple[Surface, Float[np.ndarray, "3"], float
 def _search(
     surface: Surface, judge: PoseJudge, region: Region, starts: Sequence[MeshPose], radius: float
 ) -> list[tuple[float, MeshPose]]:
-    """Fit every start by a few steps on few points, then the best on many."""
+    """Return scores and poses, fitted from every start on few points and then, for the best, on many."""
     few = region.thin(_COARSE_POINTS)
     gates = np.linspace(0.6 * radius, 0.05, 6)
     rough = [fit_pose(surface, few, start, gates) for start in starts]
@@ -181,7 +181,7 @@ def _search(
 
 
 def _nudge(surface: Surface, judge: PoseJudge, region: Region, best: tuple[float, MeshPose]) -> tuple[float, MeshPose]:
-    """Return the best pose that fits from a little beside it lead to; ICP stalls along faces it slides on."""
+    """Return the best score and pose after refits from slightly moved poses; ICP stalls where faces slide."""
     few = region.thin(_NUDGE_POINTS)
     for step in _NUDGES:
         about = best[1].to_world(np.zeros(3))
@@ -200,14 +200,14 @@ def _find_places(
     hint: Float[np.ndarray, "3"] | None,
     initial: Float[np.ndarray, "4 4"] | None,
 ) -> list[Float[np.ndarray, "3"]]:
-    """Return the places where the object may be."""
+    """Return candidate positions of the object's centre in the world [m]."""
     if initial is not None:
         return [initial[:3, :3] @ centre + initial[:3, 3]]
     if hint is not None:
         return [np.asarray(hint, dtype=float)]
     if not len(view.obstacles):
         return []
-    # What an object stands on or leans against would join it with all else there.
+    # Tables and walls are removed, since they would connect the object with everything else on them.
     loose = ~lie_on_planes(view.obstacles, find_wide_planes(view.obstacles, view.starts, radius, view.seed))
     points, starts = view.obstacles[loose], view.starts[loose]
     groups = [points[members] for members in find_clusters(points, starts)] if len(points) else []
@@ -222,7 +222,7 @@ def _make_starts(
     region: Region,
     initial: Float[np.ndarray, "4 4"] | None,
 ) -> list[MeshPose]:
-    """Make poses to start from: around the initial one, or evenly over all orientations about the place."""
+    """Return start poses: around the initial one, or at the position in 240 random orientations."""
     if initial is not None:
         given = MeshPose(initial[:3, :3], initial[:3, 3])
         turns = [np.zeros(3), *(sign * 0.3 * axis for axis in np.eye(3) for sign in (-1, 1))]
@@ -232,7 +232,7 @@ def _make_starts(
     core = region.points[np.linalg.norm(region.points - place, axis=1) <= radius]
     middle = np.median(core, axis=0) if len(core) >= MIN_AGREEING else place
     away = middle - region.starts.mean(axis=0)
-    # Only the near side is seen: the middle of the object lies behind the middle of its points.
+    # Only the near side is seen: the object's centre lies behind the centre of its points.
     middle = middle + 0.2 * radius * away / max(float(np.linalg.norm(away)), 1e-9)
     rotations = Rotation.random(_N_ORIENTATIONS, rng=np.random.default_rng(0)).as_matrix()
     return [MeshPose(rotation, middle - rotation @ centre) for rotation in rotations]
@@ -267,7 +267,7 @@ def _make_match(pose: MeshPose, judge: PoseJudge, rival: float, solid: Solid) ->
 
 
 def _select_near(points: Float[np.ndarray, "N 3"], mesh: Mesh, by: float) -> Int[np.ndarray, "K"]:
-    """Return indices of the points in the mesh's box, grown by a length."""
+    """Return indices of the points in the mesh's bounding box, grown by ``by`` [m]."""
     within = (points >= mesh.vertices.min(axis=0) - by) & (points <= mesh.vertices.max(axis=0) + by)
     return np.flatnonzero(within.all(axis=1))
 

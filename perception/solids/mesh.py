@@ -1,4 +1,4 @@
-"""Triangle meshes, checked for closed parts that hold a volume."""
+"""Triangle meshes: repair, and separation into closed and open parts."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _SMALL_HOLE = 0.15  # of the part's size
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles.
+    """A triangle mesh.
 
     Attributes:
-        triangles: (F, 3) indices of their corners.
+        triangles: (F, 3) vertex indices.
     """
 
     vertices: Float[np.ndarray, "V 3"]
     triangles: Int[np.ndarray, "F 3"]
 
     def move(self, rotation: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> Mesh:
-        """Turn about the origin, then shift."""
+        """Return the mesh rotated about the origin, then shifted [m]."""
         return Mesh(self.vertices @ rotation.T + shift, self.triangles)
 
     def place(self, pose_world_mesh: Float[np.ndarray, "4 4"]) -> Mesh:
-        """Transform to another frame; a pose that mirrors is allowed."""
+        """Return the mesh in the world frame; a pose with a reflection is allowed."""
         return self.move(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
 
     @property
@@ -44,12 +44,12 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Solid:
-    """A mesh in parts.
+    """A mesh split into closed and open parts.
 
     Attributes:
-        closed: parts that hold a volume, wound outwards.
-        open: parts with an opening: all that is known of them is their surface.
-        notes: what was repaired or is odd, one sentence each.
+        closed: closed parts, wound outwards.
+        open: parts with holes, which have a surface but no volume.
+        notes: repairs and defects, one sentence each.
     """
 
     closed: tuple[Mesh, ...]
@@ -58,10 +58,10 @@ class Solid:
 
 
 def make_solid(mesh: Mesh, name: str = "mesh") -> Solid:
-    """Weld equal corners, separate what is connected only by corners or edges, turn every part outwards, fill holes.
+    """Return the repaired mesh in parts: vertices welded, parts separated, triangles wound outwards, holes filled.
 
     Raises:
-        MeshError: corners that are not finite or do not exist, or nothing that spans a volume.
+        MeshError: vertices that are not finite or do not exist, or a flat mesh.
     """
     _check(mesh, name)
     welded = _weld(mesh)
@@ -77,7 +77,7 @@ def make_solid(mesh: Mesh, name: str = "mesh") -> Solid:
         filled, n_holes = _fill_holes(turned)
         n_filled += n_holes
         if _is_closed(filled.triangles):
-            # Only now the sign of the volume shows which side is inside.
+            # The sign of the volume shows which side is inside; it is valid only for a closed part.
             is_inverted = filled.volume < 0.0
             n_turned += len(part.triangles) - n_wrong if is_inverted else n_wrong
             closed.append(Mesh(filled.vertices, filled.triangles[:, ::-1]) if is_inverted else filled)
@@ -97,7 +97,7 @@ def make_solid(mesh: Mesh, name: str = "mesh") -> Solid:
 
 
 def unite_solids(solids: Iterable[Solid], name: str = "object") -> Solid:
-    """Unite several solids; they may overlap.
+    """Return the parts of several solids as one; they may overlap.
 
     Raises:
         MeshError: they have more triangles than one mesh file may have.
@@ -124,7 +124,7 @@ def _check(mesh: Mesh, name: str) -> None:
 
 
 def _weld(mesh: Mesh) -> Mesh:
-    """Merge corners in the same place; drop triangles without area and repeated ones."""
+    """Merge vertices at the same position, and drop repeated triangles and triangles without area."""
     size = float(np.ptp(mesh.vertices, axis=0).max()) or 1.0
     cells = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / (_WELD * size)).astype(np.int64)
     _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -144,7 +144,7 @@ def _drop_unused(mesh: Mesh) -> Mesh:
 def _count_edges(
     triangles: Int[np.ndarray, "F 3"],
 ) -> tuple[Int[np.ndarray, "E"], Bool[np.ndarray, "E"], Int[np.ndarray, "K"]]:
-    """Number the undirected edge of each of the 3 F directed ones, say whether it runs upwards, and count each.
+    """Return, per directed edge (3 F), its undirected edge number and whether its indices rise; and counts per number.
 
     Directed edge ``3 f + i`` runs from corner i of triangle f to corner i + 1.
     """
@@ -155,13 +155,13 @@ def _count_edges(
 
 
 def _pair_edges(number: Int[np.ndarray, "E"], counts: Int[np.ndarray, "K"]) -> Int[np.ndarray, "P 2"]:
-    """Return directed edges that share an undirected edge of exactly two."""
+    """Return pairs (P, 2) of directed edges that are the only two on their undirected edge."""
     two = np.flatnonzero(counts[number] == 2)
     return two[np.argsort(number[two], kind="stable")].reshape(-1, 2)
 
 
 def _split_connected(mesh: Mesh) -> list[Mesh]:
-    """Group triangles that are connected over edges that two of them share."""
+    """Split the mesh into parts connected by edges that exactly two triangles share."""
     number, _, counts = _count_edges(mesh.triangles)
     a, b = _pair_edges(number, counts).T // 3
     n = len(mesh.triangles)
@@ -173,9 +173,9 @@ def _split_connected(mesh: Mesh) -> list[Mesh]:
 
 
 def _turn_outward(part: Mesh) -> tuple[Mesh, int]:
-    """Wind all triangles as the greater number of them are, and count those turned.
+    """Return the part with all triangles wound like the majority, and the number of triangles turned.
 
-    Each triangle is there twice in a graph, as it is and turned; neighbours that agree are linked like with like.
+    A graph contains each triangle twice, unchanged and turned; edges connect the consistent states of neighbours.
     """
     number, upwards, counts = _count_edges(part.triangles)
     pairs = _pair_edges(number, counts)
@@ -197,18 +197,18 @@ def _turn_outward(part: Mesh) -> tuple[Mesh, int]:
 
 
 def _is_closed(triangles: Int[np.ndarray, "F 3"]) -> bool:
-    """Return whether each edge occurs once in either direction."""
+    """Return whether each edge occurs exactly once in each direction."""
     number, upwards, counts = _count_edges(triangles)
     return bool((counts == 2).all() and (np.bincount(number, weights=upwards) == 1).all())
 
 
 def is_closed(mesh: Mesh) -> bool:
-    """Return whether every edge of the mesh has a triangle on either side, wound alike."""
+    """Return whether every edge of the mesh has exactly two triangles, wound consistently."""
     return len(mesh.triangles) > 0 and _is_closed(mesh.triangles)
 
 
 def _fill_holes(part: Mesh) -> tuple[Mesh, int]:
-    """Close small holes by a fan about their middle, and count them."""
+    """Return the part with small holes closed by triangle fans, and the number of holes."""
     number, _, counts = _count_edges(part.triangles)
     lone = np.flatnonzero(counts[number] == 1)
     start, end = part.triangles.reshape(-1)[lone], np.roll(part.triangles, -1, axis=1).reshape(-1)[lone]

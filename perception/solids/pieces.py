@@ -1,4 +1,4 @@
-"""Convex pieces of a scan by CoACD: occupied cells, a closed surface around them, and its parts."""
+"""Convex pieces of a scan by CoACD: occupied cells, a closed surface around them, and its convex parts."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from perception.solids.voxels import wrap_cells
 
 _VOXEL = 0.015
 _COACD = CoacdSettings(0.05, iterations=20, nodes=5, depth=1)
-# Parts that hold space seen to be free are split again at half the threshold, so often at most.
+# Parts that contain free space are split again at half the threshold, at most this many times.
 _PASSES = 1
 _FREE_CELL = 0.02
-_MOST_FREE = 0.02  # of a part
+_MOST_FREE = 0.02  # share of a part's volume
 _AROUND = 0.1
 _WITHIN = 0.01
 _NEIGHBOURS = 8
 _LINK = 0.05
-_ASIDE = 0.003  # [m] of a point, still of its surface: the one around a single cell cuts its corners
+_ASIDE = 0.003  # cells this close to a point are occupied too: the surface around a single cell cuts its corners [m]
 _LINK_PER_RANGE = 0.045
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 
@@ -44,17 +44,17 @@ def make_coacd_pieces(
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     resources: CoacdResources | None = None,
 ) -> Pieces:
-    """Make convex pieces ``coacd/0`` ... of obstacle points, as ``perception.convex.make_pieces`` gives them.
+    """Return convex pieces ``coacd/0`` ... of obstacle points, in the form of ``perception.convex.make_pieces``.
 
-    Cells seen to be free are never filled between points, and a part that holds such cells is split again; what CoACD
-    then still bridges is less than its threshold deep, and the evidence of each piece shows it.
+    Free cells between points are never filled, and a part that contains free cells is split again.  Hollows that
+    CoACD still bridges are less deep than its threshold, and count in the evidence of each piece.
 
     Args:
         points: (N, 3) obstacle points, cleaned [m].
 
     Raises:
-        MeshError: CoACD crashed or needs too much.
-        Stopped: the caller was asked to stop.
+        MeshError: CoACD crashed or exceeded its memory or time limit.
+        Stopped: the caller cancelled.
     """
     if not len(points):
         return Pieces((), {})
@@ -70,14 +70,14 @@ def make_coacd_pieces(
 
 @dataclass(frozen=True)
 class _Cells:
-    """Occupied cells: ``lower`` (3,) corner and ``size`` of a cell [m]."""
+    """Grid of occupied cells: ``lower`` (3,) corner of the grid and ``size``, edge of a cell [m]."""
 
     occupied: Bool[np.ndarray, "X Y Z"]
     lower: Float[np.ndarray, "3"]
     size: float
 
     def wrap(self) -> list[Mesh]:
-        """Return the surface of each group of cells that touch."""
+        """Return a closed surface around each group of touching cells."""
         label, _ = ndimage.label(self.occupied, _TOUCHING)
         return [
             wrap_cells(label[box] == i + 1, self.lower + np.array([side.start for side in box]) * self.size, self.size)
@@ -85,7 +85,7 @@ class _Cells:
         ]
 
     def crop(self, part: Float[np.ndarray, "V 3"]) -> _Cells:
-        """Return only the cells whose middle lies in a convex part."""
+        """Return the cells whose centre lies in a convex part or up to a quarter of a cell outside it."""
         hull = make_hull(part)
         first = np.maximum(np.floor((hull.lower - self.lower) / self.size).astype(int), 0)
         last = np.floor((hull.upper - self.lower) / self.size).astype(int) + 1
@@ -101,7 +101,7 @@ def _make_cells(
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
 ) -> tuple[_Cells, FreeSpace]:
-    """Mark cells that hold points or lie between neighbouring ones and were not seen free; and what was seen free."""
+    """Return the cells with points, or between neighbouring points and not free; and the free space."""
     size = _VOXEL
     points = smooth_points(points, np.ones(len(points), dtype=int), starts, np.arange(len(points)))
     coarse = coarsen(points, starts, size)
@@ -123,7 +123,7 @@ def _mark(grid: Bool[np.ndarray, "X Y Z"], at: Float[np.ndarray, "N 3"], lower: 
 def _bridge_gaps(
     points: Float[np.ndarray, "M 3"], starts: Float[np.ndarray, "M 3"], size: float
 ) -> Float[np.ndarray, "K 3"]:
-    """Sample the lines between neighbours no farther apart than max(5 cm, 4.5 % of range)."""
+    """Return points (K, 3) on the lines between neighbours at most max(5 cm, 4.5 % of range) apart [m]."""
     if len(points) < 2:
         return points
     k = np.arange(2, min(_NEIGHBOURS + 1, len(points)) + 1)
@@ -137,7 +137,7 @@ def _bridge_gaps(
 
 
 def _split_grid(grid: _Cells, free: FreeSpace, resources: CoacdResources) -> Parts:
-    """Split all groups of cells; parts that hold free space are split again at half the threshold."""
+    """Return convex parts of all groups of cells; parts with free space are split again at half the threshold."""
     done: list[Float[np.ndarray, "V 3"]] = []
     coacd, todo = _COACD, grid.wrap()
     for again in range(_PASSES + 1):
@@ -156,7 +156,7 @@ def _split_grid(grid: _Cells, free: FreeSpace, resources: CoacdResources) -> Par
 
 
 def _name_parts(parts: Parts, points: Float[np.ndarray, "N 3"], free: FreeSpace) -> tuple[Piece, ...]:
-    """Make pieces with names, points and evidence of all parts."""
+    """Return a piece, with name, points and evidence, for each part."""
     left = np.ones(len(points), dtype=bool)
     pieces = []
     for i, part in enumerate(parts):

@@ -1,4 +1,4 @@
-"""CoACD in a process sandbox: bounded in memory and time, its crashes reported in one line."""
+"""CoACD in a sandboxed process with limited memory and time; a crash becomes a one-line error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from perception.errors import MeshError
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
-if TYPE_CHECKING:  # the process that splits meshes is quicker to start without them
+if TYPE_CHECKING:  # the sandboxed process starts faster without these imports
     from perception.solids.cache import Parts
     from perception.solids.mesh import Mesh
 
@@ -20,15 +20,15 @@ COACD_LIMITS = ProcessLimits(max_bytes=4 * 2**30, max_wall_s=120.0)
 def run_coacd(
     meshes: Sequence[Mesh], options: Mapping[str, object], limits: ProcessLimits = COACD_LIMITS, name: str = "mesh"
 ) -> list[Parts]:
-    """Split each mesh into convex parts as CoACD gives them.
+    """Return the convex parts of each mesh, computed by CoACD in a sandboxed process.
 
     Args:
-        meshes: closed, wound outwards, finite.
+        meshes: closed, finite, wound outwards.
         options: keyword arguments of ``coacd.run_coacd``.
 
     Raises:
         MeshError: CoACD crashed, or needs more memory or time than the limits allow.
-        Stopped: the caller was asked to stop; the process is killed.
+        Stopped: the caller cancelled; the process is killed.
     """
     values: dict[str, Any] = {"n_meshes": len(meshes), "options": dict(options)}
     values |= {f"vertices_{i}": mesh.vertices for i, mesh in enumerate(meshes)}
@@ -41,13 +41,13 @@ def run_coacd(
 
 
 def split_meshes(n_meshes: int, options: dict[str, Any], **arrays: np.ndarray) -> dict[str, np.ndarray]:
-    """Split each mesh in this process.
+    """Split each mesh into convex parts, in this process.
 
     Args:
         arrays: ``vertices_i`` and ``triangles_i`` of each mesh.
 
     Returns:
-        For each mesh ``parts_i``, the vertices of all parts, and ``counts_i``, how many each part has.
+        For each mesh ``parts_i``, the vertices of all parts, and ``counts_i``, the vertices per part.
     """
     import coacd
 

@@ -1,4 +1,4 @@
-"""Mesh files (STL, OBJ, PLY) to triangles, with sizes bounded before anything is parsed."""
+"""Reader for mesh files (STL, OBJ, PLY); the file size is limited before anything is parsed."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _SMALLEST_M = 1e-3
 
 
 def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> Mesh:
-    """Read the triangles of a mesh file; faces with more corners come as fans of triangles.
+    """Read the triangles of a mesh file, in metres; larger faces become triangle fans.
 
     Args:
-        path: its suffix is the format; text and binary STL are distinguished by content.
-        scale: metres per unit of the file, along each axis where there are three.
+        path: its suffix gives the format; text and binary STL are distinguished by content.
+        scale: metres per unit of the file, one number or one for each axis.
 
     Raises:
-        MeshError: naming the file, what is wrong and what is expected.
+        MeshError: names the file, the problem and what is expected.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -54,7 +54,7 @@ def _read_content(path: Path) -> bytes:
 
 
 def _parse(data: bytes, path: Path) -> Mesh:
-    import trimesh  # takes 0.4 s to import, and few need it
+    import trimesh  # takes 0.4 s to import and is seldom needed
 
     kind = path.suffix.lower()[1:]
     options = {"skip_materials": True} if kind == "obj" else {}
@@ -62,7 +62,7 @@ def _parse(data: bytes, path: Path) -> Mesh:
         loaded = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False, **options)
         vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         triangles = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
-    except Exception as error:  # whatever a parser says of a broken file, the file is what is wrong
+    except Exception as error:  # a parser may raise anything for a broken file
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise MeshError(f"{path.name}: is no readable {kind.upper()} file ({reason}); repair or convert it") from None
     return Mesh(vertices, triangles)

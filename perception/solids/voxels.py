@@ -1,4 +1,4 @@
-"""Closed surfaces with few triangles for CoACD to split: around occupied cells, and of meshes."""
+"""Closed surfaces with few triangles as input for CoACD: around occupied cells, and of meshes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float
 
 from perception.solids.mesh import Mesh, is_closed
 
-_SIMPLER = 0.1  # share of the triangles that is left of a cell's own where the surface is smooth
-_SIMPLER_SHELL = 0.01  # of a shell's, whose cells follow a surface without noise
-_STRAY = 0.2  # of a cell: how far the simpler surface may lie from the cells' own
+_SIMPLER = 0.1  # share of the triangles kept where the surface is smooth
+_SIMPLER_SHELL = 0.01  # the same for shells, whose cells follow a surface without noise
+_STRAY = 0.2  # largest distance of the simplified surface from the original one [cells]
 _CELLS_ACROSS = 40
 _SMALLEST_CELL = 0.003
 _LARGEST_CELL = 0.02
@@ -18,12 +18,12 @@ _LARGEST_CELL = 0.02
 def wrap_cells(
     occupied: Bool[np.ndarray, "X Y Z"], lower: Float[np.ndarray, "3"], size: float, simpler: float = _SIMPLER
 ) -> Mesh:
-    """Make a closed surface, wound outwards, half-way between the middles of occupied and empty cells.
+    """Return a closed surface, wound outwards, half-way between the centres of occupied and empty cells.
 
     Args:
-        simpler: share of the triangles to come down to where the surface is smooth.
+        simpler: share of the triangles to keep where the surface is smooth.
     """
-    # open3d takes 0.7 s to import; flying edges is marching cubes without doubled corners.
+    # open3d takes 0.7 s to import; its flying edges are marching cubes without duplicate vertices.
     import open3d as o3d
 
     volume = np.ascontiguousarray(np.pad(occupied, 1).transpose(2, 1, 0), dtype=np.float32)
@@ -34,7 +34,7 @@ def wrap_cells(
 
 
 def wrap_mesh(mesh: Mesh) -> Mesh:
-    """Make a closed surface around the triangles of an open mesh, as thick as one to two cells: 1/40 of its size."""
+    """Return a closed shell around the triangles of an open mesh, one to two cells (1/40 of its size) thick."""
     span = float(np.ptp(mesh.vertices, axis=0).max())
     size = float(np.clip(span / _CELLS_ACROSS, min(_SMALLEST_CELL, span / 8), max(_LARGEST_CELL, span / 256)))
     points = sample_surface(mesh, 0.5 * size)
@@ -46,7 +46,7 @@ def wrap_mesh(mesh: Mesh) -> Mesh:
 
 
 def sample_surface(mesh: Mesh, spacing: float) -> Float[np.ndarray, "N 3"]:
-    """Sample points on the triangles, nowhere farther from each other than ``spacing`` [m]."""
+    """Return points on the triangles, at most ``spacing`` [m] apart."""
     corners = mesh.vertices[mesh.triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     steps = np.maximum(1, np.ceil(longest / spacing).astype(int))
@@ -60,16 +60,16 @@ def sample_surface(mesh: Mesh, spacing: float) -> Float[np.ndarray, "N 3"]:
 
 
 def simplify_mesh(mesh: Mesh, n_triangles: int, stray: float) -> Mesh:
-    """Reduce a closed mesh to about ``n_triangles``; unchanged if the simpler mesh would not be closed.
+    """Return a closed mesh with about ``n_triangles``; the mesh itself if the simplified one is not closed.
 
     Args:
         mesh: closed, wound outwards.
-        n_triangles: to come down to where ``stray`` allows it.
-        stray: how far the simpler surface may lie from the mesh, roughly [m].
+        n_triangles: target number, reached where ``stray`` allows it.
+        stray: approximate largest distance of the simplified surface from the mesh [m].
     """
     if len(mesh.triangles) <= max(n_triangles, 12):
         return mesh
-    # open3d takes 0.7 s to import; small meshes do without.
+    # open3d takes 0.7 s to import; small meshes do not need it.
     import open3d as o3d
 
     full = o3d.geometry.TriangleMesh(
