@@ -87,7 +87,7 @@ class Door:
         return pose
 
     def _leaf_in_wall(self) -> Float[np.ndarray, "4 4"]:
-        """Return the leaf's pose in the wall's frame: x along it, y out of its visible face, origin on its hinge edge."""
+        """Return the leaf's pose in the wall's frame: x along it, y out of the visible face, origin on its hinge."""
         opening = self.ajar if self.side == "pull" else -self.ajar
         c, s = np.cos(opening), np.sin(opening)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
