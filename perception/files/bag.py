@@ -33,7 +33,7 @@ def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan
     """Read one message of a topic, or all of them merged, in the frame they were recorded in.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the bag cannot be used; the message names ``name`` and the fault.
     """
     try:
         return _read(path, name, topic, message)

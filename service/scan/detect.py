@@ -72,7 +72,7 @@ def detect_file(
 
     Raises:
         RequestError: a file, name or value cannot be used.
-        OutOfTimeError: the time limit was reached before the search for the first kind ended.
+        OutOfTimeError: the time limit was reached before the search for the first kind began.
     """
     started = time.perf_counter()
     kinds = check_kinds((kind,), "KIND")

@@ -118,7 +118,7 @@ class PlacedMesh:
 
 
 def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
-    """Parse one ``--mesh``: a file, its pose (``at``), or a position to search around (``near``).
+    """Parse one ``--mesh``: a file, and its pose (``at``) or the position or pose to search around (``near``).
 
     Raises:
         RequestError: the file does not exist, or the text after its name is not a pose.
