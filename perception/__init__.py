@@ -1,16 +1,16 @@
-"""Clouds to a scene: floor, convex pieces, detected objects; and a simulator of the sensor.
+"""Perception of a scene from point clouds: floor, convex pieces, detected objects; and a sensor simulator.
 
 Names that signatures share; all lengths in metres, in the world (z up) unless a docstring names another frame:
-    points, starts: places that rays met, and where these rays started (one place for all, or one for each).
-    rays: starts and ends of all rays of a scan, those of floor and robot and those that met nothing included.
-    index: the same rays, indexed to find those that pass a place.
-    view: the scan after cropping, self-filter, floor and outliers.
+    points, starts: end points of rays with a return, and origins of these rays (one for all, or one per point).
+    rays: starts and ends of all rays of a scan, including rays on floor and robot and rays without a return.
+    index: the same rays, indexed to find the rays that pass near a position.
+    view: the scan after cropping, self-filter, floor and outlier removal.
     hint: a point near the object, as an operator would click it.
     axis, direction, normal: unit vectors.
     floor: the floor's plane; nothing lies below it.  ``ground``: its height at the object.
-    free: space that rays went through.
+    free: space that rays passed through.
     robot_hulls, soles: vertices of the robot's links, and corners of its planted soles.
-    rng, seed: of the random hypotheses.  ``most_rays``: of more rays, every k-th is used.
+    rng, seed: source of the random hypotheses.  ``most_rays``: if there are more rays, every k-th is used.
     name: name of the file or object in error messages.
 """
 

@@ -1,4 +1,4 @@
-"""The point cloud: finite points, the rays that found them, and what was noticed while it was read."""
+"""The point cloud: finite points, their rays, and notes from reading it."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Cloud:
 
     Attributes:
         points: (N, 3) finite coordinates [m], N >= 1.
-        origin: (3,) where all rays started, or (N, 3) where each did, in the frame of the points [m].
-        notes: sentences about the cloud a user should read.
-        misses: (M, 3) places up to which rays met nothing: evidence of free space, no points [m].
-        miss_origin: (3,) or (M, 3), where those rays started; None: ``origin``, which must then be (3,).
+        origin: (3,) common start of all rays, or (N, 3) start of each, in the frame of the points [m].
+        notes: sentences about the cloud for the user.
+        misses: (M, 3) ends of rays without a return: space up to there is free, but there is no surface [m].
+        miss_origin: (3,) or (M, 3) starts of the rays without a return; None: ``origin``, which must then be (3,).
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -52,12 +52,12 @@ class Cloud:
 
     @property
     def starts(self) -> Float[np.ndarray, "N 3"]:
-        """Start of the ray of each point [m]."""
+        """Start of each point's ray [m]."""
         return np.broadcast_to(self.origin, self.points.shape)
 
     @property
     def rays(self) -> tuple[Float[np.ndarray, "R 3"], Float[np.ndarray, "R 3"]]:
-        """Starts and ends of all rays, those without a return included [m]."""
+        """Starts and ends of all rays, including rays without a return [m]."""
         if not len(self.misses):
             return self.starts, self.points
         behind = self.origin if self.miss_origin is None else self.miss_origin
@@ -65,7 +65,7 @@ class Cloud:
         return starts, np.concatenate([self.points, self.misses])
 
     def select(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Cloud:
-        """Keep only these points; the rays without a return stay."""
+        """Return the cloud with only these points and with all rays without a return."""
         origin = self.origin if self.origin.ndim == 1 else self.origin[keep]
         return replace(self, points=self.points[keep], origin=origin)
 
@@ -85,14 +85,14 @@ def make_cloud(
     misses: Float[np.ndarray, "M 3"] | None = None,
     miss_origin: Float[np.ndarray, "*M 3"] | None = None,
 ) -> Cloud:
-    """Drop and count invalid points and tell what looks odd about the rest.
+    """Make a cloud without invalid points; its notes count them and name suspicious values in the rest.
 
     Args:
-        points: (N, 3) as read [m]; NaN and infinite rows are no points.
-        origin: (3,) where the rays started, or (N, 3) where each did [m].
-        notes: what the reader has to say already.
-        misses: (M, 3) places up to which rays met nothing [m].
-        miss_origin: (3,) or (M, 3) where these started; None: ``origin``, which must then be (3,).
+        points: (N, 3) as read [m]; rows with NaN or infinity are invalid.
+        origin: (3,) common start of the rays, or (N, 3) start of each [m].
+        notes: notes from the file's reader.
+        misses: (M, 3) ends of rays without a return [m].
+        miss_origin: (3,) or (M, 3) starts of these rays; None: ``origin``, which must then be (3,).
 
     Raises:
         CloudError: no points, too many, or more than 95 % of them invalid.
@@ -125,7 +125,7 @@ def make_cloud(
 
 
 def merge_clouds(clouds: Sequence[Cloud]) -> Cloud:
-    """Merge all points and rays of clouds in one frame; each point keeps where its own ray started."""
+    """Merge all points and rays of clouds in one frame; each point keeps the start of its own ray."""
     if len(clouds) == 1:
         return clouds[0]
     behind = [
@@ -143,7 +143,7 @@ def merge_clouds(clouds: Sequence[Cloud]) -> Cloud:
 
 
 def _finite(ends: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return which rays have finite ends; where each has a start of its own, that too."""
+    """Return the mask of rays with a finite end and, if starts are given per ray, a finite start."""
     valid = np.isfinite(ends).all(axis=1)
     if starts.ndim == 2:
         valid &= np.isfinite(starts).all(axis=1)

@@ -1,4 +1,4 @@
-"""The errors this package raises for input it refuses."""
+"""Errors that this package raises for input it refuses."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ class PerceptionError(ValueError):
 
 
 class CloudError(PerceptionError):
-    """A cloud or cloud file that cannot be used; the one-line message names it, the fault and what is expected."""
+    """Unusable cloud or cloud file; the one-line message names the file, the fault and what is expected."""
 
 
 class MeshError(PerceptionError):
-    """A mesh or mesh file that cannot be used; the one-line message names it, the fault and what is expected."""
+    """Unusable mesh or mesh file; the one-line message names the file, the fault and what is expected."""

@@ -1,19 +1,19 @@
-"""Limits of the cloud files that are read."""
+"""Size limits of cloud files, and limits of the process that parses them."""
 
 from __future__ import annotations
 
-# Of a cloud, the rays that met nothing included; a larger file is thinned to that while it is read.
+# Points of a cloud, including rays without a return; a larger file is thinned to this number while it is read.
 MAX_POINTS = 2_000_000
-# Of a file.
+# Size of a file.
 MAX_FILE_POINTS = 20_000_000
 MAX_FILE_BYTES = 512 * 2**20
-# Of what must be in memory as a whole: small files, text after thinning, and what is packed in one block.
+# Data held in memory at once: a small file, text after thinning, or one compressed block.
 MAX_WHOLE_BYTES = 64 * 2**20
 MAX_INVALID_FRACTION = 0.95
-# No coordinate is larger [m, or whatever unit a file is in].
+# Largest valid coordinate [m, or the file's unit].
 LARGEST_COORDINATE = 1e9
 
-# Of the process that parses a file.
+# Limits of the process that parses a file.
 MAX_PARSER_BYTES = 2**30
 MAX_PARSER_CPU_S = 30
 MAX_PARSER_WALL_S = 300.0

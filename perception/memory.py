@@ -1,4 +1,4 @@
-"""Results of ``perceive`` by content of the cloud: the same bytes and settings are perceived once."""
+"""Cache of ``perceive`` results, keyed by the content of the cloud and the settings."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from perception.cloud import Cloud
 from perception.perceive import Perceived, perceive
 
 _MOST_BYTES = 512 * 2**20
-# Part of every key: raise it when the same input comes out otherwise.
+# Part of every key: increase it when a code change gives another result for the same input.
 _METHOD = 1
 
 
 class Memory:
-    """Results of ``perceive``, the least recently used forgotten first.
+    """Cache of ``perceive`` results that drops the least recently used first.
 
     Attributes:
-        most_bytes: of clouds and points kept; what would not fit alone is not kept.
+        most_bytes: largest total size of the cached arrays; a result larger than this is not cached.
     """
 
     def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
@@ -35,11 +35,11 @@ class Memory:
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of what is kept."""
+        """Size of the cached results in bytes."""
         return sum(size for _, size in self._kept.values())
 
     def perceive(self, cloud: Cloud, **settings: Any) -> Perceived:
-        """Return ``perceive(cloud, **settings)``, or its result for the same input before."""
+        """Return ``perceive(cloud, **settings)``, from the cache if the same input was perceived before."""
         key = content_key(cloud, {name: value for name, value in settings.items() if name != "should_stop"})
         if key in self._kept:
             self._kept.move_to_end(key)
@@ -56,7 +56,7 @@ class Memory:
 
 
 def content_key(cloud: Cloud, settings: Mapping[str, Any]) -> str:
-    """Return SHA-256 of the cloud's numbers, the settings and the version of what is done with them."""
+    """Return the SHA-256 of the cloud, the settings, and the version of the perception code."""
     digest = hashlib.sha256()
     for part in (_release(), _METHOD, cloud.points, cloud.origin, cloud.misses, cloud.miss_origin, cloud.notes):
         _feed(digest.update, part)
@@ -83,7 +83,7 @@ def _feed(update: Callable[[bytes], None], value: object) -> None:
 
 
 def _bytes_of(seen: Perceived) -> int:
-    """Count the bytes of all arrays in it, each array once."""
+    """Return the size of all arrays in a result [bytes], each array counted once."""
     arrays: dict[int, int] = {}
 
     def count(value: object) -> None:

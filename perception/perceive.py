@@ -1,4 +1,4 @@
-"""The whole chain: a cloud to floor, convex pieces and detected objects."""
+"""The whole perception chain: from a cloud to floor, convex pieces and detected objects."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from perception.solids.pieces import make_coacd_pieces
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]
-_LEAST_SHOWN = 0.25  # of a mesh's span, that of a scan which is to show it
+_LEAST_SHOWN = 0.25  # smallest span of a scan, as a share of the span of a mesh to be found in it
 _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
-FRINGE = 5.0 / 3.0  # of the tolerance of three standard deviations
+FRINGE = 5.0 / 3.0  # distance of the outermost noise, as a multiple of the tolerance (3 standard deviations)
 _LONE = 0.03
 _DEFAULT_REACH = Reach()
 
@@ -42,13 +42,13 @@ class Perceived:
     Attributes:
         scene: pieces ``floor`` and ``floor/i``, ``plane/i``, ``wall/i``, ``clutter/i`` and, with a valve, ``stem``; the
             wheel itself is not in it.  ``unknown/i`` on request.
-        pieces: those of the scene that were made of points, with their points and the evidence for them.
-        view: what they were made from; ``pieces[i].points`` are indices into ``view.obstacles``.
+        pieces: the scene's pieces that were made from points, with their points and evidence.
+        view: the scan they were made from; ``pieces[i].points`` are indices into ``view.obstacles``.
         floor: the floor's plane; None when none was seen.
         detections: objects of the requested kinds, kind by kind, best first.
-        matches: by name where each known mesh was found, and how surely.
+        matches: pose and confidence of each known mesh, by name.
         timings: seconds by step.
-        notes: sentences a user should read.
+        notes: sentences for the user.
     """
 
     scene: Scene
@@ -62,7 +62,7 @@ class Perceived:
 
     @property
     def shown(self) -> Float[np.ndarray, "M 3"]:
-        """Points of ``view.near`` decimated for a viewer, at most 60,000 [m]."""
+        """(M, 3) points of ``view.near``, decimated to at most 60,000 for a viewer [m]."""
         points = self.view.near.points
         if not len(points):
             return points
@@ -87,23 +87,23 @@ def perceive(
     """Find floor, convex pieces and, on request, objects of a cloud in world coordinates (z up).
 
     Args:
-        cloud: the scan; its origin must be where the rays started, since they tell what is free.
-        robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
-        soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
-        kinds: of objects to look for; the points of the best object of each kind, if it has a model, are kept out of
-            the pieces.  ``wheel`` are the valves that a plan can turn.
-        unknown: ``occupied`` adds pieces ``unknown/i`` for what lies in reach and no ray has seen, the robot's own
-            place left out.
-        seed: of all random choices; the same input and seed give the same result.
+        cloud: the scan; its origin must be the true start of the rays, since free space is computed from them.
+        robot_hulls: (V, 3) vertices of the robot's links in the world; points on them are dropped.
+        soles: (S, 3) corners of the planted soles; points up to 3 cm above the floor under them count as floor.
+        kinds: kinds of objects to detect; points of the best object of each kind, if it has a model, do not become
+            pieces.  ``wheel`` are the valves that a plan can turn.
+        unknown: ``occupied`` adds pieces ``unknown/i`` for space in reach that no ray has seen, except the robot's
+            own volume.
+        seed: seed of all random choices; the same input and seed give the same result.
         method: ``planes`` (slabs, then hulls of the rest) or ``coacd`` (cells, then CoACD; slower and coarser).
-        known: objects to look for, of unique names; points that one found with confidence explains are kept out of the
-            pieces, and the object itself is not in the scene.
-        should_stop: polled at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
+        known: meshes to find, with unique names; points explained by a mesh that was found with confidence do not
+            become pieces, and the mesh itself is not in the scene.
+        should_stop: polled at least every 100 ms, in addition to the caller's ``costs.stopping``.
 
     Raises:
         MeshError: CoACD crashed or needs too much.
         Stopped: ``should_stop`` was true.
-        CloudError: nothing of the cloud lies in reach.
+        CloudError: no point of the cloud lies in reach.
     """
     with stops_when(should_stop):
         return _perceive(cloud, reach, robot_hulls, soles, hint, kinds, unknown, seed, method, known)
@@ -121,7 +121,7 @@ def _perceive(
     method: Literal["planes", "coacd"],
     known: Sequence[KnownMesh],
 ) -> Perceived:
-    """Do the work of ``perceive``."""
+    """Run ``perceive`` without its stop check."""
     clock = Clock()
     view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
     clock.lap("view")
@@ -144,9 +144,9 @@ def _perceive(
 def take_out(
     detections: Sequence[Detection], points: Float[np.ndarray, "N 3"]
 ) -> tuple[Int[np.ndarray, "K"], tuple[ConvexPiece, ...]]:
-    """Return indices of the points that are no object's own, and pieces for parts of objects that stay in the scene.
+    """Return indices of the points that belong to no object, and pieces for object parts that stay in the scene.
 
-    Only objects with a model have points of their own, and of each kind only the best, if it is one to act on.
+    Points belong to an object only if it has a model, is the best of its kind, and was found with confidence.
     """
     best: dict[str, Detection] = {}
     for hit in detections:
@@ -161,10 +161,10 @@ def take_out(
 
 
 def find_meshes(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[str, MeshMatch]:
-    """Find each known mesh; by name.
+    """Return the match of each known mesh with the scan, by name.
 
     Raises:
-        MeshError: the whole scan is much smaller than one of them.
+        MeshError: the whole scan is much smaller than one of the meshes.
     """
     matches: dict[str, MeshMatch] = {}
     for mesh in known:
@@ -178,7 +178,7 @@ def find_meshes(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[st
 def _check_span(known: KnownMesh, view: View) -> None:
     """
     Raises:
-        MeshError: the whole scan is much smaller than a mesh that it is to show.
+        MeshError: the whole scan is much smaller than the mesh to be found in it.
     """
     vertices = np.concatenate([mesh.vertices for mesh in (*known.solid.closed, *known.solid.open)])
     mesh_m, scan_m = (float(np.ptp(points, axis=0).max()) for points in (vertices, view.cloud.points))
@@ -189,7 +189,7 @@ def _check_span(known: KnownMesh, view: View) -> None:
 
 
 def _make_pieces(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"]) -> Pieces:
-    """Make pieces of the kept obstacle points; ``pieces[i].points`` are indices into all of them."""
+    """Make pieces of the kept obstacle points; ``pieces[i].points`` are indices into ``view.obstacles``."""
     points, starts = view.obstacles[kept], view.starts[kept]
     if method == "coacd":
         made = make_coacd_pieces(points, starts, view.cloud.rays)
@@ -201,9 +201,9 @@ def _make_pieces(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes
 def drop_explained(
     points: Float[np.ndarray, "N 3"], kept: Int[np.ndarray, "K"], matches: Mapping[str, MeshMatch]
 ) -> Int[np.ndarray, "L"]:
-    """Drop those of the kept indices whose points are explained by a mesh that was found with confidence.
+    """Return the kept indices without points explained by a mesh that was found with confidence.
 
-    Its noise is explained too: points a little beyond its tolerance that nothing but the mesh is near to.
+    Points slightly beyond its tolerance count as its noise if no other kept point is near.
     """
     for match in matches.values():
         if match.confidence < CONFIDENT:

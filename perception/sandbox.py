@@ -1,6 +1,6 @@
-"""Process sandbox: run a function of ours in a fresh process with bounded memory and time, which may crash alone.
+"""Process sandbox: run a function in a fresh process with bounded memory and time; its crash does not affect ours.
 
-This file is also the script that the process runs.  Until the limits are set it imports the standard library alone.
+This file is also the script that the process runs.  Until the limits are set it imports only the standard library.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Values = Mapping[str, Any]
 
 _POLL_S = 0.02
 _STDERR_BYTES = 2**16
-# Words on standard error of a process that could not get the memory it needed.
+# Text on standard error of a process that ran out of memory.
 _OUT_OF_MEMORY = (
     b"MemoryError", b"bad_alloc", b"failed to map segment", b"Cannot allocate memory", b"emory allocation",
 )  # fmt: skip
@@ -38,9 +38,9 @@ class ProcessLimits:
     """Limits of a process.
 
     Attributes:
-        max_bytes: of address space, libraries included, and of each file it writes.
-        max_wall_s: from start to end [s].
-        max_cpu_s: of processor time [s]; None: no limit.
+        max_bytes: address space, including libraries; also the size of each file it writes.
+        max_wall_s: wall time [s].
+        max_cpu_s: processor time [s]; None: no limit.
     """
 
     max_bytes: int
@@ -62,8 +62,8 @@ class SandboxError(Exception):
 
     Attributes:
         cause: why it ended.
-        limit: the limit it reached, and whose it is where it is not ours; of a crash the limit of memory.
-        ending: name of the signal, or exit code.
+        limit: the limit it reached, and who set it if not this module; for a crash, the memory limit.
+        ending: signal name or exit code.
     """
 
     def __init__(self, cause: Cause, limit: str, ending: str) -> None:
@@ -76,14 +76,14 @@ def run_in_sandbox(
 ) -> dict[str, Any]:
     """Call ``function(**values)`` in a fresh process and return the mapping it returns.
 
-    A new interpreter, no fork, since this process may have threads.  It imports the function's module, without the
-    ``__init__`` of ``perception``, which takes longer than most calls.  A hard limit that this process was started with
-    holds where it is lower than ours.
+    Starts a new interpreter instead of a fork, since this process may have threads.  It imports the function's module
+    without ``perception/__init__``, whose import takes longer than most calls.  A lower hard limit inherited by this
+    process takes precedence over ours.
 
     Args:
-        function: of a module of this package, by its name there.
-        values: arguments; as the results, JSON or arrays of numbers, which arrive as float64 or int64.
-        n_threads: that OpenMP may use; None: all cores.
+        function: module-level function of this package.
+        values: arguments: JSON or arrays of numbers, which arrive as float64 or int64; the same holds for the results.
+        n_threads: OpenMP threads; None: all cores.
 
     Raises:
         SandboxError: the process crashed or reached a limit.
@@ -121,7 +121,7 @@ def run_in_sandbox(
 
 
 def _with_inherited(kind: int, ours: int | None, text: Callable[[int], str]) -> tuple[int | None, str]:
-    """Return the lower of our limit and the inherited hard one, and a text that says which it is."""
+    """Return the lower of our limit and the inherited hard limit, and a text that names it."""
     _, hard = resource.getrlimit(kind)
     if hard == resource.RLIM_INFINITY or (ours is not None and ours <= hard):
         return ours, "" if ours is None else text(ours)
@@ -131,10 +131,10 @@ def _with_inherited(kind: int, ours: int | None, text: Callable[[int], str]) -> 
 
 
 def _run(task: IO[bytes], result: IO[bytes], complaints: IO[bytes], max_wall_s: float, n_threads: int | None) -> int:
-    """Return the exit code; minus SIGALRM where the time is over."""
+    """Run the process and return its exit code; minus SIGALRM if the time ran out."""
     from costs.stopping import poll
 
-    # Threads of linear algebra cost address space and have nothing to do.
+    # Threads of linear algebra libraries take address space and are not used.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     if n_threads is not None:
         environment["OMP_NUM_THREADS"] = str(n_threads)
@@ -164,7 +164,7 @@ def _run(task: IO[bytes], result: IO[bytes], complaints: IO[bytes], max_wall_s: 
 
 
 def _write(file: IO[bytes], head: dict[str, Any], values: Values) -> None:
-    """Write one line of JSON, then the arrays that it announces."""
+    """Write one line of JSON, then the arrays that it lists."""
     arrays = {key: value for key, value in values.items() if hasattr(value, "dtype")}
     head["values"] = {key: value for key, value in values.items() if key not in arrays}
     kinds = {key: "<i8" if array.dtype.kind in "biu" else "<f8" for key, array in arrays.items()}
@@ -175,10 +175,10 @@ def _write(file: IO[bytes], head: dict[str, Any], values: Values) -> None:
 
 
 def _read(file: IO[bytes], head: dict[str, Any]) -> dict[str, Any]:
-    """Read what ``_write`` wrote after its line.
+    """Read the arrays that ``_write`` wrote after its JSON line.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: something else wrote it.
+        ValueError, KeyError, TypeError, AttributeError: the file was not written by ``_write``.
     """
     import numpy as np
 
@@ -194,7 +194,7 @@ def _read(file: IO[bytes], head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _main() -> None:
-    """Run the task on standard input; the result goes to standard output."""
+    """Read the task from standard input, run it, and write the result to standard output."""
     with open(sys.stdin.fileno(), "rb", closefd=False) as task:
         head = json.loads(task.readline())
         _limit(head["max_bytes"], head["max_cpu_s"], head["max_wall_s"])
@@ -204,12 +204,12 @@ def _main() -> None:
         sys.modules["perception"] = package
         values = _read(task, head)
     with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as result:
-        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no result
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # keeps text printed by libraries out of the result
         _write(result, {}, getattr(import_module(head["module"]), head["function"])(**values))
 
 
 def _limit(max_bytes: int, max_cpu_s: int | None, max_wall_s: float) -> None:
-    """Bound this process, also for the case that the one that started it is gone before it ends."""
+    """Set the limits of this process, and end it when its parent process ends."""
     for kind in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE):
         limit = 0 if kind == resource.RLIMIT_CORE else max_bytes
         _, hard = resource.getrlimit(kind)
@@ -217,7 +217,7 @@ def _limit(max_bytes: int, max_cpu_s: int | None, max_wall_s: float) -> None:
         resource.setrlimit(kind, (limit, limit))
     if max_cpu_s is not None:
         _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-        # At the hard limit itself the process would be killed without a word of the reason.
+        # At the hard limit itself the process would be killed without giving a reason.
         soft = max_cpu_s if hard == resource.RLIM_INFINITY else max(1, min(max_cpu_s, hard - 1))
         resource.setrlimit(resource.RLIMIT_CPU, (soft, hard))
     signal.setitimer(signal.ITIMER_REAL, max_wall_s)

@@ -1,4 +1,4 @@
-"""The rays of a scan that pass a place: where each started, which way it went and where it ended."""
+"""Rays of a scan (start, direction, length), and a search for rays that pass near given positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Sightlines:
     """Rays of a scan.
 
     Attributes:
-        length: (N,) where each ended, or up to where it met nothing [m].
+        length: (N,) distance to the return, or the free distance of a ray without a return [m].
     """
 
     start: Float[np.ndarray, "N 3"]
@@ -31,34 +31,34 @@ class Sightlines:
 
     @property
     def ends(self) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) where the rays ended [m]."""
+        """(N, 3) end points of the rays [m]."""
         return np.asarray(self.start + self.length[:, None] * self.direction)
 
     def select(self, keep: Bool[np.ndarray, "N"] | Int[np.ndarray, "K"]) -> Sightlines:
-        """Keep only these."""
+        """Return only these rays."""
         if keep.dtype == np.bool_:
             keep = np.flatnonzero(keep)
         return Sightlines(self.start.take(keep, 0), self.direction.take(keep, 0), self.length.take(keep))
 
     def thin(self, most: int) -> Sightlines:
-        """Keep every k-th, so that at most ``most`` are left."""
+        """Return every k-th ray, at most ``most`` in all."""
         return self if len(self) <= most else self.select(np.arange(0, len(self), -(-len(self) // most)))
 
 
 @dataclass(frozen=True)
 class SightIndex:
-    """All rays of a scan, to ask for those that pass a place.
+    """Index of all rays of a scan for the search of rays near given positions.
 
     Attributes:
-        groups: rays that share a start: the start, their numbers and directions; empty when there are too many
-            starts for that to pay.
+        groups: (start, ray indices, directions) of the rays with a common start; empty if there are too many starts
+            for grouping to be faster.
     """
 
     rays: Sightlines
     groups: tuple[tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]], ...]
 
     def passing(self, places: Float[np.ndarray, "K 3"], radius: float) -> Sightlines:
-        """Return rays that pass a place within about ``radius`` and do not end well before it."""
+        """Return rays that pass a position within about ``radius`` [m] and do not end well before it."""
         centre = places.mean(axis=0)
         size = radius + float(np.linalg.norm(places - centre, axis=1).max())
         if self.groups:
@@ -76,7 +76,7 @@ class SightIndex:
         centre: Float[np.ndarray, "3"],
         size: float,
     ) -> Int[np.ndarray, "M"]:
-        """Return the numbers of the rays of a group."""
+        """Return the indices of the rays of one group that pass a position, as ``passing`` does."""
         start, numbers, directions = group
         inside = _in_cones(directions, places - start, radius)
         numbers = numbers[inside]
@@ -87,9 +87,9 @@ class SightIndex:
 def _in_cones(
     directions: Float[np.ndarray, "N 3"], offset: Float[np.ndarray, "K 3"], radius: float
 ) -> Int[np.ndarray, "M"]:
-    """Return indices of directions that pass a place within ``radius``, pre-selected by one cone about all.
+    """Return indices of directions that pass an offset within ``radius``, pre-selected by one cone around all offsets.
 
-    Looking at every direction once is quicker than a tree, which answers with Python's lists.
+    Testing every direction is faster than a tree, which returns Python lists.
     """
     poll()
     distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)
@@ -102,7 +102,7 @@ def _in_cones(
     if len(offset) == 1:
         return inside
     near, least = directions.take(inside, 0), np.cos(half)
-    # In blocks that stay in the processor's cache.
+    # Blocks fit into the processor's cache.
     size = max(1, _BLOCK // len(offset))
     blocks = []
     for i in range(0, len(near), size):
@@ -112,7 +112,7 @@ def _in_cones(
 
 
 def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "N"]:
-    """Return the distance of each ray's line to the nearest of the places [m]."""
+    """Return the distance of each ray's line to the nearest position [m]."""
     best = np.full(len(rays), np.inf)
     for place in places:
         offset = place - rays.start
@@ -122,7 +122,7 @@ def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.nda
 
 
 def sight_index(cloud: Cloud) -> SightIndex:
-    """Prepare all rays of a cloud, those without a return included."""
+    """Index all rays of a cloud, including rays without a return."""
     starts, ends = cloud.rays
     offset = ends - starts
     length = np.linalg.norm(offset, axis=1)
@@ -131,7 +131,7 @@ def sight_index(cloud: Cloud) -> SightIndex:
 
 
 def index_of(rays: Sightlines) -> SightIndex:
-    """Prepare rays for the search of those that pass a place."""
+    """Index rays for the search of rays near given positions."""
     if not len(rays):
         return SightIndex(rays, ())
     if (rays.start == rays.start[0]).all():

@@ -31,15 +31,15 @@ _SAME = 0.01
 
 @dataclass(frozen=True)
 class Earlier:
-    """Parts of an earlier scan's result that an update needs; that scan's points are not among them.
+    """Result of the earlier scan as far as an update needs it; without that scan's points.
 
     Attributes:
-        scene: all that stood for the scan before, objects that were found aside.
-        pieces: those of its pieces that were made of points; indices of their points are not used.
-        reach, seed: of the scan before.
+        scene: all pieces of the earlier scan, without detected objects.
+        pieces: its pieces that were made from points; indices of their points are not used.
+        reach, seed: settings of the earlier scan.
         detections: objects, best first within each kind.
-        matches: by name where known meshes were found.
-        floors: levels of the floor; without any they are looked for anew, which takes longer.
+        matches: poses of the known meshes that were found, by name.
+        floors: levels of the floor; if empty they are searched again, which takes longer.
     """
 
     scene: Scene
@@ -52,7 +52,7 @@ class Earlier:
 
     @classmethod
     def of(cls, seen: Perceived) -> Earlier:
-        """Keep what an update needs of what a scan showed."""
+        """Take the parts that an update needs from a scan's result."""
         view = seen.view
         return cls(seen.scene, seen.pieces, view.reach, view.seed, seen.detections, seen.matches, view.floors)
 
@@ -67,19 +67,19 @@ def update(
 ) -> Perceived:
     """Perceive a new scan of the same scene, in the same reach.
 
-    Pieces that no ray of the new scan passes through stay in the scene as they are: the same objects, the same names.
-    What their surfaces do not explain is cleaned and becomes new pieces (slabs and hulls) with new names.  The floor
-    stays while its corners move by less than 1 cm.  Detected objects and known meshes stay where they were and are not
-    looked for again, except for meshes among ``known``.  Unknown space is made anew if there was any.
+    Pieces that no ray of the new scan passes through stay in the scene unchanged: the same objects, the same names.
+    Points that their surfaces do not explain are cleaned and become new pieces (slabs and hulls) with new names.  The
+    floor is kept if its corners move by at most 1 cm.  Detected objects and known meshes keep their poses and are not
+    searched again, except meshes in ``known``.  Unknown space is recomputed if the earlier scene had any.
 
     Args:
-        before: what the scan before showed.
+        before: result of the earlier scan.
         cloud: the new scan, in the same frame.
-        robot_hulls, soles: of the robot as it stands now, see ``perceive``.
-        known: objects to look for; one that was known before by the same name is forgotten.
+        robot_hulls, soles: hulls and soles of the robot at the new scan, see ``perceive``.
+        known: meshes to find; each replaces an earlier mesh of the same name.
 
     Raises:
-        CloudError: nothing of the cloud lies in reach.
+        CloudError: no point of the cloud lies in reach.
     """
     clock = Clock()
     earlier = before if isinstance(before, Earlier) else Earlier.of(before)
@@ -100,12 +100,12 @@ def update(
 
 @dataclass(frozen=True)
 class _Held:
-    """A new scan held against what was known.
+    """Comparison of a new scan with the earlier result.
 
     Attributes:
-        pieces: with indices of the view's obstacles.
-        timings: seconds by step of the making of pieces.
-        is_left_off: whether levels of the floor have to be looked for, and no pieces were made.
+        pieces: pieces whose points are indices into the view's obstacles.
+        timings: seconds by step of making pieces.
+        is_left_off: whether it stopped without pieces because floor levels must be searched first.
     """
 
     view: View
@@ -124,14 +124,14 @@ def _hold_against(
     levels: Sequence[FloorPlane],
     clock: Clock,
 ) -> _Held:
-    """Hold the new scan against the earlier one and these levels; stop where other levels may show."""
-    # What kept pieces explain needs no cleaning; a search for a mesh needs all points.
+    """Compare the new scan with the earlier pieces and floor levels; stop if the scan may show another level."""
+    # Points that kept pieces explain need no cleaning, but a mesh search needs all points cleaned.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
     is_floor = on_floors(view.near.points, view.floors, soles)
     ground = view.near.points[is_floor]
     is_level = partial(may_be_level, floors=view.floors if view.floors is levels else (), ground=ground)
-    # Most new levels show before pieces are made; others, as on an object that was there, while they are made.
+    # Most new levels are found before pieces are made; others, such as one on an earlier object, only meanwhile.
     if is_level(view.obstacles, known=[piece.hull for piece in earlier.pieces]):
         clock.lap("view")
         return _Held(view, [], (), {}, {}, is_left_off=True)
@@ -158,13 +158,13 @@ def _hold_against(
 
 
 def _judge(near: Cloud, is_obstacle: Bool[np.ndarray, "N"], kept: Int[np.ndarray, "K"]) -> Judge:
-    """Make a function that returns which of the obstacles that were kept surfaces stand for."""
+    """Make a function that maps indices into ``kept`` to a mask of the points that lie on a surface."""
     scan, index = LocalJudge.of(near.points, near.starts, is_obstacle), np.flatnonzero(is_obstacle)[kept]
     return lambda queries: scan.surface_among(index[queries])
 
 
 def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple[View, tuple[Piece, ...]]:
-    """Drop from the view what was found to be strays, and the pieces with indices into its obstacles."""
+    """Return the view without points found to be strays, and the pieces with indices into its obstacles."""
     is_obstacle = np.ones(len(view.obstacles), dtype=bool)
     is_obstacle[kept[~made.is_surface]] = False
     index = np.cumsum(is_obstacle) - 1
@@ -173,7 +173,7 @@ def _drop_strays(view: View, made: Updated, kept: Int[np.ndarray, "K"]) -> tuple
 
 
 def _keep_steady(before: Scene, pieces: Sequence[ConvexPiece]) -> list[ConvexPiece]:
-    """Return the pieces, each replaced by the earlier piece of its name where they agree within 1 cm."""
+    """Return the pieces, each replaced by the earlier piece of the same name if their vertices agree within 1 cm."""
     known = {piece.name: piece for piece in before.pieces}
     steady = []
     for piece in pieces:

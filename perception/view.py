@@ -1,4 +1,4 @@
-"""A scan made ready to be looked at: cropped, without the robot's own points, floor and outliers separated."""
+"""Preprocessing of a scan: cropping, removal of the robot's own points, separation of floor and outliers."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _BEYOND = 1.0
 
 @dataclass(frozen=True)
 class View:
-    """A scan made ready: what detectors and the making of pieces start from.
+    """Preprocessed scan, the input of the detectors and of making pieces.
 
     Attributes:
-        cloud: the whole scan without exact copies; all its rays are evidence of what is free.
-        near: the points in reach that are not the robot's own.
+        cloud: the whole scan without exact copies; all its rays are evidence of free space.
+        near: the points in reach, without points on the robot.
         floors: levels of the floor, the one under the robot first.
         obstacles: (M, 3) points of ``near`` that are neither floor, nor strays, nor mixed pixels [m].
-        starts: (M, 3) where their rays started [m].
-        seed: of all random choices; the same scan and seed give the same result.
-        notes: sentences a user should read.
-        n_own: how many points in reach lay on the robot itself.
-        n_floor: how many of ``near`` belong to the floor.
+        starts: (M, 3) starts of their rays [m].
+        seed: seed of all random choices; the same scan and seed give the same result.
+        notes: sentences for the user.
+        n_own: number of points in reach on the robot itself.
+        n_floor: number of points of ``near`` on the floor.
     """
 
     cloud: Cloud
@@ -55,12 +55,12 @@ class View:
 
     @property
     def n_strays(self) -> int:
-        """Number of points that no surface stands for."""
+        """Number of points dropped as strays or mixed pixels."""
         return len(self.near.points) - self.n_floor - len(self.obstacles)
 
     @property
     def floor(self) -> FloorPlane | None:
-        """The level under the robot; None when none was seen."""
+        """Floor level under the robot; None if none was seen."""
         return self.floors[0] if self.floors else None
 
 
@@ -76,11 +76,11 @@ def make_view(
 
     Args:
         cloud: the scan in world coordinates (z up).
-        robot_hulls: (V, 3) vertices of the robot's links placed in the world; points on them are dropped.
-        soles: (S, 3) corners of the planted soles; what lies up to 3 cm over the floor under them is floor.
+        robot_hulls: (V, 3) vertices of the robot's links in the world; points on them are dropped.
+        soles: (S, 3) corners of the planted soles; points up to 3 cm above the floor under them count as floor.
 
     Raises:
-        CloudError: nothing of the cloud lies in reach; with what its notes say.
+        CloudError: no point of the cloud lies in reach; the message includes the cloud's notes.
     """
     return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed)
 
@@ -91,8 +91,8 @@ class Cropped:
 
     Attributes:
         cloud: the whole scan without exact copies.
-        near: the points in reach that are not the robot's own.
-        n_own: how many points in reach lay on the robot itself.
+        near: the points in reach, without points on the robot.
+        n_own: number of points in reach on the robot itself.
     """
 
     cloud: Cloud
@@ -102,7 +102,7 @@ class Cropped:
 
 
 def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 3"]]) -> Cropped:
-    """Drop exact copies, what is out of reach and the robot's own points; see ``make_view``."""
+    """Drop exact copies, points out of reach and points on the robot; see ``make_view``."""
     _check_reach(cloud, reach)
     cloud = drop_copies(cloud)
     near = cloud.select(reach.contains(cloud.points))
@@ -128,9 +128,9 @@ def view_of(
     """Find the floor, drop strays and mixed pixels; see ``make_view``.
 
     Args:
-        cropped, reach, soles, seed: as there.
-        cleaned: whether strays and mixed pixels are dropped; the obstacles of a view are all that is not floor if not.
-        floors: levels of an earlier scan, to be taken as they are if this one shows them.
+        cropped, reach, soles, seed: as for ``make_view``.
+        cleaned: whether strays and mixed pixels are dropped; if not, all points off the floor are obstacles.
+        floors: levels of an earlier scan, used unchanged if this scan shows them.
     """
     cloud, near, notes = cropped.cloud, cropped.near, cropped.notes
     floors = tuple(floors)
@@ -153,14 +153,14 @@ def view_of(
 
 
 def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:
-    """Return where the robot stands: between its soles, else at zero height in the middle of the reach."""
+    """Return the robot's position [m]: the mean of its soles, or without soles the middle of the reach at z = 0."""
     if not len(soles):
         return np.array([reach.x, reach.y, 0.0])
     return np.asarray(np.mean([np.mean(sole, axis=0) for sole in soles], axis=0))
 
 
 def drop_copies(cloud: Cloud) -> Cloud:
-    """Drop exact copies of points and count them in the cloud's notes."""
+    """Drop exact copies of points; their number becomes a note."""
     is_first = first_of_equals(cloud.points, cloud.starts)
     n_copies = int(len(is_first) - is_first.sum())
     if not n_copies:
@@ -171,7 +171,7 @@ def drop_copies(cloud: Cloud) -> Cloud:
 
 
 def _crop_note(cloud: Cloud, near: Cloud, reach: Reach) -> tuple[str, ...]:
-    """Return how many points were left out, and where they lie."""
+    """Return a note with the number of points out of reach, and on which side they lie; empty if there are none."""
     n_cropped = len(cloud.points) - len(near.points)
     if not n_cropped:
         return ()

@@ -1,1 +1,1 @@
-"""Cloud files of many kinds, read into clouds."""
+"""Readers and writers of cloud files in many formats."""

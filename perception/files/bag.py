@@ -1,4 +1,4 @@
-"""PointCloud2 messages of ROS bags, by rosbags: ROS 2 (folder, MCAP, SQLite) and ROS 1."""
+"""PointCloud2 messages of ROS bags, read by rosbags: ROS 2 (folder, MCAP, SQLite) and ROS 1."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 Message = int | Literal["all"]
 
 _TYPE = "sensor_msgs/msg/PointCloud2"
-_PACKED = b"\x28\xb5\x2f\xfd"  # as a zstd frame begins; no message does
-# What the reader says of a file without its end, and what mends that.
+_PACKED = b"\x28\xb5\x2f\xfd"  # first bytes of a zstd frame; no message starts with them
+# Messages of the reader about a truncated file, and the command that repairs it.
 _CUT_OFF = {
     "File end magic is invalid": "mcap recover",
     "Bag is not indexed": "rosbag reindex",
@@ -33,13 +33,13 @@ def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan
     """Read one message of a topic, or all of them merged, in the frame they were recorded in.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the bag cannot be used; the message names ``name`` and the fault.
     """
     try:
         return _read(path, name, topic, message)
     except CloudError:
         raise
-    except Exception as error:  # of the reader's several kinds
+    except Exception as error:  # the reader raises several types
         remedy = next((tool for words, tool in _CUT_OFF.items() if words in str(error)), "")
         if not remedy:
             raise
@@ -92,10 +92,10 @@ def _select_messages(raw: Iterator[bytes], message: Message, n_messages: int, wh
 
 
 def _check_unpacked(data: bytes, where: str) -> bytes:
-    """Return the message, which the reader unpacks if the bag's metadata says that messages are packed.
+    """Return the message unchanged; the reader has unpacked it if the bag's metadata says that messages are packed.
 
     Raises:
-        CloudError: it is packed still.
+        CloudError: the message is still packed.
     """
     if data.startswith(_PACKED):
         raise CloudError(f"{where}: its messages are compressed, as only metadata.yaml can say; give the bag's folder")

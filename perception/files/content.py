@@ -1,4 +1,4 @@
-"""Content of a file: read at once if it is small, else mapped, so that a large file needs no memory of its own."""
+"""Content of a file: read at once if small, otherwise memory-mapped."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Content = bytes | mmap.mmap
 
 
 def open_content(path: Path) -> Content:
-    """Return the file's bytes; find, slices and the buffer protocol work on them either way."""
+    """Return the file's content as ``bytes`` or ``mmap``; both support find, slices and the buffer protocol."""
     if path.stat().st_size <= MAX_WHOLE_BYTES:
         return path.read_bytes()
     with path.open("rb") as file:
@@ -21,7 +21,7 @@ def open_content(path: Path) -> Content:
 
 
 def open_stream(content: Content) -> IO[bytes]:
-    """Return the content as a file that is open for reading."""
+    """Return the content as a readable binary stream."""
     return io.BytesIO(content) if isinstance(content, bytes) else io.BufferedReader(_Mapped(content))
 
 

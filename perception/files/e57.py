@@ -1,4 +1,4 @@
-"""E57 files (ASTM E2807), by pye57: all scans of a file, each placed by its pose."""
+"""E57 files (ASTM E2807), read by pye57: all scans of a file, each transformed by its pose."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _BLOCK = 500_000
 
 
 def read_e57(path: Path, name: str) -> Scan:
-    """Read the points of all scans in the file's frame, thinned to as many as are used.
+    """Read the points of all scans in the file's frame, thinned to at most ``MAX_POINTS``.
 
-    Where only a ray's direction is valid, it met nothing.  The file does not say how far such a ray would have seen; it
-    counts up to the median range of its scan's points.
+    A ray with only a valid direction has no return.  The file does not give its free distance, which is set to the
+    median range of the scan's points.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the file cannot be used; the message names ``name`` and the fault.
     """
     from pye57 import ScanHeader, libe57  # optional
 
@@ -65,7 +65,7 @@ def read_e57(path: Path, name: str) -> Scan:
 def _read_station(
     libe57: Any, file: Any, header: Any, step: int, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], Float[np.ndarray, "3"]]:
-    """Read points, misses and the sensor's position of one scan in the file's frame."""
+    """Read points, ends of rays without a return, and sensor position of one scan in the file's frame."""
     rotation, position = _read_pose(header, name)
     columns, state = _read_columns(libe57, file, header, step, name)
     local = columns if all(field in header.point_fields for field in _CARTESIAN) else _to_cartesian(columns)
@@ -80,7 +80,7 @@ def _read_station(
 def _read_columns(
     libe57: Any, file: Any, header: Any, step: int, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N"]]:
-    """Read coordinates as they stand, one of every ``step``, and which of them are valid."""
+    """Return the coordinates of every ``step``-th point as stored, and their validity codes."""
     system = next((s for s in (_CARTESIAN, _SPHERICAL) if all(field in header.point_fields for field in s)), None)
     if system is None:
         raise CloudError(f"{name}: a scan has neither cartesian nor spherical coordinates")
@@ -109,19 +109,19 @@ def _read_columns(
 
 
 def _is_placed(rotation: Float[np.ndarray, "3 3"], position: Float[np.ndarray, "3"]) -> bool:
-    """Return whether a pose is known; writers without one leave it out or write the identity."""
+    """Return whether a pose differs from the identity, which writers without a known pose store."""
     return bool(position.any()) or not np.array_equal(rotation, np.eye(3))
 
 
 def _to_cartesian(spherical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Convert range, azimuth and elevation to x y z."""
+    """Convert (range, azimuth, elevation) rows to x y z."""
     distance, azimuth, elevation = spherical.T
     flat = distance * np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
 
 
 def _read_pose(header: Any, name: str) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Read rotation and position of a scan in the file's frame; where it has none, its points stand in that frame."""
+    """Return rotation and position of a scan in the file's frame; the identity if it has no pose."""
     if not header.has_pose():
         return np.eye(3), np.zeros(3)
     pose = header.node["pose"]

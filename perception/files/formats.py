@@ -30,10 +30,10 @@ class Format:
     """One kind of cloud file.
 
     Attributes:
-        suffixes: in lower case; the first names the kind.
-        read: makes a scan of a path, and of a topic and message where it is a bag.
-        beginning: pattern of the first bytes; empty: they do not show the kind.
-        is_text: whether such a file holds no byte 00.
+        suffixes: suffixes in lower case; the first names the format.
+        read: reads a scan from a path; for a bag, from a topic and message of it.
+        beginning: pattern of the first bytes; empty if they do not identify the format.
+        is_text: whether such a file contains no zero byte.
         is_bag: whether it holds messages of topics.
     """
 
@@ -44,7 +44,7 @@ class Format:
     is_bag: bool = False
 
     def __str__(self) -> str:
-        """``a PLY file``, ``an E57 file``."""
+        """Return ``a PLY file`` or ``an E57 file``."""
         name = self.suffixes[0].removeprefix(".").upper()
         return f"{'an' if name[0] in 'EMN' else 'a'} {name} file"
 
@@ -57,7 +57,7 @@ def _of_bag(suffix: str, beginning: bytes) -> Format:
     return Format((suffix,), lambda path, *of_bag: read_bag(path, str(path), *of_bag), beginning, is_bag=True)
 
 
-# Ten lines of so many numbers each begin every scan of a PTX file.
+# Each scan of a PTX file begins with ten lines of these numbers of values.
 _PTX = rb"\s*\d+\s*\n\s*\d+\s*\n" + 4 * (rb"\s*" + rb"[^\s]+[ \t]+" * 2 + rb"[^\s]+\s*\n")
 FORMATS = (
     Format((".pcd",), _of_content(read_pcd), rb"# \.PCD|VERSION(?s:.*)\nFIELDS"),
@@ -99,17 +99,17 @@ _REMEDIES = {
 
 
 def find_format_by_suffix(suffix: str) -> Format | None:
-    """Return the format that has this suffix; None: none has."""
+    """Return the format with this suffix, or None."""
     return next((kind for kind in FORMATS if suffix in kind.suffixes), None)
 
 
 def find_format_by_head(head: bytes) -> Format | None:
-    """Return the format of a file with these first bytes; None: they do not show it."""
+    """Return the format of a file with these first bytes; None if they do not identify it."""
     return next((kind for kind in FORMATS if kind.beginning and re.match(kind.beginning, head)), None)
 
 
 def describe_other_kind(head: bytes) -> str:
-    """Name the kind of a file with these first bytes if it is a known kind without a cloud; else return ''."""
+    """Return the name of a known format without a cloud that has these first bytes; else ''."""
     if head.lstrip()[:16].lower().startswith(_PAGES):
         return "a web page"
     if head.startswith(b"PK\3\4") and any(entry in head for entry in _SHEETS):
@@ -118,14 +118,14 @@ def describe_other_kind(head: bytes) -> str:
 
 
 def describe_binary(head: bytes) -> str:
-    """Describe why a file with these first bytes is no text; empty if it may be text."""
+    """Return the reason why a file with these first bytes is not text; empty if it may be text."""
     if head.startswith(_UTF16) or b"\0" not in head:
         return ""
     return f"holds the byte 00 at {head.index(0)}, after {head[:4].hex(' ').upper()} at its beginning"
 
 
 def explain_suffix(suffix: str) -> str:
-    """Say what is wrong with a suffix that is not read, and what is expected."""
+    """Return an error text for an unsupported suffix, with the expected ones."""
     if suffix.lower() in _REMEDIES:
         return _REMEDIES[suffix.lower()]
     wrong = f"suffix '{suffix}' is unknown" if suffix else "has no suffix"

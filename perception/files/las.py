@@ -1,4 +1,4 @@
-"""LAS and LAZ files (ASPRS), by laspy and lazrs."""
+"""LAS and LAZ files (ASPRS), read by laspy and lazrs."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 _CHUNK = 200_000
 _NOISE_CLASSES = (7, 18)
-# Variable length records: where the header says how many there are, and how long each is at least.
+# Variable length records: position of their number in the header, and smallest size of one [bytes].
 _N_RECORDS_AT = 100
 _RECORD_BYTES = 54
-# Lengths in a coordinate system: a key of GeoTIFF, or words of OGC 01-009, where degrees stand beside them.
+# Length unit of a coordinate system: a GeoTIFF key, or OGC 01-009 text, which also holds angle units.
 _LINEAR_UNITS = 3076
 _UNIT_BY_CODE = {9001: "m", 9002: "ft", 9003: "ft"}
 _UNIT_BY_METRES = {1.0: "m", 0.3048: "ft"}
@@ -30,24 +30,24 @@ _DEGREE = 0.0174533
 
 
 def read_las(data: Content, name: str) -> Scan:
-    """Read points, thinned to as many as are used, with scale and offset applied in double.
+    """Read points, thinned to at most ``MAX_POINTS``, with scale and offset applied in double precision.
 
-    Those marked as withheld or as noise are left out.
+    Points marked as withheld or as noise are left out.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the file cannot be used; the message names ``name`` and the fault.
     """
-    import laspy  # takes 0.1 s that other kinds of file need not wait for
+    import laspy  # takes 0.1 s, which other formats do not need
 
     if data[:4] != b"LASF":
         raise CloudError(f"{name}: does not begin with 'LASF'")
     n_records = struct.unpack_from("<I", data, _N_RECORDS_AT)[0] if len(data) >= _N_RECORDS_AT + 4 else 0
-    if n_records * _RECORD_BYTES > len(data):  # laspy would make them all, of nothing
+    if n_records * _RECORD_BYTES > len(data):  # laspy would create all announced records, even if the file is too short
         raise CloudError(f"{name}: {n_records} records of {_RECORD_BYTES} bytes are announced in {len(data)} bytes")
     selection = laspy.DecompressionSelection
     source = laspy.open(
         open_stream(data),
-        laz_backend=laspy.LazBackend.Lazrs,  # on one thread, which needs no more memory than its chunk
+        laz_backend=laspy.LazBackend.Lazrs,  # single-threaded; needs memory for one chunk only
         read_evlrs=False,
         decompression_selection=selection.XY_RETURNS_CHANNEL | selection.Z | selection.CLASSIFICATION | selection.FLAGS,
     )
@@ -67,7 +67,7 @@ def read_las(data: Content, name: str) -> Scan:
 
 
 def _find_unit(header: Any) -> str:
-    """Return the unit of lengths if the coordinate system names a known one; survey feet differ by 2e-6."""
+    """Return the length unit of the coordinate system; empty if unknown.  Survey feet (2e-6 longer) count as feet."""
     units: set[str] = set()
     for record in header.vlrs:
         words = getattr(record, "string", None)
@@ -108,7 +108,7 @@ def _check_count(header: Any, n_bytes: int, name: str) -> int:
 
 
 def _select_valid(chunk: Any, rows: Int[np.ndarray, "K"] | slice) -> tuple[Float[np.ndarray, "C 3"], int]:
-    """Return the valid ones among these points of a chunk, and the number of invalid ones."""
+    """Return the (C, 3) valid points in these rows of a chunk, and the number of invalid points."""
     points = np.stack([np.asarray(axis, dtype=np.float64)[rows] for axis in (chunk.x, chunk.y, chunk.z)], axis=1)
     invalid: Bool[np.ndarray, "C"] = np.isin(np.asarray(chunk.classification)[rows], _NOISE_CLASSES)
     invalid |= np.asarray(chunk.withheld)[rows] != 0

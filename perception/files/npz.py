@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _POINTS = ("points", "xyz", "positions", "arr_0")
 _ORIGIN = ("viewpoint", "origin")
 _BLOCK = 2**24
-# Wider arrays are pictures: of depth, or with the axis of the coordinates in front.
+# Wider arrays are images: depth images, or coordinates along the first axis.
 _MOST_OF_GRID, _MOST_COLUMNS = 8, 64
 _OTHERS = ("no_return", "misses", "miss_origin")
 
@@ -45,16 +45,16 @@ _OTHERS = ("no_return", "misses", "miss_origin")
 def read_npz(data: Content, name: str) -> Scan:
     """Read the array ``points`` (or ``xyz``, ``positions``, ``arr_0``), or arrays ``x``, ``y`` and ``z`` of one shape.
 
-    Its shape is (N, 3 or more) or (H, W, 3 or more), or it has columns x, y and z by name, and perhaps others of
+    Its shape is (N, 3 or more) or (H, W, 3 or more), or it is structured with columns x, y, z and optional others of
     ``scan.make_scan``.
 
-    Beside it may stand ``viewpoint`` or ``origin``: x y z, x y z qw qx qy qz, or (N, 3) where each ray started;
-    ``no_return`` (N,): other than 0 where a row is a place up to which a ray met nothing; ``misses`` (M, 3): more such
-    places, and their ``miss_origin``.  Rows are thinned to as many as are used, all arrays of a length alike.  Pickled
-    objects are never loaded, and declared sizes are checked before anything is unpacked.
+    Optional arrays: ``viewpoint`` or ``origin`` (x y z, x y z qw qx qy qz, or (N, 3) start of each ray);
+    ``no_return`` (N,), nonzero where a row is the end of a ray without a return; ``misses`` (M, 3), further such ends,
+    and their ``miss_origin``.  Rows are thinned to at most ``MAX_POINTS``, the same rows of all arrays of one length.
+    Pickled objects are never loaded, and declared sizes are checked before anything is unpacked.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the file cannot be used; the message names ``name`` and the fault.
     """
     try:
         with zipfile.ZipFile(open_stream(data)) as archive:
@@ -83,10 +83,10 @@ def read_npz(data: Content, name: str) -> Scan:
 
 
 def read_npy(data: Content, name: str) -> Scan:
-    """Read one array, its rows thinned to as many as are used, shaped as ``points`` of an archive.
+    """Read one array of the same shape as ``points`` of an archive, thinned to at most ``MAX_POINTS`` rows.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the file cannot be used; the message names ``name`` and the fault.
     """
     try:
         n_rows, array = _load_array(open_stream(data), len(data), "", name)
@@ -100,7 +100,7 @@ def read_npy(data: Content, name: str) -> Scan:
 
 
 def _find_coordinates(members: Sequence[str]) -> tuple[str, ...]:
-    """Return the name of the array of points, or those of x, y and z; empty if there are none."""
+    """Return the name of the array of points, or the names of the x, y and z arrays; empty if there are none."""
     points = next((key for key in _POINTS if key in members), "")
     if points:
         return (points,)
@@ -109,7 +109,7 @@ def _find_coordinates(members: Sequence[str]) -> tuple[str, ...]:
 
 
 def write_npz(path: Path | str, cloud: Cloud) -> None:
-    """Write a cloud with all its rays: ``points``, ``origin``, ``misses`` and ``miss_origin``, as double."""
+    """Write a cloud with all its rays as float64: ``points``, ``origin``, ``misses`` and ``miss_origin``."""
     arrays = {"points": cloud.points, "origin": cloud.origin}
     if len(cloud.misses):
         arrays["misses"] = cloud.misses
@@ -167,14 +167,14 @@ def _load_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> 
 
 
 def _load_array(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int, Shaped[np.ndarray, "..."]]:
-    """Return the number of rows of an array and the rows taken; the declared size is checked before reading."""
+    """Return the number of rows of an array, and its rows after thinning; checks the declared size before reading."""
     version = np.lib.format.read_magic(file)
     reader = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
     if reader is None:
         raise ValueError(f"npy version {version}")
     try:
         shape, is_fortran, dtype = reader(file)
-    except Exception as error:  # the header is Python source: numpy's reader of it raises of every kind
+    except Exception as error:  # the header is Python source; numpy's parser of it can raise any error
         raise ValueError(f"header of '{key}': {error}") from None
     if dtype.hasobject:
         raise CloudError(f"{name}: {_name_array(key)} holds pickled objects; plain numbers are needed")
@@ -198,7 +198,7 @@ def _load_array(file: IO[bytes], n_bytes: int, key: str, name: str) -> tuple[int
 def _load_rows(
     file: IO[bytes], n_rows: int, dtype: np.dtype[Any], shape: tuple[int, ...], key: str
 ) -> Shaped[np.ndarray, "..."]:
-    """Read rows of this shape that follow in a file, thinned to as many as are used."""
+    """Read the next rows of a file, thinned to at most ``MAX_POINTS``."""
     stride = math.prod(shape) * dtype.itemsize
     step, block = choose_step(n_rows), max(1, _BLOCK // max(stride, 1))
     parts = [np.zeros((0, *shape), dtype)]
@@ -216,7 +216,7 @@ def _take_coordinates(array: Shaped[np.ndarray, "..."], key: str, name: str) -> 
     """Return the first three columns of an array (N, 3 or more) or (H, W, 3 or more).
 
     Raises:
-        CloudError: it has another shape, or holds no numbers.
+        CloudError: the array has another shape, or is not numeric.
     """
     if array.ndim == 2 and array.shape[0] == len(COORDINATES) < array.shape[1]:
         raise CloudError(
@@ -235,10 +235,10 @@ def _take_coordinates(array: Shaped[np.ndarray, "..."], key: str, name: str) -> 
 def _split_columns(
     array: Shaped[np.ndarray, "..."], key: str, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], dict[str, Shaped[np.ndarray, "..."]]]:
-    """Return coordinates, and by name the other columns of a structured array that are read: ``origin``, ``no_return``.
+    """Return the coordinates of a structured array, and its columns ``origin`` and ``no_return`` by name.
 
     Raises:
-        CloudError: coordinates are missing, or no numbers.
+        CloudError: coordinates are missing or not numeric.
     """
     if array.dtype.names is None:
         return _take_coordinates(array, key, name), {}
@@ -256,10 +256,10 @@ def _split_columns(
 
 
 def _stack_axes(columns: list[Shaped[np.ndarray, "..."]], key: str, name: str) -> Float[np.ndarray, "N 3"]:
-    """Stack arrays of x, y and z, of one shape, to rows.
+    """Stack arrays of x, y and z into (N, 3) rows.
 
     Raises:
-        CloudError: their shapes differ, or they hold no numbers.
+        CloudError: their shapes differ, or they are not numeric.
     """
     shapes = {column.shape for column in columns}
     if len(shapes) > 1 or any(column.dtype.kind not in "fiu" or column.ndim not in (1, 2) for column in columns):
@@ -269,5 +269,5 @@ def _stack_axes(columns: list[Shaped[np.ndarray, "..."]], key: str, name: str) -
 
 
 def _name_array(key: str) -> str:
-    """Name an array in a sentence; ``key`` is empty for the only array of a file."""
+    """Return the name of an array for messages; ``key`` is empty for the only array of a file."""
     return f"array '{key}'" if key else "array"

@@ -1,4 +1,4 @@
-"""Parsing of a file in this process, with one clear line for each thing that can be wrong with the file."""
+"""Parsing of a cloud file in this process, with a one-line message for every fault of the file."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from perception.files.formats import (
 from perception.files.scan import Scan, limit_scan, quote
 from perception.limits import MAX_FILE_BYTES
 
-# Where the optional library of a kind is missing: what to install.
+# What to install if a format's optional library is missing.
 _EXTRAS = {"pye57": "scopt[e57]", "rosbags": "scopt[rosbag]"}
 
 
 def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Scan:
-    """Read a file of any kind in this process.
+    """Read a cloud file of any supported format in this process.
 
     Args:
-        path: the file, or the folder of a ROS 2 bag; the kind follows from its suffix.
-        topic: of a bag with several clouds, the one to read.
-        message: of a bag, the number of the message to read, or ``all``.
+        path: the file, or the folder of a ROS 2 bag; its content, else its suffix gives the format.
+        topic: topic to read from a bag with several.
+        message: index of a bag's message to read, or ``all``.
 
     Raises:
         CloudError: naming the file, what is wrong and what is expected.
@@ -46,7 +46,7 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
     if not is_bag(path) and (topic is not None or message != 0):
         raise CloudError(f"{path}: is no bag, so it has no topic and message; leave them out")
     try:
-        with np.errstate(all="ignore"):  # damaged numbers overflow; what is too large to be a place is dropped later
+        with np.errstate(all="ignore"):  # damaged numbers overflow; too large coordinates are dropped later
             return _read(path, topic, message)
     except (CloudError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
@@ -55,13 +55,13 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
         if extra is None:
             raise
         raise CloudError(f"{path}: reading this kind of file needs a further library: pip install '{extra}'") from None
-    except BaseException as error:  # libraries raise of every kind on damaged files; a panic is not even an Exception
+    except BaseException as error:  # libraries raise any error on damaged files; a Rust panic is no Exception
         words = quote(str(error).partition("****")[0]) or type(error).__name__
         raise CloudError(f"{path}: is damaged, or no {suffix.removeprefix('.') or 'bag'} file ({words})") from None
 
 
 def parse_to_values(path: str, topic: str | None, message: Message) -> dict[str, Any]:
-    """Return the attributes of the file's ``Scan`` by name, or ``error``: what is wrong with the file."""
+    """Return the attributes of the file's ``Scan`` by name, or ``error`` with the file's fault."""
     try:
         return vars(parse_file(Path(path), topic, message))
     except CloudError as error:
@@ -69,7 +69,7 @@ def parse_to_values(path: str, topic: str | None, message: Message) -> dict[str,
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a bag's file or the folder of a ROS 2 bag."""
+    """Return whether a path is a bag file or the folder of a ROS 2 bag."""
     return path.suffix.lower() in BAG_SUFFIXES or (os.path.isdir(path) and (path / BAG_FOLDER_HAS).is_file())
 
 
@@ -85,10 +85,10 @@ def _read(path: Path, topic: str | None, message: Message) -> Scan:
 
 
 def _check_format(path: Path) -> tuple[Format, tuple[str, ...]]:
-    """Return the format of the file by its content, and a note if its name says another one.
+    """Return the format of the file by its content, and a note if its suffix belongs to another format.
 
     Raises:
-        CloudError: it is not there, too large, no regular file, of a kind that is not read, or a bag of another name.
+        CloudError: missing, too large, not a regular file, of an unsupported format, or a bag with another suffix.
     """
     named = find_format_by_suffix(path.suffix.lower())
     is_named_bag = named is not None and named.is_bag
@@ -114,7 +114,7 @@ def _check_format(path: Path) -> tuple[Format, tuple[str, ...]]:
 
 
 def _explain_folder(path: Path) -> str:
-    """Say what is wrong with a folder that is no bag, and what is expected."""
+    """Return an error text for a folder that is not a bag, with what is expected."""
     try:
         recorded = sorted(entry.name for entry in path.iterdir() if entry.suffix.lower() in BAG_SUFFIXES)
     except OSError as error:
@@ -125,14 +125,14 @@ def _explain_folder(path: Path) -> str:
 
 
 def _check_file(path: Path, max_bytes: int | None) -> None:
-    """Check that this is a readable regular file of a size that is read.
+    """Check that this is a readable regular file of at most ``max_bytes``.
 
     Raises:
         CloudError: it is not.
     """
     try:
         size = path.stat().st_size
-        if not path.is_file():  # a pipe or a device would never end
+        if not path.is_file():  # reading a pipe or a device might never end
             kind = "a folder" if path.is_dir() else "no regular file"
             raise CloudError(f"{path}: is {kind}; a cloud file is needed")
         if max_bytes is not None and size > max_bytes:

@@ -48,10 +48,10 @@ class PcdHeader:
 
     Attributes:
         fields: (name, numpy type, count) in file order.
-        n_points: points announced.
-        viewpoint: x y z qw qx qy qz of the sensor; None when the file does not say.
+        n_points: number of points given in the header.
+        viewpoint: sensor pose x y z qw qx qy qz; None if the file has none.
         encoding: ``ascii``, ``binary`` or ``binary_compressed``.
-        size: bytes up to the data.
+        size: size of the header [bytes].
     """
 
     fields: tuple[tuple[str, str, int], ...]
@@ -62,15 +62,15 @@ class PcdHeader:
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """One point in memory; field names are made unique, since padding fields repeat ``_``."""
+        """Data type of one point; field names are made unique, since padding fields repeat ``_``."""
         return np.dtype([(str(i), kind, (count,)) for i, (_, kind, count) in enumerate(self.fields)])
 
 
 def read_pcd(data: Content, name: str) -> Scan:
-    """Read rows, thinned to as many as are used, as ``scan.make_scan`` takes them, NaN included, and the VIEWPOINT.
+    """Read the columns of ``scan.make_scan``, NaN included, thinned to at most ``MAX_POINTS`` rows, and the VIEWPOINT.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the file cannot be used; the message names ``name`` and the fault.
     """
     data = use_line_feeds(data, b"DATA ascii")
     header = _parse_header(data, name)
@@ -93,10 +93,10 @@ def write_pcd(
     """Write x y z as float32.
 
     Args:
-        viewpoint: x y z qw qx qy qz of the sensor in the frame of the points.
+        viewpoint: sensor pose x y z qw qx qy qz in the frame of the points.
         encoding: one of ``ascii``, ``binary``, ``binary_compressed``.
-        misses: (M, 3) places up to which rays met nothing [m]; they follow the points, marked by a further field
-            ``no_return`` that is 1.
+        misses: (M, 3) ends of rays without a return [m]; written after the points, with 1 in an additional field
+            ``no_return``.
     """
     if encoding not in _ENCODINGS:
         raise ValueError(f"encoding '{encoding}' is unknown; one of {', '.join(_ENCODINGS)} is needed")
@@ -220,7 +220,7 @@ def _read_binary(data: Content, header: PcdHeader, fields: list[int], name: str)
 
 
 def _read_packed(data: Content, header: PcdHeader, fields: list[int], name: str) -> _Columns:
-    """``binary_compressed`` stores field after field, each for all points."""
+    """Read ``binary_compressed`` data, which stores field after field, each for all points."""
     n = header.n_points
     raw = _unpack(data, header.size, n * header.dtype.itemsize, name)
     starts = np.concatenate([[0], np.cumsum([np.dtype(kind).itemsize * count for _, kind, count in header.fields])]) * n

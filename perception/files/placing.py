@@ -1,4 +1,4 @@
-"""Scans placed in the world: unit, viewpoint and transform, and what rows show of how a file was made."""
+"""Transformation of scans to the world: unit, viewpoint and transform, and checks for typical file faults."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from perception.errors import CloudError
 from perception.files.scan import Scan
 from perception.limits import LARGEST_COORDINATE, MAX_INVALID_FRACTION
 
-# No ray is that long.
+# Longer than any ray [m].
 _MAP_DISTANCE = 1_000.0
-# Rounding that hides what a robot must not touch.
+# Smallest rounding step that is reported [m].
 _COARSE_M = 0.001
 _SAMPLE = 10_000
 METRES_BY_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
@@ -34,7 +34,7 @@ def place_scan(
     apply_viewpoint: bool,
     sensor: Sequence[float] | None,
 ) -> Cloud:
-    """Make one file's cloud in metres in the requested frame."""
+    """Return one file's cloud in metres in the requested frame."""
     scale = _parse_unit(unit)
     pose = np.eye(4) if transform is None else rigid_pose(transform)
     scan = _drop_empty_rows(scan, name)
@@ -51,7 +51,7 @@ def place_scan(
         notes = (*notes, *_hint_at_frame(scale * scan.points, viewpoint))
     pose_world_rows = pose @ viewpoint if apply_viewpoint else pose
     points = move_points(pose_world_rows, scan.points, scale)
-    # Writers that know no sensor leave the identity for a viewpoint.
+    # Writers that do not know the sensor pose write the identity as viewpoint.
     has_origin = scan.starts is not None or not np.array_equal(viewpoint, np.eye(4))
     if has_origin and sensor is not None:
         notes = (*notes, "the file says where its rays started; the sensor's position that is given is not used")
@@ -76,11 +76,11 @@ def place_scan(
 def _guess_sensor(
     points: Float[np.ndarray, "N 3"], zero: Float[np.ndarray, "3"], sensor: Sequence[float] | None
 ) -> tuple[Float[np.ndarray, "3"], tuple[str, ...]]:
-    """Choose where rays start when the file does not say so, with a note about it.
+    """Return the assumed start of the rays [m] for a file that does not give it, and a note about the assumption.
 
     Args:
-        zero: the file's zero in the world [m].
-        sensor: what the user says [m].
+        zero: origin of the file's frame in the world [m].
+        sensor: position given by the user [m].
     """
     if sensor is not None:
         position = np.asarray(sensor, dtype=np.float64)
@@ -102,7 +102,7 @@ def _guess_sensor(
 
 
 def _hint_at_frame(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray, "4 4"]) -> tuple[str, ...]:
-    """Return a hint if the points would lie flatter (a floor shows) if the viewpoint were applied to them."""
+    """Return a note if a floor (a flat layer of points) appears only after applying the viewpoint."""
     if np.allclose(viewpoint, np.eye(4), atol=1e-6):
         return ()
     sample = points[np.isfinite(points).all(axis=1)][:: max(1, len(points) // 20_000)]
@@ -114,19 +114,19 @@ def _hint_at_frame(points: Float[np.ndarray, "N 3"], viewpoint: Float[np.ndarray
 
 
 def _measure_flatness(heights: Float[np.ndarray, "N"]) -> float:
-    """Return the share of points in the fullest 4 cm layer of height."""
+    """Return the share of points in the fullest horizontal layer of 4 cm."""
     layers = np.floor((heights - heights.min()) / 0.04)
     _, counts = np.unique(layers, return_counts=True)
     return float(counts.max() / len(heights))
 
 
 def _drop_empty_rows(scan: Scan, name: str) -> Scan:
-    """Set rows that cannot be points to NaN, and drop those that are exactly 0 0 0, a driver's no-return.
+    """Set rows with too large coordinates to NaN, and drop rows of exactly 0 0 0, which drivers write for no return.
 
-    A single one may be a point by chance; a scan never meets the same place twice to the last digit.
+    A single such row is kept, since it may be a point; two exactly equal points do not occur in a scan.
 
     Raises:
-        CloudError: all are 0 0 0, or nearly all too large to be places.
+        CloudError: all rows are 0 0 0, or nearly all have too large coordinates.
     """
     points = _blank_far_rows(scan.points)
     n_beyond = int((np.isfinite(scan.points).all(axis=1) & ~np.isfinite(points).all(axis=1)).sum())
@@ -158,10 +158,10 @@ def _blank_far_rows(rows: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"
 
 
 def _note_rounding(points: Float[np.ndarray, "N 3"], metres: float) -> tuple[str, ...]:
-    """Note coordinates so far from zero that float32, in which they all are, rounds them coarsely.
+    """Return a note if the coordinates are float32 and so large that rounding exceeds 1 mm.
 
     Args:
-        points: as they stand in the file.
+        points: coordinates in the file's unit.
         metres: length of the file's unit [m].
     """
     sample = points[:: max(1, len(points) // _SAMPLE)]
@@ -178,7 +178,7 @@ def _note_rounding(points: Float[np.ndarray, "N 3"], metres: float) -> tuple[str
 
 
 def _parse_unit(unit: str) -> float:
-    """Return the length of a ``unit`` [m].
+    """Return the length of a unit [m].
 
     Raises:
         CloudError: the unit is unknown.
@@ -189,14 +189,14 @@ def _parse_unit(unit: str) -> float:
 
 
 def rigid_pose(transform: PoseInput) -> Float[np.ndarray, "4 4"]:
-    """Make a rigid transform of a matrix, angles or a quaternion.
+    """Return the (4, 4) rigid transform given by a matrix, angles or a quaternion.
 
     Args:
         transform: a 4x4 matrix (also as 16 numbers, row by row), or ``x y z yaw pitch roll`` [m, rad] (rotation about
             z, then the new y, then the new x), or ``x y z qw qx qy qz``.
 
     Raises:
-        CloudError: it is none of these, not finite or not rigid.
+        CloudError: the transform has another form, or is not finite or not rigid.
     """
     try:
         values = np.asarray(transform, dtype=np.float64)
@@ -225,7 +225,7 @@ def rigid_pose(transform: PoseInput) -> Float[np.ndarray, "4 4"]:
 
 
 def _make_viewpoint_pose(viewpoint: Sequence[float]) -> Float[np.ndarray, "4 4"]:
-    """Make a matrix of ``x y z qw qx qy qz``; the quaternion may have any length but zero.
+    """Return the (4, 4) pose of ``x y z qw qx qy qz``; the quaternion may have any length except zero.
 
     Raises:
         CloudError: the quaternion is zero.
@@ -238,7 +238,7 @@ def _make_viewpoint_pose(viewpoint: Sequence[float]) -> Float[np.ndarray, "4 4"]
 def move_points(
     pose: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*N 3"], scale: float = 1.0
 ) -> Float[np.ndarray, "*N 3"]:
-    """Move points (N, 3), or one point (3,), in units of ``scale`` metres, by a pose [m]."""
+    """Return points (N, 3), or one point (3,), scaled by ``scale`` and transformed by the pose [m]."""
     if scale != 1.0:
         points = scale * points
     if np.array_equal(pose, np.eye(4)):

@@ -39,9 +39,9 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class _Element:
-    """One element of the header: its name, how many there are, and its (name, numpy type) properties.
+    """One element of the header: its name, its number of rows, and its (name, numpy type) properties.
 
-    A list property has two types, of its length and of its entries: ``u1 i4``.
+    The type of a list property is the type of its length, then that of its entries: ``u1 i4``.
     """
 
     name: str
@@ -54,12 +54,12 @@ class _Element:
 
 
 def read_ply(data: Content, name: str) -> Scan:
-    """Read vertices, thinned to as many as are used, as ``scan.make_scan`` takes them.
+    """Read the vertex columns of ``scan.make_scan``, thinned to at most ``MAX_POINTS`` rows.
 
-    A ``comment viewpoint x y z qw qx qy qz`` gives the sensor.
+    A ``comment viewpoint x y z qw qx qy qz`` gives the sensor pose.
 
     Raises:
-        CloudError: naming ``name`` and what is wrong.
+        CloudError: the file cannot be used; the message names ``name`` and the fault.
     """
     data = use_line_feeds(data, b"format ascii")
     lines, start = _read_header(data, name)
@@ -84,7 +84,7 @@ def read_ply(data: Content, name: str) -> Scan:
 
 
 def _note_mesh(elements: list[_Element]) -> tuple[str, ...]:
-    """Note that a file holds a mesh, whose corners are no scan of its faces."""
+    """Return a note if the file holds a mesh, since its vertices do not sample its faces."""
     n_faces = sum(element.count for element in elements if element.name in ("face", "tristrips"))
     if not n_faces:
         return ()
@@ -94,7 +94,7 @@ def _note_mesh(elements: list[_Element]) -> tuple[str, ...]:
 def _read_header(data: Content, name: str) -> tuple[list[list[str]], int]:
     if data[:3] != b"ply":
         raise CloudError(f"{name}: does not begin with 'ply'")
-    # Lines end as the first one does: in a line feed, perhaps after a carriage return, or in the latter alone.
+    # All lines end as the first: LF, CR LF, or CR alone.
     mark = b"\r" if data[3:4] == b"\r" and data[4:5] != b"\n" else b"\n"
     end = data.find(mark + b"end_header", 0, _HEADER_LIMIT)
     newline = data.find(mark, end + 1)
@@ -104,7 +104,7 @@ def _read_header(data: Content, name: str) -> tuple[list[list[str]], int]:
 
 
 def _parse_byte_order(lines: list[list[str]], name: str) -> str | None:
-    """``<`` or ``>``; None for ascii."""
+    """Return ``<`` or ``>``; None for ascii."""
     formats = [words[1] for words in lines if words[0] == "format" and len(words) > 1]
     if not formats or formats[0] not in _FORMATS:
         raise CloudError(
@@ -151,10 +151,10 @@ def _split_at_vertex(elements: list[_Element], name: str) -> tuple[list[_Element
 
 
 def _read_table(data: Content, start: int, element: _Element, order: str, name: str) -> Shaped[np.ndarray, "N"]:
-    """Read the rows of an element of a binary file, whose lists are as long in all rows as in the first.
+    """Read the rows of an element of a binary file; each list must have the same length in all rows.
 
     Raises:
-        CloudError: the file is too short for them, or the lists differ in length.
+        CloudError: the file is too short, or the lists differ in length.
     """
     there = max(len(data) - start, 0)
     layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
@@ -193,7 +193,7 @@ def _read_table(data: Content, start: int, element: _Element, order: str, name: 
 
 
 def _suggest_remedy(element: _Element) -> str:
-    """Say what to do if the lists of an element differ in length."""
+    """Return the advice for an element whose lists differ in length."""
     if element.name != "vertex":
         return "put vertices first"
     return f"leave out {quote(', '.join(name for name, kind in element.properties if ' ' in kind))}"
@@ -231,7 +231,7 @@ def _read_ascii(
 
 
 def _find_offsets(data: Content, start: int, vertex: _Element) -> list[int]:
-    """Return the column of each property, and the number of columns; lists are as long as in the first row."""
+    """Return the column of each property, then the number of columns, from the list lengths in the first row."""
     end = data.find(b"\n", start)
     words = data[start : end if end >= 0 else len(data)][:_HEADER_LIMIT].split() if vertex.has_list else []
     offsets = [0]

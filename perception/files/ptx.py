@@ -1,4 +1,4 @@
-"""PTX files (Leica Cyclone, Faro Scene and others): scans as grids of cells in text, each placed by its pose."""
+"""PTX files (Leica Cyclone, Faro Scene and others): scans as text grids of cells, each transformed by its pose."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from perception.limits import LARGEST_COORDINATE, MAX_FILE_POINTS, MAX_WHOLE_BYT
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-# Numbers in each line before the cells: columns, rows, the scanner's position and axes, the cells' transformation.
+# Numbers per header line: columns, rows, the scanner's position and three axes, four rows of the transformation.
 HEADER_WIDTHS = (1, 1, 3, 3, 3, 3, 4, 4, 4, 4)
-_RIGID_TOLERANCE = 1e-3  # of numbers that are written with few digits
+_RIGID_TOLERANCE = 1e-3  # for numbers written with few digits
 _APART_M = 0.01
-# A grid is believed when nearly all of its rays that met something are where it has them.
+# A grid is used if this percentage of its returns agrees with its angles.
 _NEARLY_ALL = 95.0
 _LARGEST_MISFIT = np.radians(1.0)
 _FEWEST_POINTS = 10
@@ -34,12 +34,12 @@ class _Station:
     """One scan of the file.
 
     Attributes:
-        number: counted from 1.
+        number: number of the scan, from 1.
         shape: columns and rows of its grid.
-        rotation, position: pose of its cells in the file's frame; the scanner is at their zero.
-        header_position: position of the scanner as the header gives it, in the file's frame.
-        start, stop: bytes of its cells.
-        first_line: of them in the file.
+        rotation, position: pose of its cells in the file's frame; the scanner is at the cells' origin.
+        header_position: scanner position given in the header, in the file's frame.
+        start, stop: byte range of its cells.
+        first_line: line number of the first cell.
     """
 
     number: int
@@ -57,13 +57,13 @@ class _Station:
 
 
 def read_ptx(data: Content, name: str) -> Scan:
-    """Read the points of all scans in the file's frame, thinned to as many as are used.
+    """Read the points of all scans in the file's frame, thinned to at most ``MAX_POINTS``.
 
-    A cell of zeros is a ray that met nothing.  Where it went follows from the other cells of its column and its row;
-    the file does not say how far it would have seen, so it counts up to the median range of its scan.
+    A cell of zeros is a ray without a return.  Its direction follows from the other cells of its column and row; its
+    free distance, which the file does not give, is set to the median range of the scan.
 
     Raises:
-        CloudError: naming ``name``, the line and what is wrong.
+        CloudError: the file cannot be used; the message names ``name``, the line and the fault.
     """
     data = use_line_feeds(data, b"")
     stations = _read_stations(data, name)
@@ -143,7 +143,7 @@ def _parse_numbers(content: bytes, width: int, where: str, scan: int) -> list[fl
 def _check_pose(
     rows: list[list[float]], name: str, line: int
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Return rotation and position of the transformation, whose rows the file multiplies points with from the left."""
+    """Return rotation and position of the transformation; the file applies it to row vectors from the right."""
     matrix = np.array(rows).T
     rotation = matrix[:3, :3]
     is_rigid = np.abs(rotation @ rotation.T - np.eye(3)).max() < _RIGID_TOLERANCE and np.linalg.det(rotation) > 0.0
@@ -158,7 +158,7 @@ def _check_pose(
 def _read_cells(
     data: Content, station: _Station, step: int, name: str
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], int]:
-    """Read points and misses of a scan in the file's frame, and count the cells that say nothing."""
+    """Return points and ends of rays without a return in the file's frame, and the number of cells not used."""
     rows = read_rows(
         data,
         range(3),
@@ -186,7 +186,7 @@ def _read_cells(
 
 
 def _note_position(station: _Station) -> tuple[str, ...]:
-    """Note that the header places the scanner elsewhere than at the zero of its cells."""
+    """Return a note if the header's scanner position differs from the origin of the cells."""
     if np.abs(station.header_position - station.position).max() <= _APART_M:
         return ()
     stated, zero = (
@@ -202,16 +202,16 @@ def _note_position(station: _Station) -> tuple[str, ...]:
 def _find_missed_directions(
     points: Float[np.ndarray, "N 3"], cells: Int[np.ndarray, "N"], missed: Int[np.ndarray, "K"], shape: tuple[int, int]
 ) -> Float[np.ndarray, "M 3"]:
-    """Find the directions of cells without a return, where they follow from the grid.
+    """Return the directions of cells without a return, as far as the grid determines them.
 
-    A column has one azimuth and a row one elevation; both are taken from the cells of that column or row that met
-    something, or follow from those of the columns and rows beside it.  Files differ in whether cells are listed column
-    by column or row by row: the order that explains the points is taken; without such an order there are no directions.
+    A column has one azimuth and a row one elevation; both are averaged over its cells with a return, or interpolated
+    from neighbouring columns and rows.  Files list cells column by column or row by row: the order that fits the points
+    is used; if neither fits, no direction is returned.
 
     Args:
-        points: (N, 3) in the scanner's own frame, none at zero.
-        cells: (N,) their places in the list of cells.
-        missed: (K,) places of the cells that met nothing.
+        points: (N, 3) points in the scanner's frame, none at the origin.
+        cells: (N,) their indices in the list of cells.
+        missed: (K,) indices of the cells without a return.
         shape: columns and rows of the grid.
 
     Returns:
@@ -236,11 +236,11 @@ def _find_missed_directions(
 
 
 class _AngleGrid:
-    """The azimuth of each column and the elevation of each row that explain rays best [rad].
+    """Azimuth of each column and elevation of each row, averaged over the rays [rad].
 
     Attributes:
-        misfit: angle within which nearly all rays are where the grid has them [rad].
-        spacing: angle between neighbours, the wider of both ways [rad].
+        misfit: 95th percentile of the angle between rays and grid [rad].
+        spacing: angle between neighbouring columns or rows, the larger of both [rad].
     """
 
     def __init__(
@@ -261,16 +261,16 @@ class _AngleGrid:
         self.spacing = max(_measure_spacing(self._azimuth), _measure_spacing(self._elevation))
 
     def compute_directions(self, columns: Int[np.ndarray, "K"], rows: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K 3"]:
-        """Unit vectors; NaN where the columns and rows that met something do not tell."""
+        """Return (K, 3) unit vectors of cells; NaN if the angle of the column or row is unknown."""
         azimuth, elevation = self._azimuth[columns], self._elevation[rows]
         flat = np.where(np.abs(elevation) <= 0.5 * np.pi, np.cos(elevation), np.nan)
         return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
 
 
 def _interpolate_lines(known: Float[np.ndarray, "K"], is_known: Bool[np.ndarray, "L"]) -> Float[np.ndarray, "L"]:
-    """Return a value for each line: its own, or one between those of the known lines about it.
+    """Return the angle of each line (column or row): known, or interpolated between known lines.
 
-    Before and after them it goes on in even steps where the known lines have such, else it is NaN.
+    Outside the known lines it is extrapolated if these are evenly spaced, else it is NaN.
     """
     lines, places = np.arange(len(is_known)), np.flatnonzero(is_known)
     values = np.interp(lines, places, known, left=np.nan, right=np.nan)

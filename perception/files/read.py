@@ -1,4 +1,4 @@
-"""Reading of cloud files: each is parsed in a sandbox, placed in the world and merged with the others."""
+"""Reading of cloud files: each is parsed in a sandbox, transformed to the world and merged with the others."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ def read_cloud(
     topic: str | None = None,
     message: Message = 0,
 ) -> Cloud:
-    """Read a cloud file; the kind follows from its suffix.
+    """Read a cloud file; its content, else its suffix gives the format.
 
-    The file's numbers become metres first; then its viewpoint moves the points, if ``apply_viewpoint``; then
-    ``transform`` does.  The viewpoint's translation, moved likewise, is where the rays started.
+    The points are converted to metres, then transformed by the viewpoint (with ``apply_viewpoint``), then by
+    ``transform``.  The rays start at the viewpoint's translation, transformed in the same way.
 
     Args:
-        unit: of the file's lengths: m, cm, mm, km, in, ft.
+        unit: length unit of the file: m, cm, mm, km, in, ft.
         transform: pose_world_cloud, as ``rigid_pose`` takes it [m, rad]; None: the points are in the world.
-        apply_viewpoint: move the points by the viewpoint pose, for files whose points are in the sensor's frame.
-        sensor: where the rays of a file that does not say so started, in the world [m]; None: at the file's zero.  A
-            viewpoint that is the identity does not say so, since it is what writers put that know none.
-        topic: of a bag with several clouds, the one to read.
-        message: of a bag, the number of the message to read, the first being 0 and the last -1, or ``all``, merged.
+        apply_viewpoint: transform the points by the viewpoint, for files whose points are in the sensor's frame.
+        sensor: start of the rays in the world [m] for a file that does not give it; None: the file's origin.  An
+            identity viewpoint does not count, since writers without a sensor pose write it.
+        topic: topic to read from a bag with several.
+        message: index of a bag's message to read (0 the first, -1 the last), or ``all`` to merge them.
 
     Raises:
-        CloudError: naming the file, what is wrong and what is expected.
+        CloudError: the file cannot be used; the message names the file, the fault and what is expected.
     """
     return read_clouds(
         [(path, transform)], unit=unit, apply_viewpoint=apply_viewpoint, sensor=sensor, topic=topic, message=message
@@ -61,15 +61,15 @@ def read_clouds(
     topic: str | None = None,
     message: Message = 0,
 ) -> Cloud:
-    """Read several files and merge them, thinned to as many points as are used; every one knows where its ray started.
+    """Read several files and merge them, thinned to at most ``MAX_POINTS``; each point keeps the start of its ray.
 
     Args:
-        files: each file with its pose_world_cloud (None: its points are in the world already).
-        unit, apply_viewpoint, sensor: of all files, as for ``read_cloud``.
-        topic, message: of all bags among them.
+        files: each file with its pose_world_cloud (None: its points are already in the world).
+        unit, apply_viewpoint, sensor: as for ``read_cloud``, for all files.
+        topic, message: as for ``read_cloud``, for all bags.
 
     Raises:
-        CloudError: no file, or as ``read_cloud`` of one of them.
+        CloudError: no file given, or a file cannot be used.
     """
     if not files:
         raise CloudError("no cloud file is given; at least one is needed")
@@ -93,7 +93,7 @@ def read_clouds(
 
 
 def _thin(cloud: Cloud, step: int) -> Cloud:
-    """Return one of every ``step`` points and rays."""
+    """Return one of every ``step`` points and rays without a return."""
     if step == 1:
         return cloud
     points, misses = (np.arange(n)[pick_rows(n, step)] for n in (len(cloud.points), len(cloud.misses)))
@@ -106,10 +106,10 @@ def _thin(cloud: Cloud, step: int) -> Cloud:
 def parse_in_sandbox(
     path: Path, topic: str | None = None, message: Message = 0, limits: ProcessLimits = PARSER_LIMITS
 ) -> Scan:
-    """Parse a file as ``parse_file`` does, in a process sandbox; a crash of the reader is a ``CloudError`` here.
+    """Parse a file as ``parse_file`` does, in a process sandbox.
 
     Raises:
-        CloudError: naming the file, what is wrong and what is expected.
+        CloudError: the reader crashed, or the file cannot be used; the message names the file and the fault.
         Stopped: the caller was asked to stop; the process is killed.
     """
     try:

@@ -1,4 +1,4 @@
-"""Rows as read from a cloud file, with its viewpoint and notes, thinned to as many as are used."""
+"""Rows as read from a cloud file, with its viewpoint and notes, thinned to at most ``MAX_POINTS``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from perception.errors import CloudError
 from perception.limits import LARGEST_COORDINATE, MAX_POINTS
 
-if TYPE_CHECKING:  # the process that parses files is quicker to start without it
+if TYPE_CHECKING:  # the parser process starts faster without it
     from jaxtyping import Float, Int, Shaped
 
 COORDINATES = ("x", "y", "z")
@@ -20,22 +20,22 @@ STARTS = ("vp_x", "vp_y", "vp_z")
 NO_RETURN = "no_return"
 _UNREADABLE = re.compile("\ufffd+")
 _KNOWN = (*COORDINATES, *STARTS, NO_RETURN)
-# The golden section: its multiples fill the unit interval evenly, however many there are.
+# Golden ratio: the fractional parts of its multiples are evenly distributed in [0, 1).
 _SECTION = 0.6180339887498949
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Rows as they stand in a file, in its unit and frame, from its reader.
+    """Content of a cloud file as its reader returns it, in the file's unit and frame.
 
     Attributes:
-        points: (N, 3) coordinates in the file's unit; a row with NaN is no point.
-        viewpoint: x y z qw qx qy qz of the sensor; None when the file does not say.
-        misses: (M, 3) places up to which rays met nothing.
-        starts: (3,) where all rays started, or (N, 3) where that of each point did; None: at the viewpoint.
-        miss_starts: (M, 3) where each of the others started; None: as the points' (3,), or at the viewpoint.
-        notes: sentences a user should read.
-        unit: of its lengths, where the file says so; empty where it does not.
+        points: (N, 3) coordinates in the file's unit; a row with NaN is invalid.
+        viewpoint: sensor pose x y z qw qx qy qz; None if the file has none.
+        misses: (M, 3) ends of rays without a return.
+        starts: (3,) common start of all rays, or (N, 3) start of each point's ray; None: at the viewpoint.
+        miss_starts: (M, 3) starts of the rays without a return; None: the (3,) ``starts``, or the viewpoint.
+        notes: sentences for the user.
+        unit: length unit given in the file; empty if none.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -48,25 +48,25 @@ class Scan:
 
 
 def index_columns(names: Sequence[str]) -> dict[str, int]:
-    """Return the index of each column we read among ``names``, case aside; the first of each name counts."""
+    """Return the index of each known column in ``names``, ignoring case; of repeated names the first counts."""
     lowered = [name.lower() for name in names]
     return {name: lowered.index(name) for name in _KNOWN if name in lowered}
 
 
 def find_missing_axis(columns: Mapping[str, int]) -> str:
-    """Return the first of x, y, z that is missing; empty if none is."""
+    """Return the first of x, y, z that is missing; empty if none is missing."""
     return next((axis for axis in COORDINATES if axis not in columns), "")
 
 
 def make_scan(
     columns: Mapping[str, Shaped[np.ndarray, "N"]], viewpoint: tuple[float, ...] | None, notes: tuple[str, ...] = ()
 ) -> Scan:
-    """Make a scan of columns.
+    """Make a scan from columns.
 
     Args:
-        columns: x, y, z; ``vp_x``, ``vp_y``, ``vp_z``: where each ray started; ``no_return``: other than 0 where the
-            row is no point but a place up to which the ray met nothing.
-        viewpoint: x y z qw qx qy qz.
+        columns: x, y, z; ``vp_x``, ``vp_y``, ``vp_z``: start of each ray; ``no_return``: nonzero if the row is the end
+            of a ray without a return instead of a point.
+        viewpoint: sensor pose x y z qw qx qy qz.
     """
     rows = _stack_columns(columns, COORDINATES)
     starts = _stack_columns(columns, STARTS) if all(name in columns for name in STARTS) else None
@@ -84,10 +84,10 @@ def make_scan(
 
 
 def parse_viewpoint(words: Sequence[str], name: str) -> tuple[float, ...]:
-    """Parse ``x y z`` or ``x y z qw qx qy qz`` to seven numbers.
+    """Parse ``x y z`` or ``x y z qw qx qy qz``; return seven numbers.
 
     Raises:
-        CloudError: they are not such numbers.
+        CloudError: the words are not three or seven finite numbers.
     """
     try:
         numbers = tuple(float(word) for word in words)
@@ -103,7 +103,7 @@ def parse_viewpoint(words: Sequence[str], name: str) -> tuple[float, ...]:
 
 
 def parse_natural(word: str) -> int | None:
-    """Parse a whole number of at least 0 in decimal digits; None for other words and absurdly large numbers."""
+    """Return a non-negative integer written in decimal digits; None for other words and absurdly large numbers."""
     return int(word) if word.isdecimal() and word.isascii() and len(word) <= 15 else None
 
 
@@ -122,21 +122,21 @@ def _stack_columns(columns: Mapping[str, Shaped[np.ndarray, "N"]], names: Sequen
 
 
 def choose_step(n_rows: int) -> int:
-    """Return the step at which rows are taken, so that there are no more than are used."""
+    """Return the smallest thinning step that leaves at most ``MAX_POINTS`` rows."""
     return max(1, -(-n_rows // MAX_POINTS))
 
 
 def pick_row(groups: Int[np.ndarray, "K"], step: int) -> Int[np.ndarray, "K"]:
-    """Return the row that stands for each group of ``step`` rows.
+    """Return the index of the row kept from each group of ``step`` rows.
 
-    Its place in the group varies: rows of a spinning scanner are those of its rings in turn, and one in sixteen of them
-    would all be of one ring.
+    Its position in the group varies, since a spinning scanner writes its rings in turn, and every 16th row could
+    belong to the same ring.
     """
     return np.asarray(groups * step + (groups * _SECTION % 1.0 * step).astype(np.int64))
 
 
 def pick_rows(n_rows: int, step: int, first: int = 0) -> Int[np.ndarray, "K"] | slice:
-    """Return the rows taken of ``n_rows``, counted from the first of them, which is row ``first`` of the file."""
+    """Return the indices of the kept ones among ``n_rows`` rows, the first of which is row ``first`` of the file."""
     if step == 1:
         return slice(None)
     rows = pick_row(np.arange(first // step, -(-(first + n_rows) // step)), step) - first
@@ -144,14 +144,14 @@ def pick_rows(n_rows: int, step: int, first: int = 0) -> Int[np.ndarray, "K"] | 
 
 
 def note_thinning(n_rows: int, step: int) -> tuple[str, ...]:
-    """Note that a file was thinned."""
+    """Return a note that the file was thinned; empty if it was not."""
     if step == 1:
         return ()
     return (f"took 1 of every {step} of its {n_rows} points, since at most {MAX_POINTS} are used",)
 
 
 def limit_scan(scan: Scan) -> Scan:
-    """Thin the scan to no more points and misses together than are used."""
+    """Thin the scan to at most ``MAX_POINTS`` rays, with and without a return."""
     n_points, n_misses = len(scan.points), len(scan.misses)
     step = choose_step(n_points + n_misses)
     if step == 1:

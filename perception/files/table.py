@@ -17,7 +17,7 @@ from perception.files.text import COMMENTS, Rows, find_separator, fits, read_row
 
 _WHOLE = re.compile(r"[+-]?\d+")
 _WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
-# First line of a table from a spreadsheet.
+# First line of a CSV file that names its separator for a spreadsheet.
 _SEPARATOR_TOLD = re.compile(r"sep=.", re.IGNORECASE)
 _JUDGED = 2**14
 _FEWEST_JUDGED = 10
@@ -29,19 +29,19 @@ _UNITS = {
     "meter": "m", "metre": "m", "meters": "m", "metres": "m", "millimeter": "mm", "millimetre": "mm",
     "millimeters": "mm", "millimetres": "mm", "inch": "in", "inches": "in", "foot": "ft", "feet": "ft",
 }  # fmt: skip
-# Columns of one array of coordinates, as ParaView and its like number them.
+# Column names of a coordinate array in files of ParaView and similar programs.
 _NUMBERED = re.compile(r"^(points[^:]*|[^:]*xyz)([:_])0$")
 
 
 def read_text(data: Content, name: str) -> Scan:
-    """Read rows, thinned to as many as are used, of columns separated by blanks, tabs, commas or semicolons.
+    """Read rows of columns separated by blanks, tabs, commas or semicolons, thinned to at most ``MAX_POINTS``.
 
     A first line that is not numbers is a header and names the columns (x y z in any case, also with a unit, or
-    ``Points:0`` ..., and those of ``scan.make_scan``); without one the first three columns are taken.  A lone number
-    before the rows is how many there are at least.  A comment ``# viewpoint x y z [qw qx qy qz]`` gives the sensor.
+    ``Points:0`` ..., and those of ``scan.make_scan``); without a header the first three columns are x y z.  A single
+    number before the rows is their minimum count.  A comment ``# viewpoint x y z [qw qx qy qz]`` gives the sensor pose.
 
     Raises:
-        CloudError: naming ``name``, the line and what is wrong.
+        CloudError: the file cannot be used; the message names ``name``, the line and the fault.
     """
     data, at = (_clean_text(data), 0) if isinstance(data, bytes) else (data, _skip_mark(data, name))
     viewpoint: tuple[float, ...] | None = None
@@ -93,10 +93,10 @@ def read_text(data: Content, name: str) -> Scan:
 
 
 def _check_unit(header: Header, name: str) -> str:
-    """Return the unit of the coordinates if the header gives it for all three; else an empty text.
+    """Return the unit that the header gives for all three coordinates; else an empty text.
 
     Raises:
-        CloudError: it says different ones.
+        CloudError: the units differ.
     """
     if len(set(header.units) - {""}) > 1:
         raise CloudError(
@@ -106,17 +106,17 @@ def _check_unit(header: Header, name: str) -> str:
 
 
 def _choose_width(header: Header, cells: Sequence[str], name: str, number: int) -> int | None:
-    """Return the number of columns by the header; None if names with blanks in them hide it.
+    """Return the number of columns named in the header; None if column names with blanks make it ambiguous.
 
     Raises:
         CloudError: the names cannot be assigned to columns.
     """
     if fits(cells, header.width):
         return header.width
-    if not any(cells[header.width :]) and len(cells) > header.width:  # a sheet's empty columns
+    if not any(cells[header.width :]) and len(cells) > header.width:  # empty columns of a spreadsheet
         return None
     is_first = sorted(header.columns.values()) == list(range(len(header.columns)))
-    if len(cells) < header.width and is_first:  # only names after those that are read can be of several words
+    if len(cells) < header.width and is_first:  # only columns after the ones read may have blanks in their names
         return None
     raise CloudError(
         f"{name}: line {number} has {len(cells)} columns, the header names {header.width}; give one name for each, "
@@ -125,7 +125,7 @@ def _choose_width(header: Header, cells: Sequence[str], name: str, number: int) 
 
 
 def _find_separation(line: str) -> tuple[str | None, bool]:
-    """Return the separator of the cells of a row, and whether commas in them are decimal points."""
+    """Return the separator of a row's cells, and whether commas in the cells are decimal points."""
     mark = find_separator(line)
     if mark == ",":
         for other in ("\t", None):
@@ -136,10 +136,10 @@ def _find_separation(line: str) -> tuple[str | None, bool]:
 
 
 def _check_commas(body: bytes, separator: str | None, header: Header | None, name: str, first_line: int) -> None:
-    """Refuse whole numbers between commas where each two may be one number with a decimal comma.
+    """Refuse integers between commas if each pair may be one number with a decimal comma.
 
     Raises:
-        CloudError: the first rows all have twice as many columns as are needed, and nothing but whole numbers.
+        CloudError: the first rows all have exactly twice the expected columns, and only integers.
     """
     if separator != ",":
         return
@@ -154,10 +154,10 @@ def _check_commas(body: bytes, separator: str | None, header: Header | None, nam
 
 
 def _note_doubts(rows: Rows, cells: Sequence[str], name: str) -> tuple[str, ...]:
-    """Note a table without a header whose first three columns look like others than x, y, z.
+    """Return a note if the first three columns of a table without a header look like colours instead of x, y, z.
 
     Raises:
-        CloudError: the first of four or more columns counts the rows.
+        CloudError: the first of four or more columns is a row index.
     """
     if len(rows.values) < _FEWEST_JUDGED or (rows.values != np.round(rows.values)).any(axis=0)[0]:
         return ()
@@ -178,7 +178,7 @@ def _are_whole(cells: Sequence[str]) -> bool:
 
 
 def _clean_text(data: bytes) -> bytes:
-    """Return the text without byte order mark, lines ending in a line feed."""
+    """Return the text as UTF-8 without byte order mark, with line feeds as line ends."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", errors="replace").encode()
     data = data.removeprefix(codecs.BOM_UTF8)
@@ -186,7 +186,7 @@ def _clean_text(data: bytes) -> bytes:
 
 
 def _skip_mark(data: Content, name: str) -> int:
-    """Return the start of the lines of a large file, which is not converted to another encoding."""
+    """Return the offset of the first line of a large file, after any byte order mark; its encoding is not converted."""
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         raise CloudError(f"{name}: is UTF-16 text of {len(data)} bytes; save so large a file as UTF-8")
     return len(codecs.BOM_UTF8) if data[:3] == codecs.BOM_UTF8 else 0
@@ -197,9 +197,9 @@ class Header:
     """Columns that the first line of a table names.
 
     Attributes:
-        columns: where those stand that are read, by name.
-        width: how many it names.
-        units: of x, y and z; empty where it does not say.
+        columns: index of each column that is read, by name.
+        width: number of columns named.
+        units: units of x, y and z; empty if not given.
     """
 
     columns: dict[str, int]
@@ -208,7 +208,7 @@ class Header:
 
 
 def _parse_header(line: str) -> Header | None:
-    """Return the columns that a line names; None if x, y and z are not among them."""
+    """Return the columns named in a line; None if x, y or z is missing."""
     cells = split_cells(_BEFORE_BRACKET.sub("", line), find_separator(line))
     while len(cells) > 1 and not cells[-1]:
         cells = cells[:-1]
@@ -222,7 +222,7 @@ def _parse_header(line: str) -> Header | None:
 
 
 def _names_columns(line: str) -> bool:
-    """Return whether a line looks like names of at least three columns, whatever they are."""
+    """Return whether a line looks like a header with at least three columns."""
     cells = split_cells(line, find_separator(line))[:3]
     return len(cells) == 3 and all(cell[:1].isalpha() and not _is_number(cell) for cell in cells)
 

@@ -1,4 +1,4 @@
-"""Rows of numbers in text, read fast where they are plain and with care where they are not."""
+"""Rows of numbers in text: a fast parser for plain rows, and a tolerant one for all others."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ _LONGEST_LINE = 2**16
 _BLOCK = 2**24
 COMMENTS = ("#", "//", "%")
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
-# How programs write that there is no number: empty cells, words of tables, NaN and infinity of Windows' C library.
+# Text for a missing number: empty cells, words of tables, NaN and infinity of Windows' C library.
 _NOTHING = (
     "", "na", "n/a", "#n/a", "null", "none", "-", "nan(ind)", "-nan(ind)", "nan(snan)", "1.#qnan", "-1.#qnan",
     "1.#ind", "-1.#ind", "1.#inf", "-1.#inf",
 )  # fmt: skip
-_WORDS = {**dict.fromkeys(_NOTHING, float("nan")), "true": 1.0, "false": 0.0}  # the latter of columns that are flags
+_WORDS = {**dict.fromkeys(_NOTHING, float("nan")), "true": 1.0, "false": 0.0}  # true and false: flag columns
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of numbers, thinned to as many as are used.
+    """Rows of numbers, thinned to at most ``MAX_POINTS``.
 
     Attributes:
-        n_there: how many rows the text has, as far as it was read.
-        step: one of so many was taken.
+        n_there: number of rows read from the text, before thinning.
+        step: one of every ``step`` rows was kept.
     """
 
     values: Float[np.ndarray, "R C"]
@@ -51,28 +51,28 @@ class Rows:
 
 
 def find_separator(line: str) -> str | None:
-    """Return the separator of the cells of a line; None: blanks."""
+    """Return the separator of a line's cells; None for blanks."""
     return next((mark for mark in (";", ",", "\t") if mark in line), None)
 
 
 def split_cells(line: str, separator: str | None) -> list[str]:
-    """Return the cells of a line without quotes; what follows a separator at its end is an empty cell."""
+    """Return the cells of a line without quotes; a separator at the line's end adds an empty cell."""
     row = line.strip() if separator is None else trim(line)
     return [cell.strip().strip("\"'") for cell in row.split(separator)]
 
 
 def trim(line: str) -> str:
-    """Return a line without blanks around it, but with a tab at its end, which opens an empty cell."""
+    """Return a line without blanks around it; a tab at its end is kept, since it starts an empty cell."""
     return line.lstrip().rstrip(" \r\n")
 
 
 def fits(cells: Sequence[str], width: int) -> bool:
-    """Return whether a row has so many columns; a separator at its end may open one more, which is empty."""
+    """Return whether a row has ``width`` columns, or one more that is empty after a final separator."""
     return len(cells) == width or (len(cells) == width + 1 and cells[-1] == "")
 
 
 def use_line_feeds(content: Content, mark: bytes) -> Content:
-    """Replace lone carriage returns at line ends by line feeds; ``mark`` is in the head of the file if it is text."""
+    """Replace line ends of CR alone by LF; ``mark`` is a text near the file's start that identifies a text file."""
     if isinstance(content, bytes) and b"\n" not in content and mark in content[:_LONGEST_LINE]:
         return content.replace(b"\r", b"\n")
     return content
@@ -95,19 +95,19 @@ def read_rows(
     """Read the numbers in ``columns`` of each row; an empty cell is NaN.
 
     Args:
-        content: lines; empty ones and comments are skipped.
-        columns: which ones are wanted, counted from 0.
-        name: of the file, for errors.
-        start, stop: where the first row begins and the last one ends; None: with the content.
-        separator: of cells; None: blanks.
-        has_decimal_commas: whether a comma is a decimal point, as it always is beside semicolons.
-        width: how many columns there are; None: as many as in the first row.
-        n_rows: how many rows are read; None: all.
-        first_line: number of its line in the file.
-        step: one row of so many is taken; None: so that there are as many as are used.
+        content: text; empty lines and comments are skipped.
+        columns: indices of the columns to read, from 0.
+        name: name of the file in errors.
+        start, stop: byte range of the rows; None: end of the content.
+        separator: separator of cells; None for blanks.
+        has_decimal_commas: whether a comma is a decimal point, as it always is between semicolons.
+        width: number of columns; None: as in the first row.
+        n_rows: number of rows to read; None: all.
+        first_line: line number of the first row in the file.
+        step: keep one of every ``step`` rows; None: thin to at most ``MAX_POINTS``.
 
     Raises:
-        CloudError: naming the line that is short, long or no number, or when there are too many.
+        CloudError: a line is too short, too long or not numeric (the message gives its number), or too many rows.
     """
     stop = len(content) if stop is None else stop
     first = content.find(b"\n", start, stop)
@@ -136,7 +136,7 @@ def read_rows(
 
 
 def skip_lines(content: Content, start: int, n_lines: int) -> int:
-    """Return the end of ``n_lines`` lines from ``start``, the last perhaps without line feed; -1 if there are fewer."""
+    """Return the offset after ``n_lines`` lines from ``start``, the last possibly without LF; -1 if there are fewer."""
     at = start
     while n_lines:
         block = content[at : at + (_BLOCK if n_lines > 1 else _LONGEST_LINE)]
@@ -151,7 +151,7 @@ def skip_lines(content: Content, start: int, n_lines: int) -> int:
 
 
 def _read_blocks(content: Content, start: int, stop: int) -> Iterator[bytes]:
-    """Yield whole lines, some megabytes at a time."""
+    """Yield blocks of whole lines, a few megabytes each."""
     while start < stop:
         end = stop
         if end - start > _BLOCK:
@@ -161,7 +161,7 @@ def _read_blocks(content: Content, start: int, stop: int) -> Iterator[bytes]:
 
 
 def _pick_lines(content: Content, start: int, stop: int, step: int, n_rows: int | None) -> tuple[bytes, int]:
-    """Return one of every ``step`` lines that are rows, and the number of rows among the first ``n_rows``."""
+    """Return one of every ``step`` rows among the first ``n_rows``, and the number of these rows."""
     body, n_there = bytearray(), 0
     for block in _read_blocks(content, start, stop):
         lines = [line for line in block.split(b"\n") if line and not line.isspace()]
@@ -175,8 +175,8 @@ def _pick_lines(content: Content, start: int, stop: int, step: int, n_rows: int 
 
 
 def _parse_plain(body: bytes, separator: str | None, n_rows: int | None) -> Float[np.ndarray, "R C"] | None:
-    """Return all columns if every row has as many numbers as the first."""
-    n_lines = body.count(b"\n") + 1  # a larger max_rows would be set aside in advance
+    """Return all (R, C) numbers, or None if the rows differ in length or hold other text."""
+    n_lines = body.count(b"\n") + 1  # numpy allocates max_rows in advance
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller reports an empty table
@@ -216,7 +216,7 @@ def _parse_with_care(
             raise CloudError(f"{name}: line {number} has {len(cells)} columns; at least {max(columns) + 1} are needed")
         if n_first is None:
             n_first = len(cells)
-            is_open = cells[-1] == "" and n_first > max(columns) + 1  # the separator at its end may open a column
+            is_open = cells[-1] == "" and n_first > max(columns) + 1  # a final separator may start a column
         if not fits(cells, n_first) and not (is_open and fits(cells, n_first - 1)):
             needed = f"the first has {n_first - is_open}" if width is None else f"{width} are announced"
             is_count = len(cells) == 1 and parse_natural(cells[0]) is not None

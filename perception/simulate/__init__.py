@@ -1,4 +1,4 @@
-"""A sensor simulator: meshes, sensors that look at them, and scenes with their truth."""
+"""Sensor simulator: meshes, simulated sensors, and scenes with ground truth."""
 
 from perception.simulate.cast import Caster, cast
 from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, hull, join_meshes, lathe, pipe, torus

@@ -1,4 +1,4 @@
-"""Ray casting: the places where rays meet triangles."""
+"""Ray casting: first hits of rays on triangles."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from perception.simulate.mesh import Mesh
 
 @dataclass(frozen=True)
 class Hits:
-    """First meeting of each ray with a surface.
+    """First hit of each ray on a surface.
 
     Attributes:
-        distance: (R,) along the ray [m]; infinite where it met nothing.
-        cosine: (R,) of the angle between ray and surface normal, 0 (grazing) to 1; 0 where it met nothing.
+        distance: (R,) range along the ray [m]; infinite without a hit.
+        cosine: (R,) cosine of the angle between ray and surface normal, 0 (grazing) to 1; 0 without a hit.
     """
 
     distance: Float[np.ndarray, "R"]
@@ -24,7 +24,7 @@ class Hits:
 
 
 class Caster:
-    """Triangles prepared for many rays."""
+    """Triangle mesh prepared for casting many rays."""
 
     def __init__(self, world: Mesh) -> None:
         # open3d takes 0.7 s to import; only simulations need it.
@@ -36,7 +36,7 @@ class Caster:
         self._scene.add_triangles(self._tensor(world.vertices.astype(np.float32)), triangles)
 
     def hits(self, origin: Float[np.ndarray, "*R 3"], direction: Float[np.ndarray, "R 3"]) -> Hits:
-        """Follow rays of unit direction."""
+        """Return the first hits of rays with unit directions."""
         rays = np.concatenate([np.broadcast_to(origin, direction.shape), direction], axis=1).astype(np.float32)
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
         distance = np.asarray(answer["t_hit"].numpy(), dtype=np.float64)
@@ -51,5 +51,5 @@ class Caster:
 
 
 def cast(world: Mesh, origin: Float[np.ndarray, "*R 3"], direction: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R"]:
-    """Return the distance to the first surface along each unit direction [m]; infinite where there is none."""
+    """Return the distance to the first surface along each unit direction [m]; infinite without a hit."""
     return Caster(world).hits(origin, direction).distance

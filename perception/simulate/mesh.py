@@ -1,4 +1,4 @@
-"""Triangle meshes of simple solids, for the simulator to look at; winding is arbitrary."""
+"""Triangle meshes of simple solids for the simulator; winding is arbitrary."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from perception.solids.mesh import Mesh as Mesh  # the sensors and scenes take it from here
+from perception.solids.mesh import Mesh as Mesh  # re-exported for sensors and scenes
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Join all triangles in one mesh."""
+    """Join all triangles into one mesh."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     triangles = [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(triangles))
@@ -59,7 +59,7 @@ def torus(
 
 
 def capsule(start: Sequence[float], end: Sequence[float], radius: float) -> Mesh:
-    """Make a bar with round ends; the ends' spheres are centred on the two points."""
+    """Make a bar with hemispherical ends centred on the two points."""
     turn = np.pi * np.arange(16) / 8
     rise = np.pi * np.arange(-4, 5) / 8
     angle, height = (grid.ravel() for grid in np.meshgrid(turn, rise))
@@ -82,8 +82,8 @@ def lathe(
     """Make a surface of revolution through (radius, height) pairs.
 
     Args:
-        profile: radius and height above ``base``; starting and ending on the same pair gives a ring without a gap.
-        base: where height is zero [m].
+        profile: radius and height above ``base``; the same first and last pair gives a closed ring.
+        base: point on the axis with height zero [m].
     """
     direction = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     u, v = _across(direction)
@@ -101,8 +101,8 @@ def pipe(start: Sequence[float], end: Sequence[float], radius: float, wall: floa
     """Make a hollow cylinder, open at both ends.
 
     Args:
-        radius: outer [m].
-        wall: thickness [m].
+        radius: outer radius [m].
+        wall: wall thickness [m].
     """
     axis = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
     length, inner = float(np.linalg.norm(axis)), radius - wall
@@ -111,7 +111,7 @@ def pipe(start: Sequence[float], end: Sequence[float], radius: float, wall: floa
 
 
 def _across(axis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Return two directions at right angles to a unit axis and to each other."""
+    """Return two unit vectors perpendicular to a unit axis and to each other."""
     first = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     first /= np.linalg.norm(first)
     return first, np.cross(axis, first)

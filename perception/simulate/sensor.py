@@ -16,7 +16,7 @@ from perception.simulate.cast import Caster, Hits
 from perception.simulate.mesh import Mesh, join_meshes
 
 _EDGE = 0.03
-# Turns per second of the two prisms: their ratio is far from a ratio of small whole numbers, so the rosette fills.
+# Turns per second of the two prisms: far from a ratio of small integers, so that the rosette fills the cone.
 _TURNS = (121.5, -77.7)
 
 
@@ -31,29 +31,29 @@ class Pose:
 
     @staticmethod
     def looking(position: tuple[float, float, float], target: Sequence[float], roll: float = 0.0) -> Pose:
-        """Look from a place towards another."""
+        """Make a pose at ``position`` that looks at ``target``."""
         x, y, z = np.subtract(target, position)
         return Pose(position, float(np.arctan2(y, x)), float(-np.arctan2(z, np.hypot(x, y))), roll)
 
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """Rotation of the world from the sensor."""
+        """Rotation from the sensor's frame to the world."""
         return np.asarray(Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll]).as_matrix())
 
     @property
     def viewpoint(self) -> tuple[float, ...]:
-        """x y z qw qx qy qz, as PCD files write it."""
+        """Pose as x y z qw qx qy qz, as in PCD files."""
         return (*self.position, *Rotation.from_matrix(self.rotation).as_quat(scalar_first=True).tolist())
 
 
 class Sensor(Protocol):
-    """A sensor is its rays and what it makes of where they end.
+    """Sensor model: ray directions, and measured ranges as a function of the hits.
 
     Attributes:
-        nearest: nothing nearer gives a point [m].
-        max_range: nothing further gives a point [m].
-        footprint_deg: width of a ray; at an edge it meets two surfaces.
-        tells_misses: whether it can tell a ray that met nothing from one it failed to measure.
+        nearest: smallest range that gives a point [m].
+        max_range: largest range that gives a point [m].
+        footprint_deg: angular width of a ray; at an edge it hits two surfaces.
+        tells_misses: whether it distinguishes a ray without a return from a failed measurement.
     """
 
     @property
@@ -70,10 +70,10 @@ class Sensor(Protocol):
         ...
 
     def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Return ranges as the sensor gives them [m]: NaN where it fails to measure, infinite where there was nothing.
+        """Return measured ranges [m]: NaN for a failed measurement, infinite without a return.
 
         Args:
-            beside: (R,) how far away is what their edges met [m].
+            beside: (R,) distance of the surface hit by the edge of each ray [m].
         """
         ...
 
@@ -81,12 +81,12 @@ class Sensor(Protocol):
 def mix_ranges(
     first: Float[np.ndarray, "R"], beside: Float[np.ndarray, "R"], share: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "R"]:
-    """Return ranges of which some at edges (more than 3 cm deep) lie anywhere between both surfaces.
+    """Return ranges with mixed pixels: at depth edges over 3 cm, some are random values between both surfaces.
 
     Args:
-        first: what the rays' middles met [m].
-        beside: what their edges met [m].
-        share: how often an edge mixes both.
+        first: distances hit by the centres of the rays [m].
+        beside: distances hit by their edges [m].
+        share: share of rays at depth edges that become mixed.
     """
     place = rng.random(len(first))
     both = np.isfinite(first) & np.isfinite(beside)
@@ -100,14 +100,14 @@ class Scanner:
     """A spinning line scanner: beams in a fan that turns about the sensor's forward axis.
 
     Attributes:
-        n_beams: beams of the fan.
+        n_beams: number of beams in the fan.
         fan_deg: angle of the fan, about the forward axis.
-        n_lines: positions of the fan over half a turn, which together see all around.
+        n_lines: positions of the fan over half a turn, which together cover all directions.
         sigma: standard deviation of the range [m].
-        max_range: beams that meet nothing nearer give no point [m].
-        footprint_deg: width of a beam; when it meets two surfaces the range can lie between.
-        mixed_share: how often it then does.
-        nearest: what is nearer gives no point [m].
+        max_range: largest range that gives a point [m].
+        footprint_deg: angular width of a beam; if it hits two surfaces the range can lie between them.
+        mixed_share: share of such beams whose range does.
+        nearest: smallest range that gives a point [m].
     """
 
     n_beams: int = 1081
@@ -138,11 +138,11 @@ class SolidState:
     """A solid-state lidar with turning prisms: a rosette within a cone that never repeats itself.
 
     Attributes:
-        n_points: pulses.
+        n_points: number of pulses.
         field_deg: full angle of the cone.
-        sigma: standard deviation of the range at right angles to the surface [m].
-        grazing_gain: further deviation per tangent of the angle of incidence [m].
-        mixed_share: how often a beam on an edge gives a range between both surfaces.
+        sigma: standard deviation of the range at normal incidence [m].
+        grazing_gain: additional deviation per tangent of the angle of incidence [m].
+        mixed_share: share of beams on an edge whose range lies between both surfaces.
     """
 
     n_points: int = 100_000
@@ -157,7 +157,7 @@ class SolidState:
     tells_misses: bool = True
 
     def directions(self) -> Float[np.ndarray, "R 3"]:
-        """Return beams that two prisms of equal strength bend one after the other."""
+        """Return unit directions of beams deflected by two prisms of equal power in series."""
         time = np.arange(self.n_points) / self.rate
         bent = sum(np.exp(2j * np.pi * turns * time) for turns in _TURNS) * np.radians(self.field_deg) / 4.0
         angle = np.abs(bent)
@@ -165,7 +165,7 @@ class SolidState:
         return np.column_stack([np.cos(angle), side * np.real(bent), side * np.imag(bent)])
 
     def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Add mixed pixels at edges, and noise that grows on surfaces seen at a slant."""
+        """Add mixed pixels at edges, and noise that grows with the angle of incidence."""
         ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
         return np.asarray(ranges + rng.normal(0.0, 1.0, len(ranges)) * self.deviation(hits))
 
@@ -177,17 +177,17 @@ class SolidState:
 
 @dataclass(frozen=True)
 class DepthCamera:
-    """A pinhole camera that measures disparity in whole steps.
+    """A pinhole stereo camera with quantized disparity.
 
     Attributes:
         field_deg: horizontal field of view.
-        baseline: between its two eyes [m].
+        baseline: distance between the two cameras [m].
         matching: standard deviation of the disparity [pixels].
-        step: what disparity is rounded to [pixels].
-        correlation: how far the disparity's error reaches, as matching uses windows [pixels].
-        mixed_share: how often a pixel on an edge flies between both surfaces.
-        slant_deg: surfaces seen at more than this angle of incidence give holes ever more often.
-        hole_share: how often a pixel is a hole for no reason.
+        step: rounding step of the disparity [pixels].
+        correlation: correlation length of the disparity error, due to the matching window [pixels].
+        mixed_share: share of pixels on an edge that become flying pixels between both surfaces.
+        slant_deg: angle of incidence above which holes become more frequent.
+        hole_share: share of random holes.
     """
 
     width: int = 480
@@ -202,7 +202,7 @@ class DepthCamera:
     mixed_share: float = 0.4
     slant_deg: float = 75.0
     hole_share: float = 0.01
-    # A hole may be a surface that gave no match: it is no evidence of free space.
+    # A hole may be a surface without a stereo match, so it is no evidence of free space.
     tells_misses: bool = False
 
     @property
@@ -212,7 +212,7 @@ class DepthCamera:
 
     @property
     def footprint_deg(self) -> float:
-        """One pixel."""
+        """Angular width of one pixel [deg]."""
         return float(np.degrees(1.0 / self.focal))
 
     def directions(self) -> Float[np.ndarray, "R 3"]:
@@ -224,7 +224,7 @@ class DepthCamera:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
-        """Add flying pixels, holes, and disparities with an error, rounded."""
+        """Add flying pixels, holes, disparity noise and rounding."""
         forward = self.directions()[:, 0]
         depth = mix_ranges(hits.distance, beside, self.mixed_share, rng) * forward
         error = gaussian_filter(rng.normal(size=(self.height, self.width)), self.correlation, mode="wrap")
@@ -239,7 +239,7 @@ class DepthCamera:
         return np.asarray(pixels * depth**2 / (self.focal * self.baseline))
 
     def _hole_share(self, hits: Hits) -> Float[np.ndarray, "R"]:
-        """Return how often a pixel gives nothing: always when its surface is seen edge on."""
+        """Return the probability that each pixel is a hole, which is 1 at grazing incidence."""
         limit = np.cos(np.radians(self.slant_deg))
         slanted = np.clip(1.0 - hits.cosine / limit, 0.0, 1.0)
         return np.asarray(np.maximum(slanted, self.hole_share))
@@ -256,13 +256,13 @@ def scan(
     *,
     misses: bool = False,
 ) -> Cloud:
-    """Return what a sensor gives of the meshes, in world coordinates.
+    """Return a simulated scan of the meshes in world coordinates.
 
-    Every ray stops at the first surface (real occlusion), and may be mixed up with what is beside it.
+    Every ray stops at the first surface (real occlusion); at depth edges its range may mix two surfaces.
 
     Args:
-        misses: whether rays that met nothing in range are given, as places at ``max_range``; sensors that cannot tell
-            them from failures give none.
+        misses: whether rays without a return in range are included, with their ends at ``max_range``; sensors that
+            cannot distinguish them from failed measurements include none.
     """
     pose = pose or Pose()
     rng = np.random.default_rng(seed)
@@ -283,7 +283,7 @@ def scan(
 def _aside(
     direction: Float[np.ndarray, "R 3"], footprint_deg: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "R 3"]:
-    """Move each direction to its footprint's edge."""
+    """Return each direction moved to a random point on the edge of its footprint."""
     aside = rng.normal(size=direction.shape)
     aside -= (aside * direction).sum(axis=1, keepdims=True) * direction
     aside *= np.tan(np.radians(footprint_deg)) / np.linalg.norm(aside, axis=1, keepdims=True)

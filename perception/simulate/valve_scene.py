@@ -1,4 +1,4 @@
-"""Scenes for the simulator: a wheel valve before a wall with things around it, and the truth about them."""
+"""Scene parts for the simulator: a wheel valve with its ground truth, and a wall, pipes and boxes around it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Valve:
     """A wheel valve on a stem.
 
     Attributes:
-        centre: of the rim [m].
-        axis: unit, from the wall to the person who turns it.
-        rim_radius: of the rim's centre line [m].
+        centre: centre of the rim [m].
+        axis: unit vector from the wall towards the operator.
+        rim_radius: radius of the rim's centre line [m].
         spin: angle of the first spoke about the axis, from ``wheel_basis(axis)[0]`` [rad].
-        stem_length: from the rim's plane to the wall [m].
+        stem_length: distance from the rim's plane to the wall [m].
     """
 
     centre: tuple[float, float, float]
@@ -42,7 +42,7 @@ class Valve:
 
     @property
     def spoke_angles(self) -> tuple[float, ...]:
-        """About the axis [rad]."""
+        """Angles of the spokes about the axis [rad]."""
         return tuple(self.spin + 2.0 * np.pi * k / self.n_spokes for k in range(self.n_spokes))
 
     def meshes(self) -> list[Mesh]:
@@ -61,13 +61,13 @@ class Valve:
         return parts
 
     def truth(self) -> dict[str, object]:
-        """Return all figures, for a JSON file."""
+        """Return pose and dimensions, JSON-ready."""
         return asdict(self) | {"outer_radius": self.outer_radius, "spoke_angles": list(self.spoke_angles)}
 
 
 @dataclass(frozen=True)
 class Room:
-    """Surroundings of a valve: a wall square to x, a floor at zero, upright pipes, boxes, hulls (a robot's links)."""
+    """Surroundings of a valve: a wall normal to x, a floor at z = 0, upright pipes, boxes, hulls (a robot's links)."""
 
     wall_x: float | None = 0.9
     floor: bool = True

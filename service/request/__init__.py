@@ -1,1 +1,1 @@
-"""A request: its schema as frozen dataclasses, and the files it is read from."""
+"""Requests: schema as frozen dataclasses, and reading of request files."""

@@ -1,17 +1,17 @@
-"""Choices that a request's scene and ``scopt scene`` share."""
+"""Setting values shared by a request's scene and ``scopt scene``."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 Method = Literal["planes", "coacd"]
-"""How pieces are made: slabs and hulls, or cells split by CoACD (docs/piece-methods.md)."""
+"""Method of making pieces: slabs and hulls, or cells split by CoACD (docs/piece-methods.md)."""
 
 Unknown = Literal["free", "occupied"]
-"""How space that no ray has seen is treated."""
+"""Treatment of space that no ray has seen."""
 
 KINDS = ("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening")
-"""Kinds of detectable objects: ``perception.KINDS`` without its libraries."""
+"""Kinds of detectable objects, equal to ``perception.KINDS`` but without importing perception."""
 
 EVERY_KIND = "all"
-"""Name for all kinds."""
+"""Kind that requests all kinds."""

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from service.errors import shown, would_do
 
-QUATERNION_NORM_TOLERANCE = 1e-3  # rounding to a few digits
+QUATERNION_NORM_TOLERANCE = 1e-3  # allows for rounding to a few digits
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
 LARGEST_M = 100.0  # a larger obstacle is in another unit
 MAX_JOINTS = 1000
@@ -32,7 +32,7 @@ SECTION = ConfigDict(extra="forbid", frozen=True)
 
 
 def at_most(most: int) -> BeforeValidator:
-    """Refuse a list or mapping of more than ``most`` entries before any of them is looked at."""
+    """Refuse a list or mapping of more than ``most`` entries before any entry is checked."""
 
     def check(value: object) -> object:
         if isinstance(value, Sized) and not isinstance(value, str) and len(value) > most:
@@ -58,7 +58,7 @@ def _normalize(quaternion: tuple[float, float, float, float]) -> tuple[float, fl
 
 
 def _check_metres(sizes: float | tuple[float, ...]) -> float | tuple[float, ...]:
-    """Refuse a size that only another unit explains."""
+    """Refuse a size so large that its unit must be wrong."""
     for size in (sizes,) if isinstance(sizes, float) else sizes:
         if size > LARGEST_M:
             raise PydanticCustomError(
@@ -89,7 +89,7 @@ def _check_printable(name: str) -> str:
 
 
 def _check_plain_data(data: dict[str, Any]) -> dict[str, Any]:
-    """Refuse numbers that JSON lacks and too many levels, anywhere in plain data."""
+    """Refuse plain data with numbers that JSON cannot represent, or with too many levels."""
     level: list[tuple[str, object]] = [("", data)]
     for _ in range(MAX_DEPTH):
         deeper: list[tuple[str, object]] = []
@@ -130,7 +130,7 @@ FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValid
 
 
 class Section:
-    """Section of a request; refuses keys that are not its fields."""
+    """Section of a request; refuses unknown keys."""
 
     @model_validator(mode="before")
     @classmethod

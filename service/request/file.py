@@ -1,4 +1,4 @@
-"""Request files: YAML or JSON text to a ``PlanRequest``, and back to the canonical JSON that is hashed."""
+"""Request files: parsing of YAML or JSON into a ``PlanRequest``, and its canonical JSON for hashing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
 
 T = TypeVar("T")
-# Words for pydantic's error types, filled in from the error's context; the rest keep pydantic's own.
+# Messages for pydantic's error types, filled in from the error's context; other types keep pydantic's message.
 _WORDS = {
     "float_type": "a number is needed",
     "int_type": "a whole number is needed",
@@ -67,7 +67,7 @@ _Loader.add_implicit_resolver(
 
 
 def load_request(path: str | Path) -> PlanRequest:
-    """Read and check a request file; its relative paths start at the file's folder.
+    """Read and check a request file; its paths are relative to the file's folder.
 
     Raises:
         RequestError: one line per problem.
@@ -89,7 +89,7 @@ def load_section(kind: type[T], path: Path) -> T:
 
 
 def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
-    """Check a request given as plain mappings, lists and scalars; relative paths start at ``folder``.
+    """Check a request given as plain mappings, lists and scalars; its paths are relative to ``folder``.
 
     Raises:
         RequestError: one line per problem.
@@ -98,7 +98,7 @@ def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
 
 
 def parse_section(kind: type[T], data: object) -> T:
-    """Check one section of a request, given as ``parse_request`` takes it.
+    """Check one section of a request, given as plain data.
 
     Raises:
         RequestError: one line per problem.
@@ -114,15 +114,15 @@ def parse_section(kind: type[T], data: object) -> T:
 
 
 def replace_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
-    """Return the request with another cloud file, given relative to the working directory."""
+    """Return the request with another cloud file, whose path is relative to the working directory."""
     return _with_scene(request, cloud=_relative(request, cloud))
 
 
 def replace_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
-    """Return the request with its cloud files, or its scene file, at other places relative to the working directory.
+    """Return the request with other paths of its cloud files or its scene file, relative to the working directory.
 
     Raises:
-        RequestError: the request names another number of files.
+        RequestError: the number of paths differs from the request's number of files.
     """
     paths = [_relative(request, path) for path in clouds]
     scene = request.scene
@@ -147,12 +147,12 @@ def _with_scene(request: PlanRequest, **changes: Any) -> PlanRequest:
 
 
 def to_json(request: PlanRequest) -> dict[str, Any]:
-    """Return the request as plain JSON data, defaults filled in, without the folder."""
+    """Return the request as plain JSON data with defaults, without the folder."""
     return dict(TypeAdapter(PlanRequest).dump_python(request, mode="json"))
 
 
 def request_hash(request: PlanRequest) -> str:
-    """Return ``sha256:`` and the hash of the canonical JSON: sorted keys, no blanks."""
+    """Return ``sha256:`` and the hash of the request's canonical JSON (sorted keys, no blanks)."""
     text = json.dumps(to_json(request), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
 
@@ -191,7 +191,7 @@ def _in_plain_words(error: yaml.MarkedYAMLError) -> str:
 
 
 def _refuse_bombs(text: str) -> None:
-    """Refuse, before anything is built, aliases (they expand without bound) and depth (it exhausts the stack)."""
+    """Refuse YAML aliases, which expand without bound, and deep nesting, which exhausts the stack, before parsing."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         line = event.start_mark.line + 1 if event.start_mark else 0
@@ -206,10 +206,10 @@ def _refuse_bombs(text: str) -> None:
 
 
 def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
-    """Return the line for an error of pydantic: ``field: what is needed, got value``."""
+    """Return the message line of a pydantic error: ``field: what is needed, got value``."""
     kind, location, value = detail["type"], detail["loc"], detail["input"]
     context = detail.get("ctx", {})
-    is_short = kind == "missing" and isinstance(location[-1], int)  # of a list, the entry at that index is missing
+    is_short = kind == "missing" and isinstance(location[-1], int)  # the entry at that index of a list is missing
     field = _field_path(data, location[:-1] if is_short else location, is_missing=kind == "missing")
     if is_short:
         words = f"entry {int(location[-1]) + 1} is missing"

@@ -20,10 +20,10 @@ VALVE_LINK = "valve"
 
 @dataclass(frozen=True)
 class TakenNames:
-    """Names that pieces and carried bodies leave to the robot and to the task's mechanism.
+    """Names of the robot and of the task's mechanism, which pieces and carried bodies may not use.
 
     Attributes:
-        owners: the owner of each name, in words (``a link of atlas``).
+        owners: description of the owner of each name (``a link of atlas``).
         mechanism: link of the task's mechanism, whose parts are ``LINK/...``; None without one.
     """
 
@@ -44,7 +44,7 @@ class TakenNames:
         return self.mechanism is not None and (name == self.mechanism or name.startswith(f"{self.mechanism}/"))
 
     def owner(self, name: str) -> str:
-        """Return the owner of the name, in words; empty if the name is free."""
+        """Return the description of the name's owner; empty if the name is free."""
         if self.is_of_mechanism(name):
             return f"the {self.mechanism} that the task turns, or a part of it"
         return self.owners.get(name, "")
@@ -75,7 +75,7 @@ def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> N
 
 
 def check_scene_file_names(pieces: Sequence[ConvexPiece], taken: TakenNames) -> None:
-    """Refuse pieces of a scene's file with names that are taken.
+    """Refuse pieces of a scene file with names that are taken.
 
     Raises:
         RequestError: one line per piece.
@@ -90,7 +90,7 @@ def check_scene_file_names(pieces: Sequence[ConvexPiece], taken: TakenNames) -> 
 def rename_clashing(
     pieces: Sequence[ConvexPiece], taken: TakenNames, others: Collection[str] = ()
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
-    """Number the names of a scan's pieces that are taken; return the pieces and a note for each new name.
+    """Return a scan's pieces with taken names replaced by numbered ones, and a note for each new name.
 
     Args:
         pieces: pieces with unique names.

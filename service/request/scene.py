@@ -1,4 +1,4 @@
-"""The ``scene`` section of a request: a scan, a floor, and obstacles by shape."""
+"""The ``scene`` section of a request: scan, floor, and obstacles of several shapes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from service.request.fields import (
 )
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
-"""Mesh files without references to other files, so that they can be uploaded."""
+"""Suffixes of mesh files that refer to no other files and can be uploaded."""
 
 
 @dataclass(config=SECTION)
@@ -91,8 +91,8 @@ class ConvexRequest(_Placed):
 class MeshRequest(_Placed):
     """A mesh file (STL, OBJ, PLY, or a URDF with every joint at zero), split into convex pieces.
 
-    ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is one piece.  With ``match`` it
-    is searched in the scan around its place and stands where it is found; points on or in it make no further pieces.
+    ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is the only piece.  With ``match``
+    its pose is searched in the scan near the given one, and points on or inside the mesh do not become pieces.
     """
 
     type: Literal["mesh"]
@@ -110,7 +110,7 @@ ObstacleRequest = Annotated[
 
 @dataclass(config=SECTION)
 class CloudFileRequest(Section):
-    """One of several cloud files, and the pose that takes its points to the world."""
+    """One of several cloud files, with the pose from its points' frame to the world."""
 
     file: FilePath
     position: MapPoint = (0.0, 0.0, 0.0)
@@ -139,23 +139,23 @@ CloudRequest = Annotated[
 
 @dataclass(config=SECTION)
 class SceneRequest(Section):
-    """Surroundings of the robot: a scan or a scene made of one, obstacles, or both.
+    """Surroundings of the robot: a scan or a scene made from one, obstacles, or both.
 
     Attributes:
-        file: a scene file of ``scopt scene``; its pieces and its valve are used as they are.
-        cloud: point cloud file, or several with their poses, merged.
-        unit: unit of the files' lengths.
-        apply_viewpoint: whether the points are in the sensor's frame and its VIEWPOINT takes them to the world (or to
-            what ``position`` and ``quaternion_wxyz`` take to the world).
-        sensor: start of the rays if the file does not hold it.
+        file: a scene file of ``scopt scene``; its pieces and its valve are used unchanged.
+        cloud: point cloud file, or several with their poses, which are merged.
+        unit: length unit of the files.
+        apply_viewpoint: whether the points are in the sensor's frame and must be transformed by the file's VIEWPOINT,
+            before ``position`` and ``quaternion_wxyz``.
+        sensor: start of the rays in the world if the file does not give it [m].
         topic: topic of a bag with several clouds.
-        message: number of a bag's message, or all of them merged.
-        method: how the scan becomes pieces.
-        unknown: how space that no ray has seen is treated.
+        message: index of a bag's message, or ``all`` to merge them.
+        method: method of making pieces from the scan.
+        unknown: treatment of space that no ray has seen.
         hint: a point in the world near the object of the task.
         obstacles: shapes with unique names.
-        floor: a height [m], or whether there is a floor at 0 (a scan brings its own); by default there is one for a
-            robot with a free base.
+        floor: a height [m], or whether there is a floor at 0 (a scan provides its own); by default true for a robot
+            with a free base.
     """
 
     file: FilePath | None = None
@@ -173,7 +173,7 @@ class SceneRequest(Section):
 
     @property
     def cloud_files(self) -> tuple[CloudFileRequest, ...]:
-        """The cloud's files; none without a cloud."""
+        """The cloud files; empty without a cloud."""
         if self.cloud is None:
             return ()
         return (CloudFileRequest(self.cloud),) if isinstance(self.cloud, str) else self.cloud
@@ -195,15 +195,15 @@ class SceneRequest(Section):
 
 @dataclass(config=SECTION)
 class KnownMeshRequest(Section):
-    """An object whose shape is known, as ``scopt scene --mesh`` takes it.
+    """An object of known shape, as for ``scopt scene --mesh``.
 
     Attributes:
         file: STL, OBJ, PLY or URDF.
         name: name of its pieces; by default the file's.
         scale: metres per unit of the file.
-        position: its place, or the place to search around; without it, everywhere.
-        quaternion_wxyz: its rotation; without it, any rotation is searched, and a placed mesh is not rotated.
-        is_placed: whether it stands exactly there; else it is placed by the scan.
+        position: its position, or the position to search around; by default the whole scan is searched.
+        quaternion_wxyz: its rotation; by default all rotations are searched, and a placed mesh is not rotated.
+        is_placed: whether this pose is exact; else the pose is found in the scan.
     """
 
     file: FilePath
@@ -231,5 +231,5 @@ class KnownRequest(Section):
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All files, as the request names them."""
+        """Paths of all files as written in the request."""
         return (*(mesh.file for mesh in self.meshes), *(() if self.update is None else (self.update,)))

@@ -1,4 +1,4 @@
-"""Schema of a request file, as frozen dataclasses that check themselves.
+"""Schema of a request file, as frozen dataclasses that validate their fields.
 
 Lengths in metres, angles in radians unless a suffix says otherwise, quaternions as w x y z, world frame z up.
 Only the request itself is checked here; ``service.setup.prepare`` checks it against the robot.
@@ -39,7 +39,7 @@ UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
 
 @dataclass(config=SECTION)
 class RobotRequest(Section):
-    """The robot: a bundled one by ``name``, or one read from ``urdf`` (and ``srdf``, ``package_dirs``).
+    """Robot: bundled (``name``), or read from ``urdf`` (with ``srdf``, ``package_dirs``).
 
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
     distance of the bundled robot's hook from the hand's origin.
@@ -70,9 +70,9 @@ class PoseRequest(Section):
 
 @dataclass(config=SECTION)
 class StartRequest(Section):
-    """Start of the robot: a named posture, overridden joint by joint.
+    """Start of the robot: a named posture, with some joints overridden.
 
-    Joints come as ``joints`` (name to position) or as the two lists ``joint_names`` and ``positions``.
+    Joints are given as ``joints`` (name to position) or as the two lists ``joint_names`` and ``positions``.
     """
 
     posture: Label | None = None
@@ -94,7 +94,7 @@ class StartRequest(Section):
 
     @property
     def positions_by_joint(self) -> dict[str, float]:
-        """All joint positions that were given [rad, m]."""
+        """All given joint positions by name [rad, m]."""
         return {**self.joints, **dict(zip(self.joint_names, self.positions, strict=True))}
 
 
@@ -132,12 +132,12 @@ class GoalRequest(Section):
 
 @dataclass(config=SECTION)
 class ValveRequest(Section):
-    """Turn a valve, which is detected in the scan (near ``hint``) or given by ``centre``, ``axis`` and ``radius``.
+    """Task of turning a valve detected in the scan (near ``hint``) or given by ``centre``, ``axis`` and ``radius``.
 
     Attributes:
         mode: ``hook`` rests a hook between the spokes, ``grasp`` turns the hand with the wheel.
-        hand: which hand; ``auto`` tries both.
-        turn_deg: positive turns counter-clockwise as seen by the robot.
+        hand: hand to use; ``auto`` tries both.
+        turn_deg: angle, positive counter-clockwise as seen by the robot.
         centre, axis, radius: the rim's centre-line circle, axis towards the robot [m].
     """
 
@@ -158,10 +158,10 @@ class ValveRequest(Section):
 
 @dataclass(config=SECTION)
 class DoorRequest(Section):
-    """Open a door that the scan shows (near ``hint``).
+    """Task of opening a door detected in the scan (near ``hint``).
 
     Attributes:
-        hand: which hand; ``auto`` tries both.
+        hand: hand to use; ``auto`` tries both.
         open_deg: angle of the leaf at the end.
     """
 
@@ -172,7 +172,7 @@ class DoorRequest(Section):
 
 @dataclass(config=SECTION)
 class EgressRequest(Section):
-    """Get out of the vehicle that the scan shows, on one ``side`` of it (near ``hint``)."""
+    """Task of leaving the vehicle detected in the scan (near ``hint``) on one ``side``."""
 
     side: Literal["left", "right"] = "left"
     hint: Point | None = None
@@ -196,17 +196,17 @@ class Options(Section):
     """Options of planning.
 
     Attributes:
-        waypoints: per phase; left to the planner when absent.
+        waypoints: number per phase; chosen by the planner by default.
         time_limit_s: wall time for the whole plan.
         margin_m: requested clearance.
         seed: seed of every random draw.
-        balance_margin_m: how far inside the support polygon the balance point stays.
-        feet: links planted at the start; the robot's own when absent.
+        balance_margin_m: smallest distance of the balance point from the support polygon's edges.
+        feet: links planted at the start; by default the robot's feet.
         starts: largest number of starting trajectories.
         qp: solver of the convex subproblems.
-        velocity_scale, acceleration_scale: used share of the robot's limits.
-        timed: whether the motion gets a time law; without one the path alone is planned and certified.
-        escape: whether a start in collision is left first, instead of being refused.
+        velocity_scale, acceleration_scale: share of the robot's limits that is used.
+        timed: whether the motion gets a time law; otherwise only the path is planned and certified.
+        escape: whether to escape from a start in collision first instead of refusing it.
     """
 
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
@@ -229,11 +229,11 @@ class KeepRequest(Section):
 
     Attributes:
         link: a link or frame of the robot.
-        relative_to: another one; the world when absent.
-        position, quaternion_wxyz: the pose of ``link`` in ``relative_to``; what is absent is as at the start.
-        position_tolerance_m: greatest distance of the link's origin from its place.
-        rotation_tolerance_deg: greatest angle off the orientation, or of the free axis off its direction.
-        free_axis: axis of ``link`` about which it may turn.
+        relative_to: another link or frame; by default the world.
+        position, quaternion_wxyz: pose of ``link`` in ``relative_to``; a missing part is taken from the start.
+        position_tolerance_m: largest distance of the link's origin from its position.
+        rotation_tolerance_deg: largest angle from the orientation, or of the free axis from its direction.
+        free_axis: axis of ``link`` about which it may rotate.
     """
 
     link: Name
@@ -253,12 +253,12 @@ class KeepRequest(Section):
 
 @dataclass(config=SECTION, kw_only=True)
 class _Carried(Section):
-    """A body fixed to ``link``, in whose frame it is placed.
+    """A body fixed to ``link``, with its pose in that link's frame.
 
     Attributes:
         link: the link that carries it.
-        touches: further links that hold it; each is kept relative to ``link``.
-        mass_kg: its mass, spread evenly.
+        touches: other links that hold it; each is kept relative to ``link``.
+        mass_kg: its mass, uniformly distributed.
     """
 
     link: Name
@@ -268,17 +268,17 @@ class _Carried(Section):
 
 @dataclass(config=SECTION, kw_only=True)
 class AttachedBox(_Carried, BoxRequest):
-    """A box that is carried."""
+    """Carried box."""
 
 
 @dataclass(config=SECTION, kw_only=True)
 class AttachedSphere(_Carried, SphereRequest):
-    """A sphere that is carried."""
+    """Carried sphere."""
 
 
 @dataclass(config=SECTION, kw_only=True)
 class AttachedCylinder(_Carried, CylinderRequest):
-    """A cylinder that is carried."""
+    """Carried cylinder."""
 
 
 AttachedRequest = Annotated[AttachedBox | AttachedSphere | AttachedCylinder, Field(discriminator="type")]
@@ -288,8 +288,8 @@ AttachedRequest = Annotated[AttachedBox | AttachedSphere | AttachedCylinder, Fie
 class PlanRequest(Section):
     """A request: a robot, its start, its surroundings, and a goal or a task.
 
-    ``keep`` lists relative poses that hold along the whole motion to a goal, ``attached`` the carried bodies.
-    Relative paths start at ``folder``, which is no part of the request's JSON or hash.
+    ``keep`` lists relative poses to keep along the whole motion to a goal, ``attached`` the carried bodies.
+    Paths are relative to ``folder``, which is not part of the request's JSON or hash.
     """
 
     robot: RobotRequest
@@ -308,7 +308,7 @@ class PlanRequest(Section):
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
 
     def resolve(self, path: str) -> Path:
-        """Return the file or folder of a path in this request."""
+        """Return a path of this request, resolved against its folder."""
         return self.folder / path
 
 

@@ -1,1 +1,1 @@
-"""Clouds and scene files: from a scan to a scene that can be saved, updated and planned in."""
+"""Conversion of clouds into scenes, and scene files that can be saved, updated and planned in."""

@@ -1,4 +1,4 @@
-"""Cloud files of ``scopt scene`` and ``scopt detect``: options, poses, cropping, and the robot in them."""
+"""Cloud input of ``scopt scene`` and ``scopt detect``: options, poses, cropping, and the robot seen in the cloud."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ class CloudInput:
     """Cloud files and how to read them.
 
     Attributes:
-        files: one or several, merged.
-        unit: of the files' lengths.
+        files: paths of one or several files, which are merged.
+        unit: length unit of the files.
         transforms: texts with pose_world_cloud as 6, 7 or 16 numbers; one for all files, or one for each.
         apply_viewpoint: whether the points are in the sensor's frame.
-        sensor: start of the rays where the files do not hold it [m].
-        topic: of a bag with clouds on several.
-        message: of a bag; its number, or all of them merged.
-        reach_m: horizontal radius about the world's origin that is kept [m].
+        sensor: start of the rays if the files do not give it [m].
+        topic: topic of a bag with several clouds.
+        message: index of a bag's message, or ``all`` to merge them.
+        reach_m: horizontal radius around the world's origin in which points are kept [m].
         top_m, bottom_m: heights between which points are kept [m].
-        robot: the robot whose own points are left out.
+        robot: the robot whose own points are removed.
         start: its configuration; None for its default.
-        seed: of all random choices.
+        seed: seed of all random choices.
     """
 
     files: tuple[Path, ...]
@@ -58,18 +58,18 @@ class CloudInput:
 
     @property
     def reach(self) -> Reach:
-        """The volume in which points are kept."""
+        """Volume in which points are kept."""
         return Reach(radius=self.reach_m, top=self.top_m, bottom=self.bottom_m)
 
     @property
     def files_text(self) -> str:
-        """The files, as errors name them."""
+        """Names of the files for errors."""
         return ", ".join(map(str, self.files))
 
 
 @dataclass(frozen=True)
 class CloudRead:
-    """The merged cloud, and the robot in it: hulls of its links and corners of its soles in the world."""
+    """Merged cloud, with the hulls of the robot's links and the corners of its soles in the world [m]."""
 
     cloud: Cloud
     hulls: Sequence[np.ndarray]
@@ -77,13 +77,13 @@ class CloudRead:
 
 
 def parse_cloud_options(options: Mapping[str, Any]) -> CloudInput:
-    """Read the options of a command line.
+    """Parse the cloud options of a command line.
 
-    There ``sensor``, ``message`` and ``robot`` are texts, the last a bundled robot's name or a URDF, and ``posture`` is
-    the name of a posture or a file with a request's ``start``.
+    Its ``sensor``, ``message`` and ``robot`` are texts (a robot is a bundled name or a URDF), and ``posture`` is the
+    name of a posture or a file with a request's ``start``.
 
     Raises:
-        RequestError: the sensor is not three numbers, the message no number, or the file cannot be used.
+        RequestError: the sensor is not three numbers, the message is not a number, or the file cannot be used.
     """
     values = dict(options)
     for height in ("top", "bottom"):
@@ -105,10 +105,10 @@ def parse_cloud_options(options: Mapping[str, Any]) -> CloudInput:
 
 
 def read_input(clouds: CloudInput, on_step: OnStep) -> CloudRead:
-    """Read the files and place the robot.
+    """Read the cloud files, and compute the robot's hulls and soles in the world.
 
     Raises:
-        RequestError: one line for a file, name or value that cannot be used.
+        RequestError: a file, name or value cannot be used.
     """
     if clouds.unit not in METRES_BY_UNIT:
         raise RequestError(f"--unit: unknown unit '{clouds.unit}'; expected {would_do(clouds.unit, METRES_BY_UNIT)}")
@@ -134,7 +134,7 @@ def read_input(clouds: CloudInput, on_step: OnStep) -> CloudRead:
 
 
 def count_points(read: CloudRead, view: View) -> dict[str, int]:
-    """Count the points of each kind; ``points`` is the sum of all others but the rays."""
+    """Return the number of points of each kind; ``points`` is the sum of all others except the rays."""
     return {
         "points": len(read.cloud.points),
         "copied_points": len(read.cloud.points) - len(view.cloud.points),
@@ -151,7 +151,7 @@ def parse_numbers(text: str, option: str) -> tuple[float, ...]:
     """Read numbers separated by spaces or commas, with or without the brackets of a printed matrix.
 
     Raises:
-        RequestError: something in the text is no number.
+        RequestError: part of the text is not a number.
     """
     try:
         return tuple(float(word) for word in text.translate(_BETWEEN_NUMBERS).split())
@@ -160,10 +160,10 @@ def parse_numbers(text: str, option: str) -> tuple[float, ...]:
 
 
 def parse_point(text: str, option: str) -> tuple[float, float, float]:
-    """Read three finite numbers.
+    """Parse three finite numbers.
 
     Raises:
-        RequestError: the text holds something else.
+        RequestError: the text is not three finite numbers.
     """
     values = parse_numbers(text, option)
     if len(values) != 3 or not np.isfinite(values).all():
@@ -196,7 +196,7 @@ def _poses(clouds: CloudInput) -> list[np.ndarray | None]:
 
 
 def _parse_robot(text: str) -> RobotRequest:
-    """Read a bundled robot's name, or the path of a URDF whose meshes are in its folder."""
+    """Parse a bundled robot's name, or the path of a URDF whose meshes are in its folder."""
     path = Path(text)
     if path.suffix != ".urdf":
         try:
@@ -215,7 +215,7 @@ def _parse_start(posture: Path) -> StartRequest:
 
 
 def _place_robot(request: RobotRequest, start: StartRequest | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return the hulls and soles of a robot in the world."""
+    """Return the vertices of a robot's hulls and soles in the world [m]."""
     try:
         if request.urdf is None:
             robot = load_robot(request.name, root=request.root)

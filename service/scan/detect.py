@@ -28,11 +28,11 @@ _SHOWN_KINDS = 12
 
 
 class TimeOver(Exception):  # noqa: N818 - how a command ends early, not an error
-    """Raised by ``limit_time`` when the time is over and its body has stopped."""
+    """Raised by ``limit_time`` when the time limit is reached and its body has stopped."""
 
 
 class OutOfTimeError(ServiceError):
-    """The time of a command was over before its first result."""
+    """The time limit of a command was reached before its first result."""
 
 
 @contextmanager
@@ -40,8 +40,8 @@ def limit_time(seconds: float | None) -> Iterator[None]:
     """Stop the body at its first poll after the time limit; None for no limit.
 
     Raises:
-        TimeOver: the time was over.
-        Stopped: an outer ``stops_when`` asks to stop, too.
+        TimeOver: the time limit was reached.
+        Stopped: an outer ``stops_when`` requested a stop too.
     """
     if seconds is None:
         yield
@@ -62,17 +62,17 @@ def detect_file(
     on_step: OnStep,
     time_limit_s: float | None = None,
 ) -> dict[str, Any]:
-    """Find objects in cloud files; return hits and figures, JSON-ready.
+    """Find objects in cloud files; return hits and statistics, JSON-ready.
 
     Args:
         kind: one of ``perception.KINDS``, or ``all``.
         hint: a point near the object, as an operator would click it [m].
         on_step: called with the name of each step before it begins.
-        time_limit_s: of all together; what was found until then is given, and what was not looked for is named.
+        time_limit_s: limit for all together; hits until then are returned, and kinds not searched are listed.
 
     Raises:
-        RequestError: one line for a file, name or value that cannot be used.
-        OutOfTimeError: the time was over before the search of the first kind.
+        RequestError: a file, name or value cannot be used.
+        OutOfTimeError: the time limit was reached before the search for the first kind began.
     """
     started = time.perf_counter()
     kinds = check_kinds((kind,), "KIND")
@@ -119,16 +119,16 @@ class Search:
     failed: dict[str, str] = field(default_factory=dict)
 
     def unfinished(self, requested: Sequence[str]) -> list[str]:
-        """Return the kinds without a search, for lack of time."""
+        """Return the requested kinds whose search did not finish in time."""
         return [kind for kind in requested if kind not in self.kinds and kind not in self.failed]
 
     @property
     def notes(self) -> list[str]:
-        """A sentence for each detector that failed."""
+        """One sentence per failed detector."""
         return [f"the detector of {kind} failed, please report it: {why}" for kind, why in self.failed.items()]
 
     def fail(self, kind: str, error: Exception) -> None:
-        """Note and log that a detector failed."""
+        """Record and log that a detector failed."""
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
         self.failed[kind] = " ".join(f"{type(error).__name__}: {error}{place}".split())
@@ -143,7 +143,7 @@ def search_objects(
     on_step: OnStep,
     search: Search,
 ) -> None:
-    """Add the hits of each kind, best first within it, and the kind itself to the search; a detector may fail alone."""
+    """Add each kind and its hits, best first, to ``search``; a failed detector does not stop the others."""
     place = None if hint is None else np.array(hint)
 
     def announce(kind: str) -> None:

@@ -1,4 +1,4 @@
-"""Known meshes of ``scopt scene --mesh``: their options, files, and places in the scene."""
+"""Known meshes of ``scopt scene --mesh``: their options, files, and poses in the scene."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from service.trust.folders import UPLOADED
 
 KIND = "object"
 UPLOAD_NAME = "mesh"  # name of an uploaded mesh without a name
-# Names of pieces made of the scan, which no mesh may have.
+# Names of pieces made from the scan, which no mesh may have.
 _TAKEN = ("floor", "plane", "wall", "clutter", "unknown", "coacd", "stem")
 _OPTION = "--mesh"
 _SPANS = (1e-3, 100.0)
 _FORMS = "FILE, 'FILE near X Y Z', 'FILE near POSE' or 'FILE at POSE'"
 _AFTER = {3: "X Y Z", 6: "X Y Z YAW PITCH ROLL", 7: "X Y Z QW QX QY QZ", 16: "16 numbers"}
 
-# By the scene file's rule (docs/scene-format.md) a name tells what is no length.
+# By the scene file's rule (docs/scene-format.md) the name of a value that is not a length shows its unit.
 _RESIDUALS = {
     "seen_through": "seen_through_share",
     "hidden": "hidden_share",
@@ -45,14 +45,14 @@ _RESIDUALS = {
 
 @dataclass(frozen=True)
 class MeshInput:
-    """A mesh file, and the known or approximate place of the mesh.
+    """A mesh file, and the known or approximate pose of the mesh.
 
     Attributes:
         file: STL, OBJ, PLY or URDF.
         scale: metres per unit of the file.
-        pose_world_mesh: (4, 4); None where it is to be found.
-        hint: (3,) a point near it, where there is no pose [m].
-        is_placed: whether it stands exactly at its pose; else it is matched to the scan around it.
+        pose_world_mesh: (4, 4) pose; None if the mesh is to be found.
+        hint: (3,) point near the mesh if it has no pose [m].
+        is_placed: whether the pose is exact; else the mesh is matched to the scan around it.
         name: name of its pieces; empty for the file's name.
         called: name of the file in messages; empty for its path.
     """
@@ -67,7 +67,7 @@ class MeshInput:
 
     @property
     def file_text(self) -> str:
-        """The file, as messages name it."""
+        """Name of the file for messages."""
         return self.called or str(self.file)
 
 
@@ -76,14 +76,14 @@ class PlacedMesh:
     """A known mesh after its match with the scan.
 
     Attributes:
-        known: the mesh and its requested place.
-        file: its file, as messages name it.
-        placing: ``given`` (it stands where it was placed), ``found`` (it stands where the scan shows it), ``not found``
-            or ``gone`` (it does not stand in the scene).
+        known: the mesh and its requested pose.
+        file: name of its file in messages.
+        placing: ``given`` (at its requested pose), ``found`` (at the pose found in the scan), ``not found`` or ``gone``
+            (not in the scene).
         match: its match with the scan.
-        pose_world_mesh: (4, 4) of the file's own frame; None without any match.
-        pieces: its convex parts in the world; none unless it stands there.
-        notes: repairs of the mesh, and doubts about its place.
+        pose_world_mesh: (4, 4) pose of the file's frame; None without a match.
+        pieces: its convex parts in the world; empty if it is not in the scene.
+        notes: repairs of the mesh, and doubts about its pose.
     """
 
     known: KnownMesh
@@ -95,13 +95,13 @@ class PlacedMesh:
     notes: tuple[str, ...]
 
     def explains(self, points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "K"]:
-        """Return the indices of the points on or in it."""
+        """Return the indices of the points on or inside the mesh."""
         if not self.pieces or self.match.confidence < CONFIDENT:
             return np.arange(0)
         return np.flatnonzero(self.match.explains(points, FRINGE))
 
     def to_json(self) -> dict[str, Any]:
-        """Return its entry in a scene file; lengths in metres."""
+        """Return the mesh's entry in a scene file; lengths in metres."""
         return {
             "name": self.known.name,
             "file": self.file,
@@ -118,10 +118,10 @@ class PlacedMesh:
 
 
 def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
-    """Read one ``--mesh``: a file, its place (``at``), or the place to look for it (``near``).
+    """Parse one ``--mesh``: a file, and its pose (``at``) or the position or pose to search around (``near``).
 
     Raises:
-        RequestError: there is no such file, or what follows its name is no pose.
+        RequestError: the file does not exist, or the text after its name is not a pose.
     """
     file, how, words = Path(text), "", ""
     parts = re.fullmatch(r"(.+)\s+(at|near)(?:\s+(.*))?", text.strip(), re.DOTALL)
@@ -161,10 +161,10 @@ def mesh_from_request(request: KnownMeshRequest, file: Path) -> MeshInput:
 
 
 def load_known_meshes(meshes: Sequence[MeshInput], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
-    """Read the meshes; each has its file's name, numbered where that name is taken.
+    """Read the meshes; each gets its requested or its file's name, numbered if that name is taken.
 
     Raises:
-        RequestError: a file that cannot be used, or a scale with which it would be no object of this world.
+        RequestError: a file cannot be used, or a scale gives an implausible size.
     """
     names = _make_names([mesh.name or mesh.file.stem for mesh in meshes], {*_TAKEN, *taken})
     return tuple(
@@ -198,7 +198,7 @@ def _make_names(stems: Sequence[str], taken: set[str]) -> Iterator[str]:
 def place_meshes(
     known: Sequence[KnownMesh], meshes: Sequence[MeshInput], matches: Mapping[str, MeshMatch]
 ) -> list[PlacedMesh]:
-    """Place the meshes; those that stand in the scene are split into convex parts.
+    """Return the meshes at their poses, split into convex parts if they are in the scene.
 
     Raises:
         RequestError: CoACD crashed or needs too much.
@@ -240,5 +240,5 @@ def explain_low_confidence(match: MeshMatch) -> str:
     ]
     if not reasons:
         reasons = [f"{int(residuals['n_points'])} points lie on it"]
-    # Rounded down: what is a little too little must not read as enough.
+    # Rounded down, so that a value slightly below its threshold is not printed as sufficient.
     return f"confidence {np.floor(100.0 * match.confidence) / 100.0:.2f}, {CONFIDENT} is needed ({', '.join(reasons)})"

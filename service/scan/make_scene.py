@@ -1,4 +1,4 @@
-"""``scopt scene``: a scene of cloud files, or an earlier scene updated by them, JSON-ready."""
+"""``scopt scene``: a scene made from cloud files, or an earlier scene updated by them, JSON-ready."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ from service.scan.scene_file import (
 )
 
 _OPTION = "--update"
-_GONE = 0.5  # of the rays that should have met a mesh went on
+_GONE = 0.5  # share of rays passing through a mesh above which it counts as gone
 _AGAIN = "; make it anew with 'scopt scene'"
 
 
@@ -73,8 +73,8 @@ class EarlierScene:
         path: path of the file.
         settings: settings of the scene.
         scene: all its pieces.
-        pieces: the pieces made of points.
-        meshes: the known meshes in it.
+        pieces: the pieces made from points.
+        meshes: the known meshes in the scene.
     """
 
     path: Path
@@ -84,7 +84,7 @@ class EarlierScene:
     meshes: tuple[MeshRecord, ...]
 
     def meshes_without(self, names: Collection[str]) -> tuple[MeshRecord, ...]:
-        """Return the meshes with other names."""
+        """Return the meshes whose names are not among ``names``."""
         return tuple(mesh for mesh in self.meshes if mesh.name not in names)
 
     @property
@@ -94,12 +94,12 @@ class EarlierScene:
         return Earlier(self.scene, self.pieces, reach, self.settings.seed)
 
     def rebuild_mesh(self, mesh: MeshRecord) -> KnownMesh:
-        """Make a mesh of its pieces, which are in the world already."""
+        """Make a known mesh from its pieces, which are already in the world frame."""
         parts = [piece.vertices for piece in self._parts(mesh)]
         return KnownMesh(mesh.name, Solid(tuple(hull_mesh(part) for part in parts), (), ()), np.eye(4), None, True)
 
     def place_mesh(self, mesh: MeshRecord, seen: Perceived) -> PlacedMesh:
-        """Keep a mesh, unless it was found by a scan and most rays now go through it."""
+        """Return a mesh at its pose; it is gone if an earlier scan found it and most rays now pass through it."""
         known, match = self.rebuild_mesh(mesh), seen.matches[mesh.name]
         pose = None if mesh.pose_world_mesh is None else np.array(mesh.pose_world_mesh)
         if mesh.placing == "found" and match.residuals["seen_through"] > _GONE:
@@ -129,7 +129,7 @@ def read_earlier_scene(path: Path) -> EarlierScene:
     """Read a scene that ``scopt scene`` wrote.
 
     Raises:
-        RequestError: it is missing, no scene, or of an older release that wrote too little.
+        RequestError: the file is missing, not a scene, or of an older release without the required keys.
     """
     record = read_record(path, _OPTION, UpdatableRecord, advice=_AGAIN)
     try:
@@ -189,9 +189,9 @@ class SceneInput:
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A built scene: ``data`` is the content of its file; the page is made of the rest.
+    """A built scene: ``data`` is the content of its file, the rest is for the HTML page.
 
-    ``mesh_points`` are indices of the obstacle points of known meshes, by the name of a piece of the mesh.
+    ``mesh_points`` are the indices of obstacle points on known meshes, by the name of one of the mesh's pieces.
     """
 
     data: dict[str, Any]
@@ -206,11 +206,11 @@ def apply_earlier_settings(
     """Return the input with the settings of the earlier scene.
 
     Args:
-        explicit: names of the settings that the user gave, and their options; their values have to be the scene's.
-        option: name of the update's option.
+        explicit: settings given by the user, with their options; their values must equal the earlier scene's.
+        option: name of the option for updates.
 
     Raises:
-        RequestError: a given setting differs.
+        RequestError: a given setting differs from the earlier scene's.
     """
     settings = before.settings
     for name, flag in sorted(explicit.items()):
@@ -227,16 +227,16 @@ def apply_earlier_settings(
 
 
 def build_scene(request: SceneInput, on_step: OnStep, time_limit_s: float | None = None) -> BuiltScene:
-    """Build the scene of cloud files, or update an earlier one.
+    """Build a scene from cloud files, or update an earlier one.
 
     Args:
         request: clouds and settings.
         on_step: called with the name of each step before it begins.
-        time_limit_s: for all together; hits until then are returned, and kinds not searched are listed.
+        time_limit_s: limit for all together; hits until then are returned, and kinds not searched are listed.
 
     Raises:
-        RequestError: one line for a file, name or value that cannot be used.
-        OutOfTimeError: the time was over before the pieces were made.
+        RequestError: a file, name or value cannot be used.
+        OutOfTimeError: the time limit was reached before the pieces were made.
     """
     started = time.perf_counter()
     kinds = check_kinds(request.kinds, "--detect")
@@ -323,7 +323,7 @@ def _encode_pieces(request: SceneInput, seen: Perceived, meshes: Sequence[Placed
 
 
 def _encode_evidence(piece: Piece) -> dict[str, object]:
-    """Return the evidence of a piece: number of points, shares of rays, and the plane it is on."""
+    """Return the evidence of a piece: number of points, shares of rays, and its plane."""
     summary = {key: value for key, value in piece.summary().items() if key not in ("name", "kind")}
     return {**summary, "plane": to_json_data(piece.plane)}
 
@@ -341,7 +341,7 @@ def _count_parts(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _covered_share(seen: Perceived, mesh_points: Mapping[str, Int[np.ndarray, "K"]]) -> float | None:
-    """Return the share of the obstacle points within a piece; None without obstacle points."""
+    """Return the share of the obstacle points inside a piece; None without obstacle points."""
     is_held = np.zeros(len(seen.view.obstacles), dtype=bool)
     for points in (*(piece.points for piece in seen.pieces), *mesh_points.values()):
         is_held[points] = True
@@ -349,7 +349,7 @@ def _covered_share(seen: Perceived, mesh_points: Mapping[str, Int[np.ndarray, "K
 
 
 def _encode_level(level: FloorPlane) -> dict[str, Any]:
-    """Return a level of the floor: the plane ``normal . x == offset``, unbounded without outlines."""
+    """Return a floor level as JSON data: the plane ``normal . x == offset``, unbounded without outlines."""
     return {
         "normal": to_json_data(level.normal),
         "offset": float(level.offset),

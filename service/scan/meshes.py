@@ -1,4 +1,4 @@
-"""Mesh files of a request as solids, and solids as convex parts."""
+"""Reading of a request's mesh files as solids, and decomposition of solids into convex parts."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
     """Read a mesh file, in its own frame [m].
 
     Args:
-        path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero are one object.
-        field: field of the request that names it.
+        path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero form one object.
+        field: field of the request that names the file.
         scale: metres per unit of the file.
 
     Raises:
-        RequestError: naming ``field``: no such file, another format, too large or broken.
+        RequestError: the file is missing, of another format, too large or broken; the message names ``field``.
     """
     from perception import PerceptionError  # takes a while, and most scenes need none
     from perception.solids.mesh import make_solid, unite_solids
@@ -54,12 +54,12 @@ def split_convex(solid: Solid, name: str, field: str, *, decompose: bool = True)
     A convex mesh is one part. CoACD's parts (Wei et al., SIGGRAPH 2022) follow the surface to about 1 cm.
 
     Args:
-        name: its name in errors.
+        name: name of the solid in errors.
         field: field of the request that names its file.
-        decompose: whether to split it; else its hull is the one part.
+        decompose: whether to split the solid; else its hull is the only part.
 
     Raises:
-        RequestError: naming ``field``: CoACD crashed or needs too much.
+        RequestError: CoACD crashed or needs too much; the message names ``field``.
     """
     from perception import PerceptionError
     from perception.solids import decompose as solids
@@ -73,7 +73,7 @@ def split_convex(solid: Solid, name: str, field: str, *, decompose: bool = True)
 
 
 def _read_shape(shape: StillShape, scale: float) -> Mesh:
-    """Return a shape's triangles in the object's frame; of a round shape, those of the polytope around it."""
+    """Return a shape's triangles in the object's frame; a round shape becomes its circumscribed polytope."""
     from perception.solids.read import read_mesh
 
     pose = shape.pose_object_shape.copy()
@@ -84,7 +84,7 @@ def _read_shape(shape: StillShape, scale: float) -> Mesh:
 
 
 def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:
-    """Return the convex hull of points as triangles wound outwards."""
+    """Return the convex hull of points as triangles with outward normals."""
     from perception.solids.mesh import Mesh
 
     hull = ConvexHull(points)

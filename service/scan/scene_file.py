@@ -1,4 +1,4 @@
-"""Scene files (docs/scene-format.md): their schema, and reading one to plan in, whichever program wrote it."""
+"""Scene files (docs/scene-format.md): their schema, and reading of a scene for planning, from any program."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Placing = Literal["given", "found", "not found", "gone"]
 
 @checked(frozen=True)
 class SceneSettings:
-    """How a scene was made from its clouds; an update uses the same settings."""
+    """Settings with which a scene was made from its clouds; an update uses the same."""
 
     reach_m: Annotated[Number, Field(gt=0.0)]
     top_m: Number
@@ -46,7 +46,7 @@ class SceneSettings:
 
 @checked(frozen=True)
 class EvidenceRecord:
-    """What the rays of the scan say about a piece."""
+    """Evidence for a piece from the rays of the scan."""
 
     free_cells: Annotated[int, Field(ge=0)]
     free_share: Number
@@ -94,7 +94,7 @@ class MeshRecord:
 
 @checked(frozen=True)
 class SceneRecord:
-    """The keys of a scene file that a plan reads; other programs may write them too."""
+    """Keys of a scene file that planning reads; other programs may write them too."""
 
     pieces: Annotated[list[PieceRecord], Field(max_length=MOST_PIECES)]
     detections: Annotated[list[HitRecord], Field(max_length=MOST_PIECES)] = Field(default_factory=list)
@@ -102,7 +102,7 @@ class SceneRecord:
 
 @checked(frozen=True, kw_only=True)
 class UpdatableRecord(SceneRecord):
-    """The keys that an update reads besides."""
+    """Keys that an update reads in addition."""
 
     settings: SceneSettings
     meshes: list[MeshRecord]
@@ -135,19 +135,19 @@ class SceneFile:
     hits: tuple[HitRecord, ...]
 
     def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection, ...]:
-        """Return the wheel valves: with a hint the nearest first, else the surest."""
+        """Return the wheel valves, nearest to the hint first; without a hint, highest confidence first."""
         valves = [_valve(hit) for hit in self.hits if _is_valve(hit)]
         if hint is None:
             return tuple(sorted(valves, key=lambda valve: -valve.confidence))
         return tuple(sorted(valves, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
 
     def pieces_without(self, valves: Sequence[ValveDetection]) -> tuple[ConvexPiece, ...]:
-        """Return the pieces outside the wheels, which are to be touched."""
+        """Return the pieces outside the wheels; the wheels are contacts, not obstacles."""
         return tuple(piece for piece in self.pieces if not any(_is_within(valve, piece.vertices) for valve in valves))
 
 
 def read_scene(path: Path, field: str) -> SceneFile:
-    """Read a scene file to plan in.
+    """Read a scene file for planning.
 
     Args:
         path: path of the file.
@@ -192,7 +192,7 @@ def read_record(path: Path, field: str, kind: type[RecordT], *, if_scan: str = "
 
 def _read_json(path: Path, field: str, if_scan: str) -> Mapping[str, Any]:
     try:
-        if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device would never end
+        if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):  # reading a pipe or a device might never end
             raise RequestError(f"{field}: {path} is no regular file; expected the file that 'scopt scene' writes")
         if path.stat().st_size > MOST_BYTES:
             raise RequestError(f"{field}: {path} has more than {MOST_BYTES // 2**20} MB; a scene has less")
@@ -217,7 +217,7 @@ def _check_solid(pieces: Sequence[ConvexPiece]) -> None:
 
 
 def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:
-    """Return the approximate size of a body in its thinnest direction [m]."""
+    """Return the approximate smallest thickness of a body [m]."""
     return float(np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[-1])
 
 
@@ -237,7 +237,7 @@ def _valve(hit: HitRecord) -> ValveDetection:
 def wheel_from_circle(
     centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], rim_radius: float, tube_radius: float
 ) -> ValveDetection:
-    """Make a valve of its rim alone, without spokes.
+    """Make a valve from its rim circle only, without spokes.
 
     Args:
         centre: centre of the rim [m].

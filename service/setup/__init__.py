@@ -1,1 +1,1 @@
-"""A request made ready to plan: robot at its start, obstacles, and the scan's pieces around it."""
+"""Preparation of a request for planning: robot at its start, obstacles, and pieces of the scan."""

@@ -34,9 +34,9 @@ class StartCheck:
     """The result of checking a start that can be planned from.
 
     Attributes:
-        overlaps: hulls that the first phase leaves.
-        unresolved: sentences about pairs that are apart while their hulls overlap, so that nothing can be certified.
-        notes: sentences about collisions that the first phase leaves.
+        overlaps: overlapping hulls that the first phase separates.
+        unresolved: sentences about pairs that are apart but whose hulls overlap, so that they cannot be certified.
+        notes: sentences about collisions that the first phase resolves.
     """
 
     overlaps: tuple[Overlap, ...]
@@ -111,15 +111,15 @@ def check_start(
     request: PlanRequest,
     program: Program | None,
 ) -> StartCheck:
-    """Check that the robot is free of collision and balanced at its start, or may leave the collision first.
+    """Check that the robot is balanced and collision-free at its start, or may escape from the collision.
 
     Raises:
-        RequestError: the start is in collision and may not escape, or cannot; or it is out of balance.
+        RequestError: the start is out of balance, or in collision without permission or possibility to escape.
     """
     is_balanced = program is None or program.is_balanced
     feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
     grounded = dict(find_ground_problems(scene.pieces, feet)) if robot.is_floating else {}
-    # A sole inside the floor is reported once, as a floor that is too high.
+    # A sole inside the floor is reported only once, as a floor that is too high.
     inside, near = (
         [overlap for overlap in overlaps if overlap.kind != FLOOR_KIND or overlap.link not in grounded]
         for overlaps in find_overlaps_and_unresolved(robot, start, scene, tuple(soles))

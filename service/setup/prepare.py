@@ -1,4 +1,4 @@
-"""Preparation of a request: the robot at its start in its world, checked, as what every task starts from."""
+"""Preparation of a request: the checked robot, start and scene from which every task plans."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanSetup:
-    """The prepared request from which every task starts.
+    """Prepared request, the input of every task's planner.
 
     Attributes:
         request: the request.
@@ -43,10 +43,10 @@ class PlanSetup:
         scene: all pieces, including the floor.
         surroundings: pieces and objects of the scan or scene file.
         soles: (C, 3) sole corners of each planted link in the world at the start [m].
-        kept: relative poses that hold along the whole motion.
+        kept: relative poses that are kept along the whole motion.
         program: the TrajOpt problem to solve, or None.
-        overlaps: hulls that overlap at the start and have to be left first.
-        unresolved: sentences about pairs that are apart at the start while their hulls overlap, so that nothing can be
+        overlaps: hulls that overlap at the start and must be separated first.
+        unresolved: sentences about pairs that are apart at the start but whose hulls overlap, so that they cannot be
             certified there.
         notes: assumptions and warnings for the user.
         timings: seconds by step.
@@ -69,7 +69,7 @@ class PlanSetup:
 
     @property
     def contacts(self) -> tuple[str, ...]:
-        """The links planted at the start."""
+        """Links planted at the start."""
         return tuple(self.soles)
 
 
@@ -80,12 +80,12 @@ def prepare(
     should_stop: Callable[[], bool] = lambda: False,
     see: Callable[..., Perceived] | None = None,
 ) -> PlanSetup:
-    """Load the robot, read the scan, and check the request against both.
+    """Load the robot, read the scan, and check the request against robot and scan.
 
     Args:
         request: the request.
         on_step: called with the name of each step before it begins.
-        robot: the request's robot if it is loaded already.
+        robot: the request's robot if it is already loaded.
         should_stop: polled while the scene is made; once it returns True, the result ``is_stopped``.
         see: ``perception.perceive``, or a function that caches its results.
 

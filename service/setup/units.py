@@ -1,4 +1,4 @@
-"""Check of a request's unit: lengths and places a hundred metres from the robot are refused."""
+"""Check of a request's unit: positions over a hundred metres from the robot are refused."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class _Box:
 
 
 def find_unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
-    """Return obstacle line per length that only another unit or frame explains; sizes are checked by the schema."""
+    """Return one line per position so far away that its unit or frame must be wrong; the schema checks sizes."""
     here = _robot_box(robot, start)
     base = None if request.start.base is None else np.array(request.start.base.position)
     problems: list[str] = []
@@ -77,14 +77,14 @@ def note_far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.
 
 
 def _robot_box(robot: RobotModel, start: Float[np.ndarray, "n"]) -> _Box:
-    """Return the box of the robot's bodies at its start; without bodies, of its base or the world's origin."""
+    """Return the bounding box of the robot's bodies at its start; without bodies, its base or the world's origin."""
     placed = [vertices for _, vertices in place_bodies(robot, start)]
     base = start[:3] if robot.is_floating else np.zeros(3)
     return _Box.around(np.vstack(placed) if placed else base[None])
 
 
 def _places(request: PlanRequest) -> Iterator[tuple[str, Float[np.ndarray, "3"], _Box]]:
-    """Yield field, point, and the box of the placed object in the world."""
+    """Yield the field, position and bounding box of each placed object in the world [m]."""
     for index, obstacle in enumerate(request.scene.obstacles):
         field = f"scene.obstacles[{index}]"
         box = _extent(obstacle)

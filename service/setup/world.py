@@ -1,4 +1,4 @@
-"""The world around the robot at its start: obstacles of the request, and pieces of its scan or scene file."""
+"""Surroundings of the robot: obstacles of the request, and pieces of its scan or scene file."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Surroundings:
     """Pieces and objects of a scan or scene file.
 
     Attributes:
-        pieces: pieces to keep clear of, with the floor and without the wheel of ``valves[0]``.
-        valves: wheel valves, the one to turn first; empty unless the task turns one.
+        pieces: pieces to avoid, including the floor, without the wheel of ``valves[0]``.
+        valves: wheel valves, the first is the one to turn; empty unless the task turns a valve.
         points: (M, 3) points of the scan for display [m].
         notes: sentences for the user.
         matches: matches of meshes with the scan, by name.
@@ -61,8 +61,8 @@ def read_surroundings(
 
     Args:
         request: the request.
-        robot: the robot, which is removed from the scan.
-        start: (n,) its configuration.
+        robot: the robot; its own points are removed from the scan.
+        start: (n,) configuration of the robot.
         soles: corners of each planted link's sole in the world [m].
         see: ``perception.perceive``, or a function that caches its results.
 
@@ -134,7 +134,7 @@ def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
     """Load the meshes to find in the request's scan.
 
     Raises:
-        RequestError: a mesh file that cannot be used.
+        RequestError: a mesh file cannot be used.
     """
     from perception.solids.match import KnownMesh  # takes a while, and only requests with a scan need it
 
@@ -148,13 +148,13 @@ def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
 def build_obstacles(
     request: PlanRequest, matches: Mapping[str, MeshMatch] = MappingProxyType({})
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
-    """Return the convex pieces of all obstacles and notes; round shapes are polytopes, meshes several pieces.
+    """Return the convex pieces of all obstacles, and notes; round shapes become polytopes, meshes several pieces.
 
     Args:
-        matches: matches of meshes with the scan, by name; these meshes stand where the scan shows them.
+        matches: matches of meshes with the scan, by name; these meshes are placed at the matched poses.
 
     Raises:
-        RequestError: a mesh file that cannot be used or is not found in the scan, or points without a volume.
+        RequestError: a mesh file cannot be used, a mesh is not found in the scan, or points have no volume.
     """
     pieces: list[ConvexPiece] = []
     notes: list[str] = []

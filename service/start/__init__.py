@@ -1,1 +1,1 @@
-"""The robot at its start: configuration, carried bodies, overlaps, and the ground below its soles."""
+"""Start of the robot: configuration, carried bodies, overlaps, and ground below its soles."""

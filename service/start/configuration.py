@@ -13,7 +13,7 @@ from costs.robot import BASE_NAMES, RobotModel
 from service.errors import RequestError, would_do
 from service.request.schema import StartRequest
 
-SNAP_TOLERANCE = 1e-3  # rounding in a robot's own report of its joints [rad, m]
+SNAP_TOLERANCE = 1e-3  # rounding of joint positions reported by a robot [rad, m]
 STANDING_POSTURE = "stand"
 LARGEST_PITCH_DEG = 85.0
 
@@ -40,7 +40,7 @@ def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Fl
 
 
 def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str], field: str) -> list[str]:
-    """Return one line per name that is no joint of the robot."""
+    """Return one line per name that is not a joint of the robot."""
     joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
     return [
         f"unknown joint {name!r} in {field}; {robot.name} has {would_do(name, joints)}"

@@ -1,4 +1,4 @@
-"""Collisions at one configuration: bodies of the robot that overlap pieces or each other, and how deep."""
+"""Collisions at one configuration: overlaps of the robot's bodies with pieces or each other, and their depths."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from service.verify.solids import make_coal_convex
 
 TOUCH_M = 1e-6
 EXACT_ROUNDING_M = 1e-5
-"""More than coal's distances between round shapes are off [m]."""
+"""Upper bound of the error of coal's distances between round shapes [m]."""
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """A link inside a piece or inside another link, by their shapes or by the hulls that stand for them alone.
+    """Overlap of a link with a piece or another link, of their exact shapes or only of their planning hulls.
 
     Attributes:
         link: the link.
@@ -49,12 +49,12 @@ class Overlap:
 
     @property
     def where(self) -> str:
-        """``inside shelf (obstacle)``."""
+        """Text such as ``inside shelf (obstacle)``."""
         return f"inside {self.other}" if self.kind in (None, "", self.other) else f"inside {self.other} ({self.kind})"
 
     @property
     def nearness(self) -> str:
-        """If only the hulls overlap: ``l2 is 0.4 mm from ball (obstacle), nearer than ... hulls resolve ...``."""
+        """Text for overlapping hulls: ``l2 is 0.4 mm from ball (obstacle), nearer than ... hulls resolve ...``."""
         hull_depth = _format_length(self.hull_depth)
         if self.depth > 0.0:
             return f"{self}, as far as tolerances allow, while the planner's hulls overlap by {hull_depth}"
@@ -76,14 +76,14 @@ def describe_collisions(
 
 
 def find_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
-    """Return the pairs in collision at ``q`` by their shapes, the deepest first; planted feet may touch the floor."""
+    """Return the pairs whose shapes collide at ``q``, the deepest first; planted feet may touch the floor."""
     return find_overlaps_and_unresolved(robot, q, scene, planted)[0]
 
 
 def find_overlaps_and_unresolved(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> tuple[list[Overlap], list[Overlap]]:
-    """Return the pairs in collision by their shapes, and those of which only the hulls overlap; the deepest first."""
+    """Return the pairs whose shapes collide, and the pairs of which only the hulls overlap; the deepest first."""
     overlaps = _find_hull_overlaps(robot, q, scene, planted)
     inside = _keep_deepest([overlap for overlap, is_inside in overlaps if is_inside])
     pairs = {frozenset(overlap.pair) for overlap in inside}
@@ -93,7 +93,7 @@ def find_overlaps_and_unresolved(
 def find_hull_overlaps(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[Overlap]:
-    """Return the pairs whose hulls overlap at ``q``, with the hulls' depths, the deepest first."""
+    """Return the pairs whose hulls overlap at ``q``, with the depths of the hulls, the deepest first."""
     overlaps = _find_hull_overlaps(robot, q, scene, planted)
     return _keep_deepest([replace(overlap, depth=overlap.hull_depth) for overlap, _ in overlaps])
 
@@ -101,7 +101,7 @@ def find_hull_overlaps(
 def _find_hull_overlaps(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[tuple[Overlap, bool]]:
-    """Return overlaps of hulls beyond the allowed depth, and whether the shapes overlap too."""
+    """Return each overlap of hulls beyond the allowed depth, and whether the shapes overlap too."""
     things: list[LinkBody | ConvexPiece] = [*robot.bodies, *scene.pieces]
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
@@ -144,7 +144,7 @@ def _format_length(metres: float) -> str:
 
 
 def describe_dead_end(overlap: Overlap, planted: Sequence[str]) -> str:
-    """Return the reason why an overlap cannot be left; empty if it can."""
+    """Return the reason why no motion can resolve an overlap; empty if one can."""
     names = [overlap.link, overlap.other] if overlap.kind is None else [overlap.link]
     if all(name in planted for name in names):
         return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} planted and cannot leave"
@@ -152,14 +152,14 @@ def describe_dead_end(overlap: Overlap, planted: Sequence[str]) -> str:
 
 
 def _find_box_pairs(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
-    """Return index pairs of a body and a later set of vertices whose bounding boxes meet."""
+    """Return index pairs (body, later body or piece) whose axis-aligned bounding boxes intersect."""
     low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
     meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
     return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
 
 
 def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPiece, planted: Sequence[str]) -> float:
-    """Return the allowed depth at the start [m]; infinite for a pair that is not checked."""
+    """Return the allowed penetration depth at the start [m]; infinite for a pair that is not checked."""
     if isinstance(other, LinkBody):
         pair = (min(body.link, other.link), max(body.link, other.link))
         return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
@@ -170,7 +170,7 @@ def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPi
 
 @dataclass(frozen=True)
 class ExactShape:
-    """A shape for coal, in the frame of its body or piece.
+    """Collision shape for coal in the frame of its body or piece.
 
     Attributes:
         geometry: the shape.
@@ -191,13 +191,13 @@ class ExactShape:
 
     @staticmethod
     def of_hull(thing: LinkBody | ConvexPiece) -> ExactShape:
-        """Make the hull of a body or a piece in planning and in the certificate."""
+        """Make the hull of a body or a piece that planning and certificate use."""
         return ExactShape(make_coal_convex(thing.vertices), np.eye(4), False)
 
     def depth_in(
         self, other: ExactShape, pose: Float[np.ndarray, "4 4"] | None = None, pose_other: np.ndarray | None = None
     ) -> float:
-        """Return the penetration depth, negative when apart [m]; a shape's frame without a pose is the world's."""
+        """Return the penetration depth, negative when apart [m]; without a pose the shape's frame is the world."""
         return penetration_depth(self.geometry, other.geometry, _at(pose, self.pose), _at(pose_other, other.pose))
 
 
@@ -216,7 +216,7 @@ def penetration_depth(
 def _geometry(exact: Primitive) -> coal.CollisionGeometry:
     match exact.kind:
         case "sphere":
-            # coal.Sphere takes a shortcut to a cylinder's distance that is metres off where its centre is inside.
+            # The distance of coal.Sphere to a cylinder is wrong by metres if the sphere's centre is inside.
             return coal.Capsule(exact.radius, 0.0)
         case "cylinder":
             return coal.Cylinder(exact.radius, exact.length)

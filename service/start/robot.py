@@ -1,4 +1,4 @@
-"""Loading of a request's robot with the bodies that its links carry."""
+"""Loading of a request's robot with its carried bodies."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
 
 
 def load_requested_robot(request: PlanRequest) -> RobotModel:
-    """Load the robot that a request names or points to.
+    """Load the bundled robot or the URDF of a request.
 
     Raises:
-        RequestError: its files are missing or cannot be used.
+        RequestError: a file is missing or cannot be used.
     """
     robot = request.robot
     try:
@@ -43,10 +43,10 @@ def _find_file(request: PlanRequest, path: str, field: str) -> Path:
 
 
 def attach_bodies(robot: RobotModel, request: PlanRequest) -> RobotModel:
-    """Return the robot with the bodies that it carries.
+    """Return the robot with its carried bodies.
 
     Raises:
-        RequestError: one line per problem: a name in use, an unknown link, a link that holds without being kept.
+        RequestError: one line per problem: a name in use, an unknown link, a holding link that ``keep`` does not fix.
     """
     attached = request.attached
     problems = [line for index in range(len(attached)) for line in _find_unusable(robot, attached, index)]
@@ -65,7 +65,7 @@ def attach_bodies(robot: RobotModel, request: PlanRequest) -> RobotModel:
 def pose_matrix(
     position: tuple[float, float, float], quaternion_wxyz: tuple[float, float, float, float]
 ) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of a request's position [m] and quaternion."""
+    """Return the (4, 4) pose of a request's position [m] and quaternion."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
     pose[:3, 3] = position
@@ -92,7 +92,7 @@ def _find_unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index
 
 
 def _find_loose(robot: RobotModel, keep: Sequence[KeepRequest], item: AttachedRequest, index: int) -> Iterator[str]:
-    """Yield a problem for each holding link that may move against the body, since their overlap could then change."""
+    """Yield a problem for each holding link that may move relative to the body and so change their overlap."""
     kept = [
         {_joint(robot, other.link), _joint(robot, other.relative_to)} for other in keep if other.free_axis == "none"
     ]

@@ -1,4 +1,4 @@
-"""Standing at the start: soles of planted feet, the ground below them, masses, and balance."""
+"""Balance at the start: soles of planted feet, the ground below them, and masses."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from service.errors import RequestError
 from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, find_ground_gaps
 
 FEET_GROUP = "feet"
-SOLE_BAND_M = 0.002  # vertices this close to a foot's lowest one are its sole
+SOLE_BAND_M = 0.002  # height above a foot's lowest vertex up to which vertices belong to its sole
 FLOOR_KIND = "floor"
-LARGEST_SHIFT_M = 0.03  # of a scanned floor: its height is that uncertain
+LARGEST_SHIFT_M = 0.03  # uncertainty of a scanned floor's height
 LEAST_MASS_KG = 1e-3
 
 
@@ -50,7 +50,7 @@ def find_standing_problems(
 
 
 def _weightless_links(robot: RobotModel) -> list[str]:
-    """Return a link with a shape for each joint that moves shapes without any mass."""
+    """Return one link per joint that moves shapes but no mass."""
     links = {b.joint: b.link for b in reversed(robot.bodies) if b.link not in robot.mechanism_links}
     return [link for joint, link in sorted(links.items()) if joint and not robot.model.inertias[joint].mass > 0.0]
 
@@ -58,7 +58,7 @@ def _weightless_links(robot: RobotModel) -> list[str]:
 def move_floor_to_soles(
     seen: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
-    """Move a scan's floor up or down to the planted soles if it is near them; return the pieces and a note.
+    """Return the pieces with the scan's floor shifted in height to the planted soles if it is near them, and a note.
 
     Args:
         seen: pieces of a scan.
@@ -86,7 +86,7 @@ def move_floor_to_soles(
 def find_ground_problems(
     pieces: Sequence[ConvexPiece], soles: Mapping[str, Float[np.ndarray, "C 3"]]
 ) -> Iterator[tuple[str, str]]:
-    """Yield each planted link off the ground, with the problem."""
+    """Yield each planted link that is off the ground, with the problem."""
     for link, corners in soles.items():
         gaps = find_ground_gaps(corners, pieces)
         worst = float(gaps[np.abs(gaps).argmax()])

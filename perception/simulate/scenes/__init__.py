@@ -1,4 +1,4 @@
-"""Scenes for the simulator: the robot at the origin, what it is to find, and what stands about."""
+"""Scenes for the simulator: the robot at the origin, objects to detect, and surroundings."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def make_scene(name: str, seed: int = 0) -> SimulatedScene:
     """Return a scene by name.
 
     Args:
-        seed: of its details: places, tilts, what stands about.
+        seed: seed of its random details: positions, tilts, surroundings.
 
     Raises:
-        PerceptionError: there is no such scene.
+        PerceptionError: the name is unknown.
     """
     if name not in SCENES:
         raise PerceptionError(f"unknown scene '{name}'; expected one of {', '.join(SCENES)}")

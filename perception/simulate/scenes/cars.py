@@ -25,15 +25,15 @@ from perception.simulate.scenes.scene import (
 
 @dataclass(frozen=True)
 class Car:
-    """A two-seater; its frame is x forward, y left, z up, on the ground between the seats' middles.
+    """A two-seater; its frame is x forward, y left, z up, with its origin on the ground midway between the seats.
 
     Attributes:
         place: x, y of its frame's origin in the world [m].
-        floor: height of its floor over the ground [m].
-        seat_height: of the cushion's top over the car's floor [m].
-        seat_y: of the cushions' middles, to either side [m].
-        opening: from the body behind the seats to the front fender [m].
-        roof: height of its underside over the ground [m].
+        floor: height of its floor above the ground [m].
+        seat_height: height of the cushion's top above the car's floor [m].
+        seat_y: lateral distance of the cushions' centres from the middle [m].
+        opening: length from the body behind the seats to the front fender [m].
+        roof: height of the roof's underside above the ground [m].
     """
 
     place: tuple[float, float] = (0.0, 0.0)
@@ -49,11 +49,11 @@ class Car:
 
     @property
     def _rear(self) -> float:
-        """x of the body's edge behind the opening."""
+        """x of the body's edge behind the opening [m]."""
         return -0.5 * self.seat_depth - 0.12
 
     def build(self) -> PlacedObjects:
-        """Build it; the steering wheel is a wheel by its looks."""
+        """Build the car; the steering wheel is a lookalike of a wheel valve."""
         world = pose_of((*self.place, 0.0), yaw=self.yaw)
         meshes = [*self._body(), *self._cabin(), *self._road_wheels()]
         truth = [Truth(kind, world @ pose, sizes) for kind, pose, sizes in (*self._seats(), *self._openings())]
@@ -146,10 +146,10 @@ class Car:
 
 @dataclass(frozen=True)
 class FromSeat:
-    """The origin is on the ground under the passenger's seat, on the right; forward is +x.
+    """Scene from the passenger's seat on the right; the origin is on the ground below it, forward is +x.
 
     Attributes:
-        floor_height: of the car over the ground, within 3 cm [m].
+        floor_height: height of the car's floor above the ground, varied by 3 cm [m].
     """
 
     floor_height: float = 0.4
@@ -167,11 +167,11 @@ class FromSeat:
 
 @dataclass(frozen=True)
 class FromOutside:
-    """The robot looks at an opening of the car.
+    """Scene from outside: the robot looks at an opening of the car.
 
     Attributes:
-        yaw_deg: of the car's forward direction, within 6 degrees.
-        distance: of the car's middle, within 10 cm [m].
+        yaw_deg: yaw of the car's forward direction, varied by 6 degrees.
+        distance: distance of the car's centre, varied by 10 cm [m].
     """
 
     yaw_deg: float

@@ -1,4 +1,4 @@
-"""Scenes in which there is nothing to find, but much that looks a little like it."""
+"""Scenes without detectable objects, but with objects that look similar."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from perception.simulate.scenes.scene import (
 
 @dataclass(frozen=True)
 class Clutter:
-    """Things arranged by a function.
+    """Scene of objects arranged by a function.
 
     Attributes:
-        arrange: gives the things for a generator of details.
+        arrange: makes the objects, with a random generator for their details.
     """
 
     arrange: Callable[[np.random.Generator], list[PlacedObjects]]
@@ -54,7 +54,7 @@ def kitchen(rng: np.random.Generator) -> list[PlacedObjects]:
 
 
 def pipes(rng: np.random.Generator) -> list[PlacedObjects]:
-    """Make upright and level pipes with flanges and elbows, without a valve."""
+    """Make vertical and horizontal pipes with flanges and elbows, without a valve."""
     parts = [wall(1.1)]
     for y in (-0.7, -0.4, 0.1, 0.5):
         radius = rng.uniform(0.025, 0.08)
@@ -98,7 +98,7 @@ def corridor(rng: np.random.Generator) -> list[PlacedObjects]:
 
 
 def boxes(rng: np.random.Generator) -> list[PlacedObjects]:
-    """Make stacks of cartons before a wall."""
+    """Make stacks of cartons in front of a wall."""
     parts = [wall(1.6)]
     for y in (-0.7, -0.15, 0.4):
         z = 0.0

@@ -1,4 +1,4 @@
-"""Beams on the ground: strewn and in heaps."""
+"""Beams on the ground: scattered and in heaps."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _STEP = 0.004
 
 @dataclass(frozen=True)
 class Debris:
-    """A heap before the robot.
+    """Scene with a heap of beams in front of the robot.
 
     Attributes:
-        spread: of the beams' middles before they fall, each way [m].
+        spread: largest offset of the beams' centres from ``middle`` in x and y before they fall [m].
     """
 
     n_beams: int
@@ -55,7 +55,7 @@ SCENES: Mapping[str, Recipe] = {
 
 
 def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], spread: float) -> list[PlacedObjects]:
-    """Drop beams one after the other: each sinks until it touches, then tips over until it touches again."""
+    """Drop beams one by one: each sinks to its first contact, then tips over to its second."""
     boxes: list[tuple[np.ndarray, np.ndarray]] = []
     placed = []
     for _ in range(n_beams):
@@ -74,9 +74,9 @@ def heap(rng: np.random.Generator, n_beams: int, middle: tuple[float, float], sp
 
 
 def _sink(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Lower it as far as it goes."""
+    """Return the (4, 4) pose of a box lowered until just before contact with the floor or other boxes."""
     pose = pose.copy()
-    # Steps smaller than a beam is thick, then small ones.
+    # Coarse steps, smaller than a beam's thickness, then fine ones.
     for step in (0.03, _STEP):
         while not _touches(pose, half, others):
             pose[2, 3] -= step
@@ -85,7 +85,7 @@ def _sink(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[n
 
 
 def _tip(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Turn it about what it lies on, towards its heavy end, until that end lies too; sunk again where it slipped."""
+    """Return the pose of a box rotated about its contact, its heavy end down, until that end touches; then lowered."""
     below = pose.copy()
     below[2, 3] -= _STEP
     along = np.linspace(-0.98, 0.98, 41)
@@ -94,7 +94,7 @@ def _tip(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np
     if not contact or min(contact) < 0.0 < max(contact):
         return pose
     at = min(contact, key=abs) * half[0]
-    # The heavy end is on the other side of the middle; it goes down.
+    # The heavy end is on the other side of the centre and moves down.
     axis = pose[:3, :3] @ np.array([0.0, 1.0, 0.0]) if abs(pose[2, 2]) > 0.5 else pose[:3, 2]
     direction = np.cross(axis, pose[:3, 0])[2]
     sign = np.sign(at) * np.sign(direction) if at else np.sign(direction)
@@ -119,7 +119,7 @@ def _shift(x: float) -> np.ndarray:
 
 
 def _touches(pose: Float[np.ndarray, "4 4"], half: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]]) -> bool:
-    """Return whether a box meets the floor or another box (separating axes)."""
+    """Return whether a box intersects the floor or another box (separating axis test)."""
     if pose[2, 3] - np.abs(pose[2, :3]) @ half < 0.0:
         return True
     return any(_overlap(pose, half, other, size) for other, size in others)

@@ -35,17 +35,17 @@ class Door:
     """A door in a wall.
 
     Attributes:
-        hinge: where the hinge line meets the floor, on the wall's seen face: x, y [m].
+        hinge: intersection of the hinge axis with the floor, on the wall's visible face: x, y [m].
         along: horizontal direction of the wall from hinge to latch, as an angle about z from x [rad].
-        hinge_on: which side the hinges are on for a viewer.
-        side: "pull": it opens towards the viewer; "push": away, the leaf lies deep in its frame.
-        ajar: how far it is open [rad].
-        height: of the leaf's top over the floor [m].
-        handle_z: height of the handle over the floor [m].
-        backset: from the leaf's free edge to the handle's spindle [m].
-        lever_length: from the spindle to the lever's end [m].
-        wall_reach: how far the wall goes on beside the frame, hinge side and latch side [m].
-        eye: x, y it is looked at from, which decides which face of an open leaf is the seen one [m].
+        hinge_on: side of the hinges as seen by the viewer.
+        side: "pull": it opens towards the viewer; "push": away, with the leaf recessed in its frame.
+        ajar: opening angle [rad].
+        height: height of the leaf's top above the floor [m].
+        handle_z: height of the handle above the floor [m].
+        backset: distance from the leaf's free edge to the handle's spindle [m].
+        lever_length: distance from the spindle to the lever's end [m].
+        wall_reach: width of the wall beside the frame, on hinge side and latch side [m].
+        eye: x, y of the viewer, which decides which face of an open leaf is visible [m].
     """
 
     hinge: tuple[float, float] = (0.9, 0.45)
@@ -66,7 +66,7 @@ class Door:
     eye: tuple[float, float] = (0.1, 0.0)
 
     def build(self) -> PlacedObjects:
-        """Return wall, frame, leaf and furniture on both sides; truth in the detector's frame."""
+        """Return wall, frame, leaf and handles on both sides, with the truth in the detector's frame."""
         to_world = self._wall_frame()
         leaf_frame = to_world @ self._leaf_in_wall()
         meshes = [mesh.place(to_world) for mesh in self._surround()]
@@ -78,7 +78,7 @@ class Door:
         return PlacedObjects(tuple(meshes), (self._truth(seen),), self._lookalikes(seen))
 
     def _wall_frame(self) -> Float[np.ndarray, "4 4"]:
-        """Return columns: along the wall from hinge to latch, out of it towards the viewer, up; may be left-handed."""
+        """Return the wall's (4, 4) frame: x from hinge to latch, y towards the viewer, z up; may be left-handed."""
         u = np.array([np.cos(self.along), np.sin(self.along), 0.0])
         out = np.cross([0.0, 0.0, 1.0], u) * (1.0 if self.hinge_on == "right" else -1.0)
         pose = np.eye(4)
@@ -87,11 +87,11 @@ class Door:
         return pose
 
     def _leaf_in_wall(self) -> Float[np.ndarray, "4 4"]:
-        """Return the leaf's frame in the wall's: x along, y out of the seen face, origin on its hinge edge."""
+        """Return the leaf's pose in the wall's frame: x along it, y out of the visible face, origin on its hinge."""
         opening = self.ajar if self.side == "pull" else -self.ajar
         c, s = np.cos(opening), np.sin(opening)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        # The pin is at the face the door opens to: the seen one, or the one behind it.
+        # The hinge pin is on the face towards which the door opens: the visible one, or the one behind it.
         face = 0.0 if self.side == "pull" else -(self.wall_thickness - self.thickness)
         pin = np.array([0.0, face - (0.0 if self.side == "pull" else self.thickness), 0.0])
         pose = np.eye(4)
@@ -100,7 +100,7 @@ class Door:
         return pose
 
     def _surround(self) -> list[Mesh]:
-        """Return wall around the opening, lining with stops, casing on the seen side."""
+        """Return the wall around the opening, the lining with stops, and the casing on the visible side."""
         left, right, top = -_GAP, self.width + _GAP, self.height + _GAP
         back, depth = -self.wall_thickness, self.wall_thickness
         lining = 0.035
@@ -120,7 +120,7 @@ class Door:
                 box((right + 0.01, y, 0.0), (high + 0.03, outer, top + _CASING)),
                 box((low - 0.03, y, top + 0.01), (high + 0.03, outer, top + _CASING)),
             ]
-        # The stop the shut leaf rests against.
+        # Stop of the closed leaf.
         stop = -self.thickness - 0.002 if self.side == "pull" else -(depth - self.thickness) + 0.002
         ends = (stop - 0.015, stop) if self.side == "pull" else (stop, stop + 0.015)
         parts += [
@@ -131,7 +131,7 @@ class Door:
         return parts
 
     def _leaf(self) -> list[Mesh]:
-        """Return leaf, hinges and furniture; y = 0 is the seen face."""
+        """Return leaf, hinges and handles; y = 0 is the visible face."""
         parts = [box((0.0, -self.thickness, _OVER_FLOOR), (self.width, 0.0, self.height))]
         pin = 0.006 if self.side == "pull" else -self.thickness - 0.006
         for z in (0.22, 0.5 * self.height, self.height - 0.2):
@@ -174,11 +174,11 @@ class Door:
 
     @property
     def _lever_depth(self) -> float:
-        """Depth of the lever's middle line over the leaf's face [m]."""
+        """Distance of the lever's centre line from the leaf's face [m]."""
         return 0.052
 
     def _handle(self) -> tuple[float, float, float]:
-        """Return x, depth over the seen face, z: of the lever's pivot, the knob's middle or the bar's middle."""
+        """Return x, distance from the visible face, and z of the lever's pivot or the knob's or bar's centre [m]."""
         if self.furniture == "lever":
             return self._spindle_x, self._lever_depth, self.handle_z
         if self.furniture == "knob":
@@ -186,7 +186,7 @@ class Door:
         return 0.5 * self.width, 0.055, self.handle_z
 
     def _truth(self, leaf_frame: Float[np.ndarray, "4 4"]) -> Truth:
-        """Return the truth in the leaf's frame, made right-handed: y is the seen side's normal or its opposite."""
+        """Return the truth in the leaf's right-handed frame; y is the normal of the visible side or its opposite."""
         side = 1.0 if np.linalg.det(leaf_frame[:3, :3]) > 0.0 else -1.0
         pose = leaf_frame.copy()
         pose[:3, 1] *= side
@@ -204,7 +204,7 @@ class Door:
         return Truth("door", pose, sizes)
 
     def _lookalikes(self, leaf_frame: Float[np.ndarray, "4 4"]) -> tuple[tuple[str, Float[np.ndarray, "3"]], ...]:
-        """Return the handle if it is a lever handle, which is a lever."""
+        """Return positions on a lever handle, which the lever detector may find; empty for other handles."""
         if self.furniture != "lever":
             return ()
         x, depth, z = self._handle()
@@ -214,16 +214,16 @@ class Door:
 
 @dataclass(frozen=True)
 class Doorway:
-    """A door in a wall before the robot.
+    """Scene with a door in a wall in front of the robot.
 
     Attributes:
-        hinge_on: the side, as the robot sees it.
-        side: the robot is on: "pull", the door opens towards it, or "push".
-        ajar_deg: how far it is open, within 4 degrees; 0: shut.
-        width: of the leaf, within 3 cm [m].
-        distance: of the doorway's middle, within 8 cm [m].
-        turned_deg: of the wall about z, from square to the robot, within 3 degrees.
-        corridor: half the width of the corridor the robot stands in [m]; None: no walls beside it.
+        hinge_on: side of the hinges as seen by the robot.
+        side: the robot's side: "pull" if the door opens towards it, or "push".
+        ajar_deg: opening angle, varied by 4 degrees; 0: closed.
+        width: width of the leaf, varied by 3 cm [m].
+        distance: distance of the doorway's centre, varied by 8 cm [m].
+        turned_deg: rotation of the wall about z, from normal to the robot's view, varied by 3 degrees.
+        corridor: half the width of the corridor around the robot [m]; None: no side walls.
     """
 
     hinge_on: Literal["left", "right"]
@@ -240,7 +240,7 @@ class Doorway:
         rng = generator(name, seed)
         width = self.width + rng.uniform(-0.03, 0.03)
         turned = np.radians(self.turned_deg + rng.uniform(-3.0, 3.0))
-        # From hinge to latch: to the robot's right when the hinges are on its left.
+        # Direction from hinge to latch: to the robot's right if the hinges are on its left.
         along = (-0.5 if self.hinge_on == "left" else 0.5) * np.pi + turned
         middle = np.array([self.distance, 0.0]) + rng.uniform(-0.08, 0.08, 2)
         hinge = middle - 0.5 * width * np.array([np.cos(along), np.sin(along)])

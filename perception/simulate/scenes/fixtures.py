@@ -25,19 +25,19 @@ from perception.simulate.scenes.scene import (
 from perception.simulate.scenes.valves import Vector, tilt_axis
 
 _PIPE_WALL = 0.004
-_STRAIGHT = 0.15  # from the mouth to the elbow [m]
+_STRAIGHT = 0.15  # length from the mouth to the elbow [m]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A box on a wall with round buttons that stand out.
+    """A box on a wall with protruding round buttons.
 
     Attributes:
-        centre: of the front face [m].
-        normal: of the front face, out.
-        depth: from the front face to the wall [m].
+        centre: centre of the front face [m].
+        normal: outward normal of the front face.
+        depth: distance from the front face to the wall [m].
         buttons: x, y, radius of each, in the panel's frame [m].
-        proud: how far a button stands out [m].
+        proud: height of a button above the front face [m].
     """
 
     centre: tuple[float, float, float]
@@ -49,7 +49,7 @@ class Panel:
     proud: float = 0.025
 
     def build(self) -> PlacedObjects:
-        """Build it; z of its frame is the normal, y is up."""
+        """Build the panel; z of its frame is the normal, y is up."""
         z = np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
         pose = frame(self.centre, np.cross([0.0, 0.0, 1.0], z).tolist(), z.tolist())
         w, h = 0.5 * self.width, 0.5 * self.height
@@ -72,11 +72,11 @@ class BoxLever:
     """A switch box with a lever on its front, as on breakers and emergency shut-offs.
 
     Attributes:
-        pivot: where the lever's middle line meets its pivot axis [m].
-        normal: of the box's front, the pivot axis.
-        angle: of the lever about the pivot axis, from the horizontal x of the box [rad].
-        length: from the pivot to the lever's end [m].
-        stand_off: of the lever's middle line over the front [m].
+        pivot: intersection of the lever's centre line with its pivot axis [m].
+        normal: normal of the box's front; also the pivot axis.
+        angle: angle of the lever about the pivot axis, from the horizontal x of the box [rad].
+        length: distance from the pivot to the lever's end [m].
+        stand_off: distance of the lever's centre line from the front [m].
     """
 
     pivot: tuple[float, float, float]
@@ -110,8 +110,8 @@ class Standpipe:
     """A pipe from the floor with an elbow, a coupling ring and an open end.
 
     Attributes:
-        direction: out of the opening, unit.
-        radius: outer, of the end [m].
+        direction: unit vector out of the opening.
+        radius: outer radius of the end [m].
     """
 
     mouth: tuple[float, float, float]
@@ -119,7 +119,7 @@ class Standpipe:
     radius: float = 0.035
 
     def build(self) -> PlacedObjects:
-        """Build it; z of its frame points out; ``radius`` is the outer one at the mouth."""
+        """Build the pipe; z of its frame points out of the mouth; the truth's ``radius`` is the outer one there."""
         out = np.asarray(self.direction, dtype=float) / np.linalg.norm(self.direction)
         mouth = np.array(self.mouth)
         back = mouth - _STRAIGHT * out
@@ -137,11 +137,11 @@ class Standpipe:
 
 @dataclass(frozen=True)
 class ButtonPanel:
-    """A panel on a wall.
+    """Scene with a button panel on a wall.
 
     Attributes:
         buttons: x, y, radius of each in the panel's frame [m].
-        turned_deg: of its face aside from the robot, within 3 degrees.
+        turned_deg: yaw of its face away from the robot, varied by 3 degrees.
     """
 
     buttons: tuple[tuple[float, float, float], ...]
@@ -163,11 +163,11 @@ class ButtonPanel:
 
 @dataclass(frozen=True)
 class SwitchBox:
-    """A lever on a box on a wall.
+    """Scene with a lever on a box on a wall.
 
     Attributes:
-        angle: of the lever from the horizontal, within 0.2 [rad].
-        turned_deg: of the box aside from the robot.
+        angle: angle of the lever from the horizontal, varied by 0.2 [rad].
+        turned_deg: yaw of the box away from the robot.
     """
 
     angle: float
@@ -187,12 +187,12 @@ class SwitchBox:
 
 @dataclass(frozen=True)
 class HoseEnd:
-    """An open pipe end.
+    """Scene with an open pipe end.
 
     Attributes:
-        mouth: centre of the opening, within 5 cm [m].
-        direction: out of it, within a few degrees.
-        radius: outer [m].
+        mouth: centre of the opening, varied by 5 cm [m].
+        direction: direction out of the opening, varied by a few degrees.
+        radius: outer radius [m].
     """
 
     mouth: Vector

@@ -13,13 +13,13 @@ from perception.simulate.scenes.scene import PlacedObjects, Truth, pose_of, thin
 
 @dataclass(frozen=True)
 class Drill:
-    """A cordless drill that stands on its battery.
+    """A cordless drill standing on its battery.
 
     Attributes:
-        foot: under the middle of the grip, on what it stands on [m].
+        foot: point below the middle of the grip, on the supporting surface [m].
         yaw: direction of the chuck about z [rad].
-        grip_length: from battery to body [m].
-        body_length: from the motor's back to the chuck's tip [m].
+        grip_length: length from battery to body [m].
+        body_length: length from the motor's back to the chuck's tip [m].
         lean: roll about the chuck's direction [rad].
     """
 
@@ -30,7 +30,7 @@ class Drill:
     lean: float = 0.0
 
     def build(self) -> PlacedObjects:
-        """Build it; its frame: the middle of the grip, z up along it, x along the chuck."""
+        """Build the drill; its frame has its origin in the middle of the grip, z up along it, x along the chuck."""
         half, battery = 0.5 * self.grip_length, 0.055
         top = half + 0.03
         back = -0.07
@@ -65,7 +65,7 @@ class Beam:
     """A sawn timber.
 
     Attributes:
-        pose: (4, 4) of its centre, x along, z along its smallest side.
+        pose: (4, 4) pose of its centre, x along its length, z along its smallest side.
     """
 
     pose: np.ndarray
@@ -126,7 +126,7 @@ def can(place: Sequence[float], radius: float = 0.05, height: float = 0.16) -> P
 
 
 def shelf(corner: Sequence[float], width: float, depth: float, levels: Sequence[float], height: float) -> PlacedObjects:
-    """Make an open rack: four posts and boards; ``corner`` is its front right foot, x into it, y along it."""
+    """Make an open rack of four posts and boards; ``corner`` is its front right foot, x its depth, y its width."""
     x, y, z = corner
     post = 0.03
     posts = [
@@ -139,7 +139,7 @@ def shelf(corner: Sequence[float], width: float, depth: float, levels: Sequence[
 
 
 def table(corner: Sequence[float], length: float = 1.2, depth: float = 0.7, height: float = 0.75) -> PlacedObjects:
-    """Make four legs and a top; ``corner`` is its front right foot, x into it, y along it."""
+    """Make four legs and a top; ``corner`` is its front right foot, x its depth, y its length."""
     x, y, z = corner
     leg = 0.05
     legs = [
@@ -151,7 +151,7 @@ def table(corner: Sequence[float], length: float = 1.2, depth: float = 0.7, heig
 
 
 def chair(place: Sequence[float], yaw: float = 0.0) -> PlacedObjects:
-    """Make four legs, seat board and back."""
+    """Make a chair with four legs, a seat board and a back."""
     parts: list[Mesh] = [box((x, y, 0.0), (x + 0.035, y + 0.035, 0.44)) for x in (-0.2, 0.165) for y in (-0.2, 0.165)]
     parts += [box((-0.21, -0.21, 0.44), (0.21, 0.21, 0.465)), box((-0.21, -0.2, 0.6), (-0.19, 0.2, 0.9))]
     parts += [box((-0.21, y, 0.46), (-0.185, y + 0.03, 0.9)) for y in (-0.2, 0.17)]
@@ -159,7 +159,7 @@ def chair(place: Sequence[float], yaw: float = 0.0) -> PlacedObjects:
 
 
 def cart(place: Sequence[float], yaw: float = 0.0, wheel: float = 0.15) -> PlacedObjects:
-    """Make a flat cart on four wheels, whose discs lie back between their tyres, with a push bar."""
+    """Make a flat cart with a push bar on four wheels, whose discs are recessed in their tyres."""
     parts: list[Mesh] = [box((-0.45, -0.28, wheel + 0.03), (0.45, 0.28, wheel + 0.07))]
     half = [(0.0, 0.015), (0.025, 0.015), (0.025, 0.006), (0.72 * wheel, 0.006), (0.75 * wheel, 0.025), (wheel, 0.025)]
     tyre = [*half, *((radius, -height) for radius, height in reversed(half))]
@@ -182,7 +182,7 @@ def tyre(place: Sequence[float], axis: Sequence[float], radius: float = 0.32, wi
 
 
 def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, height: float = 1.9) -> PlacedObjects:
-    """Make a plain cupboard with two flush fronts and a gap between; ``corner`` is its front right foot, x into it."""
+    """Make a cupboard with two flush fronts and a gap between; ``corner`` is its front right foot, x its depth."""
     x, y, z = corner
     middle = y + 0.5 * width
     fronts = [
@@ -192,7 +192,7 @@ def cupboard(corner: Sequence[float], width: float = 0.8, depth: float = 0.4, he
 
 
 def radiator(corner: Sequence[float], length: float = 1.0, height: float = 0.6) -> PlacedObjects:
-    """Make upright ribs along y between two pipes; ``corner`` is its right foot."""
+    """Make a radiator of upright ribs, in a row along y, between two pipes; ``corner`` is its right foot."""
     x, y, z = corner
     ribs = [capsule((x, y + at, z), (x, y + at, z + height), 0.018) for at in np.arange(0.0, length, 0.055)]
     ends = [cylinder((x, y, h), (x, y + length, h), 0.02, 24) for h in (z + 0.04, z + height - 0.04)]

@@ -1,4 +1,4 @@
-"""A simulated scene: objects with the truth about them, its surroundings, and where sensors look from."""
+"""A simulated scene: objects with their ground truth, surroundings, and sensor poses."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ VARIANTS: Mapping[str, Sensor] = {
 
 @dataclass(frozen=True)
 class Truth:
-    """An object as it is, in the words of :class:`perception.Detection`.
+    """Ground truth of an object, with the fields of :class:`perception.Detection`.
 
     Attributes:
-        pose_world_object: (4, 4); the frame of the detector of that kind.
-        sizes: lengths [m] and angles [rad] by the names that detector uses.
+        pose_world_object: (4, 4) pose, in the convention of that kind's detector.
+        sizes: lengths [m] and angles [rad], by that detector's names.
     """
 
     kind: str
@@ -44,8 +44,8 @@ class PlacedObjects:
     """Objects in the world.
 
     Attributes:
-        lookalikes: (kind, place) of what a detector may take for a kind without being wrong, as a door's handle is a
-            lever and a steering wheel a wheel; a place is (3,) [m].
+        lookalikes: (kind, position) of parts that a detector may report as that kind without error, such as a door
+            handle as a lever or a steering wheel as a wheel; positions are (3,) [m].
     """
 
     meshes: tuple[Mesh, ...]
@@ -54,7 +54,7 @@ class PlacedObjects:
 
 
 def join_objects(parts: Sequence[PlacedObjects]) -> PlacedObjects:
-    """Join several as one."""
+    """Join the meshes, truths and lookalikes of several parts."""
     return PlacedObjects(
         tuple(mesh for part in parts for mesh in part.meshes),
         tuple(truth for part in parts for truth in part.truth),
@@ -63,12 +63,12 @@ def join_objects(parts: Sequence[PlacedObjects]) -> PlacedObjects:
 
 
 def things(*meshes: Mesh) -> PlacedObjects:
-    """Return meshes no detector should find anything in."""
+    """Return meshes in which no detector should find an object."""
     return PlacedObjects(meshes)
 
 
 def pose_of(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """Return a (4, 4) pose: turned by roll about x, pitch about y, yaw about z, then moved."""
+    """Return a (4, 4) pose: rotated by roll about x, pitch about y, yaw about z, then translated."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     pose[:3, 3] = position
@@ -76,7 +76,7 @@ def pose_of(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, rol
 
 
 def frame(position: Sequence[float], x: Sequence[float], z: Sequence[float]) -> np.ndarray:
-    """Return a (4, 4) pose with the given z axis, its x axis as near to ``x`` as it can be."""
+    """Return a (4, 4) pose with the given z axis, and with ``x`` projected normal to z as its x axis."""
     third = np.asarray(z, dtype=float) / np.linalg.norm(z)
     first = np.asarray(x, dtype=float) - (np.asarray(x) @ third) * third
     first /= np.linalg.norm(first)
@@ -87,17 +87,17 @@ def frame(position: Sequence[float], x: Sequence[float], z: Sequence[float]) -> 
 
 
 def floor(half: float = 6.0) -> PlacedObjects:
-    """Return a floor at zero."""
+    """Return a square floor at z = 0 with half its side given [m]."""
     return things(box((-half, -half, -0.1), (half, half, 0.0)))
 
 
 def wall(x: float, low: float = -3.0, high: float = 3.0, height: float = 2.6, yaw: float = 0.0) -> PlacedObjects:
-    """Return a wall whose seen face is square to x at ``x``, from y ``low`` to ``high``, turned about the origin."""
+    """Return a wall with its visible face at ``x``, normal to x, from y ``low`` to ``high``, yawed about the origin."""
     return PlacedObjects((box((x, low, 0.0), (x + 0.12, high, height)).place(pose_of((0.0, 0.0, 0.0), yaw=yaw)),))
 
 
 def side_walls(y: float, front: float, back: float = -3.0, height: float = 2.6) -> PlacedObjects:
-    """Return walls left and right."""
+    """Return walls to the left and right."""
     return things(box((back, y, 0.0), (front, y + 0.12, height)), box((back, -y - 0.12, 0.0), (front, -y, height)))
 
 
@@ -119,14 +119,14 @@ def upright_pipe(x: float, y: float, radius: float, height: float = 2.6) -> Plac
 
 
 def carton(x: float, y: float, size: tuple[float, float, float], yaw: float = 0.0, z: float = 0.0) -> PlacedObjects:
-    """Return a box on the floor or on another, by the middle of its foot."""
+    """Return a box with the centre of its bottom face at ``x``, ``y``, ``z`` [m]."""
     a, b, c = size
     mesh = box((-0.5 * a, -0.5 * b, 0.0), (0.5 * a, 0.5 * b, c))
     return PlacedObjects((mesh.place(pose_of((x, y, z), yaw=yaw)),))
 
 
 def cartons(rng: np.random.Generator, n: int, near: tuple[float, float], spread: float) -> list[PlacedObjects]:
-    """Return a few boxes on the floor around a place; they may touch."""
+    """Return ``n`` boxes on the floor around a position; they may touch."""
     parts = []
     for _ in range(n):
         x, y = np.array(near) + rng.uniform(-spread, spread, 2)
@@ -137,11 +137,11 @@ def cartons(rng: np.random.Generator, n: int, near: tuple[float, float], spread:
 
 @dataclass(frozen=True)
 class SimulatedScene:
-    """A world with its truth; the robot stands at the origin on the floor z = 0 and faces +x.
+    """A scene with its ground truth; the robot stands at the origin on the floor z = 0 and faces +x.
 
     Attributes:
-        lookalikes: (kind, place) of what a detector may take for a kind without being wrong.
-        poses: of the sensor; the first is where the scan is taken from, others judge it.
+        lookalikes: (kind, position) of parts that a detector may report as that kind without error.
+        poses: sensor poses; the scan is taken from the first, the others are used to evaluate it.
     """
 
     name: str
@@ -152,21 +152,21 @@ class SimulatedScene:
     poses: tuple[Pose, ...]
 
     def scan(self, variant: str = "dense", pose: int = 0, *, misses: bool = False) -> Cloud:
-        """Return what a sensor gives of it; the same arguments give the same scan."""
+        """Return a simulated scan of the scene; the same arguments give the same scan."""
         noise = zlib.crc32(f"{self.name}/{self.seed}/{variant}/{pose}".encode())
         return scan(self.meshes, self.poses[pose], VARIANTS[variant], noise, misses=misses)
 
 
 class Recipe(Protocol):
-    """Maker of a kind of scene."""
+    """Recipe for one type of scene."""
 
     def make(self, name: str, seed: int) -> SimulatedScene:
-        """Return the scene; its details are drawn from name and seed."""
+        """Return the scene; name and seed determine its random details."""
         ...
 
 
 def generator(name: str, seed: int) -> np.random.Generator:
-    """Make the generator of a scene's details."""
+    """Return the random generator of a scene's details."""
     return np.random.default_rng([zlib.crc32(name.encode()), seed])
 
 
@@ -177,7 +177,7 @@ def assemble(
     look_at: Sequence[float],
     position: tuple[float, float, float] = (0.12, 0.0, 1.62),
 ) -> SimulatedScene:
-    """Return the parts with two sensor poses, both looking nearly at ``look_at``; the second one is 40 cm aside."""
+    """Make a scene of the parts with two sensor poses, both directed near ``look_at``; the second is 40 cm aside."""
     rng = np.random.default_rng([zlib.crc32(name.encode()), seed, 1])
     whole = join_objects(parts)
     poses = []

@@ -22,7 +22,7 @@ from perception.simulate.scenes.scene import (
 
 
 def tools(x: float, y: float, z: float) -> PlacedObjects:
-    """Return a hammer and a screwdriver, lying on a board about the place given."""
+    """Return a hammer and a screwdriver, lying on a board near the given position."""
     return things(
         bent_bar([(x - 0.1, y, z + 0.018), (x + 0.18, y + 0.05, z + 0.018)], 0.015),
         cylinder((x + 0.15, y - 0.02, z + 0.02), (x + 0.2, y + 0.13, z + 0.02), 0.02, 24),
@@ -33,10 +33,10 @@ def tools(x: float, y: float, z: float) -> PlacedObjects:
 
 @dataclass(frozen=True)
 class ToolRack:
-    """A rack whose boards are at 0.1, 0.45, 0.9 and 1.35 m, with drills, tools, tins, a pot and a bucket.
+    """Scene with a rack with boards at 0.1, 0.45, 0.9 and 1.35 m; on it drills, tools, tins, a pot and a bucket.
 
     Attributes:
-        drills: y, board height [m] and yaw of the chuck [deg] of each, within 5 cm and 15 degrees.
+        drills: y, board height [m] and yaw of the chuck [deg] of each, varied by 5 cm and 15 degrees.
     """
 
     drills: tuple[tuple[float, float, float], ...]
@@ -61,10 +61,10 @@ class ToolRack:
 
 @dataclass(frozen=True)
 class Workbench:
-    """A table with a drill, tools, a tin and a box.
+    """Scene with a table; on it a drill, tools, a tin and a box.
 
     Attributes:
-        yaw: of the chuck, within 20 degrees [deg].
+        yaw: yaw of the chuck, varied by 20 degrees [deg].
     """
 
     yaw: float

@@ -1,4 +1,4 @@
-"""Wheel and lever valves on pipes: sizes, tilts, crossed rims, side by side."""
+"""Scenes with wheel and lever valves on pipes: several sizes and tilts, partly hidden, side by side."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from perception.simulate.scenes.scene import (
 from perception.simulate.valve_scene import Valve
 
 Vector = tuple[float, float, float]
-# y, z, outer radius [m] and number of spokes of each wheel.
+# y, z, outer radius [m] and number of spokes of each wheel of a manifold.
 _MANIFOLD = ((0.28, 1.05, 0.15, 5), (-0.2, 1.1, 0.09, 3), (0.05, 1.5, 0.11, 4))
 _STEM, _LEVER_PIPE_RADIUS, _PIPE_LENGTH = 0.11, 0.04, 1.0  # of lever valves [m]
 _UP, _ACROSS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
@@ -37,9 +37,9 @@ class PipedWheel:
     """A wheel valve whose stem leads into a body on a straight pipe.
 
     Attributes:
-        pipe_direction: of the pipe; made square to the wheel's axis.
-        pipe_radius: outer [m].
-        pipe_length: each way from the body [m].
+        pipe_direction: direction of the pipe; made perpendicular to the wheel's axis.
+        pipe_radius: outer radius [m].
+        pipe_length: length to each side of the body [m].
     """
 
     wheel: Valve
@@ -48,7 +48,7 @@ class PipedWheel:
     pipe_length: float = 1.0
 
     def build(self) -> PlacedObjects:
-        """Build it; the pipe runs ``stem_length`` behind the wheel."""
+        """Build the valve; the pipe is ``stem_length`` behind the wheel."""
         axis = np.array(self.wheel.axis) / np.linalg.norm(self.wheel.axis)
         body = np.array(self.wheel.centre) - self.wheel.stem_length * axis
         pose = np.eye(4)
@@ -73,10 +73,10 @@ class LeverValve:
     """A ball valve: a lever on a short stem on a pipe.
 
     Attributes:
-        pivot: where the stem's axis meets the lever's middle line [m].
-        axis: unit, of the stem, from the pipe to the person who turns it.
-        along: where the lever points; made square to the axis.
-        length: of the lever, from the pivot [m].
+        pivot: intersection of the stem's axis with the lever's centre line [m].
+        axis: unit vector along the stem, from the pipe towards the operator.
+        along: direction of the lever; made perpendicular to the axis.
+        length: length of the lever from the pivot [m].
     """
 
     pivot: tuple[float, float, float]
@@ -87,7 +87,7 @@ class LeverValve:
     pipe_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def build(self) -> PlacedObjects:
-        """Build it; the lever also looks like a lever."""
+        """Build the valve; its lever is also a lookalike of kind ``lever``."""
         pose = frame(self.pivot, self.along, self.axis)
         pivot, axis, along = pose[:3, 3], pose[:3, 2], pose[:3, 0]
         body = pivot - _STEM * axis
@@ -114,7 +114,7 @@ def valve_body(
     radius: float,
     length: float,
 ) -> tuple[Mesh, ...]:
-    """Return a swollen body between two flanges on a pipe whose direction is made square to the stem's axis."""
+    """Return a bulging body between two flanges on a pipe, whose direction is made perpendicular to the stem's axis."""
     along = np.asarray(direction) - (np.asarray(direction) @ axis) * axis
     along /= np.linalg.norm(along)
     half = 1.6 * radius
@@ -134,7 +134,7 @@ def valve_body(
 
 
 def tilt_axis(yaw_deg: float, pitch_deg: float) -> Vector:
-    """Return an axis towards the robot, turned aside and up."""
+    """Return a unit axis towards the robot, rotated sideways and up."""
     yaw, pitch = np.radians([yaw_deg, pitch_deg])
     return float(-np.cos(yaw) * np.cos(pitch)), float(-np.sin(yaw) * np.cos(pitch)), float(np.sin(pitch))
 
@@ -144,13 +144,13 @@ class PipeWheel:
     """One wheel valve on a pipe before a wall, pipes and boxes beside it.
 
     Attributes:
-        centre: of the rim, within 5 cm [m].
-        angles: of its axis: aside and up, within 4 degrees.
-        outer: radius [m].
+        centre: centre of the rim, varied by 5 cm [m].
+        angles: sideways and upward angle of its axis, varied by 4 degrees.
+        outer: outer radius [m].
         tube: radius of the rim's section [m].
-        stem: from the rim's plane to the pipe's middle [m].
-        wall_x: where the wall is; None: 20 cm behind the pipe [m].
-        is_crossed: whether a thin pipe stands before the wheel.
+        stem: distance from the rim's plane to the pipe's axis [m].
+        wall_x: x of the wall; None: 20 cm behind the pipe [m].
+        is_crossed: whether a thin pipe stands in front of the wheel.
     """
 
     centre: Vector
@@ -185,7 +185,7 @@ class PipeWheel:
 
 @dataclass(frozen=True)
 class Manifold:
-    """Three wheels of different sizes on pipes side by side."""
+    """Scene with three wheels of different sizes on pipes side by side."""
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
@@ -201,10 +201,10 @@ class Manifold:
 
 @dataclass(frozen=True)
 class BallValves:
-    """Lever valves on pipes before a wall.
+    """Scene with lever valves on pipes in front of a wall.
 
     Attributes:
-        levers: pivot, direction of the lever, its length, direction of the pipe of each [m].
+        levers: (pivot, lever direction, lever length, pipe direction) of each [m].
     """
 
     levers: tuple[tuple[Vector, Vector, float, Vector], ...]
