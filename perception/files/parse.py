@@ -39,7 +39,7 @@ def parse_file(path: Path, topic: str | None = None, message: Message = 0) -> Sc
         message: index of a bag's message to read, or ``all``.
 
     Raises:
-        CloudError: naming the file, what is wrong and what is expected.
+        CloudError: the file cannot be used; the message names the file, the fault and what is expected.
         MemoryError: the file needs more memory than there is.
     """
     suffix = path.suffix.lower()
