@@ -141,7 +141,7 @@ def tilt_axis(yaw_deg: float, pitch_deg: float) -> Vector:
 
 @dataclass(frozen=True)
 class PipeWheel:
-    """One wheel valve on a pipe before a wall, pipes and boxes beside it.
+    """Scene with one wheel valve on a pipe in front of a wall, with pipes and boxes beside it.
 
     Attributes:
         centre: centre of the rim, varied by 5 cm [m].
