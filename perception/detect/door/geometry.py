@@ -69,4 +69,4 @@ class DoorGeometry:
         """(3,) unit, vertical, about which a positive angle opens the leaf."""
         moves_along_normal = float(np.cross(UP, self.along) @ self.normal)  # of the free edge, for a turn about z
         opens_along_normal = -1.0 if self.opens == "push" else 1.0
-        return UP * np.sign(moves_along_normal * opens_along_normal)
+        return np.asarray(UP * np.sign(moves_along_normal * opens_along_normal))
