@@ -237,7 +237,7 @@ TURN_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "how deep the hook may be": (_deeper, "allowances of phase 'reach' are not those of the request"),
     "when the hook may touch": (_by_whom, "allowances of phase 'reach' are not those of the request"),
     "the angle of its figures": (lambda data: data["figures"].update(turned_deg=360.0), "figures.turned_deg is 360"),
-    "the turn's name": (lambda data: data["phases"][2].update(name="hold"), "the wheel moves in phase 'hold'"),
+    "the turn's name": (lambda data: data["phases"][2].update(name="hold"), "valve_turn moves in phase 'hold'"),
 }
 
 

@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from small_robots import box
 
 from costs.curve import Curve
-from costs.robot import load_robot, with_revolute
+from costs.robot import MechanismJoint, load_robot, with_mechanism
 from costs.scene import ConvexPiece, Scene
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.result.motion_json import motion_json
@@ -34,17 +34,21 @@ FEET = ("l_foot", "r_foot")
 def _wave() -> Motion:
     """Atlas raises an arm past a box, turns a wheel, and keeps its feet where they are."""
     atlas = load_robot("atlas")
-    robot = with_revolute(
+    robot = with_mechanism(
         atlas,
-        name="wheel_turn",
-        link="wheel",
-        origin=np.array([1.2, 0.0, 1.0]),
-        axis=np.array([1.0, 0.0, 0.0]),
-        bodies={"wheel/rim/1": box("", (1.2, 0.0, 1.2), (0.02, 0.1, 0.02)).vertices},
-        lower=-6.0,
-        upper=6.0,
-        velocity=2.0,
-        acceleration=2.0,
+        [
+            MechanismJoint(
+                name="wheel_turn",
+                link="wheel",
+                origin=np.array([1.2, 0.0, 1.0]),
+                axis=np.array([1.0, 0.0, 0.0]),
+                bodies={"wheel/rim/1": box("", (1.2, 0.0, 1.2), (0.02, 0.1, 0.02)).vertices},
+                lower=-6.0,
+                upper=6.0,
+                velocity=2.0,
+                acceleration=2.0,
+            )
+        ],
     )
     stand = np.append(atlas.postures["stand"], 0.0)
     rows = np.tile(stand, (4, 1))

@@ -68,7 +68,7 @@ class RobotModel:
         postures: (n,) configurations by name.
         ignored_pairs: link pairs (sorted names) not checked against each other.
         fixed_links: links that no joint moves; not checked against the scene.
-        mechanism_links: links of a task's mechanism (``with_revolute``), not part of the robot's mass; not checked
+        mechanism_links: links of a task's mechanism (``with_mechanism``), not part of the robot's mass; not checked
             against the scene.
         source: the files it came from.
         ignored_reasons: reason for each of ``ignored_pairs``: ``srdf (its reason)``, ``adjacent``, ``derived`` (they

@@ -11,12 +11,11 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.collision import Contacts
-from costs.robot import RobotModel
 from costs.state import MotionState
 from scopt import Problem, Result
 from service.body.holds import Hold
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
-from service.verify import Motion, Target
+from service.verify import HandLoad, Motion, Target
 
 MOST_REASONS = 5
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
@@ -42,6 +41,7 @@ class PlannedPhase:
         at_waypoints: targets made from the path parameters of all its waypoints.
         is_settling: whether it begins outside the balance margin.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
+        loads: forces that hands exert on the mechanism.
     """
 
     name: str
@@ -53,6 +53,7 @@ class PlannedPhase:
     at_waypoints: WaypointTargets = lambda s: ()
     is_settling: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
+    loads: tuple[HandLoad, ...] = ()
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """Solve the phase from a denser trajectory between the same ends; None if it cannot be solved again."""
@@ -61,9 +62,9 @@ class PlannedPhase:
         solved = self.resolve(q)
         return replace(self, q=solved.x, is_feasible=solved.is_feasible)
 
-    def for_robot(self, robot: RobotModel) -> PlannedPhase:
-        """Return the phase for a robot with further coordinates, which stay at zero."""
-        q = np.zeros((len(self.q), robot.n))
+    def for_body(self, body: WholeBody) -> PlannedPhase:
+        """Return the phase for a body with further coordinates, which stay at their nominal values."""
+        q = np.tile(body.nominal, (len(self.q), 1))
         q[:, : self.q.shape[1]] = self.q
         return replace(self, q=q)
 

@@ -2,7 +2,7 @@
 
 from service.demands.held_motion import Demands, HeldMotion, compare_pace, hold_to_request
 from service.demands.program import ProgramDemand
-from service.demands.recorded_turn import compare_turn
+from service.demands.recorded_task import TaskDemand
 from service.demands.scene import compose_scene, find_recorded_obstacles, has_scan
 from service.demands.stance import list_planted_feet
 
@@ -10,8 +10,8 @@ __all__ = [
     "Demands",
     "HeldMotion",
     "ProgramDemand",
+    "TaskDemand",
     "compare_pace",
-    "compare_turn",
     "compose_scene",
     "find_recorded_obstacles",
     "has_scan",

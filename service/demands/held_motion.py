@@ -13,16 +13,15 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.robot import RobotModel
+from costs.robot import RobotModel, read_joint_axis, with_mechanism
 from costs.scene import Scene
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
-from service.demands.recorded_turn import RecordedTurn
+from service.demands.recorded_task import RecordedTask, TaskDemand
 from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
 from service.demands.targets import make_goal_targets, make_kept_target
-from service.demands.wheel import Wheel, add_wheel_joint
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
-from service.verify import Certificate, Motion, Phase, Target
+from service.verify import Certificate, HandLoad, Motion, Phase, Target
 from service.verify.coverage.required import list_waived_checks
 from service.verify.hashes import bodies_hash, robot_hash, scene_hash
 
@@ -41,7 +40,7 @@ class Demands:
         start: (n,) configuration at the start.
         scene: all pieces, floors included.
         program: demands of the request's TrajOpt problem, or None.
-        wheel: wheel of the valve to turn, or None.
+        task: demands of a task that moves a mechanism, or None.
     """
 
     request: PlanRequest
@@ -49,7 +48,7 @@ class Demands:
     start: Float[np.ndarray, "n"]
     scene: Scene
     program: ProgramDemand | None = None
-    wheel: Wheel | None = None
+    task: TaskDemand | None = None
 
     @property
     def feet(self) -> tuple[str, ...]:
@@ -80,7 +79,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     Raises:
         ValueError: the request's feet do not span a polygon.
     """
-    robot = demands.robot if demands.wheel is None else add_wheel_joint(demands.robot, demands.wheel)
+    robot = demands.robot
+    if demands.task is not None:
+        robot = with_mechanism(robot, demands.task.mechanism.joints)
     differences = list(compare_world(demands, robot, recorded))
     if recorded.robot.joint_names != robot.joint_names:
         return HeldMotion(recorded, tuple(differences))
@@ -117,7 +118,7 @@ class _Promises:
         escape: allowances of the overlaps at the start.
         last: targets of the last phase.
         everywhere: targets of all phases.
-        turning: strokes of a valve task, or None.
+        task: phases of a task that moves a mechanism, or None.
     """
 
     stance: Stance
@@ -125,7 +126,7 @@ class _Promises:
     escape: tuple[Allowance, ...]
     last: tuple[Target, ...]
     everywhere: tuple[Target, ...]
-    turning: RecordedTurn | None
+    task: RecordedTask | None
 
 
 def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
@@ -141,17 +142,17 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
         targets = make_goal_targets(robot, request.goal, float(knots[-1]))
     elif demands.program is not None:
         targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
-    turning = None
-    if demands.wheel is not None and request.task is not None and request.task.valve is not None:
-        turning = RecordedTurn.of(demands.wheel, request.task.valve, recorded)
-        lines = turning.problems
+    task = None
+    if demands.task is not None:
+        task = RecordedTask.of(demands.task, recorded)
+        lines = task.problems
     return _Promises(
         stance,
         make_standing_allowances(feet, demands.scene),
         make_escape_allowances(inside),
         targets,
         tuple(make_kept_target(robot, start, keep) for keep in request.keep),
-        turning,
+        task,
     ), lines
 
 
@@ -162,9 +163,10 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
     escape = promises.escape if phase.name == ESCAPE and index == 0 else ()
     targets = promises.last if index == len(recorded.phases) - 1 else ()
     touching: tuple[Allowance, ...] = ()
-    if promises.turning is not None:
-        targets = promises.turning.targets(index, phase.last)
-        touching = promises.turning.allowances(index, phase)
+    loads: tuple[HandLoad, ...] = ()
+    spec = None if promises.task is None else promises.task.specs[index]
+    if spec is not None and demands.task is not None:
+        targets, touching, loads = spec.targets(demands.task.mechanism, phase.last), spec.touches, spec.loads
     if demands.program is not None:  # the planner itself promises targets between its steps
         targets = (*(target for target in phase.targets if getattr(target, "at", None) is None), *targets)
     return Phase(
@@ -175,6 +177,7 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         allowances=(*promises.standing, *escape, *touching),
         targets=(*targets, *promises.everywhere),
         support=promises.stance.support(phase.name, first),
+        loads=loads,
     )
 
 
@@ -186,7 +189,7 @@ def compare_world(demands: Demands, robot: RobotModel, recorded: Motion) -> Iter
         yield "the robot is not the request's"
     elif bodies_hash(recorded.robot) != bodies_hash(robot):
         yield "the bodies, or the ignored pairs, are not those of the robot and the task's mechanism"
-    elif not _is_same_joint(recorded.robot, robot):
+    elif not _have_same_joints(recorded.robot, robot, demands.robot.n):
         yield "the task's mechanism does not move as the request demands"
     if scene_hash(recorded.scene) != scene_hash(demands.scene):
         yield _scene_difference(recorded.scene, demands.scene)
@@ -213,9 +216,7 @@ def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
 
 def compare_phase(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str]:
     """Yield a sentence for each promise of a recorded phase that is not the request's."""
-    for name in (
-        ("contacts", "allowances", "support") if is_program else ("contacts", "allowances", "support", "targets")
-    ):
+    for name in ("contacts", "allowances", "support", "loads", *(() if is_program else ("targets",))):
         if not _same(getattr(recorded, name), getattr(own, name)):
             yield f"{name} of phase '{recorded.name}' are not those of the request"
 
@@ -230,21 +231,28 @@ def compare_pace(request: PlanRequest, certificate: Certificate) -> Iterator[str
                 yield f"the motion uses {used:.0f} % of the {name} limits, the request at most {most:g} %"
 
 
-def _is_same_joint(first: RobotModel, second: RobotModel) -> bool:
-    """Return whether the last joints of two robots of the same URDF have the same place, axis and limits."""
-    places = [robot.model.jointPlacements[robot.model.njoints - 1].homogeneous for robot in (first, second)]
-    axes = [_axis(robot) for robot in (first, second)]
+def _have_same_joints(first: RobotModel, second: RobotModel, n_own: int) -> bool:
+    """Return whether all joints have the same limits, those after ``n_own`` the same parents, places and axes."""
     limits = [np.stack([robot.lower, robot.upper, robot.velocity, robot.acceleration]) for robot in (first, second)]
     finite = [np.nan_to_num(limit, posinf=1e9, neginf=-1e9) for limit in limits]
-    return _same(places[0], places[1]) and _same(axes[0], axes[1]) and _same(finite[0], finite[1])
-
-
-def _axis(robot: RobotModel) -> Float[np.ndarray, "6"]:
-    """Return the motion axis of the last joint at configuration zero, in its own frame."""
-    joint = robot.model.joints[robot.model.njoints - 1]
-    data = joint.createData()
-    joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
-    return np.asarray(data.S).reshape(6, -1)[:, -1]
+    if not _same(finite[0], finite[1]):
+        return False
+    for name in first.joint_names[n_own:]:
+        joints = [int(robot.model.getJointId(name)) for robot in (first, second)]
+        parents, places, axes = zip(
+            *(
+                (
+                    robot.model.names[robot.model.parents[joint]],
+                    robot.model.jointPlacements[joint].homogeneous,
+                    read_joint_axis(robot, joint),
+                )
+                for robot, joint in zip((first, second), joints, strict=True)
+            ),
+            strict=True,
+        )
+        if not (parents[0] == parents[1] and _same(places[0], places[1]) and _same(axes[0], axes[1])):
+            return False
+    return True
 
 
 def _scene_difference(recorded: Scene, own: Scene) -> str:

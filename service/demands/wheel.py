@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
-from costs.robot import RobotModel, with_revolute
+from costs.robot import Mechanism, MechanismJoint
+from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.request.names import VALVE_JOINT, VALVE_LINK
-from service.verify import CircleTarget, JointTarget, RelativePoseTarget, Target
+from service.verify import CircleTarget
 
 if TYPE_CHECKING:
     from perception import ValveDetection
@@ -22,7 +23,9 @@ WHEEL_ACCELERATION = 2.0  # [rad/s^2]
 HAND_AXIS = np.array([0.0, 0.0, 1.0])  # in the tool frame
 RIM_TOLERANCE = 5e-3  # largest distance of the tool from its point of the rim [m]
 AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
-ANGLE_TOLERANCE = 1e-3  # largest error of the wheel's angle at the end of a stroke [rad]
+STANDOFF = 0.07  # of the tool from the wheel's plane before it is inserted, beyond the rim's tube [m]
+TURN_STEP = np.deg2rad(20.0)  # between waypoints
+REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5
 TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
 HOOK_ROOM = 0.03  # from the rim's centre line inwards, free for the hook where spokes were not seen clearly [m]
 MIN_HUB = 0.01  # [m]
@@ -95,20 +98,20 @@ def make_wheel(valve: ValveDetection) -> Wheel:
     return Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, _gaps(valve), bodies, rim)
 
 
-def add_wheel_joint(robot: RobotModel, wheel: Wheel) -> RobotModel:
-    """Return the robot with the wheel's angle as its last coordinate."""
-    return with_revolute(
-        robot,
-        name=VALVE_JOINT,
-        origin=wheel.centre,
-        axis=wheel.axis,
-        bodies=wheel.bodies,
-        link=VALVE_LINK,
+def make_wheel_mechanism(wheel: Wheel) -> Mechanism:
+    """Return the wheel as a mechanism whose only coordinate is its angle."""
+    joint = MechanismJoint(
+        VALVE_JOINT,
+        VALVE_LINK,
+        wheel.centre,
+        wheel.axis,
+        wheel.bodies,
         lower=-2.5 * np.pi,
         upper=2.5 * np.pi,
         velocity=WHEEL_SPEED,
         acceleration=WHEEL_ACCELERATION,
     )
+    return Mechanism(VALVE_LINK, (joint,))
 
 
 def make_hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
@@ -117,38 +120,63 @@ def make_hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
     return tuple(Allowance(hook, BodyRef("mechanism", VALVE_LINK, body), depth) for body in wheel.rim)
 
 
-def make_stroke_targets(
-    wheel: Wheel, hand: Hand, entry: float, angle: float, at: float, grasp: Float[np.ndarray, "3 3"] | None = None
-) -> tuple[Target, ...]:
-    """Return the targets of a stroke: the tool moves with its point of the rim, and the wheel ends at an angle.
+def make_stroke_phases(
+    wheel: Wheel,
+    hand: Hand,
+    entry: float,
+    turn: tuple[float, float],
+    suffix: str = "",
+    grasp: Grasp | None = None,
+    reach_waypoints: int = REACH_WAYPOINTS,
+) -> tuple[PhaseSpec, ...]:
+    """Return the phases of a stroke: reach, insert, turn, retract; the turn is solved first.
 
     Args:
+        wheel, hand: the wheel and the hand that turns it.
         entry: angle of the hook's gap, in the wheel [rad].
-        angle: angle of the wheel at the end of the stroke [rad].
-        at: path parameter of that end.
-        grasp: rotation_valve_tool of a hand that turns with the wheel; None for one that may turn about its axis.
+        turn: angles of the wheel at the beginning and the end of the stroke [rad].
+        suffix: ends the names of the phases; empty for a single stroke.
+        grasp: of a hand that turns with the wheel; None for one that may turn about its axis.
+        reach_waypoints: number of the first phase.
     """
-    # At angle 0 the wheel's frame has the axes of the world and its origin in the centre.
-    along = find_rotation_onto(HAND_AXIS, -wheel.axis) if grasp is None else grasp
-    free = HAND_AXIS if grasp is None else None
-    place = wheel.rim_point(entry) - wheel.centre
+    first, last = np.array(turn[:1]), np.array(turn[1:])
+    place = wheel.rim_point(entry) - wheel.centre  # at angle 0 the wheel's frame has the axes of the world
+    touches = make_hook_allowances(wheel, hand)
+    off = (wheel.tube_radius + STANDOFF) * wheel.axis
+    held = HandMotion(
+        hand.tool, VALVE_LINK, place, -wheel.axis, tolerance_m=RIM_TOLERANCE, tilt_rad=AXIS_TOLERANCE,
+        is_rigid=grasp is not None, rotation=None if grasp is None else grasp.rotation,
+    )  # fmt: skip
+    line = replace(held, offset=off, is_rigid=False, rotation=None)
+    circle = CircleTarget(
+        hand.tool, wheel.centre, wheel.axis, wheel.radius, RIM_TOLERANCE, -HAND_AXIS, AXIS_TOLERANCE
+    )  # fmt: skip
+    count = max(int(np.ceil(abs(turn[1] - turn[0]) / TURN_STEP)) + 1, 3)
+    wrist = grasp or Grasp()
     return (
-        CircleTarget(hand.tool, wheel.centre, wheel.axis, wheel.radius, RIM_TOLERANCE, -HAND_AXIS, AXIS_TOLERANCE),
-        RelativePoseTarget(hand.tool, VALVE_LINK, place, along, RIM_TOLERANCE, AXIS_TOLERANCE, free),
-        JointTarget(VALVE_JOINT, angle, ANGLE_TOLERANCE, at),
-    )
+        PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
+        PhaseSpec(f"insert{suffix}", first, first, line, touches, n_waypoints=LINE_WAYPOINTS),
+        PhaseSpec(
+            f"turn{suffix}", first, last, held, touches, is_anchor=True, step="pose at the wheel", n_waypoints=count,
+            also=(circle,), fixed=wrist.fixed, guess_rates=wrist.rates,
+        ),
+        PhaseSpec(f"retract{suffix}", last, last, replace(line, leaves=True), touches, n_waypoints=LINE_WAYPOINTS),
+    )  # fmt: skip
 
 
-def find_rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Return a rotation that takes the unit vector ``axis`` to the unit vector ``direction``."""
-    if axis @ direction < 0.0:  # half a turn first: the formula fails for opposite vectors
-        side = np.eye(3)[int(np.abs(axis).argmin())]
-        normal = np.cross(axis, side) / np.linalg.norm(np.cross(axis, side))
-        flip = 2.0 * np.outer(normal, normal) - np.eye(3)
-        return np.asarray(find_rotation_onto(flip @ axis, direction) @ flip)
-    w = np.cross(axis, direction)
-    skew = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + axis @ direction))
+@dataclass(frozen=True)
+class Grasp:
+    """A hand that turns with the wheel.
+
+    Attributes:
+        rotation: (3, 3) rotation_valve_tool; None until the first pose decides it.
+        fixed: value of the wrist's joint at the first pose [rad].
+        rates: rate of the wrist's joint per angle of the wheel, for the first guess.
+    """
+
+    rotation: Float[np.ndarray, "3 3"] | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
 
 
 def _within(disc: Float[np.ndarray, "V 3"], valve: ValveDetection, radius: float) -> Float[np.ndarray, "V 3"]:

@@ -12,8 +12,17 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel, bundled_robots
 from costs.scene import ConvexPiece, Scene
-from service.demands import Demands, ProgramDemand, compose_scene, find_recorded_obstacles, has_scan, list_planted_feet
-from service.demands.wheel import Wheel, make_wheel
+from service.demands import (
+    Demands,
+    ProgramDemand,
+    TaskDemand,
+    compose_scene,
+    find_recorded_obstacles,
+    has_scan,
+    list_planted_feet,
+)
+from service.demands.valve_demand import ValveDemand
+from service.demands.wheel import make_wheel
 from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
@@ -96,7 +105,7 @@ def rebuild_demands(
     scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
     demands = Demands(
-        request, robot, start, scene, _get_program(program, robot), _get_wheel(request, surroundings.valves)
+        request, robot, start, scene, _get_program(program, robot), _rebuild_task(request, surroundings.valves)
     )
     without = () if demands.program is None else demands.program.unproven
     return demands, Grounds(request_from, scene_from, robot_from, without)
@@ -110,17 +119,17 @@ def _get_program(program: Program | None, robot: RobotModel) -> ProgramDemand | 
     return make_program_demand(program, robot)
 
 
-def _get_wheel(request: PlanRequest, detections: Sequence[ValveDetection]) -> Wheel | None:
-    """Return the wheel of the request's task."""
-    task = None if request.task is None else request.task.valve
-    if task is None:
+def _rebuild_task(request: PlanRequest, valves: Sequence[ValveDetection]) -> TaskDemand | None:
+    """Return the demands of the request's task, if it moves a mechanism."""
+    task = request.task
+    if task is None or task.valve is None:
         return None
     from service.tasks.valve_task import read_given_valve
 
-    valve = read_given_valve(task) or next(iter(detections), None)
+    valve = read_given_valve(task.valve) or next(iter(valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    return make_wheel(valve)
+    return ValveDemand(make_wheel(valve), task.valve)
 
 
 def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request_from: str) -> tuple[RobotModel, str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from costs.robot import RobotError, RobotModel, load_robot
-from service.demands import Demands, HeldMotion, compare_pace, compare_turn, hold_to_request
+from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.errors import RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
 from service.replay.rebuild import Grounds, Record, rebuild_demands
@@ -62,8 +62,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         differences = held.differences
         if demands is not None:
             differences += tuple(compare_pace(demands.request, certificate))
-            if demands.request.task is not None and demands.request.task.valve is not None:
-                differences += tuple(compare_turn(demands.request.task.valve, data["figures"]))
+            if demands.task is not None:
+                differences += tuple(demands.task.compare_figures(data["figures"]))
         if data.get("certificate") is not None:
             differences += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
     if certificate.status is Status.CERTIFIED and is_claimed and differences:

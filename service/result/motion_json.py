@@ -10,7 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
-from costs.robot import BASE_NAMES, RobotModel, with_revolute
+from costs.robot import BASE_NAMES, MechanismJoint, RobotModel, read_joint_axis, with_mechanism
 from costs.rotation import make_quaternions
 from costs.scene import ConvexPiece, Scene
 from service.result.phase_json import phase_from_json, phase_json, sample_index
@@ -54,16 +54,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
     Raises:
         KeyError, TypeError, ValueError: the data do not follow docs/result-format.md.
     """
-    for movable in data["movables"]:
-        robot = with_revolute(
-            robot,
-            name=movable["joint"],
-            link=movable["name"],
-            origin=np.array(movable["origin"]),
-            axis=np.array(movable["axis"]),
-            bodies={body["name"]: np.array(body["vertices"]) for body in movable["bodies"]},
-            **{key: float(movable[key]) for key in ("lower", "upper", "velocity", "acceleration")},
-        )
+    robot = with_mechanism(robot, [_read_movable(movable) for movable in data["movables"]])
     curve, law = data["curve"], data["curve"]["law"]
     if tuple(curve["joint_names"]) != robot.joint_names:
         raise ValueError("curve.joint_names are not the joints of the robot and the movables")
@@ -117,41 +108,48 @@ def _write_curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
     }
 
 
+def _read_movable(movable: Mapping[str, Any]) -> MechanismJoint:
+    return MechanismJoint(
+        name=movable["joint"],
+        link=movable["name"],
+        origin=np.array(movable["origin"], dtype=float),
+        axis=np.array(movable["axis"], dtype=float),
+        bodies={body["name"]: np.array(body["vertices"]) for body in movable["bodies"]},
+        kind=movable["type"],
+        parent=movable["parent"],
+        **{key: float(movable[key]) for key in ("lower", "upper", "start", "velocity", "acceleration")},
+    )
+
+
 def _write_movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray, "S n"]) -> dict[str, Any]:
-    """Return a mechanism joint of the motion's robot: its bodies in the world at angle 0, its angle at each sample."""
-    augmented = motion.robot
-    joint = augmented.model.getJointId(augmented.joint_names[column])
-    placement, free = augmented.model.jointPlacements[joint], augmented.model.joints[joint]
-    unit = np.zeros(augmented.n)
-    unit[column] = 1.0
+    """Return a mechanism's joint with its link: described in the world with all joints at 0, and its values."""
+    augmented, model = motion.robot, motion.robot.model
+    joint = model.getJointId(augmented.joint_names[column])
+    above = int(model.parents[joint])
+    origin = np.zeros(3)
+    upwards = joint
+    while upwards > 0:  # all frames have the world's axes at 0
+        origin = origin + np.array(model.jointPlacements[upwards].translation)
+        upwards = int(model.parents[upwards])
     bodies = [body for body in augmented.bodies if body.joint == joint]
+    axis = read_joint_axis(augmented, joint)
     return {
         "name": bodies[0].link,
         "joint": augmented.joint_names[column],
-        "type": "revolute",
-        "origin": placement.translation.tolist(),
-        "axis": (placement.rotation @ _get_axis(augmented, free)).tolist(),
+        "parent": next((body.link for body in augmented.bodies if body.joint == above > 0), None),
+        "type": "revolute" if np.any(axis[3:]) else "prismatic",
+        "origin": origin.tolist(),
+        "axis": (axis[3:] if np.any(axis[3:]) else axis[:3]).tolist(),
         "lower": float(augmented.lower[column]),
         "upper": float(augmented.upper[column]),
+        "start": float(q[0, column]),
         "velocity": float(augmented.velocity[column]),
         "acceleration": float(augmented.acceleration[column]),
         "bodies": [
-            {
-                "name": body.name,
-                "kind": "movable",
-                "vertices": (body.vertices @ placement.rotation.T + placement.translation).tolist(),
-            }
-            for body in bodies
+            {"name": body.name, "kind": "movable", "vertices": (body.vertices + origin).tolist()} for body in bodies
         ],
         "angles": q[:, column].tolist(),
     }
-
-
-def _get_axis(robot: RobotModel, joint: pin.JointModel) -> Float[np.ndarray, "3"]:
-    """Return the axis of a revolute joint in its own frame."""
-    data = joint.createData()
-    joint.calc(data, np.zeros(robot.n), np.zeros(robot.n))
-    return np.asarray(data.S).reshape(6)[3:]
 
 
 def _compute_com(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> list[list[float] | None]:

@@ -14,6 +14,7 @@ from costs.allowance import Allowance, BodyRef
 from service.verify import (
     AxisTarget,
     CircleTarget,
+    HandLoad,
     JointTarget,
     Phase,
     PlantedContact,
@@ -39,6 +40,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "allowances": [_write_allowance(allowance) for allowance in phase.allowances],
         "targets": targets_json(phase.targets, s),
         "support": None if phase.support is None else _write_support(phase.support),
+        "loads": [_write_load(load) for load in phase.loads],
     }
 
 
@@ -59,6 +61,7 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         support=None
         if support is None
         else SupportPolygon(np.array(support["polygon"]), float(support["margin_m"]), float(support["height"])),
+        loads=tuple(_read_load(load) for load in data["loads"]),
     )
 
 
@@ -99,6 +102,22 @@ def _read_contact(data: Mapping[str, Any]) -> PlantedContact:
 
 def _write_support(support: SupportPolygon) -> dict[str, Any]:
     return {"polygon": support.polygon.tolist(), "margin_m": support.margin_m, "height": support.height}
+
+
+def _write_load(load: HandLoad) -> dict[str, Any]:
+    return {
+        "tool": load.tool,
+        "link": load.link,
+        "place": load.place.tolist(),
+        "force_n": load.force.tolist(),
+        "slide": None if load.slide is None else load.slide.tolist(),
+    }
+
+
+def _read_load(data: Mapping[str, Any]) -> HandLoad:
+    place, force = np.array(data["place"], dtype=float), np.array(data["force_n"], dtype=float)
+    slide = None if data["slide"] is None else np.array(data["slide"], dtype=float)
+    return HandLoad(data["tool"], data["link"], place, force, slide)
 
 
 def write_rotation(rotation: Float[np.ndarray, "3 3"]) -> list[float]:
@@ -182,6 +201,7 @@ _TARGETS: Mapping[str, tuple[type[Target], Mapping[str, _Codec]]] = {
             "position_tolerance_m": _NUMBER,
             "rotation_tolerance_deg": _ANGLE,
             "free_axis": _or_null(_VECTOR),
+            "slide": _or_null(_VECTOR),
         },
     ),
     "joint": (JointTarget, {"joint": _TEXT, "value": _NUMBER, "tolerance": _NUMBER, "at": _SAMPLE}),

@@ -44,5 +44,5 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     else:
         raise RequestError("request: goal, task.valve or task.trajopt is needed")
     for rest in plans:
-        phases = (phase.for_robot(rest.body.robot) for phase in lead.phases)
+        phases = (phase.for_body(rest.body) for phase in lead.phases)
         yield replace(rest, phases=(*phases, *rest.phases))

@@ -20,14 +20,25 @@ from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.wheel import HAND_AXIS, HANDS, HOOK_ROOM, RIM_TOLERANCE, Hand, Wheel, add_wheel_joint, make_wheel
+from service.demands.wheel import (
+    HAND_AXIS,
+    HANDS,
+    HOOK_ROOM,
+    REACH_WAYPOINTS,
+    RIM_TOLERANCE,
+    Hand,
+    Wheel,
+    make_wheel,
+    make_wheel_mechanism,
+)
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.request.names import VALVE_LINK
 from service.request.schema import ValveRequest
 from service.scan.scene_file import wheel_from_circle
 from service.setup.prepare import PlanSetup
-from service.tasks.valve import REACH_WAYPOINTS, ValveTurn
+from service.tasks.sequence import add_mechanism
+from service.tasks.valve import ValveTurn
 
 SURE = 0.5  # least confidence of a detection that is used
 TUBE_RADIUS = 0.015  # when the request gives only the rim circle [m]
@@ -127,10 +138,8 @@ def _plan_turn(
     Raises:
         RequestError: a link of the robot is in the wheel at the start.
     """
-    body = solver.body
     solver = replace(
-        solver,
-        body=body.with_robot(add_wheel_joint(body.robot, wheel), np.append(body.nominal, 0.0)),
+        add_mechanism(solver, make_wheel_mechanism(wheel)),
         overrides=tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands),
     )
     collisions = tuple(_find_collisions(solver.body))

@@ -16,6 +16,7 @@ from service.verify.certificate import Basis, Certificate, Check, Exempt, Status
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
+    HandLoad,
     JointTarget,
     Motion,
     Phase,
@@ -36,6 +37,7 @@ __all__ = [
     "Check",
     "CircleTarget",
     "Exempt",
+    "HandLoad",
     "JointTarget",
     "Motion",
     "Phase",

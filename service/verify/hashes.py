@@ -12,7 +12,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.robot.model import RobotModel
 from costs.scene import Scene
-from service.verify.motion import Phase, PlantedContact, SupportPolygon, Target
+from service.verify.motion import HandLoad, Phase, PlantedContact, SupportPolygon, Target
 
 HASH_OFFSET = 0.381966  # of a micrometre
 
@@ -47,6 +47,8 @@ def promises_hash(phases: Iterable[Phase]) -> str:
             _add(digest, "support", *_parts(phase.support))
         for target in phase.targets:
             _add(digest, type(target).__name__, *_parts(target))
+        for load in phase.loads:
+            _add(digest, "load", *_parts(load))
     return "sha256:" + digest.hexdigest()
 
 
@@ -66,7 +68,9 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
     return "sha256:" + digest.hexdigest()
 
 
-def _parts(promise: Allowance | BodyRef | PlantedContact | SupportPolygon | Target) -> Iterator[str | np.ndarray]:
+def _parts(
+    promise: Allowance | BodyRef | HandLoad | PlantedContact | SupportPolygon | Target,
+) -> Iterator[str | np.ndarray]:
     """Yield the fields of a promise in their order: texts, references to bodies, numbers; no numbers for None."""
     for item in fields(promise):
         value = getattr(promise, item.name)

@@ -155,6 +155,7 @@ class RelativePoseTarget:
         position_tolerance_m: greatest distance of the origin from its place.
         rotation_tolerance_rad: greatest angle off the rotation, or of the free axis off its direction.
         free_axis: (3,) unit axis in the frame about which it may turn, or None.
+        slide: (3,) in the reference: the place is anywhere on ``position`` +- ``slide``, or None [m].
     """
 
     frame: str
@@ -164,6 +165,7 @@ class RelativePoseTarget:
     position_tolerance_m: float
     rotation_tolerance_rad: float
     free_axis: Float[np.ndarray, "3"] | None = None
+    slide: Float[np.ndarray, "3"] | None = None
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,25 @@ class JointTarget:
     value: float
     tolerance: float
     at: float
+
+
+@dataclass(frozen=True)
+class HandLoad:
+    """A force that a hand exerts on a link of a mechanism, of any size between zero and the largest.
+
+    Attributes:
+        tool: frame of the robot whose origin is where the force acts.
+        link: the mechanism's link, which may turn.
+        place: (3,) where it acts, in the link [m].
+        force: (3,) the largest force on the link, in the link's axes [N].
+        slide: (3,) in the link: it acts anywhere on ``place`` +- ``slide``, or None [m].
+    """
+
+    tool: str
+    link: str
+    place: Float[np.ndarray, "3"]
+    force: Float[np.ndarray, "3"]
+    slide: Float[np.ndarray, "3"] | None = None
 
 
 Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | JointTarget
@@ -190,6 +211,7 @@ class Phase:
         allowances: pairs that may touch; all others must keep clear.
         targets: poses, axes and joint values that the motion reaches or keeps.
         support: region of the centre of mass and the ZMP, or None (fixed base).
+        loads: forces that hands exert on the mechanism.
     """
 
     name: str
@@ -199,6 +221,7 @@ class Phase:
     allowances: tuple[Allowance, ...] = ()
     targets: tuple[Target, ...] = ()
     support: SupportPolygon | None = None
+    loads: tuple[HandLoad, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -212,7 +235,7 @@ class Motion:
         law: time law of the curve; None if untimed (then no speed, acceleration or force is checked).
         phases: together they cover the curve; none overlaps another.
         samples: (M,) path parameters of the exported samples, all knots among them; None if only the curve counts.
-        mechanism_links: links that move with the task (a valve's wheel): checked against the robot, not against pieces.
+        mechanism_links: links that move with the task (a valve's wheel): checked against the robot and each other.
         waived: checks that the request waives: ``timing``, ``balance``; all others are required. None where the
             request is unknown: checks that were not made are then listed in the coverage and nothing more.
     """

@@ -131,7 +131,7 @@ def _relative_pose_checks(proof: PhaseProof, target: RelativePoseTarget) -> Iter
     kept = target.rotation if target.free_axis is None else target.rotation @ target.free_axis[:, None]
 
     def shift(s: np.ndarray) -> np.ndarray:
-        return np.asarray(np.linalg.norm(path.at(s)[0][:, 0] - target.position, axis=1))
+        return _distance_from_slide(path.at(s)[0][:, 0] - target.position, target.slide)
 
     def chord(s: np.ndarray) -> np.ndarray:
         """Return the largest distance of the tip of a kept unit vector from its place: 2 sin(half the angle) [-]."""
@@ -182,6 +182,19 @@ def _axis_check(proof: PhaseProof, target: AxisTarget) -> Check:
     text = f"the axis of {target.frame} leans at most {np.rad2deg(extreme.bound):.2f} deg during {proof.phase.name}"
     name, at = f"axis.{proof.phase.name}.{target.frame}", path.origin_at(extreme.s)
     return proof.check(name, extreme, target.tolerance_rad, "rad", text, at, names=(target.frame,))
+
+
+def _distance_from_slide(
+    offset: Float[np.ndarray, "S 3"], slide: Float[np.ndarray, "3"] | None
+) -> Float[np.ndarray, "S"]:
+    """Return the distance of points from the segment +- ``slide`` about the origin; of the origin without one [m].
+
+    Like every distance from a convex set, it is convex along a chord.
+    """
+    if slide is None or not np.any(slide):
+        return np.asarray(np.linalg.norm(offset, axis=1))
+    share = np.clip(offset @ slide / (slide @ slide), -1.0, 1.0)
+    return np.asarray(np.linalg.norm(offset - share[:, None] * slide, axis=1))
 
 
 def _origin_path(proof: PhaseProof, frame: str, reference: str | None = None) -> FramePath:

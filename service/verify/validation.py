@@ -119,6 +119,7 @@ def _places(target: Target) -> Iterator[np.ndarray | float]:
     if isinstance(target, RelativePoseTarget):
         yield target.position
         yield target.position_tolerance_m  # what is kept is not free
+        yield 0.0 if target.slide is None else target.slide
         yield target.rotation_tolerance_rad
     for axis in (target.free_axis,) if isinstance(target, RelativePoseTarget) else (target.axis, target.frame_axis):
         if axis is not None:

@@ -7,7 +7,7 @@ import numpy as np
 from costs.allowance import Allowance, BodyRef
 from costs.curve import Curve, TimeLaw
 from costs.kinematics import KinematicsEngine, locate_links
-from costs.robot import RobotModel, with_revolute
+from costs.robot import MechanismJoint, RobotModel, with_mechanism
 from costs.support import SupportPolygon as FeetHull
 from service.request.file import parse_request
 from service.result.result import PlanResult, Verdict
@@ -55,17 +55,21 @@ def small_plan() -> PlanResult:
 
 def _with_wheel(robot: RobotModel) -> RobotModel:
     rng = np.random.default_rng(0)
-    return with_revolute(
+    return with_mechanism(
         robot,
-        name="wheel_turn",
-        origin=ORIGIN,
-        axis=np.array([-1.0, 0.0, 0.0]),
-        bodies={"wheel/1": ORIGIN + 0.05 * rng.normal(size=(10, 3))},
-        link="wheel",
-        lower=-7.0,
-        upper=7.0,
-        velocity=1.0,
-        acceleration=2.0,
+        [
+            MechanismJoint(
+                name="wheel_turn",
+                origin=ORIGIN,
+                axis=np.array([-1.0, 0.0, 0.0]),
+                bodies={"wheel/1": ORIGIN + 0.05 * rng.normal(size=(10, 3))},
+                link="wheel",
+                lower=-7.0,
+                upper=7.0,
+                velocity=1.0,
+                acceleration=2.0,
+            )
+        ],
     )
 
 

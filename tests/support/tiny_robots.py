@@ -12,7 +12,7 @@ import numpy as np
 
 from costs.collision import Contacts
 from costs.kinematics import KinematicsEngine
-from costs.robot import RobotModel, load_robot, with_revolute
+from costs.robot import MechanismJoint, RobotModel, load_robot, with_mechanism
 from costs.state import MotionState
 
 
@@ -85,17 +85,21 @@ def atlas() -> RobotModel:
 def atlas_with_wheel() -> RobotModel:
     """Atlas and a valve wheel before it, whose angle is the last coordinate."""
     corners = np.array([[x, y, z] for x in (0.69, 0.71) for y in (-0.2, 0.2) for z in (0.9, 1.3)])
-    return with_revolute(
+    return with_mechanism(
         atlas(),
-        name="valve_turn",
-        origin=np.array([0.7, 0.0, 1.1]),
-        axis=np.array([1.0, 0.2, -0.1]),
-        bodies={"valve/rim": corners},
-        link="valve",
-        lower=-6.0,
-        upper=6.0,
-        velocity=1.0,
-        acceleration=1.0,
+        [
+            MechanismJoint(
+                name="valve_turn",
+                origin=np.array([0.7, 0.0, 1.1]),
+                axis=np.array([1.0, 0.2, -0.1]),
+                bodies={"valve/rim": corners},
+                link="valve",
+                lower=-6.0,
+                upper=6.0,
+                velocity=1.0,
+                acceleration=1.0,
+            )
+        ],
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from costs.robot import RobotError, RobotModel, load_robot, shapes, with_revolute
+from costs.robot import MechanismJoint, RobotError, RobotModel, load_robot, shapes, with_mechanism
 
 ATLAS = load_robot("atlas")
 ORIGIN = np.array([0.8, -0.1, 1.1])
@@ -22,7 +22,7 @@ def _augmented(**changes: Any) -> RobotModel:
         "name": "valve_turn", "origin": ORIGIN, "axis": np.array([-2.0, 0.0, 0.0]), "bodies": {"rim": RIM},
         "link": "valve", "lower": -7.0, "upper": 7.0, "velocity": 1.0, "acceleration": 2.0,
     }  # fmt: skip
-    return with_revolute(ATLAS, **{**arguments, **changes})
+    return with_mechanism(ATLAS, [MechanismJoint(**{**arguments, **changes})])
 
 
 def test_the_new_joint_is_the_last_coordinate() -> None:
@@ -93,9 +93,42 @@ def test_values_that_cannot_be_right_are_refused(changes: dict[str, Any], messag
 
 
 def test_two_mechanisms_stand_side_by_side() -> None:
-    robot = with_revolute(
-        _augmented(), name="door_swing", origin=-ORIGIN, axis=np.array([0.0, 0.0, 1.0]),
-        bodies={"leaf": RIM}, link="door", lower=0.0, upper=1.5, velocity=1.0, acceleration=1.0,
-    )  # fmt: skip
+    door = MechanismJoint("door_swing", "door", -ORIGIN, np.array([0.0, 0.0, 1.0]), {"leaf": RIM}, lower=0.0, upper=1.5)
+    robot = with_mechanism(_augmented(), [door])
     assert robot.joint_names[-2:] == ("valve_turn", "door_swing")
     assert robot.mechanism_links == {"valve", "door"}
+
+
+@given(leaf=st.floats(0.0, 1.5), lever=st.floats(-0.8, 0.0), latch=st.floats(0.0, 0.02))
+@settings(max_examples=30)
+def test_a_lever_and_its_latch_move_with_the_leaf_that_carries_them(leaf: float, lever: float, latch: float) -> None:
+    spindle, up, out = np.array([0.8, 0.3, 1.0]), np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
+    joints = [
+        MechanismJoint("swing", "door/leaf", ORIGIN, up, {"leaf": RIM}, upper=1.5, start=0.3, lower=0.0),
+        MechanismJoint("turn", "door/lever", spindle, out, {"lever": RIM + 0.1}, parent="door/leaf", lower=-0.8),
+        MechanismJoint("slide", "door/latch", spindle, up, {"latch": RIM}, "prismatic", "door/lever", 0.0, 0.02),
+    ]
+    robot = with_mechanism(ATLAS, joints)
+    assert robot.postures["stand"][-3:].tolist() == [0.3, 0.0, 0.0]
+    q = np.concatenate([ATLAS.postures["stand"], [leaf, lever, latch]])
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    swung = pin.exp3(up * leaf)
+    turned = swung @ pin.exp3(out * lever)
+    expected = swung @ (spindle - ORIGIN) + ORIGIN
+    placed = data.oMf[int(robot.model.getFrameId("door/lever"))]
+    np.testing.assert_allclose(placed.translation, expected, atol=1e-12)
+    np.testing.assert_allclose(placed.rotation, turned, atol=1e-12)
+    slid = data.oMf[int(robot.model.getFrameId("door/latch"))]
+    np.testing.assert_allclose(slid.translation, expected + turned @ (up * latch), atol=1e-12)
+
+
+def test_a_parent_outside_the_mechanism_is_refused() -> None:
+    joint = MechanismJoint("turn", "lever", ORIGIN, np.array([1.0, 0.0, 0.0]), {"lever": RIM}, parent="pelvis")
+    with pytest.raises(RobotError, match="'pelvis' is no link of the mechanism"):
+        with_mechanism(ATLAS, [joint])
+
+
+def test_a_start_beyond_the_limits_is_refused() -> None:
+    with pytest.raises(RobotError, match=r"starts at 9\.0, outside -7\.0 to 7\.0"):
+        _augmented(start=9.0)

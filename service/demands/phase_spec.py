@@ -1,0 +1,159 @@
+"""Phases of a task as data: what a hand does, how the mechanism moves, what may touch and which loads are carried.
+
+The planner compiles specifications to problems of the optimiser, and the verifier's promises are made from the same
+data, so that a recorded motion can be held to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.robot import Mechanism
+from service.verify import HandLoad, JointTarget, RelativePoseTarget, Target
+
+AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
+SAME_VALUE = 1e-9  # of mechanism joints [rad, m]
+JOINT_TOLERANCE = 1e-3  # of a mechanism's joint at the end of a phase [rad, m]
+
+
+@dataclass(frozen=True)
+class HandMotion:
+    """How a tool moves during a phase: at a place of a link, or on a straight line that ends or begins there.
+
+    Attributes:
+        tool: frame of the robot; its z axis points outwards along the hand.
+        link: the mechanism's link it moves with; None for the world.
+        place: (3,) of the tool's origin, in the link [m].
+        axis: (3,) unit, in the link: direction of the tool's z axis.
+        offset: (3,) from ``place``, in the link: the phase begins there (None: it stays at ``place``) [m].
+        leaves: whether a line leads from ``place`` to the offset instead of back.
+        slide: (3,) in the link: the tool may be anywhere on ``place`` +- ``slide``; None where it may not slide [m].
+        rotation: (3, 3) rotation_link_tool of a hand that cannot turn about its own axis; None where it can.
+        is_rigid: whether the hand keeps the turn about its axis that it has at the first pose (a grasp).
+        tolerance_m: largest distance from the place along the whole curve.
+        tilt_rad: largest angle between the tool's axis and ``axis`` along the whole curve.
+        aim_rad: the same at the waypoints.
+    """
+
+    tool: str
+    link: str | None
+    place: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    offset: Float[np.ndarray, "3"] | None = None
+    leaves: bool = False
+    slide: Float[np.ndarray, "3"] | None = None
+    rotation: Float[np.ndarray, "3 3"] | None = None
+    is_rigid: bool = False
+    tolerance_m: float = 5e-3
+    tilt_rad: float = float(np.deg2rad(3.0))
+    aim_rad: float = float(np.deg2rad(1.0))
+
+    @property
+    def is_line(self) -> bool:
+        """Whether the tool moves on a line."""
+        return self.offset is not None
+
+    def places(self, n_waypoints: int) -> Float[np.ndarray, "T 3"]:
+        """Return the tool's places at equally spaced waypoints, in the link [m]."""
+        if self.offset is None:
+            return np.tile(self.place, (n_waypoints, 1))
+        share = np.linspace(0.0, 1.0, n_waypoints)[:, None]
+        return np.asarray(self.place + (share if self.leaves else 1.0 - share) * self.offset)
+
+
+@dataclass(frozen=True)
+class PhaseSpec:
+    """One phase of a task.
+
+    Attributes:
+        name: as the user sees it.
+        first, last: (k,) values of the mechanism's joints at its ends; they move in equal steps [rad, m].
+        hand: motion of the hand; None where it is free.
+        touches: pairs that may touch besides feet and floor.
+        loads: forces that the hand exerts on the mechanism, each between zero and its largest.
+        also: further targets of the whole phase.
+        is_anchor: whether it is solved first; the phases before it are solved backwards from its start.
+        step: of its pose, in messages.
+        n_waypoints: number of waypoints.
+        fixed: values of the robot's joints at the first pose of the anchor.
+        guess_rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
+    """
+
+    name: str
+    first: Float[np.ndarray, "k"]
+    last: Float[np.ndarray, "k"]
+    hand: HandMotion | None = None
+    touches: tuple[Allowance, ...] = ()
+    loads: tuple[HandLoad, ...] = ()
+    also: tuple[Target, ...] = ()
+    is_anchor: bool = False
+    step: str = ""
+    n_waypoints: int = 14
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    guess_rates: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def moving(self) -> tuple[int, ...]:
+        """Indices of the mechanism's joints that move."""
+        return tuple(np.flatnonzero(np.abs(self.last - self.first) > SAME_VALUE).tolist())
+
+    def values(self, n_waypoints: int) -> Float[np.ndarray, "T k"]:
+        """Return the mechanism's joints at equally spaced waypoints [rad, m]."""
+        return np.linspace(self.first, self.last, n_waypoints)
+
+    def with_rotation(self, rotation: Float[np.ndarray, "3 3"] | None) -> PhaseSpec:
+        """Return the phase with the rotation_link_tool of its rigid hand."""
+        if self.hand is None or not self.hand.is_rigid:
+            return self
+        return replace(self, hand=replace(self.hand, rotation=rotation))
+
+    def targets(self, mechanism: Mechanism, at: float) -> tuple[Target, ...]:
+        """Return the verifier's targets; ``at`` is the path parameter of the phase's end."""
+        hand = self.hand
+        held: tuple[Target, ...] = ()
+        if hand is not None and not hand.is_line:
+            held = (make_hand_target(hand),)
+        return (
+            *self.also,
+            *held,
+            *(JointTarget(mechanism.joints[k].name, float(self.last[k]), JOINT_TOLERANCE, at) for k in self.moving),
+        )
+
+
+def make_hand_target(hand: HandMotion) -> RelativePoseTarget:
+    """Return the promise that a tool stays at its place of a link."""
+    free = AXIS if hand.rotation is None else None
+    rotation = find_rotation_onto(AXIS, hand.axis) if hand.rotation is None else hand.rotation
+    return RelativePoseTarget(
+        hand.tool, hand.link, hand.place, rotation, hand.tolerance_m, hand.tilt_rad, free, slide=hand.slide
+    )
+
+
+def find_rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Return a rotation that takes the unit vector ``axis`` to the unit vector ``direction``."""
+    if axis @ direction < 0.0:  # half a turn first: the formula fails for opposite vectors
+        side = np.eye(3)[int(np.abs(axis).argmin())]
+        normal = np.cross(axis, side) / np.linalg.norm(np.cross(axis, side))
+        flip = 2.0 * np.outer(normal, normal) - np.eye(3)
+        return np.asarray(find_rotation_onto(flip @ axis, direction) @ flip)
+    w = np.cross(axis, direction)
+    skew = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + axis @ direction))
+
+
+def find_moves(phases: Sequence[PhaseSpec]) -> Float[np.ndarray, "F+1 k"]:
+    """Return the mechanism's joints at the borders of the phases [rad, m].
+
+    Raises:
+        ValueError: a phase does not begin where the one before ends.
+    """
+    for phase, after in pairwise(phases):
+        if np.abs(phase.last - after.first).max(initial=0.0) > SAME_VALUE:
+            raise ValueError(f"the mechanism jumps between the phases '{phase.name}' and '{after.name}'")
+    return np.stack([phases[0].first, *(phase.last for phase in phases)])

@@ -1,0 +1,89 @@
+"""A recorded motion against the phases that its task demands, made anew with the choices of the record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from costs.robot import Mechanism
+from service.demands.phase_spec import PhaseSpec
+from service.demands.stance import UNSETTLED
+from service.verify import Motion
+
+STILL = 1e-5  # by which a joint of the mechanism at rest may be off [rad, m]
+BORDER_OFF = 1.5e-3  # by which a joint of the mechanism may miss its value at a phase's border [rad, m]
+ROUNDING = 1e-9  # of path parameters
+
+
+class TaskDemand(Protocol):
+    """What a task with a mechanism demands of any motion."""
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The mechanism that the task moves."""
+        ...
+
+    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+        """Return the task's phases with the choices of a record, and a sentence for each choice that it forbids."""
+        ...
+
+    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
+        """Yield a sentence for each figure of a result that is not the request's."""
+        ...
+
+
+@dataclass(frozen=True)
+class RecordedTask:
+    """The phases of a task, matched to those of a record.
+
+    Attributes:
+        specs: per recorded phase; None for those before the task, and where none matches.
+        problems: one sentence for each violation of the task.
+    """
+
+    specs: tuple[PhaseSpec | None, ...]
+    problems: tuple[str, ...]
+
+    @staticmethod
+    def of(task: TaskDemand, recorded: Motion) -> RecordedTask:
+        """Match the phases of a motion whose last coordinates are the mechanism's."""
+        chosen, forbidden = task.read_choices(recorded)
+        names = [phase.name for phase in recorded.phases]
+        n_before = 0
+        while n_before < len(names) and names[n_before] in UNSETTLED:
+            n_before += 1
+        specs: list[PhaseSpec | None] = [None] * n_before
+        problems = list(forbidden)
+        if not forbidden and names[n_before:] != [spec.name for spec in chosen]:
+            wanted = ", ".join(spec.name for spec in chosen)
+            problems.append(f"the phases are {', '.join(names[n_before:])}; the task has {wanted}")
+        for name in names[n_before:]:
+            specs.append(next((spec for spec in chosen if spec.name == name), None))
+        problems += _find_moved_joints(task.mechanism, recorded, specs)
+        return RecordedTask(tuple(specs), tuple(problems))
+
+
+def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[PhaseSpec | None]) -> Iterator[str]:
+    """Yield a sentence where the mechanism does not start as demanded, or moves in a phase that leaves it still."""
+    curve, k = motion.curve, len(mechanism.joints)
+    start = mechanism.start
+    names = [joint.name for joint in mechanism.joints]
+    off = np.abs(curve.positions[0, -k:] - start)
+    for index in np.flatnonzero(off > STILL).tolist():
+        yield f"{names[index]} starts at {curve.positions[0, -k + index]:.4g} instead of {start[index]:.4g}"
+    for phase, spec in zip(motion.phases, specs, strict=True):
+        inside = (curve.knots >= phase.first - ROUNDING) & (curve.knots <= phase.last + ROUNDING)
+        values, rates = curve.positions[inside, -k:], curve.tangents[inside, -k:]
+        moving = () if spec is None else spec.moving
+        for index in range(k):
+            is_still = np.ptp(values[:, index]) <= STILL and np.abs(rates[:, index]).max() <= STILL
+            if index not in moving and not is_still:
+                yield f"{names[index]} moves in phase '{phase.name}', which leaves it where it is"
+            if spec is not None and (
+                abs(values[0, index] - spec.first[index]) > BORDER_OFF
+                or abs(values[-1, index] - spec.last[index]) > BORDER_OFF
+            ):
+                yield f"{names[index]} does not move as the task has it in phase '{phase.name}'"

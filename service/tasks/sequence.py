@@ -1,0 +1,309 @@
+"""Compile a task's phase specifications to problems of the optimiser, and solve them in the order that they state.
+
+Phases come in groups: a free phase that carries the hand to the next contact, then phases in which the hand moves with
+the mechanism or on lines. Of these the anchor is solved first, from a pose at its beginning; the ones before it are
+solved backwards from there, the free phase joins the end of the group before to their beginning, and the ones after the
+anchor follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.kinematics import locate_links
+from costs.robot import Mechanism, RobotModel, with_mechanism
+from costs.state import MotionState
+from costs.terms import AxisDirection, FramePose, WithinTolerance
+from scopt import Constraint, Residual, Sense
+from service.body.holds import Hold
+from service.body.phases import Bounds, PhaseSolver, path_via, posture_guesses, straight_path
+from service.body.task_plan import PlannedPhase, Solved, Stuck
+from service.body.whole_body import WholeBody
+from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, find_moves, find_rotation_onto
+
+POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
+
+
+def add_mechanism(solver: PhaseSolver, mechanism: Mechanism) -> PhaseSolver:
+    """Return the solver of the robot augmented by a mechanism, whose joints are at their start."""
+    body = solver.body
+    robot = with_mechanism(body.robot, mechanism.joints)
+    return replace(solver, body=body.with_robot(robot, np.concatenate([body.nominal, mechanism.start])))
+
+
+@dataclass(frozen=True)
+class PhaseSequence:
+    """Phases of a task for one body, in the order in which they are executed.
+
+    Attributes:
+        solver: of the body augmented by the mechanism.
+        mechanism: whose joints are the last coordinates.
+        specs: the phases.
+    """
+
+    solver: PhaseSolver
+    mechanism: Mechanism
+    specs: tuple[PhaseSpec, ...]
+
+    def __post_init__(self) -> None:
+        find_moves(self.specs)
+
+    def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
+        """Plan all phases from configuration ``at``; return those that were solved, and the step that was not."""
+        phases: tuple[PlannedPhase, ...] = ()
+        for group in split_groups(self.specs):
+            planned, stuck = self._plan_group(group, at)
+            phases += planned
+            if stuck is not None:
+                return phases, stuck
+            at = phases[-1].q[-1]
+        return phases, None
+
+    def _plan_group(
+        self, group: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
+    ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
+        """Plan a free phase and the held ones after it."""
+        compiler = _Compiler(self.solver, self.mechanism)
+        monitor = self.solver.monitor
+        free = [spec for spec in group if spec.hand is None]
+        held = [spec for spec in group if spec.hand is not None]
+        anchor_at = next(index for index, spec in enumerate(held) if spec.is_anchor)
+        step = held[anchor_at].step or f"pose for '{held[anchor_at].name}'"
+        with monitor.step(step, 0.1):
+            pose = compiler.solve_pose(step, held[anchor_at], at)
+        if not pose.is_feasible:
+            return _stop_at(group[0].name, step, pose, np.stack([at, pose.x[0]]))
+        held = [spec.with_rotation(compiler.find_rotation(spec, pose.x[0])) for spec in held]
+        solved: dict[int, Solved] = {}
+        order = [anchor_at, *range(anchor_at - 1, -1, -1)]
+        for index in order:
+            spec = held[index]
+            with monitor.step(spec.name, 0.3):
+                if index == anchor_at:
+                    solved[index] = compiler.solve_held(spec, pose.x[0], is_anchor=True)
+                else:
+                    solved[index] = compiler.solve_held(spec, solved[index + 1].x[0], is_backwards=True)
+            if not solved[index].is_feasible:
+                made = np.concatenate([at[None], *(solved[k].x for k in sorted(solved))])
+                return _stop_at(spec.name, spec.name, solved[index], made)
+        phases: list[PlannedPhase] = []
+        for spec in free:
+            with monitor.step(spec.name, 0.55):
+                reach = compiler.solve_free(spec, at, solved[0].x[0])
+            phases.append(compiler.finish(spec, reach))
+            if not reach.is_feasible:
+                return tuple(phases), Stuck(spec.name, reach)
+        phases += [compiler.finish(held[index], solved[index]) for index in range(anchor_at + 1)]
+        for spec in held[anchor_at + 1 :]:
+            with monitor.step(spec.name, 0.65):
+                after = compiler.solve_held(spec, phases[-1].q[-1])
+            phases.append(compiler.finish(spec, after))
+            if not after.is_feasible:
+                return tuple(phases), Stuck(spec.name, after)
+        return tuple(phases), None
+
+
+def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
+    """Yield the groups of phases, each with its free phase first.
+
+    Raises:
+        ValueError: a group has no anchor, or more than one.
+    """
+    begins = [index for index, spec in enumerate(specs) if spec.hand is None]
+    begins = begins if begins[:1] == [0] else [0, *begins]
+    for first, last in zip(begins, [*begins[1:], len(specs)], strict=True):
+        group = tuple(specs[first:last])
+        if sum(spec.is_anchor and spec.hand is not None for spec in group) != 1:
+            names = ", ".join(spec.name for spec in group)
+            raise ValueError(f"expected one anchor among the phases {names}")
+        yield group
+
+
+@dataclass(frozen=True)
+class _Compiler:
+    """Turns single specifications into problems of one body."""
+
+    solver: PhaseSolver
+    mechanism: Mechanism
+
+    @property
+    def robot(self) -> RobotModel:
+        return self.solver.body.robot
+
+    @property
+    def columns(self) -> Int[np.ndarray, "k"]:
+        """(k,) coordinates of the mechanism."""
+        return np.arange(self.robot.n - len(self.mechanism.joints), self.robot.n)
+
+    def solve_pose(self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> Solved:
+        """Solve for the first pose of an anchor."""
+        names = self.robot.joint_names
+        fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
+        fixed |= {names.index(name): value for name, value in spec.fixed.items()}
+        guesses = [at, *(guess for _, guess in posture_guesses(self.solver.body)[1:])]
+        return self.solver.solve_pose(
+            step, guesses, self._constraints(spec, np.zeros(1, dtype=int), 1), spec.touches, fixed
+        )
+
+    def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
+        """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""
+        hand = spec.hand
+        if hand is None or not hand.is_rigid:
+            return None
+        links = [hand.tool] if hand.link is None else [hand.tool, hand.link]
+        poses = locate_links(self.solver.body.engine, pose, links)
+        tool = poses[hand.tool][:3, :3]
+        link = np.eye(3) if hand.link is None else poses[hand.link][:3, :3]
+        z = link @ hand.axis
+        x = tool[:, 0] - (tool[:, 0] @ z) * z
+        x /= np.linalg.norm(x)
+        return np.asarray(link.T @ np.stack([x, np.cross(z, x), z], axis=1))
+
+    def solve_held(
+        self, spec: PhaseSpec, q: Float[np.ndarray, "n"], *, is_anchor: bool = False, is_backwards: bool = False
+    ) -> Solved:
+        """Solve a phase with a held hand from its first configuration, or backwards from its last.
+
+        The first configuration of an anchor is free up to the joints that its specification fixes.
+        """
+        count = spec.n_waypoints
+        values = spec.values(count)
+        start = np.tile(q, (count, 1))
+        start[:, self.columns] = values
+        for name, rate in spec.guess_rates.items():
+            (moving,) = spec.moving
+            start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
+        fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
+        free = np.setdiff1d(np.arange(count), list(fixed))
+        anchored = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()}
+
+        def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
+            lower[:, self.columns] = upper[:, self.columns] = values
+            if is_anchor:
+                for column, value in anchored.items():
+                    lower[0, column] = upper[0, column] = value
+
+        return self.solver.solve_trajectory(
+            spec.name, [start], fixed, constraints=self._constraints(spec, free, count), allowances=spec.touches,
+            bounds=narrow,
+        )  # fmt: skip
+
+    def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
+        """Solve a phase without demands on the hand between two configurations."""
+        count = spec.n_waypoints
+        starts = [straight_path(first, last, count)]
+        for _, guess in posture_guesses(self.solver.body)[1:]:
+            guess[self.columns] = first[self.columns]
+            starts.append(path_via(first, guess, last, count))
+        return self._solve_between(spec, starts)
+
+    def _solve_between(self, spec: PhaseSpec, starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
+        first, last, count = starts[0][0], starts[0][-1], len(starts[0])
+        fixed = {0: first, count - 1: last}
+        return self.solver.solve_trajectory(
+            spec.name, starts, fixed, allowances=spec.touches, bounds=self._move(spec, count)
+        )
+
+    def _move(self, spec: PhaseSpec, count: int) -> Bounds:
+        def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
+            lower[:, self.columns] = upper[:, self.columns] = spec.values(count)
+
+        return narrow
+
+    def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
+        """Return the solved phase with its promises."""
+        holds: tuple[Hold, ...] = ()
+        if spec.hand is not None and not spec.hand.is_line:
+            holds = (make_hold(self.robot, spec.hand),)
+
+        def solve_again(q: Float[np.ndarray, "T n"]) -> Solved:
+            return self._solve_between(spec, [q])
+
+        return PlannedPhase(
+            spec.name,
+            solved.x,
+            solved.is_feasible,
+            holds,
+            spec.touches,
+            lambda at: spec.targets(self.mechanism, at),
+            resolve=solve_again if spec.hand is None else None,
+            loads=spec.loads,
+        )
+
+    def _constraints(
+        self, spec: PhaseSpec, waypoints: Int[np.ndarray, "S"], count: int
+    ) -> tuple[Constraint[MotionState], ...]:
+        """Return the hand's constraints at waypoints of a phase with ``count`` of them."""
+        hand = spec.hand
+        if hand is None or not len(waypoints):
+            return ()
+        places = hand.places(count)[waypoints]
+        name = "tool on its line" if hand.is_line else "tool at its place"
+        residual: Residual[MotionState] = _place_residual(self.robot, hand, waypoints, places, is_along=False)
+        if hand.rotation is not None:
+            residual = make_hold(self.robot, hand)(waypoints)
+        constraints = [Constraint(name, residual, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m")]
+        if hand.slide is not None:
+            along = _place_residual(self.robot, hand, waypoints, places, is_along=True)
+            room = float(np.linalg.norm(hand.slide)) - POSITION_TOLERANCE
+            constraints.append(
+                Constraint(
+                    "tool within its slide", WithinTolerance(along, room), tolerance=POSITION_TOLERANCE, unit="m"
+                )
+            )
+        direction = AxisDirection(self.robot, hand.tool, waypoints, AXIS, hand.axis, hand.link)
+        axis = WithinTolerance(direction, hand.aim_rad)
+        constraints.append(Constraint("hand axis", axis, tolerance=0.2 * hand.aim_rad, unit="rad"))
+        return tuple(constraints)
+
+
+def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
+    """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
+    if hand.rotation is not None:
+        target = np.eye(4)
+        target[:3, :3], target[:3, 3] = hand.rotation, hand.place
+        axes = (True, True, True, False, False, True)
+        return lambda waypoints: FramePose(robot, hand.tool, waypoints, target, axes, hand.link)
+    return lambda waypoints: _place_residual(robot, hand, waypoints, hand.place[None], is_along=False)
+
+
+def _place_residual(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+    *,
+    is_along: bool,
+) -> FramePose:
+    """Return the tool's distance from its places: along its slide, or across it (in all directions without one)."""
+    targets = np.tile(np.eye(4), (len(places), 1, 1))
+    targets[:, :3, 3] = places
+    axes = (True, True, True, False, False, False)
+    if hand.slide is not None:
+        direction = hand.slide / np.linalg.norm(hand.slide)
+        targets[:, :3, :3] = find_rotation_onto(AXIS, direction)
+        axes = (not is_along, not is_along, is_along, False, False, False)
+    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
+
+
+def _stop_at(
+    name: str, step: str, result: Solved, q: Float[np.ndarray, "T n"]
+) -> tuple[tuple[PlannedPhase, ...], Stuck]:
+    """Return the best attempt as a single phase, and the step it is stuck at."""
+    return (PlannedPhase(name, q, False),), Stuck(step, result)
+
+
+def find_turn_joint(robot: RobotModel, body: WholeBody, tool: str) -> tuple[int, float]:
+    """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
+    from costs.kinematics import locate_frame
+
+    joint, pose_joint_tool = locate_frame(robot, tool)
+    column = int(robot.model.joints[joint].idx_v)
+    kinematics = body.engine(np.zeros((1, robot.n)))
+    turns = kinematics.jacobian[0, 3:, column]
+    axis = kinematics.rotation[0, joint] @ pose_joint_tool[:3, :3] @ AXIS
+    return column, float(np.sign(turns @ axis))
