@@ -19,6 +19,8 @@ from perception.cleaning.outliers import inliers
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
 from perception.detect import KINDS, detect, detect_each, detect_kinds
+from perception.detect.door.bodies import door_bodies
+from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.bodies import (
     ValveDetection,
@@ -49,9 +51,11 @@ __all__ = [
     "Cloud",
     "CloudError",
     "Detection",
+    "DoorGeometry",
     "Earlier",
     "Evidence",
     "FloorPlane",
+    "HandleGeometry",
     "Memory",
     "Perceived",
     "PerceptionError",
@@ -63,6 +67,7 @@ __all__ = [
     "detect_each",
     "detect_kinds",
     "detect_valves",
+    "door_bodies",
     "find_floors",
     "floor_piece",
     "floor_pieces",
