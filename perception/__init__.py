@@ -21,6 +21,7 @@ from perception.convex.piece import Evidence, Piece
 from perception.detect import KINDS, detect, detect_each, detect_kinds
 from perception.detect.door.bodies import door_bodies
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
+from perception.detect.door.model import choose_opening, read_door
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.bodies import (
     ValveDetection,
@@ -63,6 +64,7 @@ __all__ = [
     "Reach",
     "ValveDetection",
     "View",
+    "choose_opening",
     "detect",
     "detect_each",
     "detect_kinds",
@@ -81,6 +83,7 @@ __all__ = [
     "perceive",
     "read_cloud",
     "read_clouds",
+    "read_door",
     "rigid_pose",
     "rim_bodies",
     "select_wheels",
