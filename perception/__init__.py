@@ -19,6 +19,9 @@ from perception.cleaning.outliers import inliers
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
 from perception.detect import KINDS, detect, detect_each, detect_kinds
+from perception.detect.door.bodies import door_bodies
+from perception.detect.door.geometry import DoorGeometry, HandleGeometry
+from perception.detect.door.model import choose_opening, read_door
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.bodies import (
     ValveDetection,
@@ -49,9 +52,11 @@ __all__ = [
     "Cloud",
     "CloudError",
     "Detection",
+    "DoorGeometry",
     "Earlier",
     "Evidence",
     "FloorPlane",
+    "HandleGeometry",
     "Memory",
     "Perceived",
     "PerceptionError",
@@ -59,10 +64,12 @@ __all__ = [
     "Reach",
     "ValveDetection",
     "View",
+    "choose_opening",
     "detect",
     "detect_each",
     "detect_kinds",
     "detect_valves",
+    "door_bodies",
     "find_floors",
     "floor_piece",
     "floor_pieces",
@@ -76,6 +83,7 @@ __all__ = [
     "perceive",
     "read_cloud",
     "read_clouds",
+    "read_door",
     "rigid_pose",
     "rim_bodies",
     "select_wheels",

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from perception.detect.door.frame import Frame, find_frame
+from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry, Opens
 from perception.detect.door.handle import Handle, find_handle
 from perception.detect.door.leaf import Leaf, find_leaves
+from perception.detect.door.model import USUAL_THICKNESS, DoorModel
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import find_uprights
 from perception.detect.shared.arithmetic import rising
@@ -36,6 +39,9 @@ _MOST_MERGED = 0.1
 _HIDES = 0.05
 _SHOWN = 2000
 _ENOUGH = 60_000
+_OVER_FLOOR = 0.008
+_SURELY_OPEN = np.radians(3.0)
+_SURELY_RECESSED = 0.055
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ class _Candidate:
     handle: Handle | None
     hinge: int
     confidence: float
+    knows_hinge: bool
 
 
 def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
@@ -134,7 +141,7 @@ def _weigh(
         confidence = confidence**_HINT_TRUST
         # A hint does not show the hinge side.
         confidence = confidence if hinge else min(confidence, _HINGE_UNKNOWN)
-    return _Candidate(leaf, frame, handle, hinge or -1, confidence)
+    return _Candidate(leaf, frame, handle, hinge or -1, confidence, hinge != 0)
 
 
 def _hinge_by(handle: Handle | None, leaf: Leaf) -> int:
@@ -228,7 +235,77 @@ def _detection(candidate: _Candidate, ground: float) -> Detection:
         sizes["handle_z"] = float(handle.centre[1] - ground)
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
-    return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step])
+    model = DoorModel(*_shut(candidate, pose, side, sizes, ground))
+    opens = model.geometry.opens
+    residuals |= {"opens_share": float(opens is not None), "hinge_share": float(candidate.knows_hinge)}
+    residuals["thickness_share"] = 0.0
+    return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step], model)
+
+
+def _shut(
+    candidate: _Candidate, pose: Float[np.ndarray, "4 4"], side: float, sizes: Mapping[str, float], ground: float
+) -> tuple[DoorGeometry, bool]:
+    """Return the door with its leaf shut, and whether the seen face is the one away from the robot.
+
+    Args:
+        pose, side, sizes: of the detection.
+    """
+    leaf, frame = candidate.leaf, candidate.frame
+    opens = _opens(candidate)
+    is_ajar = frame is not None and frame.hinge != 0
+    along, normal = pose[:3, 0], side * pose[:3, 1]
+    shows_far_face = False
+    if frame is not None and is_ajar:
+        along = frame.plane.along * np.sign(frame.plane.along @ along)
+        normal = frame.plane.normal
+        out = -1.0 if frame.opens_away else 1.0
+        opened = np.cos(frame.ajar) * normal - out * np.sin(frame.ajar) * along
+        shows_far_face = bool(opened @ leaf.plane.normal < 0.0)
+    thickness = USUAL_THICKNESS
+    # The hinge pin is on the face to which the leaf turns.
+    face = thickness if opens == "push" else 0.0
+    corner = pose[:3, 3] - [0.0, 0.0, pose[2, 3] - ground - _OVER_FLOOR]
+    pin = corner - (face - (thickness if shows_far_face else 0.0)) * leaf.plane.normal
+    handle = None
+    if candidate.handle is not None and not shows_far_face:
+        handle = _handle_geometry(candidate.handle, sizes, pin + face * normal, along, normal)
+        handle = replace(handle, centre=handle.centre - [0.0, 0.0, _OVER_FLOOR])
+    width, height = sizes["width"], sizes["height"] - _OVER_FLOOR
+    ajar = sizes["ajar"] if is_ajar else 0.0
+    return DoorGeometry(pin, along, normal, face, width, height, thickness, opens, ajar, handle), shows_far_face
+
+
+def _handle_geometry(
+    handle: Handle,
+    sizes: Mapping[str, float],
+    corner: Float[np.ndarray, "3"],
+    along: Float[np.ndarray, "3"],
+    normal: Float[np.ndarray, "3"],
+) -> HandleGeometry:
+    """Return the handle on the shut leaf, whose face begins at ``corner``."""
+    centre = corner + sizes["handle_x"] * along + handle.out * normal + sizes["handle_z"] * UP
+    width, height = handle.high - handle.low
+    if handle.is_panic:
+        return HandleGeometry("push_bar", centre, along, float(width), 0.5 * min(float(height), 0.03), float(height))
+    if handle.is_lever:
+        direction = along * sizes["lever_direction"]
+        return HandleGeometry("lever", centre, direction, float(width), float(0.5 * np.clip(height, 0.014, 0.024)))
+    if handle.is_pull:
+        return HandleGeometry("pull", centre, UP, float(height), float(0.5 * np.clip(width, 0.014, 0.036)))
+    return HandleGeometry("knob", centre, normal, 0.04, float(0.5 * max(width, height)))
+
+
+def _opens(candidate: _Candidate) -> Opens | None:
+    """Return the opening direction that the scan shows; None where it does not.
+
+    An open leaf shows it.  A shut leaf deep in its frame opens away: on its other side it is flush with the wall.
+    """
+    frame = candidate.frame
+    if frame is None:
+        return None
+    if frame.hinge and frame.ajar > _SURELY_OPEN:
+        return "push" if frame.opens_away else "pull"
+    return "push" if not frame.hinge and frame.depth > _SURELY_RECESSED else None
 
 
 def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:

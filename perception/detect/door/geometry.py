@@ -24,7 +24,8 @@ class HandleGeometry:
         centre: (3,) in the world [m]: of a lever's bar at its spindle, else of the bar's or knob's middle.
         direction: (3,) unit, along the bar; of a lever from the spindle to its free end.
         length: of the bar: of a lever from the spindle to its free end [m].
-        radius: half the bar's thickness [m].
+        radius: half the bar's thickness [m]; of a knob half its diameter, and ``length`` is its depth.
+        height: of a push bar's face, across the bar [m]; None: the bar is as high as it is thick.
     """
 
     kind: HandleKind
@@ -32,6 +33,7 @@ class HandleGeometry:
     direction: Float[np.ndarray, "3"]
     length: float
     radius: float
+    height: float | None = None
 
 
 @dataclass(frozen=True)

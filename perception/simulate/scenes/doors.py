@@ -1,4 +1,4 @@
-"""Doors in frames in walls: hinges left and right, pull and push side, shut and ajar, lever, knob and panic bar."""
+"""Doors in frames in walls: hinges left and right, pull and push side, shut and ajar, with handles of every kind."""
 
 from __future__ import annotations
 
@@ -9,7 +9,21 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from perception.simulate.mesh import Mesh, bent_bar, box, cylinder, lathe
+from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry, HandleKind
+from perception.simulate.mesh import Mesh, box, cylinder
+from perception.simulate.scenes.handles import (
+    BAR_HALF_DEPTH,
+    BAR_HALF_HEIGHT,
+    BAR_INSET,
+    KNOB_DEPTH,
+    KNOB_RADIUS,
+    STANDOFFS,
+    knob,
+    lever,
+    pull,
+    push_bar,
+    push_plate,
+)
 from perception.simulate.scenes.scene import (
     PlacedObjects,
     Recipe,
@@ -22,6 +36,9 @@ from perception.simulate.scenes.scene import (
     side_walls,
     things,
 )
+
+Furniture = Literal["lever", "knob", "bar", "pull", "plate", "none"]
+FarFurniture = Literal["lever", "knob", "pull", "plate", "none"]
 
 _GAP = 0.004
 _OVER_FLOOR = 0.008
@@ -43,7 +60,12 @@ class Door:
         height: height of the leaf's top above the floor [m].
         handle_z: height of the handle above the floor [m].
         backset: distance from the leaf's free edge to the handle's spindle [m].
+        furniture: handle on the visible face.
         lever_length: distance from the spindle to the lever's end [m].
+        lever_turn: angle by which the levers are turned down [rad].
+        handle_radius: of a lever's or pull handle's bar [m].
+        pull_length: of a pull handle's bar [m].
+        standoff: distance of the handle's centre line from the face [m]; None: usual for its kind.
         wall_reach: width of the wall beside the frame, on hinge side and latch side [m].
         eye: x, y of the viewer, which decides which face of an open leaf is visible [m].
     """
@@ -56,10 +78,14 @@ class Door:
     width: float = 0.9
     height: float = 2.03
     thickness: float = 0.045
-    furniture: Literal["lever", "knob", "bar"] = "lever"
+    furniture: Furniture = "lever"
     handle_z: float = 1.02
     backset: float = 0.07
     lever_length: float = 0.125
+    lever_turn: float = 0.0
+    handle_radius: float = 0.01
+    pull_length: float = 0.35
+    standoff: float | None = None
     wall_thickness: float = 0.12
     wall_reach: tuple[float, float] = (1.2, 1.2)
     wall_height: float = 2.6
@@ -92,7 +118,7 @@ class Door:
         c, s = np.cos(opening), np.sin(opening)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         # The hinge pin is on the face towards which the door opens: the visible one, or the one behind it.
-        face = 0.0 if self.side == "pull" else -(self.wall_thickness - self.thickness)
+        face = self._face
         pin = np.array([0.0, face - (0.0 if self.side == "pull" else self.thickness), 0.0])
         pose = np.eye(4)
         pose[:3, :3] = turn
@@ -139,77 +165,138 @@ class Door:
         parts += self._furniture(0.0, 1.0) + self._furniture(-self.thickness, -1.0)
         return parts
 
+    def shut_meshes(self) -> list[Mesh]:
+        """Return the slab and its furniture on the visible side in the world, leaf shut and lever at rest."""
+        place = self._wall_frame()
+        place[:3, 3] += self._face * place[:3, 1]
+        slab = box((0.0, -self.thickness, _OVER_FLOOR), (self.width, 0.0, self.height))
+        return [mesh.place(place) for mesh in (slab, *self._furniture(0.0, 1.0, at_rest=True))]
+
+    @property
+    def _face(self) -> float:
+        """Position of the shut leaf's visible face out of the wall's visible face [m]."""
+        return 0.0 if self.side == "pull" else -(self.wall_thickness - self.thickness)
+
     @property
     def _spindle_x(self) -> float:
         return self.width - self.backset
 
-    def _furniture(self, face: float, out: float) -> list[Mesh]:
-        x, z = self._spindle_x, self.handle_z
-        place = (x, face, z)
-        axis = (0.0, out, 0.0)
-        if self.furniture == "knob":
-            profile = [
-                (0.0, 0.068),
-                (0.016, 0.066),
-                (0.026, 0.056),
-                (0.027, 0.046),
-                (0.02, 0.036),
-                (0.011, 0.028),
-                (0.011, 0.008),
-                (0.032, 0.006),
-                (0.032, 0.0),
-            ]
-            return [lathe(profile, place, axis)]
-        if self.furniture == "bar" and out > 0.0:
-            y = face + 0.055
-            ends = [
-                box((end - 0.04, face, z - 0.03), (end + 0.04, face + 0.07, z + 0.03))
-                for end in (0.09, self.width - 0.09)
-            ]
-            return [*ends, box((0.09, y - 0.012, z - 0.02), (self.width - 0.09, y + 0.012, z + 0.02))]
-        rose = lathe([(0.0, 0.01), (0.026, 0.009), (0.027, 0.0)], place, axis)
-        depth = face + out * self._lever_depth
-        lever = bent_bar([(x, face, z), (x, depth, z), (x - self.lever_length + 0.01, depth, z)], 0.01)
-        return [rose, lever]
+    @property
+    def _far_kind(self) -> FarFurniture:
+        """Furniture of the face away from the viewer."""
+        if self.furniture == "bar":
+            return "lever"
+        if self.furniture == "pull":
+            return "plate" if self.side == "pull" else "pull"
+        return "pull" if self.furniture == "plate" else self.furniture
+
+    def _turned(self, mesh: Mesh) -> Mesh:
+        """Return a lever's mesh turned down about its spindle."""
+        c, s = np.cos(self.lever_turn), np.sin(self.lever_turn)
+        turn = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+        spindle = np.array([self._spindle_x, 0.0, self.handle_z])
+        return mesh.move(turn, spindle - turn @ spindle)
+
+    def _furniture(self, face: float, out: float, *, at_rest: bool = False) -> list[Mesh]:
+        """Return the meshes on one face, at y = ``face`` with outward direction ``out`` along y, -1 or 1."""
+        place = (self._spindle_x, face, self.handle_z)
+        match self.furniture if out > 0.0 else self._far_kind:
+            case "knob":
+                return [knob(place, out)]
+            case "bar":
+                return push_bar(self.width, face, self.handle_z, self._standoff)
+            case "pull":
+                return pull(place, out, self._standoff, self.pull_length, self.handle_radius)
+            case "plate":
+                return [push_plate(place, out)]
+            case "lever":
+                rose, bar = lever(place, out, self._lever_standoff, self.lever_length, self.handle_radius)
+                return [rose, bar if at_rest else self._turned(bar)]
+            case _:
+                return []
 
     @property
-    def _lever_depth(self) -> float:
-        """Distance of the lever's centre line from the leaf's face [m]."""
-        return 0.052
+    def _lever_standoff(self) -> float:
+        return self._standoff if self.furniture == "lever" else STANDOFFS["lever"]
 
-    def _handle(self) -> tuple[float, float, float]:
-        """Return x, distance from the visible face, and z of the lever's pivot or the knob's or bar's centre [m]."""
-        if self.furniture == "lever":
-            return self._spindle_x, self._lever_depth, self.handle_z
-        if self.furniture == "knob":
-            return self._spindle_x, 0.05, self.handle_z
-        return 0.5 * self.width, 0.055, self.handle_z
+    @property
+    def _standoff(self) -> float:
+        """Distance of the handle's centre line from the leaf's face [m]."""
+        return self.standoff if self.standoff is not None else STANDOFFS.get(self.furniture, 0.0)
+
+    def _handle(self) -> tuple[float, float, float] | None:
+        """Return x, distance from the visible face, and z of the lever's pivot or another handle's centre [m]."""
+        if self.furniture in ("plate", "none"):
+            return None
+        return 0.5 * self.width if self.furniture == "bar" else self._spindle_x, self._standoff, self.handle_z
 
     def _truth(self, leaf_frame: Float[np.ndarray, "4 4"]) -> Truth:
         """Return the truth in the leaf's right-handed frame; y is the normal of the visible side or its opposite."""
         side = 1.0 if np.linalg.det(leaf_frame[:3, :3]) > 0.0 else -1.0
         pose = leaf_frame.copy()
         pose[:3, 1] *= side
-        x, depth, z = self._handle()
         sizes = {
             "width": self.width,
             "height": self.height,
             "ajar": self.ajar,
-            "handle_x": x,
-            "handle_y": side * depth,
-            "handle_z": z,
             "lever_direction": -1.0 if self.furniture == "lever" else 0.0,
             "side": side,
         }
+        handle = self._handle()
+        if handle is not None:
+            x, depth, z = handle
+            sizes |= {"handle_x": x, "handle_y": side * depth, "handle_z": z}
         return Truth("door", pose, sizes)
 
     def _lookalikes(self, leaf_frame: Float[np.ndarray, "4 4"]) -> tuple[tuple[str, Float[np.ndarray, "3"]], ...]:
         """Return positions on a lever handle, which the lever detector may find; empty for other handles."""
-        if self.furniture != "lever":
+        handle = self._handle()
+        if self.furniture != "lever" or handle is None:
             return ()
-        x, depth, z = self._handle()
-        places = [(x, depth, z, 1.0), (x - 0.5 * self.lever_length, depth, z, 1.0)]
+        x, depth, z = handle
+        half = 0.5 * self.lever_length
+        middle = (x - half * np.cos(self.lever_turn), depth, z - half * np.sin(self.lever_turn), 1.0)
+        places = [(x, depth, z, 1.0), middle]
         return tuple(("lever", (leaf_frame @ np.array(place))[:3]) for place in places)
+
+
+def truth_geometry(door: Door) -> DoorGeometry:
+    """Return the true geometry of a simulated door, its handle the one on the visible side of the wall."""
+    frame = door._wall_frame()
+    along, normal, origin = frame[:3, 0], frame[:3, 1], frame[:3, 3]
+    face = 0.0 if door.side == "pull" else door.thickness
+    hinge = origin + (door._face - face) * normal + _OVER_FLOOR * UP
+    return DoorGeometry(
+        hinge,
+        along,
+        normal,
+        face,
+        door.width,
+        door.height - _OVER_FLOOR,
+        door.thickness,
+        door.side,
+        door.ajar,
+        _true_handle(door, origin + door._face * normal, along, normal),
+        door.lever_turn if door.furniture == "lever" else 0.0,
+    )
+
+
+def _true_handle(
+    door: Door, corner: Float[np.ndarray, "3"], along: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]
+) -> HandleGeometry | None:
+    """Return the handle on the face whose hinge edge meets the floor at ``corner``; None without one."""
+    place = door._handle()
+    if place is None:
+        return None
+    centre = corner + place[0] * along + place[1] * normal + place[2] * UP
+    kinds: dict[str, tuple[HandleKind, Float[np.ndarray, "3"], float, float, float | None]] = {
+        "lever": ("lever", -along, door.lever_length, door.handle_radius, None),
+        "pull": ("pull", UP, door.pull_length, door.handle_radius, None),
+        "bar": ("push_bar", along, door.width - 2.0 * BAR_INSET, BAR_HALF_DEPTH, 2.0 * BAR_HALF_HEIGHT),
+        "knob": ("knob", normal, KNOB_DEPTH, KNOB_RADIUS, None),
+    }
+    kind, direction, length, radius, height = kinds[door.furniture]
+    return HandleGeometry(kind, centre, direction, length, radius, height)
 
 
 @dataclass(frozen=True)
@@ -229,7 +316,7 @@ class Doorway:
     hinge_on: Literal["left", "right"]
     side: Literal["pull", "push"] = "pull"
     ajar_deg: float = 0.0
-    furniture: Literal["lever", "knob", "bar"] = "lever"
+    furniture: Furniture = "lever"
     width: float = 0.9
     distance: float = 0.85
     turned_deg: float = 0.0

@@ -1,0 +1,88 @@
+"""Detected door: its geometry with the leaf shut, and its own points, which a task moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from costs.scene import ConvexPiece
+from perception.detect.door.bodies import HOUSING_HALF_HEIGHT
+from perception.detect.door.geometry import UP, DoorGeometry, Opens
+from perception.detect.shared.detection import Detection
+from perception.errors import PerceptionError
+
+USUAL_THICKNESS = 0.045
+_BESIDE = 0.012
+_NOISE = 0.03
+_ABOUT_HANDLE = 0.03
+
+
+@dataclass(frozen=True)
+class DoorModel:
+    """Detected door.
+
+    Attributes:
+        shows_far_face: whether the seen face is the one away from the robot when the leaf is shut.
+    """
+
+    geometry: DoorGeometry
+    shows_far_face: bool = False
+
+    def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
+        """Return (N,) points on leaf and handle where they were seen; no part of a door stays in the scene."""
+        return door_points(self.geometry, points), ()
+
+
+def read_door(detection: Detection) -> DoorGeometry:
+    """Return the geometry of a detected door, its leaf shut and its lever at rest.
+
+    Its ``opens`` is None where the scan does not show it; ``choose_opening`` then takes a person's word for it.
+    The thickness is the usual 45 mm, which ``residuals['thickness_share']`` of 0 says.
+
+    Raises:
+        PerceptionError: the detection is no door.
+    """
+    if not isinstance(detection.model, DoorModel):
+        raise PerceptionError(f"a detected {detection.kind} has no geometry of a door; expected a detected door")
+    return detection.model.geometry
+
+
+def choose_opening(geometry: DoorGeometry, opens: Opens) -> DoorGeometry:
+    """Return the door with its opening direction, and with its hinge axis on the face to which the leaf turns."""
+    face = 0.0 if opens == "pull" else geometry.thickness
+    hinge = geometry.hinge + (geometry.face - face) * geometry.normal
+    return replace(geometry, hinge=hinge, face=face, opens=opens)
+
+
+def door_points(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Return (N,) points within the noise of leaf and handle, in the pose in which the leaf was seen."""
+    x, out, up = _in_shut_door(geometry, points).T
+    back = geometry.face - geometry.thickness
+    # Points beside the leaf are its frame.
+    own = (x > -_BESIDE) & (x < geometry.width + _BESIDE) & (up < geometry.height + _BESIDE)
+    own &= (out > back - _NOISE) & (out < geometry.face + _NOISE)
+    handle = geometry.handle
+    if handle is None:
+        return np.asarray(own)
+    # The box of a lever holds every angle of it.
+    centre = _in_shut_door(replace(geometry, ajar=0.0), handle.centre[None])[0]
+    reach = handle.length if handle.kind == "lever" else 0.5 * handle.length
+    half = np.abs([handle.direction @ geometry.along, 0.0, handle.direction @ UP]) * reach
+    half = np.maximum(half, max(handle.radius, HOUSING_HALF_HEIGHT))
+    half[2] = max(half[2], reach if handle.kind == "lever" else 0.0)
+    at = np.stack([x - centre[0], up - centre[2]])
+    near = (np.abs(at) < half[[0, 2]][:, None] + _ABOUT_HANDLE).all(axis=0)
+    near &= (out > geometry.face) & (out < centre[1] + handle.radius + _ABOUT_HANDLE)
+    return np.asarray(own | near)
+
+
+def _in_shut_door(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Return (N, 3) coordinates from the hinge along the leaf, along its normal, and up, in the seen leaf's frame."""
+    away = points - geometry.hinge
+    c, s = np.cos(geometry.ajar), np.sin(geometry.ajar)
+    outwards = -1.0 if geometry.opens == "push" else 1.0
+    along = c * geometry.along + outwards * s * geometry.normal
+    normal = c * geometry.normal - outwards * s * geometry.along
+    return np.column_stack([away @ along, away @ normal, away @ UP])
