@@ -5,7 +5,7 @@ import pytest
 from jacobian import check_jacobian
 from tiny_robots import PLANAR, SPATIAL, atlas, chain, contact_free_state, random_configurations
 
-from costs.terms import FramePose, JointDifference, JointTarget, WithinTolerance
+from costs.terms import AxisDirection, FramePose, JointDifference, JointTarget, NormWithin, WithinTolerance
 
 ROBOTS = {"atlas": atlas, "chain": lambda: chain(SPATIAL)}
 
@@ -40,6 +40,21 @@ def test_within_tolerance_jacobian(robot, tolerance):
     frame = "l_tool" if robot.is_floating else "tip"
     term = WithinTolerance(FramePose(robot, frame, [0, 2], np.eye(4)), tolerance)
     check_jacobian(term, contact_free_state(robot), x)
+
+
+def test_norm_within_jacobian(robot):
+    x = random_configurations(robot, np.random.default_rng(6), 3)
+    frame = "l_tool" if robot.is_floating else "tip"
+    axis = AxisDirection(robot, frame, [0, 2], np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8]))
+    assert check_jacobian(NormWithin(axis, 2, 0.3), contact_free_state(robot), x).shape[0] == 2
+
+
+def test_a_norm_is_within_its_limit_by_hand():
+    robot = chain(PLANAR)
+    state = contact_free_state(robot)(np.array([[3.0, 4.0], [0.0, 0.0]]))
+    pair = JointTarget(2, 2, np.array([0, 1]), np.array([0, 1]), np.zeros(2))
+    np.testing.assert_allclose(NormWithin(pair, 2, 1.0).value(state), [4.0, -1.0])
+    np.testing.assert_allclose(NormWithin(pair, 2, 1.0).linearize(state).jacobian.toarray()[0, :2], [0.6, 0.8])
 
 
 def test_differences_of_a_cubic_by_hand():

@@ -76,7 +76,10 @@ class PairMargins:
 
 
 def _find_pairs(robot: RobotModel) -> Int[np.ndarray, "K 2"]:
-    """Find pairs of bodies that can move against each other, without those that the robot ignores."""
+    """Find pairs of bodies that can move against each other, without those that the robot ignores.
+
+    How the links of a mechanism move against each other is prescribed, so they need no margin.
+    """
     links = {body.link: row for row, body in enumerate(robot.bodies)}
     number = np.array([links[body.link] for body in robot.bodies], dtype=int)
     joint = np.array([body.joint for body in robot.bodies], dtype=int)
@@ -86,4 +89,6 @@ def _find_pairs(robot: RobotModel) -> Int[np.ndarray, "K 2"]:
             ignored[links[link], links[other]] = ignored[links[other], links[link]] = True
     first, second = np.triu_indices(len(robot.bodies), 1)
     is_checked = (joint[first] != joint[second]) & ~ignored[number[first], number[second]]
+    is_moved = np.array([body.link in robot.mechanism_links for body in robot.bodies], dtype=bool)
+    is_checked &= ~(is_moved[first] & is_moved[second])
     return np.stack([first[is_checked], second[is_checked]], axis=1)

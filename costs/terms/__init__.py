@@ -6,7 +6,7 @@ from costs.terms.displacement import FrameDisplacement
 from costs.terms.joint import JointDifference, JointTarget
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.wrappers import Between, Masked, Scaled, WithinTolerance
+from costs.terms.wrappers import Between, Masked, NormWithin, Scaled, WithinTolerance
 
 __all__ = [
     "AxisDirection",
@@ -20,6 +20,7 @@ __all__ = [
     "JointDifference",
     "JointTarget",
     "Masked",
+    "NormWithin",
     "PairClearance",
     "PointHalfSpace",
     "RequiredClearance",

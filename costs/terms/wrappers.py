@@ -94,6 +94,30 @@ class WithinTolerance(Between[StateT]):
         super().__init__(residual, -tolerances, tolerances)
 
 
+class NormWithin(Residual[StateT]):
+    """``|r| - limit`` of the ``k`` rows of each waypoint, one row per waypoint: at most zero inside a ball."""
+
+    is_smooth = False
+
+    def __init__(self, residual: Residual[StateT], k: int, limit: float) -> None:
+        self._residual, self._k, self._limit = residual, k, limit
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        rows = self._residual.value(state).reshape(-1, self._k)
+        return np.asarray(np.linalg.norm(rows, axis=1) - self._limit)
+
+    def linearize(self, state: StateT) -> AffineRows:
+        rows = self._residual.linearize(state)
+        vectors = rows.value.reshape(-1, self._k)
+        norms = np.linalg.norm(vectors, axis=1)
+        # At the centre the norm has no derivative, and no step from there leaves a ball at once.
+        directions = vectors / np.maximum(norms, 1e-12)[:, None]
+        count = len(vectors)
+        places = np.arange(count * self._k)
+        sums = sparse.csr_array((directions.ravel(), (places // self._k, places)), shape=(count, count * self._k))
+        return AffineRows(norms - self._limit, sparse.csr_array(sums @ rows.jacobian))
+
+
 def _as_rows(values: Float[np.ndarray, "k"] | float) -> Float[np.ndarray, "k"]:
     """Return the numbers as an array, also a single one."""
     return np.atleast_1d(np.asarray(values, dtype=float))

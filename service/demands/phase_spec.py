@@ -19,6 +19,7 @@ from service.verify import HandLoad, JointTarget, RelativePoseTarget, Target
 
 AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
 SAME_VALUE = 1e-9  # of mechanism joints [rad, m]
+ANYWHERE = 100.0  # tolerance of a place that does not count [m]
 JOINT_TOLERANCE = 1e-3  # of a mechanism's joint at the end of a phase [rad, m]
 
 
@@ -30,7 +31,8 @@ class HandMotion:
         tool: frame of the robot; its z axis points outwards along the hand.
         link: the mechanism's link it moves with; None for the world.
         place: (3,) of the tool's origin, in the link [m].
-        axis: (3,) unit, in the link: direction of the tool's z axis.
+        axis: (3,) unit, in the link ``axis_link``: direction of the tool's z axis.
+        axis_link: by default ``link``.
         offset: (3,) from ``place``, in the link: the phase begins there (None: it stays at ``place``) [m].
         leaves: whether a line leads from ``place`` to the offset instead of back.
         slide: (3,) in the link: the tool may be anywhere on ``place`` +- ``slide``; None where it may not slide [m].
@@ -53,6 +55,12 @@ class HandMotion:
     tolerance_m: float = 5e-3
     tilt_rad: float = float(np.deg2rad(3.0))
     aim_rad: float = float(np.deg2rad(1.0))
+    axis_link: str | None = None
+
+    @property
+    def turns_with(self) -> str | None:
+        """The link that the tool's axis is described in."""
+        return self.link if self.axis_link is None else self.axis_link
 
     @property
     def is_line(self) -> bool:
@@ -118,7 +126,7 @@ class PhaseSpec:
         hand = self.hand
         held: tuple[Target, ...] = ()
         if hand is not None and not hand.is_line:
-            held = (make_hand_target(hand),)
+            held = make_hand_targets(hand)
         return (
             *self.also,
             *held,
@@ -126,12 +134,16 @@ class PhaseSpec:
         )
 
 
-def make_hand_target(hand: HandMotion) -> RelativePoseTarget:
-    """Return the promise that a tool stays at its place of a link."""
+def make_hand_targets(hand: HandMotion) -> tuple[RelativePoseTarget, ...]:
+    """Return the promises that a tool stays at its place of a link, and its axis within its lean."""
     free = AXIS if hand.rotation is None else None
     rotation = find_rotation_onto(AXIS, hand.axis) if hand.rotation is None else hand.rotation
-    return RelativePoseTarget(
-        hand.tool, hand.link, hand.place, rotation, hand.tolerance_m, hand.tilt_rad, free, slide=hand.slide
+    if hand.turns_with == hand.link:
+        place, lean = hand.tolerance_m, hand.tilt_rad
+        return (RelativePoseTarget(hand.tool, hand.link, hand.place, rotation, place, lean, free, hand.slide),)
+    return (
+        RelativePoseTarget(hand.tool, hand.link, hand.place, rotation, hand.tolerance_m, np.pi, free, hand.slide),
+        RelativePoseTarget(hand.tool, hand.turns_with, np.zeros(3), rotation, ANYWHERE, hand.tilt_rad, free),
     )
 
 

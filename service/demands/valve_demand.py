@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import Mechanism
+from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import PhaseSpec
-from service.demands.wheel import HAND_AXIS, HANDS, Grasp, Hand, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.demands.wheel import HAND_AXIS, Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
 from service.request.schema import ValveRequest
 from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from costs.robot import Mechanism, MechanismJoint
+from service.demands.hands import Hand
 from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.request.names import VALVE_JOINT, VALVE_LINK
 from service.verify import CircleTarget
@@ -60,24 +61,6 @@ class Wheel:
         """Return the point of the centre line at an angle, in the world [m]."""
         third = np.cross(self.axis, self.start_direction)
         return np.asarray(self.centre + self.radius * (np.cos(angle) * self.start_direction + np.sin(angle) * third))
-
-
-@dataclass(frozen=True)
-class Hand:
-    """Hand with its hook.
-
-    Attributes:
-        side: ``left`` or ``right``.
-        tool: frame at the hook's end, z along the hand axis outwards.
-        hook: link that may touch the rim.
-    """
-
-    side: str
-    tool: str
-    hook: str
-
-
-HANDS = {"left": Hand("left", "l_tool", "l_hook"), "right": Hand("right", "r_tool", "r_hook")}
 
 
 def make_wheel(valve: ValveDetection) -> Wheel:

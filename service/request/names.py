@@ -16,6 +16,8 @@ from service.request.schema import PlanRequest
 
 VALVE_JOINT = "valve_turn"
 VALVE_LINK = "valve"
+DOOR = "door"  # its links are DOOR/...
+LEAF_JOINT, HANDLE_JOINT = "door_opening", "door_handle"
 
 
 @dataclass(frozen=True)
@@ -24,11 +26,13 @@ class TakenNames:
 
     Attributes:
         owners: description of the owner of each name (``a link of atlas``).
-        mechanism: link of the task's mechanism, whose parts are ``LINK/...``; None without one.
+        mechanism: name of the task's mechanism, whose links and parts are ``NAME/...``; None without one.
+        joints: names of its joints.
     """
 
     owners: Mapping[str, str]
     mechanism: str | None
+    joints: tuple[str, ...] = ()
 
     @staticmethod
     def of(robot: RobotModel, request: PlanRequest) -> TakenNames:
@@ -36,8 +40,11 @@ class TakenNames:
         owners = {body.name: f"a body of {robot.name}" for body in robot.bodies}
         links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
         owners |= dict.fromkeys([*links, *(body.link for body in robot.bodies)], f"a link of {robot.name}")
-        moves_valve = request.task is not None and request.task.valve is not None
-        return TakenNames(owners, VALVE_LINK if moves_valve else None)
+        if request.task is not None and request.task.valve is not None:
+            return TakenNames(owners, VALVE_LINK, (VALVE_JOINT,))
+        if request.task is not None and request.task.door is not None:
+            return TakenNames(owners, DOOR, (LEAF_JOINT, HANDLE_JOINT))
+        return TakenNames(owners, None)
 
     def is_of_mechanism(self, name: str) -> bool:
         """Return whether the name belongs to the mechanism or to a part of it."""
@@ -46,7 +53,7 @@ class TakenNames:
     def owner(self, name: str) -> str:
         """Return the description of the name's owner; empty if the name is free."""
         if self.is_of_mechanism(name):
-            return f"the {self.mechanism} that the task turns, or a part of it"
+            return f"the {self.mechanism} that the task moves, or a part of it"
         return self.owners.get(name, "")
 
 
@@ -68,8 +75,11 @@ def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> N
         if taken.is_of_mechanism(name):
             field = f"attached[{carried[name]}].name" if name in carried else "robot"
             problems.append(f"{field}: {shown(name)} is also {taken.owner(name)}; expected another name")
-    if taken.mechanism is not None and (VALVE_JOINT in robot.joint_names or VALVE_JOINT in taken.owners):
-        problems.append(f"robot: {shown(VALVE_JOINT)} is also the joint of the valve that the task turns; rename it")
+    for joint in taken.joints:
+        if joint in robot.joint_names or joint in taken.owners:
+            problems.append(
+                f"robot: {shown(joint)} is also a joint of the {taken.mechanism} that the task moves; rename it"
+            )
     if problems:
         raise RequestError(problems)
 

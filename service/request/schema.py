@@ -16,6 +16,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import UnplannedTaskError, shown
+from service.request.door import DoorRequest
 from service.request.fields import (
     MAX_JOINTS,
     SECTION,
@@ -34,7 +35,7 @@ from service.request.fields import (
 )
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
-UNPLANNED = {"door": "doors", "egress": "getting out of vehicles"}
+UNPLANNED = {"egress": "getting out of vehicles"}
 
 
 @dataclass(config=SECTION)
@@ -157,20 +158,6 @@ class ValveRequest(Section):
 
 
 @dataclass(config=SECTION)
-class DoorRequest(Section):
-    """Task of opening a door detected in the scan (near ``hint``).
-
-    Attributes:
-        hand: hand to use; ``auto`` tries both.
-        open_deg: angle of the leaf at the end.
-    """
-
-    hand: Literal["left", "right", "auto"] = "auto"
-    open_deg: Annotated[Number, Field(gt=0.0, le=180.0)] = 80.0
-    hint: Point | None = None
-
-
-@dataclass(config=SECTION)
 class EgressRequest(Section):
     """Task of leaving the vehicle detected in the scan (near ``hint``) on one ``side``."""
 
@@ -180,7 +167,7 @@ class EgressRequest(Section):
 
 @dataclass(config=SECTION)
 class TaskRequest(Section):
-    """The task; doors and egress are not planned yet, ``trajopt`` is a problem as in its files (docs/trajopt.md)."""
+    """The task; egress is not planned yet, ``trajopt`` is a problem as in its files (docs/trajopt.md)."""
 
     valve: ValveRequest | None = None
     door: DoorRequest | None = None
@@ -317,5 +304,6 @@ def check_task_has_planner(request: PlanRequest) -> None:
     for name, words in UNPLANNED.items():
         if request.task is not None and getattr(request.task, name) is not None:
             raise UnplannedTaskError(
-                f"task.{name}: there is no planner for {words} yet; task.valve, task.trajopt and goals are planned"
+                f"task.{name}: there is no planner for {words} yet; "
+                "task.valve, task.door, task.trajopt and goals are planned"
             )

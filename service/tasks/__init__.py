@@ -41,8 +41,12 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         from service.tasks.valve_task import plan_valve
 
         plans = iter([plan_valve(setup, solver, request.task.valve)])
+    elif request.task is not None and request.task.door is not None:
+        from service.tasks.door_task import plan_door
+
+        plans = iter([plan_door(setup, solver, request.task.door)])
     else:
-        raise RequestError("request: goal, task.valve or task.trajopt is needed")
+        raise RequestError("request: expected a goal, task.valve, task.door or task.trajopt")
     for rest in plans:
         phases = (phase.for_body(rest.body) for phase in lead.phases)
         yield replace(rest, phases=(*phases, *rest.phases))

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from costs.kinematics import locate_links
 from costs.robot import Mechanism, RobotModel, with_mechanism
 from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose, WithinTolerance
+from costs.terms import AxisDirection, FramePose, NormWithin, WithinTolerance
 from scopt import Constraint, Residual, Sense
 from service.body.holds import Hold
 from service.body.phases import Bounds, PhaseSolver, path_via, posture_guesses, straight_path
@@ -26,6 +26,7 @@ from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, find_moves, find_rotation_onto
 
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
+AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
 
 def add_mechanism(solver: PhaseSolver, mechanism: Mechanism) -> PhaseSolver:
@@ -63,6 +64,11 @@ class PhaseSequence:
             at = phases[-1].q[-1]
         return phases, None
 
+    def solve_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]] = ()) -> Solved:
+        """Solve for the first pose of a phase, whatever comes before it; by default from the usual guesses."""
+        compiler = _Compiler(self.solver, self.mechanism)
+        return compiler.solve_pose(step, spec, guesses or compiler.list_guesses(self.solver.body.nominal))
+
     def _plan_group(
         self, group: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
@@ -74,7 +80,7 @@ class PhaseSequence:
         anchor_at = next(index for index, spec in enumerate(held) if spec.is_anchor)
         step = held[anchor_at].step or f"pose for '{held[anchor_at].name}'"
         with monitor.step(step, 0.1):
-            pose = compiler.solve_pose(step, held[anchor_at], at)
+            pose = compiler.solve_pose(step, held[anchor_at], compiler.list_guesses(at))
         if not pose.is_feasible:
             return _stop_at(group[0].name, step, pose, np.stack([at, pose.x[0]]))
         held = [spec.with_rotation(compiler.find_rotation(spec, pose.x[0])) for spec in held]
@@ -139,15 +145,17 @@ class _Compiler:
         """(k,) coordinates of the mechanism."""
         return np.arange(self.robot.n - len(self.mechanism.joints), self.robot.n)
 
-    def solve_pose(self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> Solved:
+    def list_guesses(self, at: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "n"]]:
+        """Return configurations from which a pose is solved: ``at``, then the robot's postures."""
+        return [at, *(guess for _, guess in posture_guesses(self.solver.body)[1:])]
+
+    def solve_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]]) -> Solved:
         """Solve for the first pose of an anchor."""
         names = self.robot.joint_names
         fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
         fixed |= {names.index(name): value for name, value in spec.fixed.items()}
-        guesses = [at, *(guess for _, guess in posture_guesses(self.solver.body)[1:])]
-        return self.solver.solve_pose(
-            step, guesses, self._constraints(spec, np.zeros(1, dtype=int), 1), spec.touches, fixed
-        )
+        constraints = self._constraints(spec, np.zeros(1, dtype=int), 1)
+        return self.solver.solve_pose(step, guesses, constraints, spec.touches, fixed)
 
     def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
         """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""
@@ -208,6 +216,19 @@ class _Compiler:
             spec.name, starts, fixed, allowances=spec.touches, bounds=self._move(spec, count)
         )
 
+    def _solve_held_again(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> Solved:
+        """Solve a phase with a held hand from a denser trajectory between the same ends."""
+        last = len(q) - 1
+
+        def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
+            lower[:, self.columns] = upper[:, self.columns] = q[:, self.columns]
+
+        constraints = self._constraints(spec, np.arange(1, last), len(q))
+        fixed = {0: q[0], last: q[last]}
+        return self.solver.solve_trajectory(
+            spec.name, [q], fixed, constraints=constraints, allowances=spec.touches, bounds=narrow
+        )
+
     def _move(self, spec: PhaseSpec, count: int) -> Bounds:
         def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, self.columns] = upper[:, self.columns] = spec.values(count)
@@ -221,7 +242,7 @@ class _Compiler:
             holds = (make_hold(self.robot, spec.hand),)
 
         def solve_again(q: Float[np.ndarray, "T n"]) -> Solved:
-            return self._solve_between(spec, [q])
+            return self._solve_between(spec, [q]) if spec.hand is None else self._solve_held_again(spec, q)
 
         return PlannedPhase(
             spec.name,
@@ -230,7 +251,7 @@ class _Compiler:
             holds,
             spec.touches,
             lambda at: spec.targets(self.mechanism, at),
-            resolve=solve_again if spec.hand is None else None,
+            resolve=None if spec.hand is not None and spec.hand.is_line else solve_again,
             loads=spec.loads,
         )
 
@@ -255,9 +276,10 @@ class _Compiler:
                     "tool within its slide", WithinTolerance(along, room), tolerance=POSITION_TOLERANCE, unit="m"
                 )
             )
-        direction = AxisDirection(self.robot, hand.tool, waypoints, AXIS, hand.axis, hand.link)
-        axis = WithinTolerance(direction, hand.aim_rad)
-        constraints.append(Constraint("hand axis", axis, tolerance=0.2 * hand.aim_rad, unit="rad"))
+        direction = AxisDirection(self.robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)
+        axis = NormWithin(direction, 2, hand.aim_rad)
+        tolerance = min(0.2 * hand.aim_rad, AXIS_TOLERANCE)
+        constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))
         return tuple(constraints)
 
 

@@ -20,13 +20,12 @@ from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
+from service.demands.hands import HANDS, Hand
 from service.demands.wheel import (
     HAND_AXIS,
-    HANDS,
     HOOK_ROOM,
     REACH_WAYPOINTS,
     RIM_TOLERANCE,
-    Hand,
     Wheel,
     make_wheel,
     make_wheel_mechanism,

@@ -20,6 +20,8 @@ MIN_TOOL_DISTANCE, MAX_TOOL_DISTANCE = 0.07, 0.60
 HOOK_RADIUS = 0.009
 # Where the hook's rod begins on the hand axis, inside the hand's palm.
 HOOK_START = 0.045
+# Where the rod leaves the hand, and the place of its middle before its end.
+STUB_DISTANCE, PEG_FROM_END = 0.055, 0.03
 
 
 def format_urdf(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
@@ -92,8 +94,18 @@ def _hook_lines(side: str, sign: float, tool_distance: float) -> list[str]:
         f"    <collision>{rod}</collision>",
         "  </link>",
         f'  <link name="{side}_tool"/>',
+        f'  <link name="{side}_peg"/>',
+        f'  <link name="{side}_stub"/>',
         *_fixed(f"{side}_hook_joint", f"{side}_hand", f"{side}_hook", (0.0, sign * HOOK_START, 0.0), turned),
         *_fixed(f"{side}_tool_joint", f"{side}_hook", f"{side}_tool", (0.0, 0.0, length), (0.0, 0.0, 0.0)),
+        *_fixed(f"{side}_peg_joint", f"{side}_tool", f"{side}_peg", (0.0, 0.0, -PEG_FROM_END), (0.0, 0.0, 0.0)),
+        *_fixed(
+            f"{side}_stub_joint",
+            f"{side}_hook",
+            f"{side}_stub",
+            (0.0, 0.0, STUB_DISTANCE - HOOK_START),
+            (0.0, 0.0, 0.0),
+        ),
     ]
 
 

@@ -35,6 +35,21 @@ class Hand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     HAND_RIGHT: _ClassVar[Hand]
     HAND_AUTO: _ClassVar[Hand]
 
+class Opens(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    OPENS_UNSPECIFIED: _ClassVar[Opens]
+    OPENS_PUSH: _ClassVar[Opens]
+    OPENS_PULL: _ClassVar[Opens]
+    OPENS_AUTO: _ClassVar[Opens]
+
+class HandleKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HANDLE_KIND_UNSPECIFIED: _ClassVar[HandleKind]
+    HANDLE_KIND_LEVER: _ClassVar[HandleKind]
+    HANDLE_KIND_PULL: _ClassVar[HandleKind]
+    HANDLE_KIND_PUSH_BAR: _ClassVar[HandleKind]
+    HANDLE_KIND_KNOB: _ClassVar[HandleKind]
+
 class Side(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     SIDE_UNSPECIFIED: _ClassVar[Side]
@@ -94,6 +109,15 @@ HAND_UNSPECIFIED: Hand
 HAND_LEFT: Hand
 HAND_RIGHT: Hand
 HAND_AUTO: Hand
+OPENS_UNSPECIFIED: Opens
+OPENS_PUSH: Opens
+OPENS_PULL: Opens
+OPENS_AUTO: Opens
+HANDLE_KIND_UNSPECIFIED: HandleKind
+HANDLE_KIND_LEVER: HandleKind
+HANDLE_KIND_PULL: HandleKind
+HANDLE_KIND_PUSH_BAR: HandleKind
+HANDLE_KIND_KNOB: HandleKind
 SIDE_UNSPECIFIED: Side
 SIDE_LEFT: Side
 SIDE_RIGHT: Side
@@ -251,14 +275,64 @@ class Valve(_message.Message):
     def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
-    __slots__ = ("hand", "open_deg", "hint")
+    __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays")
     HAND_FIELD_NUMBER: _ClassVar[int]
     OPEN_DEG_FIELD_NUMBER: _ClassVar[int]
     HINT_FIELD_NUMBER: _ClassVar[int]
+    OPENS_FIELD_NUMBER: _ClassVar[int]
+    LEAF_FIELD_NUMBER: _ClassVar[int]
+    HANDLE_FIELD_NUMBER: _ClassVar[int]
+    RELEASE_DEG_FIELD_NUMBER: _ClassVar[int]
+    PRESS_M_FIELD_NUMBER: _ClassVar[int]
+    LEVER_NM_FIELD_NUMBER: _ClassVar[int]
+    HINGE_NM_FIELD_NUMBER: _ClassVar[int]
+    PUSH_BAR_N_FIELD_NUMBER: _ClassVar[int]
+    STAYS_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     open_deg: float
     hint: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., open_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ...) -> None: ...
+    opens: Opens
+    leaf: Leaf
+    handle: Handle
+    release_deg: float
+    press_m: float
+    lever_nm: float
+    hinge_nm: float
+    push_bar_n: float
+    stays: bool
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., open_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., opens: _Optional[_Union[Opens, str]] = ..., leaf: _Optional[_Union[Leaf, _Mapping]] = ..., handle: _Optional[_Union[Handle, _Mapping]] = ..., release_deg: _Optional[float] = ..., press_m: _Optional[float] = ..., lever_nm: _Optional[float] = ..., hinge_nm: _Optional[float] = ..., push_bar_n: _Optional[float] = ..., stays: bool = ...) -> None: ...
+
+class Leaf(_message.Message):
+    __slots__ = ("hinge", "edge", "height_m", "thickness_m", "face_m", "ajar_deg")
+    HINGE_FIELD_NUMBER: _ClassVar[int]
+    EDGE_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_M_FIELD_NUMBER: _ClassVar[int]
+    THICKNESS_M_FIELD_NUMBER: _ClassVar[int]
+    FACE_M_FIELD_NUMBER: _ClassVar[int]
+    AJAR_DEG_FIELD_NUMBER: _ClassVar[int]
+    hinge: _containers.RepeatedScalarFieldContainer[float]
+    edge: _containers.RepeatedScalarFieldContainer[float]
+    height_m: float
+    thickness_m: float
+    face_m: float
+    ajar_deg: float
+    def __init__(self, hinge: _Optional[_Iterable[float]] = ..., edge: _Optional[_Iterable[float]] = ..., height_m: _Optional[float] = ..., thickness_m: _Optional[float] = ..., face_m: _Optional[float] = ..., ajar_deg: _Optional[float] = ...) -> None: ...
+
+class Handle(_message.Message):
+    __slots__ = ("kind", "centre", "direction", "length_m", "radius_m", "turned_deg")
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    CENTRE_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    TURNED_DEG_FIELD_NUMBER: _ClassVar[int]
+    kind: HandleKind
+    centre: _containers.RepeatedScalarFieldContainer[float]
+    direction: _containers.RepeatedScalarFieldContainer[float]
+    length_m: float
+    radius_m: float
+    turned_deg: float
+    def __init__(self, kind: _Optional[_Union[HandleKind, str]] = ..., centre: _Optional[_Iterable[float]] = ..., direction: _Optional[_Iterable[float]] = ..., length_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., turned_deg: _Optional[float] = ...) -> None: ...
 
 class Egress(_message.Message):
     __slots__ = ("side", "hint")

@@ -1,0 +1,374 @@
+"""Demands of a door task: the door as a mechanism, how a hand holds each kind of handle, and the phases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.allowance import Allowance, BodyRef
+from costs.robot import Mechanism, MechanismJoint, Release
+from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
+from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
+from service.demands.hands import Hand
+from service.demands.phase_spec import HandMotion, PhaseSpec
+from service.request.names import DOOR, HANDLE_JOINT, LEAF_JOINT
+from service.verify import HandLoad
+
+TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
+LARGEST_OPENING = np.deg2rad(170.0)
+STOP_ROUNDING = 1e-3  # by which a joint may pass its stop at 0 [rad, m]
+LEVER_STOP = np.deg2rad(60.0)
+BEYOND_RELEASE = np.deg2rad(5.0)  # by which the lever is turned further than it needs
+PRESS_BEYOND = 3e-3  # the same of a push bar [m]
+FREE_BEYOND = np.deg2rad(5.0)  # opening from which on the latch no longer holds the leaf
+LEAST_GRIP = 0.1  # of a lever from its spindle: 20 N for 2 N m [m]
+GRIP_FROM_END = 0.02  # [m]
+LINE_OUT, LINE_UP = 0.09, 0.04  # of the lines that lead to a handle and away from it [m]
+TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
+LINE_WAYPOINTS = 5
+HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(25.0), np.deg2rad(20.0)
+TILT_RESERVE = np.deg2rad(2.0)
+PEG_LEAN, LEAN_TILT = np.deg2rad(18.0), np.deg2rad(8.0)  # of the peg behind a lever
+PEG_ACROSS = np.deg2rad(40.0)  # between the peg behind a pull handle and the leaf
+PLACE_TOLERANCE = 5e-3  # [m]
+PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
+
+
+@dataclass(frozen=True)
+class Door:
+    """A door to open.
+
+    Attributes:
+        geometry: leaf and handle; ``opens`` is known.
+        release: angle of the lever, or travel of the push bar, from which on the leaf is free [rad, m].
+        lever_nm, hinge_nm, push_bar_n: what turns the lever, opens the leaf, and presses the bar.
+    """
+
+    geometry: DoorGeometry
+    release: float
+    lever_nm: float
+    hinge_nm: float
+    push_bar_n: float
+
+    @property
+    def handle(self) -> HandleGeometry | None:
+        """The handle."""
+        return self.geometry.handle
+
+    @property
+    def is_push(self) -> bool:
+        """Whether the leaf moves away from the robot."""
+        return self.geometry.opens == "push"
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether the leaf has to be released before it opens."""
+        has_latch = self.handle is not None and self.handle.kind in ("lever", "push_bar")
+        return bool(has_latch and self.geometry.ajar < FREE_BEYOND)
+
+    @property
+    def pressed(self) -> float:
+        """Value of the handle's joint at which the leaf is opened [rad, m]."""
+        if self.handle is not None and self.handle.kind == "push_bar":
+            return self.release + PRESS_BEYOND
+        return self.release + BEYOND_RELEASE
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """Leaf and handle as a tree of joints, described with the leaf shut and the lever at rest."""
+        geometry, handle = self.geometry, self.handle
+        bodies = {
+            link: {f"{link}/{name}": vertices for name, vertices in parts.items()}
+            for link, parts in door_bodies(geometry).items()
+        }
+        joints = [
+            MechanismJoint(
+                LEAF_JOINT,
+                LEAF_LINK,
+                geometry.hinge,
+                geometry.hinge_axis,
+                bodies[LEAF_LINK],
+                lower=-STOP_ROUNDING,
+                upper=LARGEST_OPENING,
+                start=geometry.ajar,
+            )
+        ]
+        if handle is None or HANDLE_LINK not in bodies:
+            return Mechanism(DOOR, tuple(joints))
+        is_bar = handle.kind == "push_bar"
+        joints.append(
+            MechanismJoint(
+                HANDLE_JOINT,
+                HANDLE_LINK,
+                handle.centre,
+                -geometry.normal if is_bar else self.spindle_axis,
+                bodies[HANDLE_LINK],
+                kind="prismatic" if is_bar else "revolute",
+                parent=LEAF_LINK,
+                lower=-STOP_ROUNDING,
+                upper=self.pressed + 0.01 if is_bar else LEVER_STOP,
+                start=0.0 if is_bar else geometry.handle_turn,
+                velocity=0.2 if is_bar else 1.0,
+                acceleration=1.0 if is_bar else 2.0,
+            )
+        )
+        return Mechanism(DOOR, tuple(joints), (Release(LEAF_JOINT, HANDLE_JOINT, self.release, float(FREE_BEYOND)),))
+
+    @property
+    def spindle_axis(self) -> Float[np.ndarray, "3"]:
+        """(3,) unit: about which a positive angle turns the lever down."""
+        if self.handle is None:
+            raise ValueError("a door without a handle has no spindle")
+        normal = self.geometry.normal
+        return np.asarray(normal * (-1.0 if np.cross(normal, self.handle.direction) @ UP > 0.0 else 1.0))
+
+
+@dataclass(frozen=True)
+class Push:
+    """Where the peg's tip pushes the leaf after a regrasp.
+
+    Attributes:
+        hand: the hand.
+        along, up: place on the leaf from the hinge axis and from its lower edge [m].
+        last: opening angle at the end [rad].
+    """
+
+    hand: Hand
+    along: float
+    up: float
+    last: float
+
+
+@dataclass(frozen=True)
+class DoorChoice:
+    """Choices of a plan, among those the task permits.
+
+    Attributes:
+        hand: the hand at the handle.
+        peg_m: length of its free peg [m].
+        grip: place of the hand along the bar, from the spindle or the bar's middle [m].
+        sense: of a pull handle: 1 if the peg points to the hinge, -1 if away from it.
+        first: opening angle that the hand reaches at the handle; the start's if the leaf is only pushed [rad].
+        push: regrasp on the leaf, or None.
+        stays: whether the hand stays on the leaf at the end.
+    """
+
+    hand: Hand
+    peg_m: float
+    grip: float
+    sense: float
+    first: float
+    push: Push | None = None
+    stays: bool = False
+
+
+def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = 14) -> tuple[PhaseSpec, ...]:
+    """Return the phases of a plan: at the handle, and on the leaf after a regrasp."""
+    phases: list[PhaseSpec] = []
+    start = door.mechanism.start
+    if choice.first > start[0]:
+        phases += _open_at_handle(door, choice, start, reach_waypoints)
+    if choice.push is not None:
+        at = phases[-1].last if phases else start
+        phases += _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
+    return tuple(phases)
+
+
+def _open_at_handle(
+    door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"], reach_waypoints: int
+) -> list[PhaseSpec]:
+    """Return reach, approach, press, open, let go and retract."""
+    held = hold_handle(door, choice)
+    pressed, opened, released = start.copy(), start.copy(), start.copy()
+    presses = door.is_latched
+    if presses:
+        pressed[1] = opened[1] = max(door.pressed, start[1])
+    opened[0] = released[0] = choice.first
+    on_leaf = held.on_leaf(float(pressed[1]) if len(pressed) > 1 else 0.0)
+    step = "pose at the handle"
+    phases = [
+        PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
+        PhaseSpec("approach", start, start, held.line(held.at_rest(start)), held.touches, n_waypoints=LINE_WAYPOINTS),
+    ]
+    if presses:
+        name = "turn the handle" if door.handle is not None and door.handle.kind == "lever" else "press the bar"
+        count = max(int(np.ceil(abs(pressed[1] - start[1]) / TURN_STEP)) + 1, 4)
+        phases.append(
+            PhaseSpec(name, start, pressed, held.at_rest(start), held.touches, held.press_loads(), n_waypoints=count)
+        )
+    count = max(int(np.ceil((choice.first - start[0]) / OPEN_STEP)) + 1, 3)
+    loads = (*held.open_loads(on_leaf), *(held.press_loads() if presses else ()))
+    phases.append(
+        PhaseSpec("open", pressed, opened, on_leaf, held.touches, loads, is_anchor=True, step=step, n_waypoints=count)
+    )
+    if choice.stays and choice.push is None:
+        return phases
+    if presses:
+        count = max(int(np.ceil(abs(opened[1] - released[1]) / TURN_STEP)) + 1, 4)
+        name = "let the handle go"
+        phases.append(
+            PhaseSpec(name, opened, released, held.at_rest(start), held.touches, held.press_loads(), n_waypoints=count)
+        )
+    away = replace(held.line(held.at_rest(start)), leaves=True)
+    phases.append(PhaseSpec("retract", released, released, away, held.touches, n_waypoints=LINE_WAYPOINTS))
+    return phases
+
+
+def _push_leaf(
+    door: Door, choice: DoorChoice, push: Push, at: Float[np.ndarray, "k"], reach_waypoints: int, *, is_second: bool
+) -> list[PhaseSpec]:
+    """Return reach, touch, push and retract of a hand that pushes the leaf open by the tip of its peg."""
+    geometry = door.geometry
+    suffix = " 2" if is_second else ""
+    side = -1.0 if door.is_push else 1.0  # a leaf that opens towards the robot is pushed on its back
+    face = geometry.face if door.is_push else geometry.face - geometry.thickness
+    place = push.along * geometry.along + face * geometry.normal + push.up * UP
+    tip = HandMotion(
+        push.hand.tool, LEAF_LINK, place, side * geometry.normal, slide=PUSH_SLIDE * geometry.along,
+        tolerance_m=PLACE_TOLERANCE, tilt_rad=float(PUSH_TILT), aim_rad=float(PUSH_TILT - TILT_RESERVE),
+    )  # fmt: skip
+    touches = (_allow(push.hand.hook, LEAF_LINK, "leaf"),)
+    line = replace(tip, offset=-side * LINE_OUT * geometry.normal)
+    last = at.copy()
+    last[0] = push.last
+    count = max(int(np.ceil((push.last - at[0]) / OPEN_STEP)) + 1, 3)
+    force = door.hinge_nm / max(push.along - PUSH_SLIDE, 0.05)
+    load = HandLoad(push.hand.tool, LEAF_LINK, place, side * force * geometry.normal, tip.slide)
+    phases = [
+        PhaseSpec(f"reach{suffix}", at, at, n_waypoints=reach_waypoints),
+        PhaseSpec(f"touch{suffix}", at, at, line, touches, n_waypoints=LINE_WAYPOINTS),
+        PhaseSpec(
+            f"push{suffix}", at, last, tip, touches, (load,), is_anchor=True, step="pose on the leaf", n_waypoints=count
+        ),
+    ]
+    if not choice.stays:
+        away = replace(line, leaves=True)
+        phases.append(PhaseSpec(f"retract{suffix}", last, last, away, touches, n_waypoints=LINE_WAYPOINTS))
+    return phases
+
+
+@dataclass(frozen=True)
+class HandleHold:
+    """How a hand holds a handle; places are in the link of the handle, with the leaf shut and the lever at rest.
+
+    Attributes:
+        door: the door.
+        tool: frame at the contact.
+        place: (3,) of the tool from the handle's centre [m].
+        contact: (3,) where the hand presses, from the handle's centre [m].
+        axis: (3,) unit, of the hand, in the leaf.
+        offset: (3,) from which a line leads to the handle [m].
+        tilt: largest lean of the hand from ``axis`` [rad].
+        touches: pairs that may touch.
+    """
+
+    door: Door
+    tool: str
+    place: Float[np.ndarray, "3"]
+    contact: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    offset: Float[np.ndarray, "3"]
+    tilt: float
+    touches: tuple[Allowance, ...]
+
+    def at_rest(self, start: Float[np.ndarray, "k"]) -> HandMotion:
+        """Return the hold that moves with the handle; with the leaf where the handle has no joint of its own."""
+        if len(start) == 1:
+            return self.on_leaf(0.0)
+        return self._motion(HANDLE_LINK, self.place)
+
+    def on_leaf(self, value: float) -> HandMotion:
+        """Return the hold that moves with the leaf, given the value of the handle's joint."""
+        return self._motion(LEAF_LINK, self._in_leaf(self.place, value))
+
+    def line(self, motion: HandMotion) -> HandMotion:
+        """Return the straight line that ends at a hold."""
+        return replace(motion, offset=self.offset)
+
+    def press_loads(self) -> tuple[HandLoad, ...]:
+        """Return what turns the lever or presses the bar."""
+        door, handle = self.door, self.door.handle
+        if handle is None or handle.kind not in ("lever", "push_bar"):
+            return ()
+        if handle.kind == "push_bar":
+            return (HandLoad(self.tool, HANDLE_LINK, self.contact, -door.push_bar_n * door.geometry.normal),)
+        arm = float(np.linalg.norm(self.contact))
+        moves = np.cross(door.spindle_axis, self.contact) / arm
+        return (HandLoad(self.tool, HANDLE_LINK, self.contact, door.lever_nm / arm * moves),)
+
+    def open_loads(self, on_leaf: HandMotion) -> tuple[HandLoad, ...]:
+        """Return what moves the leaf."""
+        door, place = self.door, on_leaf.place
+        flat = place - (place @ UP) * UP
+        arm = float(np.linalg.norm(flat))
+        moves = np.cross(door.geometry.hinge_axis, flat) / arm
+        return (HandLoad(self.tool, LEAF_LINK, place, door.hinge_nm / arm * moves),)
+
+    def _motion(self, link: str, place: Float[np.ndarray, "3"]) -> HandMotion:
+        return HandMotion(
+            self.tool, link, place, self.axis, tolerance_m=PLACE_TOLERANCE, tilt_rad=self.tilt,
+            aim_rad=self.tilt - float(TILT_RESERVE), axis_link=LEAF_LINK,
+        )  # fmt: skip
+
+    def _in_leaf(self, offset: Float[np.ndarray, "3"], value: float) -> Float[np.ndarray, "3"]:
+        """Return a place of the handle in the leaf's frame, given the value of the handle's joint."""
+        handle = self.door.handle
+        if handle is None:
+            raise ValueError("a door without a handle cannot be held at it")
+        moved = offset
+        if handle.kind == "lever":
+            moved = Rotation.from_rotvec(value * self.door.spindle_axis).apply(offset)
+        elif handle.kind == "push_bar":
+            moved = offset - value * self.door.geometry.normal
+        return np.asarray(handle.centre - self.door.geometry.hinge + moved)
+
+
+def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
+    """Return how the chosen hand holds the door's handle.
+
+    Raises:
+        ValueError: the door has no handle, or a knob.
+    """
+    handle, geometry, hand = door.handle, door.geometry, choice.hand
+    if handle is None or handle.kind == "knob":
+        raise ValueError("no hand of this robot holds a knob")
+    normal, radius = geometry.normal, handle.radius
+    peg = radius + hand.peg_radius
+    stands_out = float((handle.centre - geometry.hinge) @ normal) - geometry.face
+    at_grip = choice.grip * handle.direction
+    kind = handle.kind
+    if kind == "push_bar":
+        up = 0.0
+        place = at_grip + radius * normal + up * UP
+        pressed = (_allow(hand.hook, HANDLE_LINK, "bar"),)
+        return HandleHold(door, hand.tool, place, place, -normal, LINE_OUT * normal, float(PUSH_TILT), pressed)
+    if kind == "pull":
+        towards = -choice.sense * geometry.along
+        axis = np.cos(PEG_ACROSS) * towards - np.sin(PEG_ACROSS) * normal
+        behind = -np.cos(PEG_ACROSS) * normal - np.sin(PEG_ACROSS) * towards
+        place = at_grip + peg * behind
+        hooked = (_allow(hand.hook, LEAF_LINK, "bar"),)
+        return HandleHold(door, hand.peg, place, place, axis, -LINE_OUT * axis, float(PULL_TILT), hooked)
+    touches: tuple[Allowance, ...] = (
+        _allow(hand.hook, HANDLE_LINK, "lever"),
+        _allow(hand.link, HANDLE_LINK, "lever"),
+        _allow(hand.hook, LEAF_LINK, "leaf"),
+    )
+    if door.is_push:  # the peg lies on the lever, the hand's front or the peg's tip pushes
+        front = max(radius, choice.peg_m - stands_out)
+        place = at_grip + peg * UP + front * normal
+        offset = LINE_OUT * normal + LINE_UP * UP
+        return HandleHold(door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches)
+    # The peg hangs behind the lever, leaning so that the hand keeps off the leaf; its front rests on the lever.
+    axis = -np.cos(PEG_LEAN) * UP - np.sin(PEG_LEAN) * normal
+    place = at_grip - peg / np.cos(PEG_LEAN) * normal + (radius + peg * np.tan(PEG_LEAN)) * UP
+    offset = -(LINE_OUT + choice.peg_m) * axis
+    return HandleHold(door, hand.stub, place, at_grip, axis, offset, float(LEAN_TILT), touches)
+
+
+def _allow(link: str, mechanism_link: str, body: str) -> Allowance:
+    other = BodyRef("mechanism", mechanism_link, f"{mechanism_link}/{body}")
+    return Allowance(BodyRef.of_link(link), other, TOUCH_DEPTH)

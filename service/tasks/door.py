@@ -1,0 +1,231 @@
+"""Open a door: hand to the handle, release the latch, open as far as the stance allows, then push the leaf."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.kinematics import locate_links
+from service.body.phases import PhaseSolver
+from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.hands import Hand
+from service.tasks.sequence import PhaseSequence
+from service.verify import Motion
+
+ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
+LEAST_FIRST = np.deg2rad(10.0)  # opening at the handle that is worth a regrasp
+MOST_TRIES = 4  # of smaller angles at the handle
+HOW_FAR = "how far it opens"
+SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
+PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
+PUSH_UP = (1.05, 1.25, 0.9)  # heights of the peg's tip on the leaf [m]
+PULL_PLACES = (0.0, 0.08, -0.08)  # of the hand along a pull handle, from its middle [m]
+BAR_SHARES = (0.3, 0.1, 0.4)  # of the hand along a push bar, from its middle towards the free edge
+
+
+@dataclass(frozen=True)
+class DoorOpening:
+    """A door to open from one stance.
+
+    Attributes:
+        solver: of the body augmented by the door.
+        door: leaf, handle and loads.
+        hands: hands to try, in order.
+        target: opening angle at the end [rad].
+        stays: whether the hand stays on the leaf.
+        reach_waypoints: of the phases that reach for the door.
+    """
+
+    solver: PhaseSolver
+    door: Door
+    hands: tuple[Hand, ...]
+    target: float
+    stays: bool
+    reach_waypoints: int
+
+    def plan(self) -> TaskPlan:
+        """Return the plan that opens the leaf farthest."""
+        best: TaskPlan | None = None
+        best_angle = -1.0
+        for hand in self.hands:
+            for choice in self._choices(hand):
+                plan, angle = self._plan_choice(choice)
+                if best is None or angle > best_angle or (angle == best_angle and len(plan.phases) > len(best.phases)):
+                    best, best_angle = plan, angle
+                if plan.is_feasible:
+                    return plan
+        if best is None:
+            raise ValueError("a door needs a hand")
+        return best
+
+    def _choices(self, hand: Hand) -> Iterator[DoorChoice]:
+        """Yield ways to hold the handle with a hand, the most promising first; the leaf alone where it is ajar."""
+        door, start = self.door, self.door.geometry.ajar
+        peg = measure_peg(self.solver, hand)
+        handle = door.handle
+        if door.is_push and not door.is_latched:
+            yield DoorChoice(hand, peg, 0.0, 1.0, start, stays=self.stays)
+            return
+        if handle is None:
+            return
+        if handle.kind == "lever":
+            yield DoorChoice(
+                hand, peg, max(handle.length - GRIP_FROM_END, LEAST_GRIP), 1.0, self.target, stays=self.stays
+            )
+        elif handle.kind == "push_bar":
+            towards_edge = float(np.sign(handle.direction @ door.geometry.along))
+            for share in BAR_SHARES:
+                grip = share * handle.length * towards_edge
+                yield DoorChoice(hand, peg, grip, 1.0, self.target, stays=self.stays)
+        else:
+            for grip in PULL_PLACES:
+                for sense in (1.0, -1.0):
+                    yield DoorChoice(hand, peg, grip, sense, self.target, stays=self.stays)
+
+    def _plan_choice(self, choice: DoorChoice) -> tuple[TaskPlan, float]:
+        """Plan with one hold of the handle, and a regrasp if that does not open the leaf far enough."""
+        body, start = self.solver.body, self.door.geometry.ajar
+        phases: tuple[PlannedPhase, ...] = ()
+        stuck: Stuck | None = None
+        reached = start
+        if choice.first > start:
+            phases, stuck, reached = self._open_at_handle(choice)
+            choice = replace(choice, first=reached)
+            if stuck is not None:
+                return TaskPlan(body, phases, stuck=stuck, measure=self.measure), start
+        if reached < self.target - 1e-6:
+            at = phases[-1].q[-1] if phases else body.nominal
+            pushed = self._push(choice, at)
+            if pushed is not None:
+                choice, more, reached = pushed
+                phases += more
+        notes = (f"{choice.hand.side} hand, {self._describe(choice)}",)
+        obstacle: tuple[str, ...] = ()
+        if reached < self.target - 1e-6:
+            obstacle = (
+                f"from this stance the leaf opens to {np.rad2deg(reached):.0f} deg of the "
+                f"{np.rad2deg(self.target):.0f} asked for",
+            )
+        return TaskPlan(body, phases, obstacle, measure=self.measure, notes=notes), reached
+
+    def _open_at_handle(self, choice: DoorChoice) -> tuple[tuple[PlannedPhase, ...], Stuck | None, float]:
+        """Open as far as the hand can stay at the handle; the angle is tried in steps of ten degrees."""
+        start = self.door.geometry.ajar
+        angles = self._angles(start)
+        farthest = self._find_farthest(angles, lambda angle: replace(choice, first=angle))
+        if farthest is None:
+            farthest = len(angles) - 1
+        result: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
+        for tried, angle in enumerate(angles[farthest:], start=1):
+            sequence = self._sequence(replace(choice, first=angle, push=None))
+            result = sequence.plan(self.solver.body.nominal)
+            if result[1] is None:
+                return *result, angle
+            tried += 1
+            if tried >= MOST_TRIES or result[1].step not in (
+                "open",
+                "pose at the handle",
+                "let the handle go",
+                "retract",
+            ):
+                break
+        return *result, start
+
+    def _push(
+        self, choice: DoorChoice, at: Float[np.ndarray, "n"]
+    ) -> tuple[DoorChoice, tuple[PlannedPhase, ...], float] | None:
+        """Push the leaf from where it is with the peg's tip, as far as this stance allows; None if nowhere."""
+        best: tuple[DoorChoice, tuple[PlannedPhase, ...], float] | None = None
+        geometry = self.door.geometry
+        angles = self._angles(choice.first)
+        for hand in self.hands:
+            for share in PUSH_ALONG:
+                for up in PUSH_UP:
+                    place = (share * geometry.width, up - float(geometry.hinge[2]))
+
+                    def at_angle(angle: float, hand: Hand = hand, place: tuple[float, float] = place) -> DoorChoice:
+                        return replace(choice, push=Push(hand, *place, angle))
+
+                    farthest = self._find_farthest(angles, at_angle)
+                    if farthest is None or (best is not None and angles[farthest] <= best[2]):
+                        continue
+                    chosen = at_angle(angles[farthest])
+                    specs = make_door_phases(self.door, chosen, self.reach_waypoints)
+                    n_before = len(make_door_phases(self.door, replace(chosen, push=None), self.reach_waypoints))
+                    phases, stuck = replace(self._sequence(chosen), specs=specs[n_before:]).plan(at)
+                    if stuck is None:
+                        best = chosen, phases, angles[farthest]
+                        if farthest == 0:
+                            return best
+        return best
+
+    def _angles(self, start: float) -> list[float]:
+        """Return the opening angles to try, the target first [rad]."""
+        below = np.arange(self.target - ANGLE_STEP, start + 0.5 * LEAST_FIRST, -ANGLE_STEP)
+        return [self.target, *below.tolist()]
+
+    def _find_farthest(self, angles: Sequence[float], choose: Callable[[float], DoorChoice]) -> int | None:
+        """Return the index of the largest angle whose last pose can be held; None if none can.
+
+        Poses at smaller angles are taken to be easier.
+        """
+        low, high = 0, len(angles)
+        guess: tuple[Float[np.ndarray, "n"], ...] = ()
+        middle = high - 1
+        while low < high:
+            solved = self._solve_last_pose(choose(angles[middle]), guess)
+            if solved.is_feasible:
+                guess = (solved.x[0],)
+                high = middle
+            else:
+                low = middle + 1
+            middle = (low + high) // 2
+        return low if low < len(angles) else None
+
+    def _solve_last_pose(self, choice: DoorChoice, guesses: tuple[Float[np.ndarray, "n"], ...]) -> Solved:
+        """Solve for the pose at the end of the choice's last opening."""
+        specs = make_door_phases(self.door, choice, self.reach_waypoints)
+        spec = next(spec for spec in reversed(specs) if spec.is_anchor)
+        sequence = replace(self._sequence(choice), solver=replace(self.solver, most_starts=2))
+        with self.solver.monitor.step(HOW_FAR, 0.05):
+            return sequence.solve_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
+
+    def _sequence(self, choice: DoorChoice) -> PhaseSequence:
+        specs = make_door_phases(self.door, choice, self.reach_waypoints)
+        return PhaseSequence(self.solver, self.door.mechanism, specs)
+
+    def _describe(self, choice: DoorChoice) -> str:
+        parts = []
+        if choice.first > self.door.geometry.ajar and self.door.handle is not None:
+            kind = self.door.handle.kind.replace("_", " ")
+            parts.append(f"at the {kind} to {np.rad2deg(choice.first):.0f} deg")
+        if choice.push is not None:
+            parts.append(
+                f"on the leaf {choice.push.along:.2f} m from the hinge to {np.rad2deg(choice.push.last):.0f} deg"
+            )
+        return ", then ".join(parts) or "no hold found"
+
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure what the motion does to the door: angles [deg] and the free width of the doorway at the end [m]."""
+        geometry, k = self.door.geometry, len(self.door.mechanism.joints)
+        samples = motion.curve(np.linspace(motion.curve.knots[0], motion.curve.knots[-1], 1000))[:, -k:]
+        opening = float(samples[-1, 0])
+        width = geometry.width
+        free = width - (width * np.cos(opening) if opening < np.pi / 2.0 else 0.0)
+        figures = {"opening_deg": float(np.rad2deg(opening)), "free_width_m": float(free)}
+        if k > 1:
+            largest = float(samples[:, 1].max())
+            is_bar = self.door.handle is not None and self.door.handle.kind == "push_bar"
+            figures["pressed_m" if is_bar else "lever_deg"] = largest if is_bar else float(np.rad2deg(largest))
+        return figures
+
+
+def measure_peg(solver: PhaseSolver, hand: Hand) -> float:
+    """Return the length of a hand's free rod [m]."""
+    body = solver.body
+    poses = locate_links(body.engine, body.nominal, [hand.tool, hand.stub])
+    return float(np.linalg.norm(poses[hand.tool][:3, 3] - poses[hand.stub][:3, 3]))

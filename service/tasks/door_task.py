@@ -1,0 +1,115 @@
+"""Plan a door request: the door that the scan shows or the request gives, and the hands to try."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from costs.allowance import BodyRef
+from costs.kinematics import locate_links
+from service.body.phases import PhaseSolver
+from service.body.task_plan import TaskPlan
+from service.body.whole_body import WholeBody
+from service.demands.door import Door
+from service.demands.door_demand import read_given_door
+from service.demands.hands import HANDS, Hand
+from service.errors import RequestError
+from service.request.door import DoorRequest
+from service.setup.prepare import PlanSetup
+from service.tasks.door import DoorOpening
+from service.tasks.sequence import add_mechanism
+
+REACH_WAYPOINTS = 14
+HANDLE_MARGIN = 4e-3  # between a hand and the door that it holds [m]
+
+
+def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> TaskPlan:
+    """Plan to open the request's door."""
+    found = find_door(setup, request)
+    if isinstance(found, str):
+        return TaskPlan(solver.body, (), (found,))
+    door, note = found
+    target = float(np.deg2rad(request.open_deg))
+    if door.geometry.ajar >= target:
+        raise RequestError(
+            f"task.door.open_deg: {request.open_deg:g}; the leaf is open by {np.rad2deg(door.geometry.ajar):.0f} deg "
+            "already; expected more"
+        )
+    if door.handle is not None and door.handle.kind == "knob" and not (door.is_push and not door.is_latched):
+        return TaskPlan(solver.body, (), ("the door has a knob; no hand of this robot can turn a knob",))
+    hands = choose_hands(solver.body, request, door)
+    near = tuple(
+        (BodyRef.of_link(link), BodyRef("mechanism", joint.link), HANDLE_MARGIN)
+        for hand in hands
+        for link in (hand.hook, hand.link)
+        for joint in door.mechanism.joints
+    )
+    solver = replace(add_mechanism(solver, door.mechanism), overrides=near)
+    collisions = tuple(find_collisions(solver.body))
+    if collisions:
+        raise RequestError(collisions)
+    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
+    return replace(plan, notes=(note, *plan.notes))
+
+
+def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
+    """Return the door to open and a note about it, or a sentence why there is none."""
+    base = setup.start[:3] if setup.robot.is_floating else np.zeros(3)
+    geometry = read_given_door(request, base)
+    if geometry is None:
+        scene = setup.request.scene
+        if scene.cloud is None:
+            raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
+        return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
+    is_bar = geometry.handle is not None and geometry.handle.kind == "push_bar"
+    release = request.press_m if is_bar else float(np.deg2rad(request.release_deg))
+    door = Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
+    return door, describe_door(door)
+
+
+def describe_door(door: Door) -> str:
+    """Return a sentence that says which door was planned for."""
+    geometry = door.geometry
+    handle = "no handle" if door.handle is None else f"a {door.handle.kind.replace('_', ' ')}"
+    place = np.round(geometry.hinge, 3).tolist()
+    ajar = f", {np.rad2deg(geometry.ajar):.0f} deg ajar" if geometry.ajar > 0.0 else ""
+    return (
+        f"{geometry.opens} door {geometry.width:.2f} m wide{ajar}, hinge axis at {place}, with {handle}; planned for "
+        f"{door.hinge_nm:g} N m at the hinge and {door.lever_nm:g} N m at a lever"
+    )
+
+
+def choose_hands(body: WholeBody, request: DoorRequest, door: Door) -> tuple[Hand, ...]:
+    """Return the hands to try, the nearest to the handle first.
+
+    Raises:
+        RequestError: the robot has no such hand.
+    """
+    known = [
+        hand
+        for hand in HANDS.values()
+        if all(body.robot.model.existFrame(frame) for frame in (hand.tool, hand.peg, hand.stub))
+    ]
+    if request.hand != "auto":
+        known = [hand for hand in known if hand.side == request.hand]
+    if not known:
+        frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
+        raise RequestError(f"task.door.hand: robot '{body.robot.name}' has no {request.hand} hand ({frames})")
+    at = door.geometry.hinge + door.geometry.width * door.geometry.along if door.handle is None else door.handle.centre
+    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in known])
+    return tuple(sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - at))))
+
+
+def find_collisions(body: WholeBody) -> Iterator[str]:
+    """Yield a sentence for each link that is in the mechanism at the start."""
+    contacts = body.make_checker()(body.engine(body.nominal[None]))
+    bodies, moved = body.robot.bodies, body.robot.mechanism_links
+    for row in np.flatnonzero(contacts.is_self & (contacts.distance < 0.0)):
+        pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
+        if sum(member.link in moved for member in pair) == 1:
+            link, part = (member.name for member in sorted(pair, key=lambda member: member.link in moved))
+            depth = -float(contacts.distance[row])
+            yield f"start is in collision: {link} is {depth:.3f} m inside {part}; start farther away"
