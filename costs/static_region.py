@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import highspy
 import numpy as np
@@ -19,13 +20,16 @@ from jaxtyping import Float
 from costs.contact import GRAVITY, N_PYRAMID_EDGES, WorldContacts
 from costs.support import SupportPolygon
 
-# A region is found to within this distance; shorter edges are merged, narrower regions are degenerate [m].
+# Shorter edges are merged, narrower regions are degenerate [m].
 _RESOLUTION_M = 1e-4
+# A region is found to within the larger of the resolution and this share of its size: feet to 0.1 mm, places between
+# walls that are metres apart to a millimetre.
+_RELATIVE_RESOLUTION = 4e-4
 _FLAT_M = 1e-7  # a corner that sticks out by less is left out
 # Forces balance to this share of the weight (moments: times 1 m).
 _BALANCE_TOLERANCE = 5e-7
-# Price of contact force in the search for the farthest place [m per weight]: of forces that are equally good for the
-# place, the smallest are taken. Places are less far by at most this times the sum of forces.
+# Least price of contact force in the search for the farthest place [m per weight]: of forces that are equally good for
+# the place, the smallest are taken. Places are less far by at most the price times the sum of forces.
 _FORCE_PRICE_M = 1e-5
 # Soles count as level and at one height within these: more height or lean only enlarges what friction can hold.
 _LEVEL_M, _LEVEL_SINE = 1e-3, 1e-6
@@ -123,7 +127,7 @@ def find_static_region(
         raise ValueError(f"wrenches must have shape (W, 6) with W at least 1, got {given.shape}")
     if not np.isfinite(given).all():
         raise ValueError(f"wrenches[{int((~np.isfinite(given)).any(axis=1).argmax())}] must be finite")
-    search = _Search(contacts.tilt_normals(tilt_rad), mass * GRAVITY)
+    search = _Search(contacts.tilt_normals(tilt_rad), mass * GRAVITY, drift_m)
     held: list[Float[np.ndarray, "6"]] = []
     regions: list[_Region] = []
     yaw = 0.0
@@ -188,7 +192,7 @@ class _Search:
     Moments are about the middle of the points; those about x and y give the centre of mass.
     """
 
-    def __init__(self, contacts: WorldContacts, weight: float) -> None:
+    def __init__(self, contacts: WorldContacts, weight: float, drift_m: float) -> None:
         self.weight = weight
         self._contacts = contacts
         self._origin = contacts.points.mean(axis=0)
@@ -199,7 +203,8 @@ class _Search:
         # c x (0, 0, -1) = (-c_y, c_x, 0) and all moments sum to zero: c = (-m_y, m_x)
         self._place = np.stack([-moments[:, 1], moments[:, 0]])
         self._balance = np.concatenate([edges.T, moments[:, 2:].T])
-        self._price = _FORCE_PRICE_M * np.linalg.norm(edges, axis=1)
+        # A force that loses by drift what it gains in reach is not worth having.
+        self._price = max(_FORCE_PRICE_M, drift_m) * np.linalg.norm(edges, axis=1)
         self._columns = np.arange(len(edges), dtype=np.int32)
         self._caps = contacts.caps / weight
 
@@ -256,14 +261,16 @@ class _Search:
         self._set_wrench(wrench)
         directions = [np.array([np.cos(t), np.sin(t)]) for t in 0.1 + np.arange(3) * 2.0 * np.pi / 3.0]
         places = [(*self._find_farthest(direction, index), direction) for direction in directions]
+        size = max(float(np.linalg.norm(p[0] - q[0])) for p, q in pairwise(places))
+        resolution = max(_RESOLUTION_M, _RELATIVE_RESOLUTION * size)
         done = 0
         while done < len(places):
             (first, _, d1), (second, _, d2) = places[done], places[(done + 1) % len(places)]
-            if _room_beyond(first, d1, second, d2) > _RESOLUTION_M:
+            if _room_beyond(first, d1, second, d2) > resolution:
                 edge = second - first
                 facing = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
                 place, forces = self._find_farthest(facing, index)
-                if facing @ (place - first) > _RESOLUTION_M:
+                if facing @ (place - first) > resolution:
                     places.insert(done + 1, (place, forces, facing))
                     continue
             done += 1
