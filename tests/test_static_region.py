@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stances import (
+
+from benchmarks.stances import (
     UP,
     foot,
     make_contacts,
@@ -17,7 +18,6 @@ from stances import (
     solve_pyramid,
     witness_defects,
 )
-
 from costs.contact import GRAVITY, WorldContacts
 from costs.static_region import (
     DegenerateRegionError,
