@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,8 +11,10 @@ from jaxtyping import Float, Int
 from costs.contact import Contact
 from costs.kinematics import Kinematics, locate_frame
 from costs.robot.model import RobotModel
+from costs.rotation import make_tangent_basis
 
 GRAVITY = 9.81
+_UP = np.array([0.0, 0.0, 1.0])
 DOWN = np.array([0.0, 0.0, -1.0])  # the robot's weight in units of itself
 
 
@@ -124,6 +126,7 @@ class ContactPoints:
     Attributes:
         places: the points on the robot's links.
         normal: (C, 3) unit vectors along which the surroundings push, in the frames of ``normal_joint``.
+        tangent: (C, 3) unit vectors across them: an edge of each friction pyramid leans to this side.
         normal_joint: (C,) joints that carry the normals: the link's own, or 0 for normals fixed in the world.
         friction: (C,) coefficients of friction.
         cap: (C,) largest normal force [robot's weight]; 0 for a point that is not in use.
@@ -133,6 +136,7 @@ class ContactPoints:
 
     places: MovedPoints
     normal: Float[np.ndarray, "C 3"]
+    tangent: Float[np.ndarray, "C 3"]
     normal_joint: Int[np.ndarray, "C"]
     friction: Float[np.ndarray, "C"]
     cap: Float[np.ndarray, "C"]
@@ -181,7 +185,19 @@ class ContactPoints:
         friction = np.array([contact.friction for contact in contacts], dtype=float)[which]
         cap = np.array([contact.force_cap_n for contact in contacts], dtype=float)[which] / weight
         places = MovedPoints.on_links(robot, links, local)
-        return ContactPoints(places, normal / length[:, None], joint, friction, cap, reference, which)
+        normal /= length[:, None]
+        return ContactPoints(places, normal, _lean(normal, _UP), joint, friction, cap, reference, which)
+
+    def lean_up(self, kinematics: Kinematics) -> ContactPoints:
+        """Return the points with pyramids that lean up as far as friction allows at the first waypoint.
+
+        On level ground they lean along the world's x axis.  Friction of a wall then carries its full share of weight.
+        """
+        rotation = kinematics.rotation[0, self.normal_joint]
+        up = np.einsum("k,ckl->cl", _UP, rotation)
+        ahead = np.einsum("k,ckl->cl", np.array([1.0, 0.0, 0.0]), rotation)
+        is_level = np.abs(np.einsum("ck,ck->c", self.normal, up)) > 1.0 - 1e-6
+        return replace(self, tangent=_lean(self.normal, np.where(is_level[:, None], ahead, up)))
 
     def __len__(self) -> int:
         return len(self.friction)
@@ -196,6 +212,14 @@ class ContactPoints:
         """Turn directions, given where the normals of ``point`` are given, to the world."""
         rotation = kinematics.rotation[waypoints][:, self.normal_joint[point]]
         return np.asarray(np.einsum("srkl,rl->srk", rotation, directions))
+
+
+def _lean(normal: Float[np.ndarray, "C 3"], side: Float[np.ndarray, "#C 3"]) -> Float[np.ndarray, "C 3"]:
+    """Return unit vectors across the normals, to a side where it is not along the normal."""
+    tangent = np.stack([make_tangent_basis(n)[0] for n in normal]) if len(normal) else np.zeros((0, 3))
+    across = side - np.einsum("ck,ck->c", normal, np.broadcast_to(side, normal.shape))[:, None] * normal
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    return np.where(length > 1e-6, across / np.maximum(length, 1e-6), tangent)
 
 
 def _check_contact(contact: Contact) -> None:

@@ -238,7 +238,7 @@ def test_a_box_on_a_slope_by_hand(angle):
     # Along the slope the ground holds sin, across it cos; tipping about the middle shifts 0.05 sin to the lower edge.
     robot = chain(BOX, "floating")
     corners = np.array([[x, y, -0.05] for x in (0.0, 1.0) for y in (-0.05, 0.05)])
-    friction = np.sqrt(2.0) * np.tan(angle)  # the pyramid inside the cone holds it just so
+    friction = np.tan(angle)  # an edge of the pyramid lies on the cone, and holds it just so
     points = ContactPoints.of(robot, [Contact("link1", corners, np.tile(UP, (4, 1)), friction, 1e3)])
     q = np.zeros(7)
     q[:3], q[4] = (1.0, -2.0, 0.3), angle
@@ -252,7 +252,7 @@ def test_a_box_on_a_slope_by_hand(angle):
     np.testing.assert_allclose(rows[:, :4].max(axis=1), 0.0, atol=1e-12)
     np.testing.assert_allclose(rows[:, 4], across - 1e3 / (9.81 * 3.0), atol=1e-12)
     steeper = replace(points, friction=0.9 * points.friction)
-    assert FrictionPyramid(steeper, [0]).value(state).max() == pytest.approx(0.1 * np.sin(angle) * 0.25, rel=0.2)
+    assert FrictionPyramid(steeper, [0]).value(state).max() == pytest.approx(0.1 * across.max() * np.tan(angle) / np.sqrt(2.0))
 
 
 @given(angle=st.floats(0.2, 1.4))
@@ -268,8 +268,8 @@ def test_a_ladder_against_a_smooth_wall_by_hand(angle):
     state = loaded_state(robot, 2)(iterate(q, [[wall, 0.0, 1.0], [-wall, 0.0, 0.0]]))
     np.testing.assert_allclose(Equilibrium(robot, points, [0]).value(state), 0.0, atol=1e-12)
     of_foot, of_top = np.split(FrictionPyramid(points, [0]).value(state), [5])
-    assert of_foot[:4].max() == pytest.approx(wall - 0.7 / np.sqrt(2.0))
-    np.testing.assert_allclose(of_top[:4], 0.0, atol=1e-12)
+    assert of_foot[:4].max() == pytest.approx((wall - 0.7) / np.sqrt(2.0))
+    np.testing.assert_allclose(of_top[:4], 0.0, atol=1e-12)  # nothing along the smooth wall
     np.testing.assert_allclose(of_top[4:], [-wall, wall - 1e4 / (8.0 * 9.81)], atol=1e-9)
     hinge = JointTorque(robot, points, [0]).value(state)[[1, 3]]
     used = np.cos(angle) / 8.0 * 8.0 * 9.81 / 50.0
@@ -327,6 +327,20 @@ def test_a_force_inside_by_a_margin_may_err_by_it(seed, margin):
     is_inside = FrictionPyramid(points, [0], margin).value(make(iterate(q, force))).max() <= 0.0
     is_still_inside = term.value(make(iterate(q, force + error))).max() <= 1e-12
     assert is_still_inside or not is_inside
+
+
+def test_a_wall_carries_its_full_friction_upwards():
+    robot = chain(BOX, "floating")
+    q = np.array([0.0, 0.0, 0.0, 0.3, -0.5, 0.2, 0.0])
+    make = loaded_state(robot, 1)
+    wall = make(iterate(q, np.zeros(3))).kinematics
+    outward = np.array([-0.6, 0.8, 0.0]) @ wall.rotation[0, 2]
+    points = ContactPoints.of(robot, [Contact("link1", np.zeros((1, 3)), outward[None], 0.5, 1e3)])
+    force = np.array([-0.6, 0.8, 0.5])  # presses by 1 and holds up 0.5
+    value = FrictionPyramid(points.lean_up(wall), [0]).value(make(iterate(q, force)))
+    np.testing.assert_allclose(sorted(value)[-2:], 0.0, atol=1e-12)  # on an edge: on two sides
+    further = FrictionPyramid(points.lean_up(wall), [0]).value(make(iterate(q, force + [0.0, 0.0, 0.01])))
+    assert further.max() == pytest.approx(0.01 / np.sqrt(2.0))
 
 
 def test_contact_places_by_hand():

@@ -4,7 +4,7 @@ from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfM
 from costs.terms.collision import SweptClearance
 from costs.terms.contact_place import ContactPlace
 from costs.terms.displacement import FrameDisplacement
-from costs.terms.equilibrium import Equilibrium, FrictionPyramid, MechanismBalance
+from costs.terms.equilibrium import ContactForce, Equilibrium, FrictionPyramid, MechanismBalance
 from costs.terms.joint import JointDifference, JointTarget
 from costs.terms.joint_torque import JointTorque, StaticTorque
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
@@ -18,6 +18,7 @@ __all__ = [
     "CentreOfMassAt",
     "CentreOfMassInPolygon",
     "ClearancePerPair",
+    "ContactForce",
     "ContactPlace",
     "Equilibrium",
     "FrameDisplacement",

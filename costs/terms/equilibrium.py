@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from costs.contact_points import DOWN, ContactPoints, Load, Loads, measure_weight
 from costs.kinematics import Topology
 from costs.robot.model import RobotModel
-from costs.rotation import make_tangent_basis, skew
+from costs.rotation import skew
 from costs.state import LoadedState
 from costs.terms.pose import make_waypoint_rows
 from scopt import AffineRows, Residual
@@ -84,10 +84,11 @@ class Equilibrium(Residual[LoadedState]):
 class FrictionPyramid(Residual[LoadedState]):
     """Distance of contact forces outside their friction pyramids and caps, five rows per point [robot's weight].
 
-    The pyramid has four sides on two tangents and lies inside the cone: ``+-t . f - mu / sqrt 2  n . f``.  The fifth
-    row is ``n . f - cap``; a point without friction has a sixth, ``-n . f``.  A force may err by ``margin`` in any
-    direction without leaving pyramid and cap (by a quarter of its cap, if that is less).  Normals that turn with their
-    links enter the derivative.
+    The pyramid has four edges on the cone and four sides inside it: ``t . f - mu / sqrt 2  n . f`` for the directions
+    ``t`` halfway between the edges.  The fifth row is ``n . f - cap``; a point without friction has a sixth,
+    ``-n . f``.  A force may err by ``margin`` in any direction without leaving pyramid and cap (by a quarter of its
+    cap, if that is less; along its normal, if it has no friction).  Normals that turn with their links enter the
+    derivative.
     """
 
     is_smooth = True
@@ -135,19 +136,58 @@ def list_faces(
         point: (R,) whose force is meant.
         face: (R, 3) where the point's normal is given.
         offset: (R,) [robot's weight].
-        length: (R,) of the faces.
+        length: (R,) of the faces; 0 for the sides of points without friction, which leave no force any room.
     """
-    point, face, offset = [], [], []
+    point, face, offset, has_room = [], [], [], []
+    across = np.cross(points.normal, points.tangent)
     for i, (normal, friction, cap) in enumerate(zip(points.normal, points.friction, points.cap, strict=True)):
-        tangents = make_tangent_basis(normal)
-        sides = [sign * tangent - friction / np.sqrt(2.0) * normal for tangent in tangents for sign in (1.0, -1.0)]
+        # Sides halfway between the edges, which lean to the tangent and across it.
+        sides = [
+            (along * points.tangent[i] + aside * across[i] - friction * normal) / np.sqrt(2.0)
+            for along in (1.0, -1.0)
+            for aside in (1.0, -1.0)
+        ]
         bottom = [] if friction > 0.0 else [-normal]
         own = [*sides, *bottom, normal]
         face += own
+        has_room += [friction > 0.0] * 4 + [True] * (len(own) - 4)
         offset += [0.0] * (len(own) - 1) + [-cap]
         point += [i] * len(own)
     faces = np.array(face).reshape(-1, 3)
-    return np.array(point, dtype=int), faces, np.array(offset), np.linalg.norm(faces, axis=1)
+    return np.array(point, dtype=int), faces, np.array(offset), np.linalg.norm(faces, axis=1) * has_room
+
+
+class ContactForce(Residual[LoadedState]):
+    """``gain (f - target)``, three rows (world axes) per contact point and waypoint [gain times robot's weight]."""
+
+    is_smooth = True
+
+    def __init__(
+        self,
+        points: ContactPoints,
+        waypoints: Int[np.ndarray, "S"] | Sequence[int],
+        target: Float[np.ndarray, "#C 3"] | None = None,
+        gain: Float[np.ndarray, "C"] | float = 1.0,
+    ) -> None:
+        """
+        Args:
+            points: of the contacts, in the order of the state's forces.
+            waypoints: (S,) where the rows are measured.
+            target: (C, 3) [robot's weight]; no force if None.
+            gain: per point.
+        """
+        self._waypoints = np.asarray(waypoints)
+        self._target = np.zeros((len(points), 3)) if target is None else np.asarray(target, dtype=float)
+        self._gain = np.broadcast_to(gain, (len(points),))[:, None]
+
+    def value(self, state: LoadedState) -> Float[np.ndarray, "m"]:
+        return np.asarray((self._gain * (state.forces[self._waypoints] - self._target)).ravel())
+
+    def linearize(self, state: LoadedState) -> AffineRows:
+        n, n_rows = state.motion.x.shape[1], 3 * len(self._gain)
+        rows = np.zeros((len(self._waypoints), n_rows, n + n_rows))
+        rows[:, np.arange(n_rows), n + np.arange(n_rows)] = np.repeat(self._gain[:, 0], 3)
+        return make_waypoint_rows(self.value(state), rows, self._waypoints, state.kinematics)
 
 
 class MechanismBalance(Residual[LoadedState]):
