@@ -8,12 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.contact import Contact
+from costs.contact import GRAVITY, Contact
 from costs.kinematics import Kinematics, locate_frame
 from costs.robot.model import RobotModel
 from costs.rotation import make_tangent_basis
 
-GRAVITY = 9.81
 _UP = np.array([0.0, 0.0, 1.0])
 DOWN = np.array([0.0, 0.0, -1.0])  # the robot's weight in units of itself
 
@@ -158,7 +157,7 @@ class ContactPoints:
 
         Raises:
             KeyError: the robot has no such link.
-            ValueError: the robot has no mass, a normal is zero, a friction or a cap is negative or not finite.
+            ValueError: the robot has no mass, or a normal in the world is zero.
         """
         weight = measure_weight(robot)
         fixed = {} if world_normals is None else world_normals
@@ -170,7 +169,6 @@ class ContactPoints:
         reference = np.zeros(len(which), dtype=int)
         for k, contact in enumerate(contacts):
             rows = which == k
-            _check_contact(contact)
             if k in fixed:
                 normal[rows] = fixed[k]
             else:
@@ -180,8 +178,8 @@ class ContactPoints:
                 reference[rows] = locate_frame(robot, contact.reference)[0]
         length = np.linalg.norm(normal, axis=1)
         if not (length > 0.0).all():
-            name = contacts[which[int(np.argmin(length))]].link
-            raise ValueError(f"contact of '{name}': a normal is zero; give the direction that pushes on the link")
+            k = int(which[int(np.argmin(length))])
+            raise ValueError(f"world_normals[{k}] is zero; give the direction that pushes on {contacts[k].link}")
         friction = np.array([contact.friction for contact in contacts], dtype=float)[which]
         cap = np.array([contact.force_cap_n for contact in contacts], dtype=float)[which] / weight
         places = MovedPoints.on_links(robot, links, local)
@@ -220,9 +218,3 @@ def _lean(normal: Float[np.ndarray, "C 3"], side: Float[np.ndarray, "#C 3"]) -> 
     across = side - np.einsum("ck,ck->c", normal, np.broadcast_to(side, normal.shape))[:, None] * normal
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.where(length > 1e-6, across / np.maximum(length, 1e-6), tangent)
-
-
-def _check_contact(contact: Contact) -> None:
-    for name, value in (("friction", contact.friction), ("force_cap_n", contact.force_cap_n)):
-        if not (np.isfinite(value) and value >= 0.0):
-            raise ValueError(f"contact of '{contact.link}': {name} is {value}; expected a number from zero up")

@@ -252,7 +252,8 @@ def test_a_box_on_a_slope_by_hand(angle):
     np.testing.assert_allclose(rows[:, :4].max(axis=1), 0.0, atol=1e-12)
     np.testing.assert_allclose(rows[:, 4], across - 1e3 / (9.81 * 3.0), atol=1e-12)
     steeper = replace(points, friction=0.9 * points.friction)
-    assert FrictionPyramid(steeper, [0]).value(state).max() == pytest.approx(0.1 * across.max() * np.tan(angle) / np.sqrt(2.0))
+    slip = 0.1 * across.max() * np.tan(angle) / np.sqrt(2.0)
+    assert FrictionPyramid(steeper, [0]).value(state).max() == pytest.approx(slip)
 
 
 @given(angle=st.floats(0.2, 1.4))
@@ -339,7 +340,7 @@ def test_a_wall_carries_its_full_friction_upwards():
     force = np.array([-0.6, 0.8, 0.5])  # presses by 1 and holds up 0.5
     value = FrictionPyramid(points.lean_up(wall), [0]).value(make(iterate(q, force)))
     np.testing.assert_allclose(sorted(value)[-2:], 0.0, atol=1e-12)  # on an edge: on two sides
-    further = FrictionPyramid(points.lean_up(wall), [0]).value(make(iterate(q, force + [0.0, 0.0, 0.01])))
+    further = FrictionPyramid(points.lean_up(wall), [0]).value(make(iterate(q, force + 0.01 * UP)))
     assert further.max() == pytest.approx(0.01 / np.sqrt(2.0))
 
 
@@ -359,15 +360,7 @@ def test_contact_places_by_hand():
     np.testing.assert_allclose(relative, [1.0, 1.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"friction": -0.1}, "contact of 'tip': friction is -0.1"),
-        ({"force_cap_n": np.inf}, "contact of 'tip': force_cap_n is inf"),
-        ({"normals": np.zeros((1, 3))}, "contact of 'tip': a normal is zero"),
-    ],
-)
-def test_senseless_contacts_are_refused(changes, message):
-    contact = replace(Contact("tip", np.zeros((1, 3)), UP[None], 0.5, 100.0), **changes)
-    with pytest.raises(ValueError, match=message):
-        ContactPoints.of(chain(PLANAR), [contact])
+def test_a_normal_of_no_direction_is_refused():
+    contact = Contact("tip", np.zeros((1, 3)), UP[None], 0.5, 100.0)
+    with pytest.raises(ValueError, match=r"world_normals\[0\] is zero; give the direction that pushes on tip"):
+        ContactPoints.of(chain(PLANAR), [contact], {0: np.zeros(3)})
