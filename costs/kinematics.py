@@ -40,6 +40,13 @@ class Topology:
         lever = np.array([inertia.lever for inertia in model.inertias])
         return Topology(supports, mass, lever)
 
+    @cached_property
+    def precedes(self) -> Bool[np.ndarray, "n n"]:
+        """(n, n) whether coordinate ``i`` moves the axis of coordinate ``j``, or is the same."""
+        n = self.supports.shape[1]
+        own = self.supports.argmax(axis=0)  # joints are numbered from the root: a coordinate moves its own joint first
+        return np.asarray(self.supports[own].T & (np.arange(n)[:, None] <= np.arange(n)))
+
 
 @dataclass(frozen=True)
 class Kinematics:

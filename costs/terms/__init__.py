@@ -2,11 +2,14 @@
 
 from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfMassInPolygon
 from costs.terms.collision import SweptClearance
+from costs.terms.contact_place import ContactPlace
 from costs.terms.displacement import FrameDisplacement
+from costs.terms.equilibrium import ContactForce, Equilibrium, FrictionPyramid, MechanismBalance
 from costs.terms.joint import JointDifference, JointTarget
+from costs.terms.joint_torque import JointTorque, StaticTorque
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.wrappers import Between, Masked, NormWithin, Scaled, WithinTolerance
+from costs.terms.wrappers import Between, Masked, NormWithin, Scaled, Widened, WithinTolerance
 
 __all__ = [
     "AxisDirection",
@@ -15,16 +18,24 @@ __all__ = [
     "CentreOfMassAt",
     "CentreOfMassInPolygon",
     "ClearancePerPair",
+    "ContactForce",
+    "ContactPlace",
+    "Equilibrium",
     "FrameDisplacement",
     "FramePose",
+    "FrictionPyramid",
     "JointDifference",
     "JointTarget",
+    "JointTorque",
     "Masked",
+    "MechanismBalance",
     "NormWithin",
     "PairClearance",
     "PointHalfSpace",
     "RequiredClearance",
     "Scaled",
+    "StaticTorque",
     "SweptClearance",
+    "Widened",
     "WithinTolerance",
 ]

@@ -1,4 +1,4 @@
-"""Residuals made of another residual: scaled, bounded from both sides, or with coordinates that do not move."""
+"""Residuals made of another residual: scaled, bounded from both sides, without some coordinates, or beside forces."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import sparse
 
+from costs.state import LoadedState, MotionState
 from scopt import AffineRows, Residual
-from scopt.residual import StateT
+from scopt.residual import StateT, linearize_residual
 
 
 class Scaled(Residual[StateT]):
@@ -54,6 +55,29 @@ class Masked(Residual[StateT]):
         n_waypoints = rows.jacobian.shape[1] // len(self._moves)
         kept = sparse.diags_array(np.tile(self._moves, n_waypoints))
         return AffineRows(rows.value, sparse.csr_array(rows.jacobian @ kept))
+
+
+class Widened(Residual[LoadedState]):
+    """Rows of a residual of configurations in a problem whose waypoints also have contact forces.
+
+    The Jacobian has ``T (n + 3 C)`` columns, those of the forces without entries.
+    """
+
+    def __init__(self, residual: Residual[MotionState]) -> None:
+        self._residual = residual
+        self.is_smooth = residual.is_smooth
+
+    def value(self, state: LoadedState) -> Float[np.ndarray, "m"]:
+        return self._residual.value(state.motion)
+
+    def linearize(self, state: LoadedState) -> AffineRows:
+        rows = linearize_residual(self._residual, state.motion, type(self._residual).__name__)
+        n_waypoints, n_points, _ = state.forces.shape
+        jacobian = rows.jacobian
+        n = jacobian.shape[1] // n_waypoints
+        indices = jacobian.indices + 3 * n_points * (jacobian.indices // n)
+        shape = (jacobian.shape[0], n_waypoints * (n + 3 * n_points))
+        return AffineRows(rows.value, sparse.csr_array((jacobian.data, indices, jacobian.indptr), shape=shape))
 
 
 class Between(Residual[StateT]):
