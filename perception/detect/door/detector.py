@@ -13,6 +13,7 @@ from perception.detect.door.bodies import HOUSING_HALF_WIDTH
 from perception.detect.door.frame import Frame, find_frame
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry, Opens
 from perception.detect.door.handle import Handle, find_handle
+from perception.detect.door.hang import find_ends
 from perception.detect.door.leaf import Leaf, find_leaves
 from perception.detect.door.model import USUAL_THICKNESS, DoorModel
 from perception.detect.door.profile import Rays
@@ -34,10 +35,6 @@ _CASING = 0.04
 _OCCLUDED = 0.3
 _SQUARE = (np.radians(70.0), np.radians(85.0))
 _HINT_TRUST = 0.7
-_GAP = 0.004
-_MOST_HIDDEN = 0.25
-_MOST_MERGED = 0.1
-_HIDES = 0.05
 _SHOWN = 2000
 _ENOUGH = 60_000
 _OVER_FLOOR = 0.008
@@ -93,7 +90,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     ]
     candidates = [candidate for candidate in candidates if candidate.confidence >= _REPORTED]
     candidates.sort(key=lambda candidate: -candidate.confidence)
-    return [_detection(candidate, ground) for candidate in _drop_duplicates(candidates)]
+    return [_detection(candidate, rays, ground) for candidate in _drop_duplicates(candidates)]
 
 
 def _ground(view: View) -> float:
@@ -211,9 +208,9 @@ def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
     return kept
 
 
-def _detection(candidate: _Candidate, ground: float) -> Detection:
+def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
     leaf, frame, handle = candidate.leaf, candidate.frame, candidate.handle
-    hinge_at, free_at = _ends(leaf, frame, candidate.hinge)
+    hinge_at, free_at = find_ends(leaf, frame, candidate.hinge, rays, ground, USUAL_THICKNESS)
     width = abs(free_at - hinge_at)
     pose = np.eye(4)
     pose[:3, 0] = leaf.plane.along * (1.0 if free_at > hinge_at else -1.0)
@@ -318,24 +315,6 @@ def _opens(candidate: _Candidate) -> Opens | None:
     if frame.hinge and frame.ajar > _SURELY_OPEN:
         return "push" if frame.opens_away else "pull"
     return "push" if not frame.hinge and frame.depth > _SURELY_RECESSED else None
-
-
-def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
-    """Return the positions of the leaf's hinge edge and free edge along its plane [m].
-
-    A leaf that opens away is as wide as its opening.  A jamb hides one of its edges, mostly the hinge edge, or
-    continues that edge so that the leaf looks wider.
-    """
-    ends = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
-    at, free = ends[0].at, ends[1].at
-    if frame is None or not frame.opens_away or np.isnan(frame.opening):
-        return at, free
-    missing = frame.opening - 2.0 * _GAP - leaf.width
-    if not -_MOST_MERGED < missing < _MOST_HIDDEN:
-        return at, free
-    if missing > 0.0 and ends[1].jump > _HIDES and ends[1].open_share < 0.6:
-        return at, free - hinge * missing
-    return at + hinge * missing, free
 
 
 def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.ndarray, "2"], float]:
