@@ -19,7 +19,7 @@ from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces, make_pieces
 from perception.convex.unknown import make_unknown_pieces
 from perception.detect.registry import detect_kinds
-from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.shared.detection import CONFIDENT, Detection, Model
 from perception.errors import MeshError
 from perception.ground.floor import FloorPlane, floor_pieces
 from perception.solids.match import KnownMesh, MeshMatch, locate
@@ -130,7 +130,7 @@ def _perceive(
     clock.lap("valve")
     matches = find_meshes(known, view, clock)
     kept = drop_explained(view.obstacles, kept, matches)
-    made = _make_pieces(view, kept, method)
+    made = _make_pieces(view, kept, see_past(detections, view.cloud.rays), method)
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
@@ -148,16 +148,30 @@ def take_out(
 
     Points belong to an object only if it has a model, is the best of its kind, and was found with confidence.
     """
+    parts: tuple[ConvexPiece, ...] = ()
+    kept = np.arange(len(points))
+    for model in _models(detections):
+        is_own, more = model.split_off(points[kept])
+        kept, parts = kept[~is_own], (*parts, *more)
+    return kept, parts
+
+
+def see_past(
+    detections: Sequence[Detection], rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]
+) -> tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]]:
+    """Return starts and ends of rays as if the objects that ``take_out`` removes were not there."""
+    starts, ends = rays
+    for model in _models(detections):
+        ends = model.see_past(starts, ends)
+    return starts, ends
+
+
+def _models(detections: Sequence[Detection]) -> list[Model]:
+    """Return the models of the objects to remove from the scene."""
     best: dict[str, Detection] = {}
     for hit in detections:
         best.setdefault(hit.kind, hit)
-    parts: tuple[ConvexPiece, ...] = ()
-    kept = np.arange(len(points))
-    for hit in best.values():
-        if hit.model is not None and hit.confidence >= CONFIDENT:
-            is_own, more = hit.model.split_off(points[kept])
-            kept, parts = kept[~is_own], (*parts, *more)
-    return kept, parts
+    return [hit.model for hit in best.values() if hit.model is not None and hit.confidence >= CONFIDENT]
 
 
 def find_meshes(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[str, MeshMatch]:
@@ -188,13 +202,18 @@ def _check_span(known: KnownMesh, view: View) -> None:
         )
 
 
-def _make_pieces(view: View, kept: Int[np.ndarray, "K"], method: Literal["planes", "coacd"]) -> Pieces:
+def _make_pieces(
+    view: View,
+    kept: Int[np.ndarray, "K"],
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    method: Literal["planes", "coacd"],
+) -> Pieces:
     """Make pieces of the kept obstacle points; ``pieces[i].points`` are indices into ``view.obstacles``."""
     points, starts = view.obstacles[kept], view.starts[kept]
     if method == "coacd":
-        made = make_coacd_pieces(points, starts, view.cloud.rays)
+        made = make_coacd_pieces(points, starts, rays)
     else:
-        made = make_pieces(points, starts, view.cloud.rays, view.seed)
+        made = make_pieces(points, starts, rays, view.seed)
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))
 
 

@@ -22,7 +22,7 @@ from perception.convex.updated import Judge, Updated, update_pieces
 from perception.detect.shared.detection import Detection
 from perception.ground.floor import FloorPlane, floor_pieces, on_floors
 from perception.ground.levels_again import may_be_level
-from perception.perceive import Perceived, drop_explained, find_meshes, take_out
+from perception.perceive import Perceived, drop_explained, find_meshes, see_past, take_out
 from perception.solids.match import KnownMesh, MeshMatch
 from perception.view import Cropped, View, crop, view_of
 
@@ -146,7 +146,7 @@ def _hold_against(
         earlier.pieces,
         view.obstacles[kept],
         view.starts[kept],
-        view.cloud.rays,
+        see_past(earlier.detections, view.cloud.rays),
         earlier.seed,
         Ground(hulls, ground, view.near.starts[is_floor]),
         judge,

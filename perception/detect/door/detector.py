@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.door.bar import EXTENSIONS, expect_extension
+from perception.detect.door.bodies import HOUSING_HALF_WIDTH
 from perception.detect.door.frame import Frame, find_frame
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry, Opens
 from perception.detect.door.handle import Handle, find_handle
+from perception.detect.door.hang import find_ends
 from perception.detect.door.leaf import Leaf, find_leaves
 from perception.detect.door.model import USUAL_THICKNESS, DoorModel
 from perception.detect.door.profile import Rays
@@ -23,9 +26,8 @@ _REPORTED = 0.05
 _EXAMINED = 12
 _HINT_REACH = 0.4
 _GUESSED_HEIGHT = 2.03
-_END_RADIUS = 0.008  # distance of a lever's pivot from its butt end [m]
-_SHORT_SLACK = 0.03
 _USUAL_BACKSET = 0.065
+_BACKSET_SPREAD = 0.02
 _AT_EDGE = 0.035
 _SURELY_AJAR = np.radians(6.0)
 _HINGE_UNKNOWN = _HANDLE_UNKNOWN = 0.45
@@ -33,13 +35,10 @@ _CASING = 0.04
 _OCCLUDED = 0.3
 _SQUARE = (np.radians(70.0), np.radians(85.0))
 _HINT_TRUST = 0.7
-_GAP = 0.004
-_MOST_HIDDEN = 0.25
-_MOST_MERGED = 0.1
-_HIDES = 0.05
 _SHOWN = 2000
 _ENOUGH = 60_000
 _OVER_FLOOR = 0.008
+_KNOB_DEPTH = 0.04
 _SURELY_OPEN = np.radians(3.0)
 _SURELY_RECESSED = 0.055
 
@@ -63,7 +62,8 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     along the leaf, z up.  Sizes: ``width``, ``height`` [m]; ``ajar``, the leaf's angle out of its wall [rad];
     ``side``, +1 when y points to the sensor, else -1; ``handle_x``, ``handle_y``, ``handle_z``, the
     position of the handle's bar at its pivot [m] (left out when no handle was seen); ``lever_direction``, -1 towards
-    the hinge, +1 away, 0 for knobs and upright bars.
+    the hinge, +1 away, 0 for knobs and upright bars; of levers ``handle_length``, from pivot to free end [m], and
+    ``handle_turn``, the angle by which it is turned down [rad].  ``read_door`` returns the geometry of a hit.
 
     Args:
         hint: (3,) a point near the leaf or its handle [m].
@@ -90,7 +90,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     ]
     candidates = [candidate for candidate in candidates if candidate.confidence >= _REPORTED]
     candidates.sort(key=lambda candidate: -candidate.confidence)
-    return [_detection(candidate, ground) for candidate in _drop_duplicates(candidates)]
+    return [_detection(candidate, rays, ground) for candidate in _drop_duplicates(candidates)]
 
 
 def _ground(view: View) -> float:
@@ -208,9 +208,9 @@ def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
     return kept
 
 
-def _detection(candidate: _Candidate, ground: float) -> Detection:
+def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
     leaf, frame, handle = candidate.leaf, candidate.frame, candidate.handle
-    hinge_at, free_at = _ends(leaf, frame, candidate.hinge)
+    hinge_at, free_at = find_ends(leaf, frame, candidate.hinge, rays, ground, USUAL_THICKNESS)
     width = abs(free_at - hinge_at)
     pose = np.eye(4)
     pose[:3, 0] = leaf.plane.along * (1.0 if free_at > hinge_at else -1.0)
@@ -228,11 +228,15 @@ def _detection(candidate: _Candidate, ground: float) -> Detection:
     if frame is not None:
         residuals["behind_wall"] = frame.depth
     if handle is not None:
-        along, direction = _pivot(handle, free_at, hinge_at)
+        (along, up), direction = _pivot(handle, free_at, hinge_at)
+        if handle.is_lever and handle.bar is not None:
+            far = handle.bar.ends[int(np.argmax(np.linalg.norm(handle.bar.ends - [along, up], axis=1)))]
+            sizes["handle_turn"] = float(np.arctan2(up - far[1], abs(along - far[0])))
+            sizes["handle_length"] = float(np.hypot(along - far[0], up - far[1])) + handle.bar.radius
         sizes["lever_direction"] = direction
         sizes["handle_x"] = abs(along - hinge_at)
         sizes["handle_y"] = side * handle.out
-        sizes["handle_z"] = float(handle.centre[1] - ground)
+        sizes["handle_z"] = float(up - ground)
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
     model = DoorModel(*_shut(candidate, pose, side, sizes, ground))
@@ -272,7 +276,9 @@ def _shut(
         handle = replace(handle, centre=handle.centre - [0.0, 0.0, _OVER_FLOOR])
     width, height = sizes["width"], sizes["height"] - _OVER_FLOOR
     ajar = sizes["ajar"] if is_ajar else 0.0
-    return DoorGeometry(pin, along, normal, face, width, height, thickness, opens, ajar, handle), shows_far_face
+    turn = sizes.get("handle_turn", 0.0) if handle is not None else 0.0
+    geometry = DoorGeometry(pin, along, normal, face, width, height, thickness, opens, ajar, handle, turn)
+    return geometry, shows_far_face
 
 
 def _handle_geometry(
@@ -284,15 +290,18 @@ def _handle_geometry(
 ) -> HandleGeometry:
     """Return the handle on the shut leaf, whose face begins at ``corner``."""
     centre = corner + sizes["handle_x"] * along + handle.out * normal + sizes["handle_z"] * UP
-    width, height = handle.high - handle.low
-    if handle.is_panic:
-        return HandleGeometry("push_bar", centre, along, float(width), 0.5 * min(float(height), 0.03), float(height))
+    bar = handle.bar
+    if bar is None:
+        width, height = handle.high - handle.low
+        # The measured extent leaves off 2 % at each end, and holds both housings.
+        length = float(width / 0.96) - 2.0 * HOUSING_HALF_WIDTH
+        return HandleGeometry("push_bar", centre, along, length, 0.5 * min(float(height), 0.03), float(height))
     if handle.is_lever:
         direction = along * sizes["lever_direction"]
-        return HandleGeometry("lever", centre, direction, float(width), float(0.5 * np.clip(height, 0.014, 0.024)))
+        return HandleGeometry("lever", centre, direction, sizes["handle_length"], bar.radius)
     if handle.is_pull:
-        return HandleGeometry("pull", centre, UP, float(height), float(0.5 * np.clip(width, 0.014, 0.036)))
-    return HandleGeometry("knob", centre, normal, 0.04, float(0.5 * max(width, height)))
+        return HandleGeometry("pull", centre, UP, bar.length, bar.radius)
+    return HandleGeometry("knob", centre, normal, _KNOB_DEPTH, bar.radius + 0.5 * bar.axis_length)
 
 
 def _opens(candidate: _Candidate) -> Opens | None:
@@ -308,36 +317,19 @@ def _opens(candidate: _Candidate) -> Opens | None:
     return "push" if not frame.hinge and frame.depth > _SURELY_RECESSED else None
 
 
-def _ends(leaf: Leaf, frame: Frame | None, hinge: int) -> tuple[float, float]:
-    """Return the positions of the leaf's hinge edge and free edge along its plane [m].
+def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.ndarray, "2"], float]:
+    """Return the pivot's place along the plane and up [m], and the lever's direction: -1 to the hinge, +1 away, 0 none.
 
-    A leaf that opens away is as wide as its opening.  A jamb hides one of its edges, mostly the hinge edge, or
-    continues that edge so that the leaf looks wider.
+    Of other handles it is their middle.
     """
-    ends = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
-    at, free = ends[0].at, ends[1].at
-    if frame is None or not frame.opens_away or np.isnan(frame.opening):
-        return at, free
-    missing = frame.opening - 2.0 * _GAP - leaf.width
-    if not -_MOST_MERGED < missing < _MOST_HIDDEN:
-        return at, free
-    if missing > 0.0 and ends[1].jump > _HIDES and ends[1].open_share < 0.6:
-        return at, free - hinge * missing
-    return at + hinge * missing, free
-
-
-def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[float, float]:
-    """Return the pivot's position along the plane [m] and the lever's direction: -1 to the hinge, +1 away, 0 none."""
-    if not handle.is_lever:
-        return float(handle.centre[0]), 0.0
+    bar = handle.bar
+    if not handle.is_lever or bar is None or handle.extensions is None:
+        return handle.centre, 0.0
     outwards = 1 if free_at > hinge_at else -1
-    near, far = (handle.high[0], handle.low[0]) if outwards > 0 else (handle.low[0], handle.high[0])
-    if handle.pivot_side == -outwards and abs(free_at - near) < _AT_EDGE:
-        return float(far + outwards * _END_RADIUS), 1.0
-    slack = handle.slack[1 if outwards > 0 else 0]
-    if slack < _SHORT_SLACK:
-        return float(near + outwards * (0.5 * slack - _END_RADIUS)), -1.0
-    # The usual pivot position, bounded by the last ray that met the lever and the first ray past it.
-    usual = free_at - outwards * _USUAL_BACKSET
-    reach = (near - outwards * _END_RADIUS, near + outwards * (slack - _END_RADIUS))
-    return float(np.clip(usual, min(reach), max(reach))), -1.0
+    end = 1 if outwards > 0 else 0
+    near, far = bar.ends[end], bar.ends[1 - end]
+    if handle.pivot_side == -outwards and abs(free_at - near[0]) < _AT_EDGE:
+        return far, 1.0
+    backset = abs(free_at - near[0]) - np.abs(bar.axis[0]) * EXTENSIONS
+    longer, _ = expect_extension(handle.extensions[end], -0.5 * ((backset - _USUAL_BACKSET) / _BACKSET_SPREAD) ** 2)
+    return near + longer * outwards * bar.axis, -1.0

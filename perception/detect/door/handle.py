@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from perception.detect.door.bar import Bar, NearRays, fit_bar, rate_extensions
 from perception.detect.door.bump import JAMB, Bump, DoorFace, find_bumps, rays_towards
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import Upright
@@ -18,7 +19,11 @@ _RING = 0.04
 _MOST_SLACK = 0.12
 _PULL_END = 0.1
 _FRONT = 0.75  # mean distance of a bar's returns in front of its centre line, in radii
-_THIN, _BAR, _KNOB = 0.005, 0.012, 0.016  # least and largest radii [m]
+_THIN, _BAR = 0.005, 0.012  # least and largest radius of a bar across a face [m]
+_START_RADIUS = 0.01
+_NEAR = 0.09
+_LEAST_BAR = 4.0  # length of a bar, in radii; shorter ones are knobs
+_STEEPEST_LEVER, _FLATTEST_PULL = np.radians(55.0), np.radians(65.0)
 
 
 @dataclass(frozen=True)
@@ -27,19 +32,22 @@ class Handle:
 
     Attributes:
         low, high: (2,) corners along the plane and up [m].
+        bar: the round bar of greatest likelihood; None of a bar across the face.
         out: distance of its bar's centre line from the face [m].
-        is_lever: wider than high.
+        is_lever: a bar that is level or inclined.
         is_pull: a bar much higher than wide.
         is_panic: a bar across most of the face.
         evidence: log odds of its rays against the bare face, minus those that noise alone reaches.
         purity: share of the rays through its rectangle that met it.
         alone: share of the rays just beside it that met the face behind; of a pull, also above and below it.
         pivot_side: end of a lever, -1 or 1, near which a neck or rose was seen; else 0.
+        extensions: (2, E) log likelihoods that the bar's first and second end lie further out by ``bar.EXTENSIONS``.
         slack: (2,) length by which it may extend unseen beyond its low and high end along the plane [m].
     """
 
     low: Float[np.ndarray, "2"]
     high: Float[np.ndarray, "2"]
+    bar: Bar | None
     out: float
     is_lever: bool
     is_pull: bool
@@ -49,11 +57,17 @@ class Handle:
     alone: float
     pivot_side: int
     slack: tuple[float, float]
+    extensions: Float[np.ndarray, "2 E"] | None = None
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
         """(2,) centre of its rectangle along the plane and up [m]."""
         return np.asarray(0.5 * (self.low + self.high))
+
+    @property
+    def front(self) -> float:
+        """Distance of its near side from the face, where most rays met it [m]."""
+        return self.out + _FRONT * (_BAR if self.bar is None else self.bar.radius)
 
     @property
     def quality(self) -> float:
@@ -62,8 +76,8 @@ class Handle:
             np.clip(self.evidence / 30.0, 0.0, 1.0)
             * np.clip((self.purity - 0.4) / 0.25, 0.0, 1.0)
             * np.clip((self.alone - 0.5) / 0.25, 0.0, 1.0)
-            * np.clip((self.out - 0.022) / 0.008, 0.0, 1.0)
-            * np.clip((0.094 - self.out) / 0.006, 0.0, 1.0)
+            * np.clip((self.front - 0.031) / 0.008, 0.0, 1.0)
+            * np.clip((0.103 - self.front) / 0.006, 0.0, 1.0)
         )
 
 
@@ -118,27 +132,61 @@ class _Seen:
 def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
     """Return the handle at a bump: its extent, standoff and surroundings, measured by the rays towards it."""
     seen = _look_at(face, rays, bump)
-    width, height = seen.size
-    is_panic = bool(width > 0.4 * face.width)
-    is_lever = bool(not is_panic and width > 0.065 and width > 1.6 * height)
-    is_pull = bool(height > 0.12 and height > 2.0 * width)
-    radius = float(np.clip(0.5 * seen.size.min(), _THIN, _BAR if is_panic or is_lever or is_pull else _KNOB))
+    if seen.size[0] > 0.4 * face.width:
+        return _measure_panic(face, rays, bump, seen)
+    near = _near_rays(face, rays, seen)
+    bar = fit_bar(near, _first_bar(seen))
+    is_long = bar.length > _LEAST_BAR * bar.radius
+    is_lever = bool(is_long and bar.length > 0.065 and bar.tilt < _STEEPEST_LEVER)
+    is_pull = bool(is_long and bar.length > 0.12 and bar.tilt > _FLATTEST_PULL)
+    half = 0.5 * bar.axis_length * np.abs(bar.axis) + bar.radius
+    inside = bar.reached_by(near)[0] < -0.3 * bar.radius
+    met = near.out > 0.5 * bar.out
+    return Handle(
+        bar.middle - half,
+        bar.middle + half,
+        bar,
+        bar.out,
+        is_lever,
+        is_pull,
+        False,
+        bump.evidence,
+        float(np.mean(met[inside])) if inside.any() else 0.0,
+        _free_share(face, seen, bar, near, is_pull),
+        _neck_side(face, seen, bar) if is_lever else 0,
+        _slack(face, seen, bar),
+        rate_extensions(near, bar),
+    )
+
+
+def _measure_panic(face: DoorFace, rays: Rays, bump: Bump, seen: _Seen) -> Handle:
+    """Return the bar across a face at a bump."""
+    radius = float(np.clip(0.5 * seen.size.min(), _THIN, _BAR))
     middle = seen.out - _FRONT * radius
     low, high = _ends(seen, rays.crossing(face.plane, middle)[0])
     inside = seen.within(0.0)
-    return Handle(
-        low,
-        high,
-        middle,
-        is_lever,
-        is_pull,
-        is_panic,
-        bump.evidence,
-        float(np.mean(seen.vote[inside] > 0.0)) if inside.any() else 0.0,
-        _free_share(face, seen, is_pull),
-        _neck_side(face, seen) if is_lever else 0,
-        _slack(face, seen),
-    )
+    purity = float(np.mean(seen.vote[inside] > 0.0)) if inside.any() else 0.0
+    on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
+    beside = seen.within(_RING) & ~seen.within(_ABOUT)
+    alone = float(np.mean(on_face[beside])) if beside.any() else 0.0
+    return Handle(low, high, None, middle, False, False, True, bump.evidence, purity, alone, 0, (0.0, 0.0))
+
+
+def _first_bar(seen: _Seen) -> Bar:
+    """Return a bar along the rays that met a bump, or else along its rectangle."""
+    places = seen.at[seen.met] if seen.met.sum() >= _FEWEST else np.stack([seen.low, seen.high])
+    middle = places.mean(axis=0)
+    axis = np.linalg.eigh(np.cov((places - middle).T))[1][:, 1]
+    low, high = np.percentile((places - middle) @ axis, [3.0, 97.0])
+    inset = min(_START_RADIUS, 0.45 * float(high - low))
+    ends = middle + np.outer([low + inset, high - inset], axis)
+    return Bar(ends, max(seen.out - _FRONT * _START_RADIUS, _OUT[0]), _START_RADIUS, 0.0)
+
+
+def _near_rays(face: DoorFace, rays: Rays, seen: _Seen) -> NearRays:
+    """Return the rays that count as evidence within ``_NEAR`` of a bump's rectangle, in the face's coordinates."""
+    chosen = np.flatnonzero(seen.mine)[seen.within(_NEAR)]
+    return NearRays.of(face.plane.local(rays.starts[chosen]), face.plane.local(rays.ends[chosen]), face.sigma)
 
 
 def _look_at(face: DoorFace, rays: Rays, bump: Bump) -> _Seen:
@@ -174,39 +222,47 @@ def _ends(seen: _Seen, at: Float[np.ndarray, "R 2"]) -> tuple[Float[np.ndarray, 
     return _corners(at[seen.mine][seen.met]) if seen.met.sum() >= _FEWEST else (seen.low, seen.high)
 
 
-def _free_share(face: DoorFace, seen: _Seen, is_pull: bool) -> float:
-    """Return the share of the rays beside a bump that met the face; low for a pipe, which continues up and down."""
-    on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
-    beside = [seen.within(_RING) & ~seen.within(_ABOUT)]
+def _free_share(face: DoorFace, seen: _Seen, bar: Bar, near: NearRays, is_pull: bool) -> float:
+    """Return the share of the rays beside a bar that met the face; low for a pipe, which continues up and down."""
+    limit = max(2.5 * face.sigma, 0.02)
+    outside = bar.reached_by(near)[0]
+    ring = np.abs(near.out[(outside > _ABOUT) & (outside < _RING)]) < limit
+    beside = [ring]
     if is_pull:
-        column = (seen.at[:, 0] > seen.low[0]) & (seen.at[:, 0] < seen.high[0])
-        beside += [
-            column & (seen.at[:, 1] > end) & (seen.at[:, 1] < end + _PULL_END)
-            for end in (seen.low[1] - _ABOUT - _PULL_END, seen.high[1] + _ABOUT)
-        ]
-    return min(float(np.mean(on_face[side])) if side.any() else 0.0 for side in beside)
+        column = np.abs(seen.at[:, 0] - bar.middle[0]) < bar.radius
+        half = 0.5 * bar.length
+        for end in (bar.middle[1] - half - _ABOUT - _PULL_END, bar.middle[1] + half + _ABOUT):
+            mine = column & (seen.at[:, 1] > end) & (seen.at[:, 1] < end + _PULL_END)
+            beside.append(np.abs(seen.depth[mine]) < limit)
+    return min(float(np.mean(side)) if len(side) else 0.0 for side in beside)
 
 
-def _slack(face: DoorFace, seen: _Seen) -> tuple[float, float]:
+def _in_bar(bar: Bar, places: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "K 2"]:
+    """Return (K, 2) coordinates from the bar's middle, along its axis and across it [m]."""
+    across = np.array([-bar.axis[1], bar.axis[0]])
+    return np.asarray((places - bar.middle) @ np.stack([bar.axis, across]).T)
+
+
+def _slack(face: DoorFace, seen: _Seen, bar: Bar) -> tuple[float, float]:
     """Return the gap from the low and the high end to the first ray past it, or to the face's edge [m]."""
-    middle, half = 0.5 * (seen.low[1] + seen.high[1]), max(0.35 * seen.size[1], 0.005)
-    past = seen.at[(seen.vote < 0.0) & (np.abs(seen.at[:, 1] - middle) < half), 0]
-    below, above = seen.low[0] - past[past < seen.low[0]], past[past > seen.high[0]] - seen.high[0]
-    most = np.clip([seen.low[0] - face.low - JAMB, face.high - seen.high[0] - JAMB], 0.0, _MOST_SLACK)
+    half, radius = 0.5 * bar.length, max(0.7 * bar.radius, 0.005)
+    along, across = _in_bar(bar, seen.at[seen.vote < 0.0]).T
+    past = along[np.abs(across) < radius]
+    below, above = -half - past[past < -half], past[past > half] - half
+    room = [bar.middle[0] - half - face.low - JAMB, face.high - bar.middle[0] - half - JAMB]
+    most = np.clip(np.array(room), 0.0, _MOST_SLACK)
     return (
         float(min(below.min(initial=_MOST_SLACK), most[0])),
         float(min(above.min(initial=_MOST_SLACK), most[1])),
     )
 
 
-def _neck_side(face: DoorFace, seen: _Seen) -> int:
+def _neck_side(face: DoorFace, seen: _Seen, bar: Bar) -> int:
     """Return the end, -1 or 1, near which more rays ended between bar and face (the neck); 0 when unclear."""
-    middle = 0.5 * (seen.low + seen.high)
-    along, up = seen.at.T
-    about = (np.abs(up - middle[1]) < 0.035) & (along > seen.low[0] - 0.03) & (along < seen.high[0] + 0.03)
+    along, across = _in_bar(bar, seen.at).T
+    about = (np.abs(across) < 0.035) & (np.abs(along) < 0.5 * bar.length + 0.03)
     between = about & (seen.depth > 2.0 * face.sigma) & (seen.depth < seen.out - 1.5 * face.sigma)
-    side = np.sign(along - middle[0])
-    right, left = int((between & (side > 0)).sum()), int((between & (side < 0)).sum())
+    right, left = int((between & (along > 0)).sum()), int((between & (along < 0)).sum())
     if max(left, right) < 5 or max(left, right) < 2.5 * min(left, right):
         return 0
     return 1 if right > left else -1

@@ -15,6 +15,7 @@ from perception.errors import PerceptionError
 
 USUAL_THICKNESS = 0.045
 _BESIDE = 0.012
+_INSIDE = 0.015
 _NOISE = 0.03
 _ABOUT_HANDLE = 0.03
 
@@ -33,6 +34,22 @@ class DoorModel:
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
         """Return (N,) points on leaf and handle where they were seen; no part of a door stays in the scene."""
         return door_points(self.geometry, points), ()
+
+    def see_past(
+        self, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], /
+    ) -> Float[np.ndarray, "R 3"]:
+        """Return the ends, those on leaf and handle moved to the back of the leaf, both as seen and shut.
+
+        Otherwise a wall whose face is flush with the leaf would continue through the doorway.
+        """
+        own = door_points(self.geometry, ends)
+        begin, end = np.broadcast_to(starts, ends.shape)[own], ends[own]
+        share = np.ones(len(end))
+        for geometry in (self.geometry, replace(self.geometry, ajar=0.0)):
+            share = np.maximum(share, _leaving(geometry, begin, end))
+        moved = ends.copy()
+        moved[own] = begin + share[:, None] * (end - begin)
+        return moved
 
 
 def read_door(detection: Detection) -> DoorGeometry:
@@ -58,7 +75,7 @@ def choose_opening(geometry: DoorGeometry, opens: Opens) -> DoorGeometry:
 
 def door_points(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
     """Return (N,) points within the noise of leaf and handle, in the pose in which the leaf was seen."""
-    x, out, up = _in_shut_door(geometry, points).T
+    x, out, up = _in_leaf(geometry, points).T
     back = geometry.face - geometry.thickness
     # Points beside the leaf are its frame.
     own = (x > -_BESIDE) & (x < geometry.width + _BESIDE) & (up < geometry.height + _BESIDE)
@@ -67,7 +84,7 @@ def door_points(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Boo
     if handle is None:
         return np.asarray(own)
     # The box of a lever holds every angle of it.
-    centre = _in_shut_door(replace(geometry, ajar=0.0), handle.centre[None])[0]
+    centre = _in_leaf(replace(geometry, ajar=0.0), handle.centre[None])[0]
     reach = handle.length if handle.kind == "lever" else 0.5 * handle.length
     half = np.abs([handle.direction @ geometry.along, 0.0, handle.direction @ UP]) * reach
     half = np.maximum(half, max(handle.radius, HOUSING_HALF_HEIGHT))
@@ -78,7 +95,22 @@ def door_points(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Boo
     return np.asarray(own | near)
 
 
-def _in_shut_door(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+def _leaving(
+    geometry: DoorGeometry, starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"]
+) -> Float[np.ndarray, "R"]:
+    """Return the share of each ray's length at which it leaves the leaf at its back; 1 if it does not cross it."""
+    begin, end = (_in_leaf(geometry, points) for points in (starts, ends))
+    sign = np.sign(begin[:, 1] - geometry.face)
+    back = np.where(sign < 0.0, geometry.face, geometry.face - geometry.thickness)
+    fall = begin[:, 1] - end[:, 1]
+    crosses = fall * sign > 1e-6
+    share = np.where(crosses, (begin[:, 1] - back) / np.where(crosses, fall, 1.0), 1.0)
+    x, _, up = (begin + share[:, None] * (end - begin)).T
+    inside = (x > _INSIDE) & (x < geometry.width - _INSIDE) & (up > _INSIDE) & (up < geometry.height - _INSIDE)
+    return np.asarray(np.where(crosses & inside, share, 1.0))
+
+
+def _in_leaf(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
     """Return (N, 3) coordinates from the hinge along the leaf, along its normal, and up, in the seen leaf's frame."""
     away = points - geometry.hinge
     c, s = np.cos(geometry.ajar), np.sin(geometry.ajar)

@@ -22,6 +22,12 @@ class Model(Protocol):
         """Return the mask of points (N, 3) on the object, and pieces of its parts that stay in the scene."""
         ...
 
+    def see_past(
+        self, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], /
+    ) -> Float[np.ndarray, "R 3"]:
+        """Return the ends of rays, moved on through space that is free once the object is away [m]."""
+        ...
+
 
 @dataclass(frozen=True)
 class Detection:

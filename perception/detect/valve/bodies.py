@@ -79,6 +79,12 @@ class ValveDetection:
         own[~own] = stem_points(self, stem, points[~own])
         return own, (stem,)
 
+    def see_past(
+        self, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], /
+    ) -> Float[np.ndarray, "R 3"]:
+        """Return the ends as they are: a wheel hides nothing that matters."""
+        return ends
+
 
 def select_wheels(detections: Iterable[Detection]) -> tuple[ValveDetection, ...]:
     """Return the wheel valves among detections, in their order."""

@@ -1,0 +1,147 @@
+"""Hinge edge and free edge of a leaf, from its own edges, its wall and the opening in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.detect.door.frame import Frame
+from perception.detect.door.leaf import Leaf
+from perception.detect.door.profile import BAND, Rays
+from perception.detect.door.upright import Upright
+
+GAP = 0.004
+_REVEAL = 0.004  # between a casing's inner edge and the opening
+_CASING = (0.006, 0.05)  # height of a casing over a leaf flush with the wall
+_RECESSED = 0.025
+_FLUSH = 0.012
+_ASIDE = 0.07
+_CLEAR = 0.03
+_FEWEST = 8
+_FEWEST_ON_SIDE = 15
+_SCATTER = 0.01
+_OFF_WALL, _BEFORE_LEAF = 0.015, 0.6
+_MOST_ON_WALL = 0.04
+_LEAST_STEEP = np.radians(5.0)
+
+
+def find_ends(
+    leaf: Leaf, frame: Frame | None, hinge: int, rays: Rays, ground: float, thickness: float
+) -> tuple[float, float]:
+    """Return the positions of the leaf's hinge edge and free edge along its plane [m].
+
+    Args:
+        hinge: side of the hinges, -1 low or 1 high.
+        thickness: of the leaf [m].
+    """
+    edges = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
+    at, free = edges[0].at, edges[1].at
+    if frame is None:
+        return at, free
+    is_ajar = frame.hinge != 0
+    if frame.opens_away or (not is_ajar and frame.depth > _RECESSED):
+        return _ends_in_opening(leaf, frame, (at, free), rays, ground, thickness if is_ajar else 0.0)
+    if not is_ajar:
+        ends = [
+            edge.at + side * (GAP + _REVEAL) if _CASING[0] < edge.jump < _CASING[1] else edge.at
+            for edge, side in zip(edges, (-hinge, hinge), strict=True)
+        ]
+        return ends[0], ends[1]
+    seen = find_step(leaf.plane, rays, free, -hinge, ground, 2.5 * leaf.rms)
+    return _hinge_in_wall(leaf, frame, at, hinge), free if np.isnan(seen) else seen
+
+
+def _hinge_in_wall(leaf: Leaf, frame: Frame, at: float, hinge: int) -> float:
+    """Return the position of the hinge edge of a leaf that opens towards the sensor [m].
+
+    A casing continues the leaf beyond its edge.  Where the leaf, when shut, is flush with the wall, its face meets the
+    wall's face at the hinge.
+    """
+    usual = at - hinge * (GAP + _REVEAL)
+    wall = frame.plane.local(np.stack([leaf.plane.place(usual), leaf.plane.place(usual - hinge * 0.1)]))[:, 2]
+    rise = float(wall[1] - wall[0]) / 0.1
+    if abs(wall[0]) > _FLUSH + 0.01 * abs(rise) or frame.ajar < _LEAST_STEEP:
+        return usual
+    meets = usual + hinge * float(wall[0]) / rise
+    # Both estimates with their variances: the casing's reveal varies, and the leaf may stand back by some millimetres.
+    weight = (0.004 / 0.002) ** 2 * rise**2
+    return float((usual + weight * meets) / (1.0 + weight))
+
+
+def _ends_in_opening(
+    leaf: Leaf, frame: Frame, ends: tuple[float, float], rays: Rays, ground: float, behind: float
+) -> tuple[float, float]:
+    """Return the ends of a leaf behind its wall's face, from the jambs that limit the opening [m].
+
+    Args:
+        ends: of the seen part of the leaf [m].
+        behind: distance of the hinge axis behind the leaf's face [m].
+    """
+    places = np.stack([leaf.plane.place(end, 0.0, -behind) for end in ends])
+    wall = frame.plane.local(places)[:, 0]
+    outwards = 1 if wall[0] > wall[1] else -1
+    width = abs(ends[1] - ends[0])
+    depth = max(frame.depth, 0.0)
+    hinge_jamb = _find_jamb(frame.plane, rays, float(wall[0]), outwards, ground, depth)
+    if np.isnan(hinge_jamb):
+        return ends
+    pin = hinge_jamb - outwards * GAP
+    free_jamb = _find_jamb(frame.plane, rays, pin - outwards * width, -outwards, ground, depth)
+    share = (pin - wall[0]) / (wall[1] - wall[0])
+    at = ends[0] + float(share) * (ends[1] - ends[0])
+    if np.isnan(free_jamb):
+        return at, ends[1]
+    return at, at + float(np.sign(ends[1] - ends[0])) * (abs(free_jamb - pin) - GAP)
+
+
+def _find_jamb(plane: Upright, rays: Rays, near: float, outwards: int, ground: float, depth: float) -> float:
+    """Return the position along a wall of an opening's jamb near ``near`` [m]; NaN where it was not seen.
+
+    Args:
+        outwards: direction along the wall out of the opening, -1 or 1.
+        depth: of the leaf behind the wall [m].
+    """
+    step = find_step(plane, rays, near, outwards, ground, -min(_CLEAR, 0.5 * depth), is_wall=True)
+    # Rays that end on the jamb's side, between wall and leaf, show it best; they cross the wall's plane inside of it.
+    local = plane.local(rays.ends)
+    on_side = (local[:, 2] < -_OFF_WALL) & (local[:, 2] > -_BEFORE_LEAF * depth) & (np.abs(local[:, 0] - near) < _ASIDE)
+    on_side &= (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
+    if on_side.sum() < _FEWEST_ON_SIDE:
+        return step
+    middle = float(np.median(local[on_side, 0]))
+    is_side = 1.4826 * float(np.median(np.abs(local[on_side, 0] - middle))) < _SCATTER
+    return middle if is_side else step
+
+
+def find_step(
+    plane: Upright, rays: Rays, near: float, outwards: int, ground: float, limit: float, *, is_wall: bool = False
+) -> float:
+    """Return the position along a plane, near ``near``, where rays change from ending on it to passing it [m].
+
+    NaN where too few rays show it.
+
+    Args:
+        outwards: direction along the plane out of the face, or out of the opening in a wall, -1 or 1.
+        limit: rays that end further behind the plane pass it; of a wall, the height of its face over that end [m].
+        is_wall: whether the plane lies outside of the step, not inside.
+    """
+    at, out, heading = rays.crossing(plane)
+    mine = heading & (np.abs(at[:, 0] - near) < _ASIDE) & (out < _MOST_ON_WALL)
+    mine &= (at[:, 1] > ground + BAND[0]) & (at[:, 1] < ground + BAND[1])
+    on = out[mine] > (limit if is_wall else -limit)
+    if min(on.sum(), (~on).sum()) < _FEWEST:
+        return float("nan")
+    place = (at[mine, 0] - near) * outwards
+    order = np.argsort(place, kind="stable")
+    place, inside = place[order], (on ^ is_wall)[order]
+    total = np.cumsum(np.where(inside, 1.0, -1.0))
+    best = int(np.argmax(total))
+    if best + 1 >= len(place) or best == 0:
+        return float("nan")
+    return near + outwards * float(_middle(place, total, best))
+
+
+def _middle(place: Float[np.ndarray, "K"], total: Float[np.ndarray, "K"], best: int) -> float:
+    """Return the middle of the stretch over which the step is about equally likely."""
+    likely = np.flatnonzero(total > total[best] - 0.5)
+    return 0.5 * float(place[likely[0]] + place[min(likely[-1] + 1, len(place) - 1)])
