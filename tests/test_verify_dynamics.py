@@ -12,7 +12,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.verify import Motion, Phase, PlantedContact
-from service.verify.dynamics import compute_forces, list_sample_times
+from service.verify.forces.dynamics import compute_forces, list_sample_times
 from service.verify.timeline import find_time, find_times
 
 FEET = ("l_foot", "r_foot")

@@ -15,7 +15,7 @@ from benchmarks.stances import UP, foot, make_contacts, random_load, random_stan
 from costs.contact import GRAVITY, WorldContacts
 from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.static_region import StaticRegionError, find_static_region
-from service.verify.equilibrium import (
+from service.verify.forces.equilibrium import (
     EquilibriumProof,
     RecordedRegion,
     list_slid_loads,

@@ -13,7 +13,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
 from service.verify import Basis, Check, Motion, Phase, PlantedContact, SupportPolygon, VerifySettings
-from service.verify.dynamics import check_dynamics, compute_forces, list_sample_times
+from service.verify.forces.dynamics import check_dynamics, compute_forces, list_sample_times
 from service.verify.prepared_motion import PreparedMotion
 
 G, MASS, HEIGHT = 9.81, 7.0, 0.05

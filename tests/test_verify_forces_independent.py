@@ -12,7 +12,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.verify import Motion, Phase, SupportPolygon, VerifySettings
-from service.verify.dynamics import check_dynamics, compute_forces, list_sample_times
+from service.verify.forces.dynamics import check_dynamics, compute_forces, list_sample_times
 from service.verify.prepared_motion import PreparedMotion
 
 # Error of the differences [m] (forces of some 1,500 N to 0.02 N, moments to 0.02 Nm).
