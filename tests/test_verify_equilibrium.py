@@ -111,6 +111,16 @@ def test_a_contact_that_pulls_is_refuted(honest):
     assert "outside its friction cone" in proof.text
 
 
+def test_a_smooth_contact_that_pulls_is_refuted():
+    smooth = WorldContacts(FEET.points, FEET.normals, np.zeros(8), FEET.caps)
+    region = record(smooth, find_static_region(smooth, MASS))
+    assert prove_equilibrium(region, MASS, LOADS[1:]).is_proven
+    region.witnesses[0, 0, [0, 3], 2] -= 10.0
+    region.witnesses[0, 0, [1, 2], 2] += 10.0
+    proof = refute(region, loads=LOADS[1:])
+    assert proof.cone_n == pytest.approx(10.0)
+
+
 def test_a_witness_over_its_cap_is_refuted(honest):
     proof = refute(replace(honest, caps=np.append(honest.caps[:8], 90.0)))
     assert proof.cap_n == pytest.approx(10.0, abs=1e-3)
@@ -156,6 +166,8 @@ def test_a_region_without_yaw_moments_is_refuted_under_drift(honest, drifting):
 
 def test_a_region_of_upright_normals_is_refuted_under_tilt(honest):
     proof = refute(honest, GRAVITY, 0.0, 0.02)
+    assert proof.cone_n > 0.1  # a hand at 100 N on the edge of its cone
+    assert proof.cap_n > 0.1
     assert "friction cone" in proof.text or "over its cap" in proof.text
 
 
