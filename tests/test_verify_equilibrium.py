@@ -54,7 +54,7 @@ def drifting() -> RecordedRegion:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_regions_of_random_stances_are_proven(seed):
     rng = np.random.default_rng(seed)
     contacts, mass = random_stance(rng)
@@ -247,6 +247,7 @@ def random_mechanism(rng):
 
 
 @given(seed=st.integers(0, 10_000), first=st.floats(-3.0, 3.0), span=st.floats(-6.5, 6.5))
+@settings(max_examples=30)
 def test_loads_of_a_turn_contain_the_arc_and_lie_within_the_planners(seed, first, span):
     rng = np.random.default_rng(seed)
     force, point, axis, origin = random_mechanism(rng)
