@@ -275,8 +275,8 @@ class _Search:
         moment = (wrench[3:] - np.cross(self._origin, wrench[:3])) / self.weight
         self._offset = np.array([-moment[1], moment[0]])
         self._target = np.array([-force[0], -force[1], 1.0 - force[2], -moment[2]])
-        rows = np.arange(4, dtype=np.int32)
-        self._solver.changeRowsBounds(4, rows, self._target, self._target)
+        for row, value in enumerate(self._target):
+            self._solver.changeRowBounds(row, value, value)
 
     def _find_farthest(
         self, direction: Float[np.ndarray, "2"], index: int
