@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -68,9 +69,38 @@ def plan_regions(
     regions = []
     for first, last in _split_stretches(robot, values):
         wrenches = _list_wrenches(robot, loads, values[[first, last]], q)
-        region = find_static_region(ground, mass, wrenches, drift, tilt)
+        region = _find_region(_Question(ground, mass, wrenches, drift, tilt))
         regions.append(PlannedRegion(first, last, region, region.shift_m * feet_drift / drift + hands))
     return tuple(regions)
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """Arguments of a region, compared by their numbers: the same stretch is asked for many times."""
+
+    ground: WorldContacts
+    mass: float
+    wrenches: Float[np.ndarray, "W 6"]
+    drift: float
+    tilt: float
+
+    @cached_property
+    def key(self) -> tuple[object, ...]:
+        """Everything that decides the answer."""
+        ground = self.ground
+        arrays = (ground.points, ground.normals, ground.friction, ground.caps, self.wrenches)
+        return (self.mass, self.drift, self.tilt, *(array.tobytes() for array in arrays))
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Question) and self.key == other.key
+
+
+@lru_cache(maxsize=256)
+def _find_region(question: _Question) -> StaticRegion:
+    return find_static_region(question.ground, question.mass, question.wrenches, question.drift, question.tilt)
 
 
 def _split_stretches(robot: RobotModel, values: Float[np.ndarray, "T k"]) -> list[tuple[int, int]]:

@@ -1,8 +1,9 @@
 """Time law of a curve: as fast as its limits of speed, acceleration, torque and ZMP allow.
 
 Forces and peaks are the verifier's own (``compute_forces`` of ``service.verify.forces.dynamics``,
-``measure_timed_peaks`` of ``service.verify.limits``): a mistake in them would affect law and check alike.  The certificate's ZMP, torques and
-peaks are therefore no independent check of the timing; the tests compare them with figures computed by other means.
+``measure_timed_peaks`` of ``service.verify.limits``): a mistake in them would affect law and check alike.  The
+certificate's ZMP, torques and peaks are therefore no independent check of the timing; the tests compare them with
+figures computed by other means.
 """
 
 from __future__ import annotations
