@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
@@ -20,11 +20,12 @@ from costs.terms import (
     CentreOfMassAt,
     CentreOfMassInPolygon,
     FramePose,
+    Joined,
     JointDifference,
     JointTarget,
     SweptClearance,
 )
-from scopt import Constraint, Cost, Problem, Sense
+from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.holds import DRIFT, Hold, KeptPose, project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.demands.stance import BALANCE_RESERVE, make_standing_allowances
@@ -212,15 +213,12 @@ class WholeBody:
         standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
         if self.polygon is not None:
             margin = self.aims.balance_margin + BALANCE_RESERVE
-            inside = [CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)]
+            inside: Residual[MotionState] = CentreOfMassInPolygon(
+                self.polygon, everywhere if balanced is None else balanced, margin
+            )
             if regions:
-                inside = [
-                    CentreOfMassInPolygon(
-                        loaded.region.polygon, everywhere[loaded.first : loaded.last + 1], margin + loaded.shift_m
-                    )
-                    for loaded in regions
-                ]
-            standing += [Constraint("balance", term, tolerance=0.5 * BALANCE_RESERVE, unit="m") for term in inside]
+                inside = Joined([_keep_in_region(planned, everywhere, margin) for planned in regions])
+            standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
         for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
             acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
             clearance = SweptClearance(self.robot, is_self=is_self)
@@ -301,3 +299,9 @@ class WholeBody:
             return ()
         middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
         return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
+
+
+def _keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
+    """Return the distance of the centre of mass outside a region, at the waypoints of its stretch [m]."""
+    waypoints = everywhere[planned.first : planned.last + 1]
+    return CentreOfMassInPolygon(planned.region.polygon, waypoints, margin + planned.shift_m)

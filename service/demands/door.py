@@ -31,7 +31,8 @@ TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
 LINE_WAYPOINTS = 5
 HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(25.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
-PEG_LEAN, LEAN_TILT = np.deg2rad(18.0), np.deg2rad(8.0)  # of the peg behind a lever
+PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
+ABOVE_LEVER = 3e-3  # of the hand's front, which leans [m]
 PEG_ACROSS = np.deg2rad(40.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
@@ -364,7 +365,7 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
         return HandleHold(door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches)
     # The peg hangs behind the lever, leaning so that the hand keeps off the leaf; its front rests on the lever.
     axis = -np.cos(PEG_LEAN) * UP - np.sin(PEG_LEAN) * normal
-    place = at_grip - peg / np.cos(PEG_LEAN) * normal + (radius + peg * np.tan(PEG_LEAN)) * UP
+    place = at_grip - peg / np.cos(PEG_LEAN) * normal + (radius + peg * np.tan(PEG_LEAN) + ABOVE_LEVER) * UP
     offset = -(LINE_OUT + choice.peg_m) * axis
     return HandleHold(door, hand.stub, place, at_grip, axis, offset, float(LEAN_TILT), touches)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,7 @@ from service.verify import Motion
 ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
 LEAST_FIRST = np.deg2rad(10.0)  # opening at the handle that is worth a regrasp
 MOST_TRIES = 4  # of smaller angles at the handle
+QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}  # of a pose that shows how far it opens
 HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
 PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
@@ -190,7 +192,8 @@ class DoorOpening:
         """Solve for the pose at the end of the choice's last opening."""
         specs = make_door_phases(self.door, choice, self.reach_waypoints)
         spec = next(spec for spec in reversed(specs) if spec.is_anchor)
-        sequence = replace(self._sequence(choice), solver=replace(self.solver, most_starts=2))
+        solver = replace(self.solver, most_starts=2).with_settings(**QUICK_EFFORT)
+        sequence = replace(self._sequence(choice), solver=solver)
         with self.solver.monitor.step(HOW_FAR, 0.05):
             return sequence.solve_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
 
