@@ -106,8 +106,10 @@ class Loads:
 
         Raises:
             KeyError: the robot has no such link.
-            ValueError: the robot has no mass.
+            ValueError: the robot has no mass, or a load is on a link of a mechanism.
         """
+        for load in loads:
+            _refuse_mechanism(robot, load.link, f"load on {load.link}")
         weight = measure_weight(robot)
         points, force, moment = (
             np.array([getattr(load, name) for load in loads], dtype=float).reshape(-1, 3)
@@ -157,7 +159,8 @@ class ContactPoints:
 
         Raises:
             KeyError: the robot has no such link.
-            ValueError: the robot has no mass, or a normal in the world is zero.
+            ValueError: the robot has no mass, a normal in the world is zero, or a contact is not one of the robot's links
+                with the world or with a mechanism's link.
         """
         weight = measure_weight(robot)
         fixed = {} if world_normals is None else world_normals
@@ -169,12 +172,19 @@ class ContactPoints:
         reference = np.zeros(len(which), dtype=int)
         for k, contact in enumerate(contacts):
             rows = which == k
+            _refuse_mechanism(robot, contact.link, f"contact of {contact.link}")
             if k in fixed:
                 normal[rows] = fixed[k]
             else:
                 joint[rows], pose = locate_frame(robot, contact.link)
                 normal[rows] = np.asarray(contact.normals) @ pose[:3, :3].T
             if contact.reference is not None:
+                if contact.reference not in robot.mechanism_links:
+                    known = ", ".join(sorted(robot.mechanism_links)) or "none"
+                    raise ValueError(
+                        f"contact of {contact.link}: reference '{contact.reference}' is no link of a mechanism; "
+                        f"mechanism links: {known}"
+                    )
                 reference[rows] = locate_frame(robot, contact.reference)[0]
         length = np.linalg.norm(normal, axis=1)
         if not (length > 0.0).all():
@@ -218,3 +228,9 @@ def _lean(normal: Float[np.ndarray, "C 3"], side: Float[np.ndarray, "#C 3"]) -> 
     across = side - np.einsum("ck,ck->c", normal, np.broadcast_to(side, normal.shape))[:, None] * normal
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.where(length > 1e-6, across / np.maximum(length, 1e-6), tangent)
+
+
+def _refuse_mechanism(robot: RobotModel, link: str, what: str) -> None:
+    """Refuse a link of a mechanism where one of the robot is needed."""
+    if link in robot.mechanism_links:
+        raise ValueError(f"{what}: {link} belongs to a mechanism; name the robot's link")

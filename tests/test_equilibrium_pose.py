@@ -1,13 +1,15 @@
 """Poses in equilibrium: forces against inverse dynamics, limits, loads, mechanisms, and what is said of failures."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tiny_robots import atlas, atlas_with_wheel
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation
+from tiny_robots import SPATIAL, atlas, atlas_with_wheel, chain
 
 from costs.contact import Contact, WorldContacts
 from costs.contact_points import ContactPoints, Load, measure_weight
@@ -259,6 +261,75 @@ def test_forces_exist_where_the_static_region_says_so(seed):
         assert reserve < 0.0
         return
     assert bool(region.contains(body.engine(q[None]).com[:, :2])[0]) == (reserve > 0.0)
+
+
+def test_torque_leaves_the_reserve_of_forces_alone():
+    pose = lean_on_bar(torque_share=None)
+    body = stand()
+    rows = ForceRows.at(body.engine, pose.q, pose.points)
+    least, forces = rows.spread_torque()
+    assert rows.measure_shares(forces).max() == pytest.approx(least)
+    assert least == pytest.approx(pose.least_torque_share)
+    assert rows.find_least(least - 1e-4) is None
+    assert rows.find_least(least + 1e-4) is not None
+    (A, a), (U, u), (E, e) = rows.inside, rows.used, rows.balance
+    share = least + 0.02
+    inequalities = np.block([[A, rows.length[:, None]], [U, np.zeros((len(U), 1))], [-U, np.zeros((len(U), 1))]])
+    reference = linprog(
+        [0.0] * A.shape[1] + [-1.0], inequalities, np.concatenate([-a, share - u, share + u]),
+        np.column_stack([E, 0.0 * e]), -e, bounds=(None, None),
+    )  # fmt: skip
+    assert rows.measure_reserve(share) == pytest.approx(-rows.weight_n * reference.fun, abs=1e-3)
+    assert rows.measure_reserve(share) < rows.measure_reserve(None) - 1.0
+
+
+def test_a_smooth_contact_takes_no_reserve_away():
+    body = stand()
+    wall = Contact("l_tool", TIP, UP[None], 0.0, 400.0)
+    contacts = (*make_planted_contacts(body, 0.7, 2000.0), wall)
+    limits = ForceLimits(margin_n=20.0, world_normals={2: UP})
+    pose = solve_equilibrium_pose(body, contacts, guess_of(body), limits)
+    assert pose.is_feasible, pose.violations
+    assert pose.reserve_n >= 20.0
+    np.testing.assert_allclose(pose.forces_n[-1, :2], 0.0, atol=1e-3)
+
+
+def test_a_free_wheel_carries_nobody():
+    robot = atlas_with_wheel()
+    body = stand(robot)
+    spot = locate_links(body.engine, body.nominal, ["valve"])["valve"][:3, 3] + [-0.06, -0.2, -0.1]
+    on_rim = ContactPlace.at(robot, "r_tool", TIP, [0], spot[None])
+    terms = [Constraint("tool on the rim", on_rim, Sense.EQUAL_ZERO, 1e-4), centre_at(0.25)]
+    limits = ForceLimits(torque_share=None, world_normals={2: UP})
+    poses = []
+    for reference in ("valve", None):
+        rim = Contact("r_tool", TIP, UP[None], 0.7, 600.0, reference)
+        contacts = (*make_planted_contacts(body, 0.7, 2000.0), rim)
+        fixed = {robot.n - 1: 0.0}
+        poses.append(solve_equilibrium_pose(body, contacts, guess_of(body), limits, (), terms, fixed=fixed))
+    free, rigid = poses
+    assert rigid.is_feasible, rigid.violations
+    assert rigid.forces_n[-1, 2] > 100.0
+    assert not free.is_feasible
+    assert "mechanism load" in free.result.violation  # the optimiser knew of it, not only the check of the forces
+
+
+def test_planted_soles_are_pushed_up_however_the_foot_stands():
+    body = stand()
+    turned = Rotation.from_euler("zyx", [0.5, 0.3, -0.2]).as_matrix()
+    pose = body.planted[0].pose_world_link.copy()
+    pose[:3, :3] = turned
+    tilted = replace(body, planted=(replace(body.planted[0], pose_world_link=pose),))
+    (contact,) = make_planted_contacts(tilted, 0.7, 2000.0)
+    np.testing.assert_allclose(contact.normals @ turned.T, np.tile(UP, (4, 1)), atol=1e-12)
+
+
+def test_a_fixed_base_is_refused():
+    arm = chain(SPATIAL)
+    body = WholeBody.standing(arm, Scene(()), np.zeros(4), (), Aims())
+    contact = Contact("tip", TIP, UP[None], 0.5, 100.0)
+    with pytest.raises(ValueError, match="robot 'chain' has a fixed base"):
+        solve_equilibrium_pose(body, (contact,), np.zeros(4))
 
 
 def test_a_pose_needs_contacts():

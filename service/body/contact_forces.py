@@ -118,11 +118,14 @@ class ForceRows:
         return np.asarray(self.weight_n * forces.reshape(-1, 3))
 
     def measure_reserve(self, torque_share: float | None) -> float:
-        """Return the largest error that the force at every contact point may have in any direction [N].
+        """Return how far inside pyramids and caps the forces at all contact points can be at once [N].
 
-        Forces that hold the configuration exist which stay in their pyramids and below their caps with errors up to it
-        (a linear program; Del Prete, Tonneau and Mansard, ICRA 2016, use the same figure).  Negative where none hold
-        it: by how much they would have to leave their pyramids; ``-inf`` where even that does not help.
+        Errors of the forces up to it, in any direction, make no contact slip, lift or press too hard (a linear program;
+        Del Prete, Tonneau and Mansard, ICRA 2016, use the same figure).  Negative where no forces hold the
+        configuration: by how much they would have to leave their pyramids; ``-inf`` where even that does not help.
+
+        Args:
+            torque_share: of the joints' limits that may be used; None for any torque.
         """
         (A, b), (E, e) = self._inequalities(torque_share), self.balance
         length = np.zeros(len(A))

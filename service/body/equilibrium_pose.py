@@ -49,8 +49,9 @@ class EquilibriumPose:
         torque_nm: (n,) generalised forces of the joints at rest under these forces [N m, N].
         most_loaded_joint: the joint that uses most of its limit; empty for a robot without torque limits.
         torque_share: of its limit that it uses.
-        reserve_n: the error that the force at every contact point may have in any direction without leaving friction
-            and caps, if the others adapt [N]; negative where no forces hold the configuration.
+        least_torque_share: the same under the forces that spread torque best; ``inf`` where none hold the pose.
+        reserve_n: how far inside friction and caps the forces at all contact points can be at once [N]: errors up to it
+            make no contact slip, lift or press too hard.  Negative where no forces hold the configuration.
         is_feasible: whether all constraints are kept and forces hold the configuration within all limits.
         violations: what is violated, in sentences; empty for a feasible pose.
         result: of the optimiser, its variables the configuration and the forces in units of the robot's weight.
@@ -64,6 +65,7 @@ class EquilibriumPose:
     torque_nm: Float[np.ndarray, "n"]
     most_loaded_joint: str
     torque_share: float
+    least_torque_share: float
     reserve_n: float
     is_feasible: bool
     violations: tuple[str, ...]
@@ -140,11 +142,13 @@ def solve_equilibrium_pose(
 
     Raises:
         KeyError: a link or joint is unknown.
-        ValueError: there is no contact, the robot has no mass, or a contact's figures make no sense.
+        ValueError: there is no contact, the robot has a fixed base or no mass, or a contact or a load is refused.
         ProblemError: the guess has the wrong shape or holds NaN.
     """
     if not contacts:
         raise ValueError("a pose in equilibrium needs at least one contact")
+    if not body.robot.is_floating:
+        raise ValueError(f"robot '{body.robot.name}' has a fixed base, which holds it; equilibrium needs a free one")
     free = replace(body, polygon=None)
     lower, upper = free.bounds(1, {})
     for index, value in (fixed or {}).items():
@@ -288,6 +292,7 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
         rows.weight_n * StaticTorque(robot, points, limits.loads).measure(state, np.arange(1))[0],
         robot.joint_names[rows.limited[most]] if len(shares) else "",
         float(shares[most]) if len(shares) else 0.0,
+        rows.spread_torque()[0],
         reserve,
         not violations,
         violations,
