@@ -159,8 +159,8 @@ class ContactPoints:
 
         Raises:
             KeyError: the robot has no such link.
-            ValueError: the robot has no mass, a normal in the world is zero, or a contact is not one of the robot's links
-                with the world or with a mechanism's link.
+            ValueError: the robot has no mass, a normal in the world is zero, or a contact is not one of a robot's
+                link with the world or with a mechanism's link.
         """
         weight = measure_weight(robot)
         fixed = {} if world_normals is None else world_normals

@@ -210,6 +210,34 @@ def test_a_pushed_wheel_gets_its_load_and_no_more():
     assert pose.forces_n[-1, 2] > 20.0
 
 
+def test_contacts_find_their_places_on_patches():
+    robot = atlas()
+    body = replace(stand(), planted=())
+    soles = {foot.link: foot.sole for foot in stand().planted}
+    hip = np.array([[x, y, -0.095] for x in (-0.1, 0.1) for y in (-0.12, 0.12)])
+    patches = {
+        "pelvis": (hip, 0.7, (-0.25, 0.1, -0.2, 0.2)),
+        "l_foot": (soles["l_foot"], 0.0, (0.1, 0.7, 0.0, 0.4)),
+        "r_foot": (soles["r_foot"], -0.1, (0.1, 0.55, -0.5, -0.2)),
+    }
+    edges = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    contacts, places = [], []
+    for link, (points, height, box) in patches.items():
+        contacts.append(Contact(link, points, np.tile(UP, (4, 1)), 0.7, 1500.0))
+        level = ContactPlace.on_plane(robot, link, points, [0], UP, height)
+        inside = ContactPlace.inside(robot, link, points, [0], edges, np.array(box) * [-1.0, 1.0, -1.0, 1.0])
+        places += [Constraint(f"{link} on plane", level, Sense.EQUAL_ZERO, 1e-4)]
+        places += [Constraint(f"{link} in patch", inside, tolerance=1e-4)]
+    pose = solve_equilibrium_pose(body, contacts, guess_of(body), constraints=places)
+    assert pose.is_feasible, pose.violations
+    for spots, (_, height, box) in zip(pose.places.reshape(3, 4, 3), patches.values(), strict=True):
+        np.testing.assert_allclose(spots[:, 2], height, atol=1e-3)
+        low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
+        assert (low >= np.array([box[0], box[2]]) - 2e-4).all()
+        assert (high <= np.array([box[1], box[3]]) + 2e-4).all()
+    assert pose.forces_n[:4, 2].sum() > 300.0  # it sits
+
+
 def test_a_cost_of_forces_unloads_a_foot():
     body = stand()
     contacts = make_planted_contacts(body, 0.7, 2000.0)
