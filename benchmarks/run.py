@@ -16,6 +16,7 @@ NAMES = (
     "arm",
     "whole_body",
     "two_hands",
+    "equilibrium_poses",
     "ablations",
     "planning",
     "cloud_pieces",
