@@ -266,7 +266,7 @@ def test_widened_constraints_keep_their_figures():
                 assert getattr(first, field.name) == getattr(second, field.name)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 10_000))
 def test_forces_exist_where_the_static_region_says_so(seed):
     robot, rng = atlas(), np.random.default_rng(seed)
