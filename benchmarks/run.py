@@ -12,6 +12,7 @@ from pathlib import Path
 FOLDER = Path(__file__).resolve().parent
 NAMES = (
     "cycle",
+    "static_region",
     "scaling",
     "arm",
     "whole_body",

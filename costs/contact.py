@@ -130,9 +130,10 @@ class WorldContacts:
                 f"whose friction {self.friction[i]:g} is an angle of {angles[i]:.4f} rad"
             )
         friction = np.tan(angles - tilt_rad)
-        return WorldContacts(
-            self.points, self.normals, friction, self.caps / (np.cos(tilt_rad) + friction * np.sin(tilt_rad))
-        )
+        # A force on the smaller cone has the length sqrt(1 + mu'^2) per normal force. It presses most along the allowed
+        # normal that is nearest to it.
+        pressing = np.sqrt(1.0 + friction**2) * np.cos(np.maximum(angles - 2.0 * tilt_rad, 0.0))
+        return WorldContacts(self.points, self.normals, friction, self.caps / pressing)
 
     def list_pyramid_edges(self) -> Float[np.ndarray, "C K 3"]:
         """Return per point the ``N_PYRAMID_EDGES`` forces of unit normal force on the edges of its pyramid.

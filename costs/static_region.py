@@ -8,7 +8,7 @@ needed to check a region (``service.verify.equilibrium``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -33,7 +33,8 @@ _BALANCE_TOLERANCE = 5e-7
 _FORCE_PRICE_M = 1e-5
 # Soles count as level and at one height within these: more height or lean only enlarges what friction can hold.
 _LEVEL_M, _LEVEL_SINE = 1e-3, 1e-6
-_N_YAW_ROUNDS = 12
+# The yaw moment that covers drift starts this much above that of the forces without it, and is raised a few times.
+_YAW_ROOM, _N_YAW_ROUNDS = 1.05, 12
 
 
 class StaticRegionError(ValueError):
@@ -128,17 +129,10 @@ def find_static_region(
     if not np.isfinite(given).all():
         raise ValueError(f"wrenches[{int((~np.isfinite(given)).any(axis=1).argmax())}] must be finite")
     search = _Search(contacts.tilt_normals(tilt_rad), mass * GRAVITY, drift_m)
-    held: list[Float[np.ndarray, "6"]] = []
-    regions: list[_Region] = []
-    yaw = 0.0
-    for i, wrench in enumerate(given):
-        for turned, region, needed_yaw in _cover_drift(search, wrench, i, drift_m, yaw):
-            held.append(turned)
-            regions.append(region)
-            yaw = needed_yaw
+    held, regions = _cover_drift(search, given, drift_m)
     vertices, witnesses = _intersect(regions)
     total = np.linalg.norm(witnesses, axis=3).sum(axis=2).max()
-    return StaticRegion(vertices, witnesses, np.array(held), float(total * drift_m / search.weight))
+    return StaticRegion(vertices, witnesses, held, float(total * drift_m / search.weight))
 
 
 @dataclass(frozen=True)
@@ -155,33 +149,33 @@ class _Region:
 
 
 def _cover_drift(
-    search: _Search, wrench: Float[np.ndarray, "6"], index: int, drift_m: float, yaw: float
-) -> Iterator[tuple[Float[np.ndarray, "6"], _Region, float]]:
-    """Yield the wrench with its region; where drift makes a yaw moment, twice with the opposite moments added.
+    search: _Search, given: Float[np.ndarray, "G 6"], drift_m: float
+) -> tuple[Float[np.ndarray, "W 6"], list[_Region]]:
+    """Return wrenches and their regions; those that need tangential forces twice, with opposite yaw moments added.
 
-    The third value is the yaw moment [Nm], a first guess for the next wrench. Larger moments need larger forces, which
-    make larger moments: the guess is raised until it covers what its own forces make.
+    Larger moments need larger forces, which make larger moments: the moment, one for all, is raised until it covers
+    what all forces make.
     """
-    if yaw == 0.0 or search.holds_without_friction(wrench):
-        region = search.find_region(wrench, index)
-        yaw_alone = drift_m * region.most_tangential
-        if yaw_alone <= 1e-9 * search.weight:
-            yield wrench, region, yaw
-            return
-        yaw = 1.05 * yaw_alone
+    largest = int(np.linalg.norm(given, axis=1).argmax())
+    alone = search.find_region(given[largest], largest)
+    yaw = _YAW_ROOM * drift_m * alone.most_tangential
     for _ in range(_N_YAW_ROUNDS):
-        turned = [wrench + sign * yaw * np.eye(6)[5] for sign in (-1.0, 1.0)]
-        regions = [search.find_region(w, index) for w in turned]
+        held: list[Float[np.ndarray, "6"]] = []
+        regions: list[_Region] = []
+        for i, wrench in enumerate(given):
+            if yaw <= 1e-9 * search.weight or search.holds_without_friction(wrench):
+                held.append(wrench)
+                regions.append(alone if i == largest else search.find_region(wrench, i))
+                continue
+            for moment in (-yaw, yaw):
+                held.append(wrench + np.array([0.0, 0.0, 0.0, 0.0, 0.0, moment]))
+                regions.append(search.find_region(held[-1], i))
         needed = drift_m * max(region.most_tangential for region in regions)
-        if needed <= yaw:
-            yield turned[0], regions[0], yaw
-            yield turned[1], regions[1], yaw
-            return
-        yaw = 1.05 * needed
+        if needed <= max(yaw, 1e-9 * search.weight):
+            return np.array(held), regions
+        yaw = _YAW_ROOM * needed
     raise NothingHoldsError(
-        f"contact points that drift by {1e3 * drift_m:g} mm turn the robot under wrench {index} "
-        "more than friction can hold",
-        index,
+        f"contact points that drift by {1e3 * drift_m:g} mm turn the robot more than friction can hold", None
     )
 
 
@@ -281,8 +275,8 @@ class _Search:
         moment = (wrench[3:] - np.cross(self._origin, wrench[:3])) / self.weight
         self._offset = np.array([-moment[1], moment[0]])
         self._target = np.array([-force[0], -force[1], 1.0 - force[2], -moment[2]])
-        rows = np.arange(4, dtype=np.int32)
-        self._solver.changeRowsBounds(4, rows, self._target, self._target)
+        for row, value in enumerate(self._target):
+            self._solver.changeRowBounds(row, value, value)
 
     def _find_farthest(
         self, direction: Float[np.ndarray, "2"], index: int

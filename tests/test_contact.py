@@ -72,7 +72,7 @@ def test_forces_within_the_tilted_cones_suit_every_normal_that_is_off_by_the_til
     # the worst normals lean away from the force, and towards it
     aside[:3] = (edges[:, 0] - contacts.normals)[:3]
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
-    for angle in (-tilt, 0.3 * tilt, tilt):
+    for angle in tilt * np.linspace(-1.0, 1.0, 21):
         normals = np.cos(angle) * contacts.normals + np.sin(angle) * aside
         pressing = np.einsum("ci,ci->c", forces, normals)
         sideways = np.linalg.norm(forces - pressing[:, None] * normals, axis=1)

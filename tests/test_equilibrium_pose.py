@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 from tiny_robots import SPATIAL, atlas, atlas_with_wheel, chain
 
+from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact, WorldContacts
 from costs.contact_points import ContactPoints, Load, measure_weight
 from costs.kinematics import KinematicsEngine, locate_links
@@ -189,6 +190,24 @@ def test_terms_of_the_body_stay():
     feet = locate_links(body.engine, pose.q, FEET)
     for foot in body.planted:
         np.testing.assert_allclose(feet[foot.link], foot.pose_world_link, atol=1e-4)
+
+
+def test_a_hand_on_a_wall_touches_it_as_allowed():
+    wall = np.array([[x, y, z] for x in (0.8, 1.0) for y in (-2.0, 2.0) for z in (0.0, 2.5)])
+    body = stand(scene=Scene((ConvexPiece("wall", wall, "obstacle"),)))
+    outward = np.array([-1.0, 0.0, 0.0])
+    contacts = (*make_planted_contacts(body, 0.7, 2000.0), Contact("r_tool", TIP, UP[None], 0.7, 300.0))
+    on_wall = ContactPlace.on_plane(body.robot, "r_tool", TIP, [0], -outward, 0.8)
+    terms = [Constraint("tool on the wall", on_wall, Sense.EQUAL_ZERO, 1e-4), centre_at(0.2)]
+    limits = ForceLimits(world_normals={2: outward})
+    touches = Allowance(BodyRef.of_link("r_hook"), BodyRef.of_piece("wall"), 0.005)
+    pose = solve_equilibrium_pose(body, contacts, guess_of(body), limits, (), terms, allowances=[touches])
+    assert pose.is_feasible, pose.violations
+    along = np.linalg.norm(pose.forces_n[-1, 1:])
+    assert 100.0 < -pose.forces_n[-1, 0] <= 300.0
+    assert along <= 0.7 * -pose.forces_n[-1, 0]
+    forbidden = solve_equilibrium_pose(body, contacts, guess_of(body), limits, (), terms)
+    assert any("r_hook" in line and "wall" in line for line in forbidden.violations)
 
 
 def test_a_pushed_wheel_gets_its_load_and_no_more():

@@ -1,21 +1,24 @@
-"""Random stances, and their equilibrium decided by solvers that the product's regions do not use."""
+"""Random stances of a robot on all kinds of contacts, and solvers that decide their equilibrium independently."""
 
 from __future__ import annotations
 
 import clarabel
 import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from costs.contact import GRAVITY, WorldContacts
+from costs.static_region import StaticRegion
 
 UP = np.array([0.0, 0.0, 1.0])
 SOLE = np.array([[x, y, 0.0] for x in (-0.09, 0.17) for y in (-0.06, 0.06)])
 
 
-def make_contacts(points, normals, friction, caps):
-    """World contacts of broadcast values; normals need not be of unit length."""
+def make_contacts(points: ArrayLike, normals: ArrayLike, friction: ArrayLike, caps: ArrayLike) -> WorldContacts:
+    """Return contacts of broadcast values; normals need not be of unit length."""
     points = np.atleast_2d(np.asarray(points, dtype=float))
     normals = np.broadcast_to(np.asarray(normals, dtype=float), points.shape)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -23,12 +26,13 @@ def make_contacts(points, normals, friction, caps):
     return WorldContacts(points, normals, np.broadcast_to(friction, n), np.broadcast_to(caps, n))
 
 
-def foot(x, y, z=0.0):
+def foot(x: float, y: float, z: float = 0.0) -> Float[np.ndarray, "4 3"]:
+    """Return the corners of a level sole."""
     return SOLE + np.array([x, y, z])
 
 
-def random_stance(rng):
-    """Feet on ground that leans, hands on walls, on rails, chest and back squeezed: contacts and mass."""
+def random_stance(rng: np.random.Generator) -> tuple[WorldContacts, float]:
+    """Return contacts and mass [kg]: feet on ground that leans, hands on walls and rails, a body between two walls."""
     mass = rng.uniform(30.0, 160.0)
     weight = mass * GRAVITY
     friction = rng.uniform(0.2, 1.1)
@@ -50,14 +54,16 @@ def random_stance(rng):
     return WorldContacts.join(parts), mass
 
 
-def random_load(rng, mass, share=0.15):
-    """A push at a place within reach, as force and moment about the world origin."""
+def random_load(rng: np.random.Generator, mass: float, share: float = 0.15) -> Float[np.ndarray, "6"]:
+    """Return a push at a place within reach, as force and moment about the world origin [N, Nm]."""
     force = rng.normal(size=3) * share * mass * GRAVITY / 3.0
     return np.concatenate([force, np.cross(rng.uniform([-0.7, -0.7, 0.2], [0.7, 0.7, 1.6]), force)])
 
 
-def _balance(contacts, forces, mass, wrench):
-    """Rows ``A x = b`` over force columns (C * K) and the centre of mass (2)."""
+def _balance(
+    contacts: WorldContacts, forces: Float[np.ndarray, "C K 3"], mass: float, wrench: Float[np.ndarray, "6"]
+) -> tuple[Float[np.ndarray, "6 columns"], Float[np.ndarray, "6"]]:
+    """Return rows ``A x = b`` over force columns (C * K) and the centre of mass (2)."""
     weight = mass * GRAVITY
     count, per_point = forces.shape[:2]
     rows = np.zeros((6, count * per_point + 2))
@@ -67,8 +73,14 @@ def _balance(contacts, forces, mass, wrench):
     return rows, np.concatenate([[0.0, 0.0, weight], np.zeros(3)]) - wrench
 
 
-def solve_pyramid(contacts, mass, wrench, direction=None, com=None):
-    """Farthest centre of mass in a direction (any for None), by scipy; None where nothing holds."""
+def solve_pyramid(
+    contacts: WorldContacts,
+    mass: float,
+    wrench: Float[np.ndarray, "6"],
+    direction: Float[np.ndarray, "2"] | None = None,
+    com: Float[np.ndarray, "2"] | None = None,
+) -> Float[np.ndarray, "2"] | None:
+    """Return the farthest centre of mass in a direction (any for None), by scipy; None where nothing holds."""
     weight = mass * GRAVITY
     edges = weight * contacts.list_pyramid_edges()
     A, b = _balance(contacts, edges, mass, wrench)
@@ -82,12 +94,19 @@ def solve_pyramid(contacts, mass, wrench, direction=None, com=None):
     solution = linprog(cost, caps, contacts.caps / weight, A / weight, b / weight, bounds, method="highs-ipm")
     if solution.status not in (0, 2):
         solution = linprog(cost, caps, contacts.caps / weight, A / weight, b / weight, bounds, method="highs-ds")
-    assert solution.status in (0, 2), solution.message
+    if solution.status not in (0, 2):
+        raise RuntimeError(solution.message)
     return solution.x[n:] if solution.status == 0 else None
 
 
-def solve_cone(contacts, mass, wrench, direction=None, com=None):
-    """The same with exact friction cones, by Clarabel; None where it finds no forces."""
+def solve_cone(
+    contacts: WorldContacts,
+    mass: float,
+    wrench: Float[np.ndarray, "6"],
+    direction: Float[np.ndarray, "2"] | None = None,
+    com: Float[np.ndarray, "2"] | None = None,
+) -> Float[np.ndarray, "2"] | None:
+    """Return the same with exact friction cones, by Clarabel; None where it finds no forces."""
     weight, count = mass * GRAVITY, len(contacts.points)
     axes = np.broadcast_to(weight * np.eye(3), (count, 3, 3))
     A, b = _balance(contacts, axes, mass, wrench)
@@ -121,8 +140,8 @@ def solve_cone(contacts, mass, wrench, direction=None, com=None):
     return np.array(solution.x)[n - 2 :] if is_solved else None
 
 
-def witness_defects(contacts, mass, region):
-    """Largest defect of balance, of a friction cone and of a force cap over all witnesses, in weights (times 1 m)."""
+def witness_defects(contacts: WorldContacts, mass: float, region: StaticRegion) -> Float[np.ndarray, "3"]:
+    """Return the largest defect of balance, friction cone and force cap over all witnesses, in weights (times 1 m)."""
     weight = mass * GRAVITY
     worst = np.zeros(3)
     for vertex, by_wrench in zip(region.vertices, region.witnesses, strict=True):
