@@ -179,13 +179,7 @@ class ContactPoints:
                 joint[rows], pose = locate_frame(robot, contact.link)
                 normal[rows] = np.asarray(contact.normals) @ pose[:3, :3].T
             if contact.reference is not None:
-                if contact.reference not in robot.mechanism_links:
-                    known = ", ".join(sorted(robot.mechanism_links)) or "none"
-                    raise ValueError(
-                        f"contact of {contact.link}: reference '{contact.reference}' is no link of a mechanism; "
-                        f"mechanism links: {known}"
-                    )
-                reference[rows] = locate_frame(robot, contact.reference)[0]
+                reference[rows] = _find_reference(robot, contact.link, contact.reference)
         length = np.linalg.norm(normal, axis=1)
         if not (length > 0.0).all():
             k = int(which[int(np.argmin(length))])
@@ -228,6 +222,16 @@ def _lean(normal: Float[np.ndarray, "C 3"], side: Float[np.ndarray, "#C 3"]) -> 
     across = side - np.einsum("ck,ck->c", normal, np.broadcast_to(side, normal.shape))[:, None] * normal
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.where(length > 1e-6, across / np.maximum(length, 1e-6), tangent)
+
+
+def _find_reference(robot: RobotModel, link: str, reference: str) -> int:
+    """Return the joint of a mechanism's link that a robot's link touches."""
+    if reference not in robot.mechanism_links:
+        known = ", ".join(sorted(robot.mechanism_links)) or "none"
+        raise ValueError(
+            f"contact of {link}: reference '{reference}' is no link of a mechanism; mechanism links: {known}"
+        )
+    return locate_frame(robot, reference)[0]
 
 
 def _refuse_mechanism(robot: RobotModel, link: str, what: str) -> None:

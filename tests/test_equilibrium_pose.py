@@ -155,6 +155,18 @@ def test_a_margin_is_room_for_errors_of_every_force():
     pose = lean_on_bar(margin_n=40.0)
     assert pose.is_feasible
     assert pose.reserve_n >= 40.0
+    # The reported forces have the room, too: level contacts, nearest side of the pyramid.
+    x, y, z = pose.forces_n.T
+    room = (0.7 * z - np.abs(x) - np.abs(y)) / np.sqrt(2.0 + 0.7**2)
+    assert room.min() >= 40.0 - 1e-3
+
+
+def test_a_missing_margin_is_told():
+    body = stand()
+    contacts = make_planted_contacts(body, 0.7, 2000.0)
+    fixed = dict(enumerate(body.nominal.tolist()))
+    pose = solve_equilibrium_pose(body, contacts, body.nominal, ForceLimits(margin_n=100.0), fixed=fixed)
+    assert pose.violations == (f"contact forces can err by {pose.reserve_n:.3g} N at most, 100 N are required",)
 
 
 def test_a_centre_of_mass_beyond_the_feet_is_explained():
@@ -379,7 +391,9 @@ def test_a_fixed_base_is_refused():
         solve_equilibrium_pose(body, (contact,), np.zeros(4))
 
 
-def test_a_pose_needs_contacts():
+def test_a_pose_needs_contacts_and_a_guess():
     body = stand()
+    with pytest.raises(ValueError, match=r"guess must be finite with shape \(36,\), got shape \(35,\)"):
+        solve_equilibrium_pose(body, make_planted_contacts(body, 0.7, 2000.0), body.nominal[1:])
     with pytest.raises(ValueError, match="at least one contact"):
         solve_equilibrium_pose(body, (), body.nominal)

@@ -142,9 +142,11 @@ def solve_equilibrium_pose(
 
     Raises:
         KeyError: a link or joint is unknown.
-        ValueError: there is no contact, the robot has a fixed base or no mass, or a contact or a load is refused.
-        ProblemError: the guess has the wrong shape or holds NaN.
+        ValueError: the guess has a wrong shape or is not finite, there is no contact, the robot has a fixed base or no
+            mass, or a contact or a load is refused.
     """
+    if guess.shape != (body.robot.n,) or not np.isfinite(guess).all():
+        raise ValueError(f"guess must be finite with shape ({body.robot.n},), got shape {guess.shape}")
     if not contacts:
         raise ValueError("a pose in equilibrium needs at least one contact")
     if not body.robot.is_floating:
@@ -223,7 +225,7 @@ def _make_force_terms(
     """Return equilibrium, friction, torque and the cost of forces at waypoint 0."""
     robot = body.robot
     about = points.places.locate(body.engine(guess[None]), np.arange(1))[0].mean(axis=0)
-    margin = max(limits.margin_n / measure_weight(robot), FORCE_RESERVE)
+    margin = limits.margin_n / measure_weight(robot) + FORCE_RESERVE
     terms: list[Cost[LoadedState] | Constraint[LoadedState]] = [
         Cost("contact forces", ContactForce(points, [0]), FORCE_WEIGHT),
         Constraint(
@@ -268,7 +270,8 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
     robot = body.robot
     x, proposed = LoadedState.split(result.x, len(points))
     rows = ForceRows.at(body.engine, x[0], points, limits.loads, limits.mechanism_loads)
-    held = rows.find_least(limits.torque_share, rows.weight_n * proposed[0] if attempt.has_own_terms else None)
+    near = rows.weight_n * proposed[0] if attempt.has_own_terms else None
+    held = rows.find_least(limits.torque_share, limits.margin_n, near)
     forces = rows.weight_n * proposed[0] if held is None else held
     motion = attempt.problem.state(x)
     state = LoadedState(motion, forces[None] / rows.weight_n)
@@ -282,7 +285,7 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
             violations = (*violations, f"pose: '{term.name}' is off by {worst:.3g} {term.unit}".rstrip())
     reserve = rows.measure_reserve(limits.torque_share)
     if held is None:
-        violations = (*violations, _explain_forces(rows, limits, robot.joint_names))
+        violations = (*violations, _explain_forces(rows, limits, reserve, robot.joint_names))
     return EquilibriumPose(
         x[0],
         points,
@@ -300,8 +303,10 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
     )
 
 
-def _explain_forces(rows: ForceRows, limits: ForceLimits, joint_names: Sequence[str]) -> str:
-    """Return a sentence why no forces hold the configuration."""
+def _explain_forces(rows: ForceRows, limits: ForceLimits, reserve: float, joint_names: Sequence[str]) -> str:
+    """Return a sentence why no forces hold the configuration, with a reserve within its limits [N]."""
+    if reserve >= 0.0:
+        return f"contact forces can err by {reserve:.3g} N at most, {limits.margin_n:.3g} N are required"
     missing = rows.measure_reserve(None)
     if missing == -np.inf:
         return "no forces at the contacts balance the weight and the loads, whatever friction and caps are"
