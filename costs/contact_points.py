@@ -148,14 +148,14 @@ class ContactPoints:
     def of(
         robot: RobotModel,
         contacts: Sequence[Contact],
-        world_normals: Mapping[int, Float[np.ndarray, "3"]] | None = None,
+        world_normals: Mapping[int, Float[np.ndarray, "3"] | Float[np.ndarray, "C 3"]] | None = None,
     ) -> ContactPoints:
         """Return the points of contacts in their order.
 
         Args:
             contacts: of the stance.
-            world_normals: normal in the world by index of the contact, for contacts whose link may turn against the
-                surface that it touches; the others' normals turn with their links.
+            world_normals: normal in the world (or one per point) by index of the contact, for contacts whose link may
+                turn against the surface that it touches; the others' normals turn with their links.
 
         Raises:
             KeyError: the robot has no such link.

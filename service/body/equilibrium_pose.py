@@ -82,14 +82,15 @@ class ForceLimits:
         loads: given forces and moments on links.
         mechanism_loads: by joint of a touched mechanism: what the robot has to exert along it [N m, N].  A mechanism
             that is touched and has no load here is free: it supports nobody.
-        world_normals: by index of a contact: its normal in the world, for a link that may turn on what it touches.
+        world_normals: by index of a contact: its normal in the world, or those of its points, for a link that may turn
+            on what it touches.
     """
 
     torque_share: float | None = 1.0
     margin_n: float = 0.0
     loads: tuple[Load, ...] = ()
     mechanism_loads: Mapping[str, float] | None = None
-    world_normals: Mapping[int, Float[np.ndarray, "3"]] | None = None
+    world_normals: Mapping[int, Float[np.ndarray, "3"] | Float[np.ndarray, "C 3"]] | None = None
 
 
 def make_planted_contacts(body: WholeBody, friction: float, force_cap_n: float) -> tuple[Contact, ...]:
@@ -156,13 +157,23 @@ def solve_equilibrium_pose(
     for index, value in (fixed or {}).items():
         lower[0, index] = upper[0, index] = value
     narrow = free.make_problem(lower, upper, free.make_checker(allowances, ends), costs, constraints)
-    points = ContactPoints.of(body.robot, contacts, limits.world_normals).lean_up(body.engine(guess[None]))
+    points = ContactPoints.of(body.robot, contacts, _fix_normals(body, contacts, limits))
+    points = points.lean_up(body.engine(guess[None]))
     problem = add_forces(narrow, points, (*_make_force_terms(body, points, guess, limits), *force_terms))
     rows = ForceRows.at(body.engine, guess, points, limits.loads, limits.mechanism_loads)
     start = np.concatenate([guess, rows.guess().ravel() / rows.weight_n])[None]
     result = TrustRegionSQP(settings).solve(problem, start, should_stop=should_stop)
     own = tuple(term for term in force_terms if isinstance(term, Constraint))
     return _describe(_Attempt(free, narrow, points, limits, result, own, has_own_terms=bool(force_terms)))
+
+
+def _fix_normals(
+    body: WholeBody, contacts: Sequence[Contact], limits: ForceLimits
+) -> dict[int, Float[np.ndarray, "3"] | Float[np.ndarray, "C 3"]]:
+    """Return the given normals in the world and those of planted links, which a perturbed guess does not turn."""
+    poses = {foot.link: foot.pose_world_link for foot in body.planted}
+    planted = {k: c.normals @ poses[c.link][:3, :3].T for k, c in enumerate(contacts) if c.link in poses}
+    return {**planted, **(limits.world_normals or {})}
 
 
 def add_forces(
