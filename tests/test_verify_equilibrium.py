@@ -54,7 +54,7 @@ def drifting() -> RecordedRegion:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_regions_of_random_stances_are_proven(seed):
     rng = np.random.default_rng(seed)
     contacts, mass = random_stance(rng)
@@ -68,6 +68,8 @@ def test_regions_of_random_stances_are_proven(seed):
     proof = prove_equilibrium(record(contacts, region), mass, loads, GRAVITY, drift, tilt)
     assert proof.is_proven, proof
     assert proof.shift_m == pytest.approx(region.shift_m)
+    rounded = {name: np.round(getattr(region, name), 8) for name in ("vertices", "witnesses", "wrenches")}
+    assert prove_equilibrium(record(contacts, replace(region, **rounded)), mass, loads, GRAVITY, drift, tilt).is_proven
     mixture = rng.dirichlet(np.ones(len(loads))) @ loads  # every mixture of the loads is held as well
     assert prove_equilibrium(record(contacts, region), mass, mixture[None], GRAVITY, 0.0, tilt).is_proven
 
@@ -76,7 +78,7 @@ def test_the_figures_of_an_honest_region_are_within_their_tolerances(honest):
     proof = prove_equilibrium(honest, MASS, LOADS)
     assert proof.is_proven
     assert max(proof.force_n, proof.moment_nm, proof.cone_n, proof.cap_n) <= 1e-6 * WEIGHT
-    assert proof.overhang_m <= 1e-9
+    assert proof.overhang_m <= 1e-7
     assert proof.uncovered == 0.0
     assert proof.shift_m == 0.0
     assert proof.text.startswith(f"contact forces hold the robot at all {len(honest.vertices)} vertices")
@@ -245,6 +247,7 @@ def random_mechanism(rng):
 
 
 @given(seed=st.integers(0, 10_000), first=st.floats(-3.0, 3.0), span=st.floats(-6.5, 6.5))
+@settings(max_examples=30)
 def test_loads_of_a_turn_contain_the_arc_and_lie_within_the_planners(seed, first, span):
     rng = np.random.default_rng(seed)
     force, point, axis, origin = random_mechanism(rng)
