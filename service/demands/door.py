@@ -33,6 +33,7 @@ HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(25.0), np.deg2rad(
 TILT_RESERVE = np.deg2rad(2.0)
 PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
 ABOVE_LEVER = 3e-3  # of the hand's front, which leans [m]
+PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg leans [m]
 PEG_ACROSS = np.deg2rad(40.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
@@ -73,9 +74,8 @@ class Door:
     @property
     def pressed(self) -> float:
         """Value of the handle's joint at which the leaf is opened [rad, m]."""
-        if self.handle is not None and self.handle.kind == "push_bar":
-            return self.release + PRESS_BEYOND
-        return self.release + BEYOND_RELEASE
+        is_bar = self.handle is not None and self.handle.kind == "push_bar"
+        return self.release + (PRESS_BEYOND if is_bar else float(BEYOND_RELEASE))
 
     @property
     def mechanism(self) -> Mechanism:
@@ -203,8 +203,11 @@ def _open_at_handle(
     count = max(int(np.ceil((choice.first - start[0]) / OPEN_STEP)) + 1, 3)
     loads = (*held.open_loads(on_leaf), *(held.press_loads() if presses else ()))
     phases.append(
-        PhaseSpec("open", pressed, opened, on_leaf, held.touches, loads, is_anchor=True, step=step, n_waypoints=count)
-    )
+        PhaseSpec(
+            "open", pressed, opened, on_leaf, held.touches, loads,
+            is_anchor=True, aims_at_end=True, step=step, n_waypoints=count,
+        )
+    )  # fmt: skip
     if choice.stays and choice.push is None:
         return phases
     if presses:
@@ -242,7 +245,16 @@ def _push_leaf(
         PhaseSpec(f"reach{suffix}", at, at, n_waypoints=reach_waypoints),
         PhaseSpec(f"touch{suffix}", at, at, line, touches, n_waypoints=LINE_WAYPOINTS),
         PhaseSpec(
-            f"push{suffix}", at, last, tip, touches, (load,), is_anchor=True, step="pose on the leaf", n_waypoints=count
+            f"push{suffix}",
+            at,
+            last,
+            tip,
+            touches,
+            (load,),
+            is_anchor=True,
+            step="pose on the leaf",
+            n_waypoints=count,
+            aims_at_end=True,
         ),
     ]
     if not choice.stays:
@@ -337,7 +349,7 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
     if handle is None or handle.kind == "knob":
         raise ValueError("no hand of this robot holds a knob")
     normal, radius = geometry.normal, handle.radius
-    peg = radius + hand.peg_radius
+    peg = radius + hand.peg_radius + PEG_SPACE
     stands_out = float((handle.centre - geometry.hinge) @ normal) - geometry.face
     at_grip = choice.grip * handle.direction
     kind = handle.kind
