@@ -1,4 +1,4 @@
-"""What a mechanism may overlap: its neighbours at the start, by as much as there and 3 mm; bearings over their range."""
+"""Allowances of a mechanism: its neighbours at the start by their overlap and 3 mm, bearings over their range."""
 
 from __future__ import annotations
 

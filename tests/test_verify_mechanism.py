@@ -1,4 +1,4 @@
-"""Mechanisms in the certificate: clearance of their links, and joints that stay shut until their latch releases them."""
+"""Mechanisms in the certificate: clearance of their links, and joints that are locked until a latch releases them."""
 
 from __future__ import annotations
 
@@ -91,7 +91,9 @@ def test_a_leaf_that_opens_while_it_is_locked_is_refuted(name: str) -> None:
     motion = _moves(*REFUTED[name])
     assert verify(motion).status is Status.VIOLATED
     check = _check(motion)
-    assert not check.ok and check.where is not None and check.where.names == ("opening", "press")
+    assert not check.ok
+    assert check.where is not None
+    assert check.where.names == ("opening", "press")
     latch = float(motion.curve(np.array([check.where.s]))[0, 2])
     assert check.value == pytest.approx(LATCH_AT - latch, abs=1e-3)
 
