@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine, locate_links
-from costs.robot import BASE_NAMES, RobotModel
+from costs.robot import BASE_NAMES, Release, RobotModel
 from costs.scene import Scene
 from costs.state import MotionState
 from costs.support import SupportPolygon
@@ -89,6 +89,7 @@ class WholeBody:
         kept: relative poses that hold in every phase.
         has_default_costs: whether to move smoothly, upright and near the nominal posture.
         sight: distance beyond its margin at which a pair enters the problem [m].
+        releases: rules of the latches of ``robot``'s mechanism.
     """
 
     robot: RobotModel
@@ -101,6 +102,7 @@ class WholeBody:
     kept: tuple[KeptPose, ...] = ()
     has_default_costs: bool = True
     sight: float = 0.03
+    releases: tuple[Release, ...] = ()
 
     @staticmethod
     def standing(

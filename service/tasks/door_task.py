@@ -19,6 +19,7 @@ from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door import DoorOpening
+from service.tasks.door_sweep import find_blocked_opening
 from service.tasks.sequence import add_mechanism
 
 REACH_WAYPOINTS = 14
@@ -50,9 +51,16 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
     collisions = tuple(find_collisions(solver.body))
     if collisions:
         raise RequestError(collisions)
+    blocked = find_blocked_opening(solver.body, door, target)
+    obstacles = [met for met in blocked if met.stands_still]
+    if obstacles:
+        is_piece = any(met.is_piece for met in obstacles)
+        sentences = tuple(met.describe(target) for met in obstacles)
+        return TaskPlan(solver.body, (), sentences, notes=(note,), is_impossible=is_piece)
+    notes = (note, *(met.describe(target) for met in blocked))
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
-    return replace(plan, notes=(note, *plan.notes))
+    return replace(plan, notes=(*notes, *plan.notes))
 
 
 def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:

@@ -39,7 +39,8 @@ def add_mechanism(solver: PhaseSolver, mechanism: Mechanism) -> PhaseSolver:
     """Return the solver of the robot augmented by a mechanism, whose joints are at their start."""
     body = solver.body
     robot = with_mechanism(body.robot, mechanism.joints)
-    return replace(solver, body=body.with_robot(robot, np.concatenate([body.nominal, mechanism.start])))
+    augmented = body.with_robot(robot, np.concatenate([body.nominal, mechanism.start]))
+    return replace(solver, body=replace(augmented, releases=mechanism.releases))
 
 
 @dataclass(frozen=True)
