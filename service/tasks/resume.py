@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.kinematics import locate_links
@@ -19,6 +20,7 @@ from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 
 AT_PLACE = 5e-4  # of a hand that needs no phase that takes hold [m]
+MOST_OF_LINE = 0.9  # of a line on which the hand leaves, that it may have behind it
 NEAR, NEAR_TILT = 0.015, np.deg2rad(5.0)  # of a hand that takes hold again [m], and beyond its lean [rad]
 
 
@@ -65,7 +67,8 @@ def plan_rest(
     """
     body, start = solver.body, demand.mechanism.start
     index = find_index(specs, demand.phase)
-    spec = specs[index]
+    specs = list(specs)
+    spec = specs[index] = _shorten_line(body, specs[index])
     beginnings = list(_choose_beginnings(body, specs, index))
     is_touching = beginnings[0] is not Beginning.REACH
     problems = tuple(find_collisions(body, spec.touches if is_touching else ()))
@@ -117,18 +120,32 @@ def _choose_beginnings(body: WholeBody, specs: Sequence[PhaseSpec], index: int) 
     yield Beginning.REACH
 
 
+def _shorten_line(body: WholeBody, spec: PhaseSpec) -> PhaseSpec:
+    """Return a phase in which the hand leaves on a line, from where on the line the hand is."""
+    hand = spec.hand
+    if hand is None or hand.offset is None or not hand.leaves:
+        return spec
+    off = _locate_tool(body, hand)
+    share = float(np.clip(off @ hand.offset / (hand.offset @ hand.offset), 0.0, MOST_OF_LINE))
+    return replace(spec, hand=replace(hand, place=hand.place + share * hand.offset, offset=(1.0 - share) * hand.offset))
+
+
+def _locate_tool(body: WholeBody, hand: HandMotion) -> Float[np.ndarray, "3"]:
+    """Return the tool's offset from its place in the nominal configuration, in the axes of the place's link [m]."""
+    poses = locate_links(body.engine, body.nominal, [name for name in (hand.tool, hand.link) if name is not None])
+    link = np.eye(4) if hand.link is None else poses[hand.link]
+    return np.asarray(link[:3, :3].T @ (poses[hand.tool][:3, 3] - link[:3, 3]) - hand.place)
+
+
 def measure_hand(body: WholeBody, hand: HandMotion) -> HandOff:
     """Measure how far a hand is from its place in the nominal configuration."""
-    links = {name for name in (hand.tool, hand.link, hand.turns_with) if name is not None}
-    poses = locate_links(body.engine, body.nominal, sorted(links))
-    tool, link, turning = (
-        np.eye(4) if name is None else poses[name] for name in (hand.tool, hand.link, hand.turns_with)
-    )
-    off = link[:3, :3].T @ (tool[:3, 3] - link[:3, 3]) - hand.place
+    off = _locate_tool(body, hand)
     if hand.slide is not None:
         share = np.clip(off @ hand.slide / (hand.slide @ hand.slide), -1.0, 1.0)
         off = off - share * hand.slide
-    lean = float(np.arccos(np.clip(tool[:3, :3] @ AXIS @ (turning[:3, :3] @ hand.axis), -1.0, 1.0)))
+    poses = locate_links(body.engine, body.nominal, [name for name in (hand.tool, hand.turns_with) if name is not None])
+    wanted = hand.axis if hand.turns_with is None else poses[hand.turns_with][:3, :3] @ hand.axis
+    lean = float(np.arccos(np.clip(poses[hand.tool][:3, :3] @ AXIS @ wanted, -1.0, 1.0)))
     return HandOff(float(np.linalg.norm(off)), max(lean - hand.tilt_rad, 0.0))
 
 
