@@ -15,7 +15,6 @@ import yaml
 from given_doors import door_request
 from typer.testing import CliRunner
 
-from costs.kinematics import KinematicsEngine, locate_links
 from service.cli.app import app
 from service.errors import RequestError, ResultError
 from service.planner import plan
@@ -180,7 +179,7 @@ def test_a_state_that_does_not_fit_is_refused(
 def test_a_hand_in_the_leaf_is_refused(opened: Path, tmp_path: Path) -> None:
     state = _state(opened, "open", 0.5)
     state["mechanism"]["door_opening"] = 0.05
-    with pytest.raises(RequestError, match="start is in collision: l_.* inside door/"):
+    with pytest.raises(RequestError, match=r"start is in collision: l_.* inside door/"):
         plan(_rest(opened, "open", state, tmp_path))
 
 
@@ -194,7 +193,7 @@ def test_choices_that_the_task_forbids_are_refused(opened: Path, tmp_path: Path)
     wide = replace(request.resume, handle=replace(request.resume.handle, until_rad=1.0))
     with pytest.raises(RequestError, match="expected the 30 deg of the task"):
         plan(replace(request, resume=wide))
-    with pytest.raises(RequestError, match="resume.handle: is missing"):
+    with pytest.raises(RequestError, match=r"resume.handle: is missing"):
         plan(replace(request, resume=replace(request.resume, handle=None)))
 
 
