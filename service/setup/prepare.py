@@ -79,6 +79,7 @@ def prepare(
     robot: RobotModel | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     see: Callable[..., Perceived] | None = None,
+    around: Surroundings | None = None,
 ) -> PlanSetup:
     """Load the robot, read the scan, and check the request against robot and scan.
 
@@ -88,6 +89,7 @@ def prepare(
         robot: the request's robot if it is already loaded.
         should_stop: polled while the scene is made; once it returns True, the result ``is_stopped``.
         see: ``perception.perceive``, or a function that caches its results.
+        around: what the request's scan shows, if it is known already.
 
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
@@ -114,7 +116,8 @@ def prepare(
         with stops_when(should_stop):
             poll()
             with _timed(timings, "perceive"):
-                around = read_surroundings(request, robot, start, soles, see)
+                if around is None:
+                    around = read_surroundings(request, robot, start, soles, see)
             with _timed(timings, "build_scene"):
                 obstacles, obstacle_notes = build_obstacles(request, around.matches)
     except Stopped:
