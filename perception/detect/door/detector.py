@@ -16,6 +16,7 @@ from perception.detect.door.handle import Handle, find_handle
 from perception.detect.door.hang import find_ends
 from perception.detect.door.leaf import Leaf, find_leaves
 from perception.detect.door.model import USUAL_THICKNESS, DoorModel
+from perception.detect.door.opening import judge_opening
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import find_uprights
 from perception.detect.shared.arithmetic import rising
@@ -39,8 +40,6 @@ _SHOWN = 2000
 _ENOUGH = 60_000
 _OVER_FLOOR = 0.008
 _KNOB_DEPTH = 0.04
-_SURELY_OPEN = np.radians(3.0)
-_SURELY_RECESSED = 0.055
 
 
 @dataclass(frozen=True)
@@ -239,15 +238,20 @@ def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
         sizes["handle_z"] = float(up - ground)
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
-    model = DoorModel(*_shut(candidate, pose, side, sizes, ground))
-    opens = model.geometry.opens
-    residuals |= {"opens_share": float(opens is not None), "hinge_share": float(candidate.knows_hinge)}
+    opens, certainty = judge_opening(leaf, frame, (hinge_at, free_at), rays, ground)
+    model = DoorModel(*_shut(candidate, pose, side, sizes, opens, ground))
+    residuals |= {"opens_share": certainty, "hinge_share": float(candidate.knows_hinge)}
     residuals["thickness_share"] = 0.0
     return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step], model)
 
 
 def _shut(
-    candidate: _Candidate, pose: Float[np.ndarray, "4 4"], side: float, sizes: Mapping[str, float], ground: float
+    candidate: _Candidate,
+    pose: Float[np.ndarray, "4 4"],
+    side: float,
+    sizes: Mapping[str, float],
+    opens: Opens | None,
+    ground: float,
 ) -> tuple[DoorGeometry, bool]:
     """Return the door with its leaf shut, and whether the seen face is the one away from the robot.
 
@@ -255,7 +259,6 @@ def _shut(
         pose, side, sizes: of the detection.
     """
     leaf, frame = candidate.leaf, candidate.frame
-    opens = _opens(candidate)
     is_ajar = frame is not None and frame.hinge != 0
     along, normal = pose[:3, 0], side * pose[:3, 1]
     shows_far_face = False
@@ -302,19 +305,6 @@ def _handle_geometry(
     if handle.is_pull:
         return HandleGeometry("pull", centre, UP, bar.length, bar.radius)
     return HandleGeometry("knob", centre, normal, _KNOB_DEPTH, bar.radius + 0.5 * bar.axis_length)
-
-
-def _opens(candidate: _Candidate) -> Opens | None:
-    """Return the opening direction that the scan shows; None where it does not.
-
-    An open leaf shows it.  A shut leaf deep in its frame opens away: on its other side it is flush with the wall.
-    """
-    frame = candidate.frame
-    if frame is None:
-        return None
-    if frame.hinge and frame.ajar > _SURELY_OPEN:
-        return "push" if frame.opens_away else "pull"
-    return "push" if not frame.hinge and frame.depth > _SURELY_RECESSED else None
 
 
 def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.ndarray, "2"], float]:

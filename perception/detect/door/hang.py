@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.door.edges import Edge
 from perception.detect.door.frame import Frame
 from perception.detect.door.leaf import Leaf
 from perception.detect.door.profile import BAND, Rays
 from perception.detect.door.upright import Upright
 
 GAP = 0.004
-_REVEAL = 0.004  # between a casing's inner edge and the opening
+# From a leaf's edge to the step to its casing as it is seen: gap and reveal, less half of the step's own width.
+_TO_CASING = 0.004
 _CASING = (0.006, 0.05)  # height of a casing over a leaf flush with the wall
 _RECESSED = 0.025
 _FLUSH = 0.012
@@ -20,6 +22,7 @@ _CLEAR = 0.03
 _FEWEST = 8
 _FEWEST_ON_SIDE = 15
 _SCATTER = 0.01
+_WIDE_GAP, _OPEN_GAP = 0.015, 0.25
 _OFF_WALL, _BEFORE_LEAF = 0.015, 0.6
 _MOST_ON_WALL = 0.04
 _LEAST_STEEP = np.radians(5.0)
@@ -40,10 +43,10 @@ def find_ends(
         return at, free
     is_ajar = frame.hinge != 0
     if frame.opens_away or (not is_ajar and frame.depth > _RECESSED):
-        return _ends_in_opening(leaf, frame, (at, free), rays, ground, thickness if is_ajar else 0.0)
+        return _ends_in_opening(leaf, frame, hinge, (at, free), rays, ground, thickness if is_ajar else 0.0)
     if not is_ajar:
         ends = [
-            edge.at + side * (GAP + _REVEAL) if _CASING[0] < edge.jump < _CASING[1] else edge.at
+            edge.at + side * _TO_CASING if _CASING[0] < edge.jump < _CASING[1] else edge.at
             for edge, side in zip(edges, (-hinge, hinge), strict=True)
         ]
         return ends[0], ends[1]
@@ -57,7 +60,7 @@ def _hinge_in_wall(leaf: Leaf, frame: Frame, at: float, hinge: int) -> float:
     A casing continues the leaf beyond its edge.  Where the leaf, when shut, is flush with the wall, its face meets the
     wall's face at the hinge.
     """
-    usual = at - hinge * (GAP + _REVEAL)
+    usual = at - hinge * _TO_CASING
     wall = frame.plane.local(np.stack([leaf.plane.place(usual), leaf.plane.place(usual - hinge * 0.1)]))[:, 2]
     rise = float(wall[1] - wall[0]) / 0.1
     if abs(wall[0]) > _FLUSH + 0.01 * abs(rise) or frame.ajar < _LEAST_STEEP:
@@ -69,7 +72,7 @@ def _hinge_in_wall(leaf: Leaf, frame: Frame, at: float, hinge: int) -> float:
 
 
 def _ends_in_opening(
-    leaf: Leaf, frame: Frame, ends: tuple[float, float], rays: Rays, ground: float, behind: float
+    leaf: Leaf, frame: Frame, hinge: int, ends: tuple[float, float], rays: Rays, ground: float, behind: float
 ) -> tuple[float, float]:
     """Return the ends of a leaf behind its wall's face, from the jambs that limit the opening [m].
 
@@ -87,11 +90,20 @@ def _ends_in_opening(
         return ends
     pin = hinge_jamb - outwards * GAP
     free_jamb = _find_jamb(frame.plane, rays, pin - outwards * width, -outwards, ground, depth)
+    edges = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
+    if not frame.hinge and _shows_gap(edges[0], abs(pin - wall[0])):
+        pin = float(wall[0])
     share = (pin - wall[0]) / (wall[1] - wall[0])
     at = ends[0] + float(share) * (ends[1] - ends[0])
-    if np.isnan(free_jamb):
+    free_pin = free_jamb + outwards * GAP
+    if np.isnan(free_jamb) or (not frame.hinge and _shows_gap(edges[1], abs(free_pin - wall[1]))):
         return at, ends[1]
     return at, at + float(np.sign(ends[1] - ends[0])) * (abs(free_jamb - pin) - GAP)
+
+
+def _shows_gap(edge: Edge, missing: float) -> bool:
+    """Return whether a shut leaf was seen to end before its jamb, since rays went on between them."""
+    return missing > _WIDE_GAP and edge.open_share > _OPEN_GAP
 
 
 def _find_jamb(plane: Upright, rays: Rays, near: float, outwards: int, ground: float, depth: float) -> float:
@@ -101,8 +113,13 @@ def _find_jamb(plane: Upright, rays: Rays, near: float, outwards: int, ground: f
         outwards: direction along the wall out of the opening, -1 or 1.
         depth: of the leaf behind the wall [m].
     """
-    step = find_step(plane, rays, near, outwards, ground, -min(_CLEAR, 0.5 * depth), is_wall=True)
-    # Rays that end on the jamb's side, between wall and leaf, show it best; they cross the wall's plane inside of it.
+    level = -min(_CLEAR, 0.5 * depth)
+    # From inside of the opening the jamb's side is seen: what lies behind the wall's face ends there.
+    sees_side = (float(np.median(rays.starts @ plane.along)) - near) * outwards < 0.0
+    step = find_step(plane, rays, near, outwards, ground, level, is_wall=True, by_end=sees_side)
+    if not sees_side:
+        return step
+    # In a deep opening the points on that side alone show it best.
     local = plane.local(rays.ends)
     on_side = (local[:, 2] < -_OFF_WALL) & (local[:, 2] > -_BEFORE_LEAF * depth) & (np.abs(local[:, 0] - near) < _ASIDE)
     on_side &= (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
@@ -114,7 +131,15 @@ def _find_jamb(plane: Upright, rays: Rays, near: float, outwards: int, ground: f
 
 
 def find_step(
-    plane: Upright, rays: Rays, near: float, outwards: int, ground: float, limit: float, *, is_wall: bool = False
+    plane: Upright,
+    rays: Rays,
+    near: float,
+    outwards: int,
+    ground: float,
+    limit: float,
+    *,
+    is_wall: bool = False,
+    by_end: bool = False,
 ) -> float:
     """Return the position along a plane, near ``near``, where rays change from ending on it to passing it [m].
 
@@ -124,8 +149,11 @@ def find_step(
         outwards: direction along the plane out of the face, or out of the opening in a wall, -1 or 1.
         limit: rays that end further behind the plane pass it; of a wall, the height of its face over that end [m].
         is_wall: whether the plane lies outside of the step, not inside.
+        by_end: whether rays are placed by their ends; else by their crossing with the plane.
     """
     at, out, heading = rays.crossing(plane)
+    if by_end:
+        at = plane.local(rays.ends)[:, :2]
     mine = heading & (np.abs(at[:, 0] - near) < _ASIDE) & (out < _MOST_ON_WALL)
     mine &= (at[:, 1] > ground + BAND[0]) & (at[:, 1] < ground + BAND[1])
     on = out[mine] > (limit if is_wall else -limit)

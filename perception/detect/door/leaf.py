@@ -18,6 +18,7 @@ _STEEPEST = 0.35
 _RELIEF = 0.006
 _STRIP = 0.08
 _STRIP_RELIEF = 0.015
+_OPEN_BEYOND = 2  # columns between a strip of the leaf and its frame; a strip of the frame is fixed to it
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def _with_strips(profile: Profile, stretches: list[Stretch], first: int, last: i
         kept = end
         for n in range(1, wide + 1):
             at = end + step * n - (step > 0)
-            beyond = at + step * np.arange(1, 4)
+            beyond = at + step * np.arange(1, _OPEN_BEYOND + 1)
             if not 0 <= at < len(profile.depth) or not abs(profile.depth[at]) < _STRIP_RELIEF:
                 break
             if profile.open_storeys[at] > 0.35 * profile.storeys[at]:
