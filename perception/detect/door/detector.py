@@ -29,6 +29,7 @@ _HINT_REACH = 0.4
 _GUESSED_HEIGHT = 2.03
 _USUAL_BACKSET = 0.065
 _BACKSET_SPREAD = 0.02
+_USUAL_EXTENSION = 0.02
 _AT_EDGE = 0.035
 _SURELY_AJAR = np.radians(6.0)
 _HINGE_UNKNOWN = _HANDLE_UNKNOWN = 0.45
@@ -321,5 +322,6 @@ def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.nd
     if handle.pivot_side == -outwards and abs(free_at - near[0]) < _AT_EDGE:
         return far, 1.0
     backset = abs(free_at - near[0]) - np.abs(bar.axis[0]) * EXTENSIONS
-    longer, _ = expect_extension(handle.extensions[end], -0.5 * ((backset - _USUAL_BACKSET) / _BACKSET_SPREAD) ** 2)
+    prior = -0.5 * ((backset - _USUAL_BACKSET) / _BACKSET_SPREAD) ** 2 - EXTENSIONS / _USUAL_EXTENSION
+    longer, _ = expect_extension(handle.extensions[end], prior)
     return near + longer * outwards * bar.axis, -1.0
