@@ -43,7 +43,7 @@ def find_ends(
         return at, free
     is_ajar = frame.hinge != 0
     if frame.opens_away or (not is_ajar and frame.depth > _RECESSED):
-        return _ends_in_opening(leaf, frame, hinge, (at, free), rays, ground, thickness if is_ajar else 0.0)
+        return _ends_in_opening(leaf, frame, hinge, rays, ground, thickness if is_ajar else 0.0)
     if not is_ajar:
         ends = [
             edge.at + side * _TO_CASING if _CASING[0] < edge.jump < _CASING[1] else edge.at
@@ -72,38 +72,43 @@ def _hinge_in_wall(leaf: Leaf, frame: Frame, at: float, hinge: int) -> float:
 
 
 def _ends_in_opening(
-    leaf: Leaf, frame: Frame, hinge: int, ends: tuple[float, float], rays: Rays, ground: float, behind: float
+    leaf: Leaf, frame: Frame, hinge: int, rays: Rays, ground: float, behind: float
 ) -> tuple[float, float]:
     """Return the ends of a leaf behind its wall's face, from the jambs that limit the opening [m].
 
     Args:
-        ends: of the seen part of the leaf [m].
         behind: distance of the hinge axis behind the leaf's face [m].
     """
-    places = np.stack([leaf.plane.place(end, 0.0, -behind) for end in ends])
+    edges = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
+    ends = [_own_edge(leaf, frame, edge, side, rays, ground) for edge, side in zip(edges, (hinge, -hinge), strict=True)]
+    places = np.stack([leaf.plane.place(edge.at, 0.0, -behind) for edge in edges])
     wall = frame.plane.local(places)[:, 0]
     outwards = 1 if wall[0] > wall[1] else -1
-    width = abs(ends[1] - ends[0])
     depth = max(frame.depth, 0.0)
     hinge_jamb = _find_jamb(frame.plane, rays, float(wall[0]), outwards, ground, depth)
     if np.isnan(hinge_jamb):
-        return ends
-    pin = hinge_jamb - outwards * GAP
-    free_jamb = _find_jamb(frame.plane, rays, pin - outwards * width, -outwards, ground, depth)
-    edges = (leaf.low, leaf.high) if hinge < 0 else (leaf.high, leaf.low)
-    if not frame.hinge and _shows_gap(edges[0], abs(pin - wall[0])):
-        pin = float(wall[0])
-    share = (pin - wall[0]) / (wall[1] - wall[0])
-    at = ends[0] + float(share) * (ends[1] - ends[0])
-    free_pin = free_jamb + outwards * GAP
-    if np.isnan(free_jamb) or (not frame.hinge and _shows_gap(edges[1], abs(free_pin - wall[1]))):
-        return at, ends[1]
-    return at, at + float(np.sign(ends[1] - ends[0])) * (abs(free_jamb - pin) - GAP)
+        return edges[0].at, edges[1].at
+    # Along the leaf per length along the wall.
+    scale = (edges[1].at - edges[0].at) / float(wall[1] - wall[0])
+    at = _choose(edges[0].at + scale * (hinge_jamb - outwards * GAP - float(wall[0])), ends[0])
+    near = float(wall[0]) + (at - edges[0].at) / scale - outwards * leaf.width
+    free_jamb = _find_jamb(frame.plane, rays, near, -outwards, ground, depth)
+    if np.isnan(free_jamb):
+        return at, edges[1].at
+    width = abs(free_jamb - near - outwards * leaf.width) - GAP
+    return at, _choose(at - hinge * width, ends[1])
 
 
-def _shows_gap(edge: Edge, missing: float) -> bool:
-    """Return whether a shut leaf was seen to end before its jamb, since rays went on between them."""
-    return missing > _WIDE_GAP and edge.open_share > _OPEN_GAP
+def _own_edge(leaf: Leaf, frame: Frame, edge: Edge, side: int, rays: Rays, ground: float) -> float:
+    """Return the end of a shut leaf beside which rays went on [m]; NaN where its jamb limits what is seen."""
+    if frame.hinge or edge.open_share < _OPEN_GAP:
+        return float("nan")
+    return find_step(leaf.plane, rays, edge.at, side, ground, 2.5 * leaf.rms)
+
+
+def _choose(by_jamb: float, own: float) -> float:
+    """Return the end by the jamb, or the leaf's own where it was seen well inside of that."""
+    return own if abs(own - by_jamb) > _WIDE_GAP else by_jamb
 
 
 def _find_jamb(plane: Upright, rays: Rays, near: float, outwards: int, ground: float, depth: float) -> float:

@@ -12,9 +12,9 @@ from perception.detect.door.profile import BAND, Rays
 
 _SURELY_AJAR = np.radians(3.0)
 _FLUSH = 0.012
-_DEEP = 0.03
-_STOP = (0.001, 0.006)  # columns inside of the leaf's true edge that a stop covers [m]
-_STOP_HEIGHT = 0.006
+_RECESSED, _DEEP = 0.03, 0.05
+_STOP, _INSIDE = (0.001, 0.006), (0.03, 0.05)  # columns inside of the leaf's edge with a stop, and without one [m]
+_STOP_HEIGHT, _BARE = 0.006, 0.004
 _FEWEST = 20
 _NEAR = 0.06
 _KNUCKLE_COLUMNS = (-0.016, 0.008)  # about the leaf's hinge edge, towards its free edge [m]
@@ -43,10 +43,9 @@ def judge_opening(
     local = leaf.plane.local(rays.ends)
     local = local[np.abs(local[:, 2]) < _NEAR]
     shows_hinges = _rate_knuckles(local, ends, ground) > _SURE_KNUCKLES
-    if frame.depth > _DEEP:
-        stops = [_stop_height(local, end, other, ground) for end, other in (ends, ends[::-1])]
-        is_behind_stop = all(stop > _STOP_HEIGHT for stop in stops)
-        if is_behind_stop and not shows_hinges:
+    if frame.depth > _RECESSED:
+        is_behind_stop = all(_has_stop(local, end, other, ground) for end, other in (ends, ends[::-1]))
+        if is_behind_stop and frame.depth > _DEEP and not shows_hinges:
             return "push", 0.9
         return ("pull", 0.8) if shows_hinges and not is_behind_stop else (None, 0.0)
     if abs(frame.depth) < _FLUSH or shows_hinges:
@@ -54,13 +53,15 @@ def judge_opening(
     return None, 0.0
 
 
-def _stop_height(local: Float[np.ndarray, "N 3"], end: float, other: float, ground: float) -> float:
-    """Return the median height over the leaf of what lies just inside of its edge [m]; NaN with too few points."""
+def _has_stop(local: Float[np.ndarray, "N 3"], end: float, other: float, ground: float) -> bool:
+    """Return whether a narrow strip that stands over the leaf covers its edge at ``end``."""
     inwards = 1.0 if other > end else -1.0
     along = (local[:, 0] - end) * inwards
-    mine = (along > _STOP[0]) & (along < _STOP[1])
-    mine &= (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
-    return float(np.median(local[mine, 2])) if mine.sum() >= _FEWEST else float("nan")
+    band = (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
+    strip, bare = (local[band & (along > low) & (along < high), 2] for low, high in (_STOP, _INSIDE))
+    if min(len(strip), len(bare)) < _FEWEST:
+        return False
+    return bool(np.median(strip) > _STOP_HEIGHT and abs(np.median(bare)) < _BARE)
 
 
 def _rate_knuckles(local: Float[np.ndarray, "N 3"], ends: tuple[float, float], ground: float) -> float:
