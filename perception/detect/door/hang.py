@@ -25,6 +25,8 @@ _SCATTER = 0.01
 _WIDE_GAP, _OPEN_GAP = 0.015, 0.25
 _OFF_WALL, _BEFORE_LEAF = 0.015, 0.6
 _MOST_ON_WALL = 0.04
+_FARTHEST = 0.08
+_SIGMA_CASING, _SIGMA_FLUSH = 0.008, 0.002
 _LEAST_STEEP = np.radians(5.0)
 
 
@@ -63,12 +65,15 @@ def _hinge_in_wall(leaf: Leaf, frame: Frame, at: float, hinge: int) -> float:
     usual = at - hinge * _TO_CASING
     wall = frame.plane.local(np.stack([leaf.plane.place(usual), leaf.plane.place(usual - hinge * 0.1)]))[:, 2]
     rise = float(wall[1] - wall[0]) / 0.1
-    if abs(wall[0]) > _FLUSH + 0.01 * abs(rise) or frame.ajar < _LEAST_STEEP:
+    if frame.ajar < _LEAST_STEEP:
         return usual
-    meets = usual + hinge * float(wall[0]) / rise
-    # Both estimates with their variances: the casing's reveal varies, and the leaf may stand back by some millimetres.
-    weight = (0.004 / 0.002) ** 2 * rise**2
-    return float((usual + weight * meets) / (1.0 + weight))
+    shift = float(wall[0]) / rise
+    # A hinge edge behind the wall's face may stand back in its frame; one before it was cut off too early.
+    if not -_FLUSH / abs(rise) < shift < _FARTHEST:
+        return usual
+    # Weights by the variances: where the edge was seen, and by how much the shut leaf is not flush.
+    weight = (max(_SIGMA_CASING, 0.5 * shift) / _SIGMA_FLUSH * rise) ** 2
+    return float(usual + hinge * shift * weight / (1.0 + weight))
 
 
 def _ends_in_opening(
