@@ -225,7 +225,8 @@ def main() -> None:
     if values:
         table = np.array(values)
         for name, quantile in (("median", 50.0), ("90 %", 90.0), ("largest", 100.0)):
-            figures = [f"{x:.1f}" for x in np.nanpercentile(table, quantile, axis=0)]
+            known = [column[~np.isnan(column)] for column in table.T]
+            figures = [f"{np.percentile(column, quantile):.1f}" if len(column) else "-" for column in known]
             rows.append([f"{name} of {len(values)} simulated", "", "", "", "", *figures])
         counts = [
             f"{sum(v[k] == 'right' for v in verdicts)} right, {sum(v[k] == '?' for v in verdicts)} ?" for k in range(3)

@@ -63,7 +63,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     ``side``, +1 when y points to the sensor, else -1; ``handle_x``, ``handle_y``, ``handle_z``, the
     position of the handle's bar at its pivot [m] (left out when no handle was seen); ``lever_direction``, -1 towards
     the hinge, +1 away, 0 for knobs and upright bars; of levers ``handle_length``, from pivot to free end [m], and
-    ``handle_turn``, the angle by which it is turned down [rad].  ``read_door`` returns the geometry of a hit.
+    ``handle_turn_rad``, the angle by which it is turned down [rad].  ``read_door`` returns the geometry of a hit.
 
     Args:
         hint: (3,) a point near the leaf or its handle [m].
@@ -231,16 +231,16 @@ def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
         (along, up), direction = _pivot(handle, free_at, hinge_at)
         if handle.is_lever and handle.bar is not None:
             far = handle.bar.ends[int(np.argmax(np.linalg.norm(handle.bar.ends - [along, up], axis=1)))]
-            sizes["handle_turn"] = float(np.arctan2(up - far[1], abs(along - far[0])))
+            sizes["handle_turn_rad"] = float(np.arctan2(up - far[1], abs(along - far[0])))
             sizes["handle_length"] = float(np.hypot(along - far[0], up - far[1])) + handle.bar.radius
         sizes["lever_direction"] = direction
-        sizes["handle_x"] = abs(along - hinge_at)
-        sizes["handle_y"] = side * handle.out
+        sizes["handle_x"] = float(abs(along - hinge_at))
+        sizes["handle_y"] = float(side * handle.out)
         sizes["handle_z"] = float(up - ground)
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
     opens, certainty = judge_opening(leaf, frame, (hinge_at, free_at), rays, ground)
-    model = DoorModel(*_shut(candidate, pose, side, sizes, opens, ground))
+    model = DoorModel(_shut(candidate, pose, side, sizes, opens, ground))
     residuals |= {"opens_share": certainty, "hinge_share": float(candidate.knows_hinge)}
     residuals["thickness_share"] = 0.0
     return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step], model)
@@ -253,8 +253,8 @@ def _shut(
     sizes: Mapping[str, float],
     opens: Opens | None,
     ground: float,
-) -> tuple[DoorGeometry, bool]:
-    """Return the door with its leaf shut, and whether the seen face is the one away from the robot.
+) -> DoorGeometry:
+    """Return the door with its leaf shut.
 
     Args:
         pose, side, sizes: of the detection.
@@ -262,7 +262,7 @@ def _shut(
     leaf, frame = candidate.leaf, candidate.frame
     is_ajar = frame is not None and frame.hinge != 0
     along, normal = pose[:3, 0], side * pose[:3, 1]
-    shows_far_face = False
+    shows_far_face = False  # the one that is away from the robot when the leaf is shut
     if frame is not None and is_ajar:
         along = frame.plane.along * np.sign(frame.plane.along @ along)
         normal = frame.plane.normal
@@ -273,16 +273,15 @@ def _shut(
     # The hinge pin is on the face to which the leaf turns.
     face = thickness if opens == "push" else 0.0
     corner = pose[:3, 3] - [0.0, 0.0, pose[2, 3] - ground - _OVER_FLOOR]
-    pin = corner - (face - (thickness if shows_far_face else 0.0)) * leaf.plane.normal
+    pin = corner - (thickness - face if shows_far_face else face) * leaf.plane.normal
     handle = None
     if candidate.handle is not None and not shows_far_face:
         handle = _handle_geometry(candidate.handle, sizes, pin + face * normal, along, normal)
         handle = replace(handle, centre=handle.centre - [0.0, 0.0, _OVER_FLOOR])
     width, height = sizes["width"], sizes["height"] - _OVER_FLOOR
     ajar = sizes["ajar"] if is_ajar else 0.0
-    turn = sizes.get("handle_turn", 0.0) if handle is not None else 0.0
-    geometry = DoorGeometry(pin, along, normal, face, width, height, thickness, opens, ajar, handle, turn)
-    return geometry, shows_far_face
+    turn = sizes.get("handle_turn_rad", 0.0) if handle is not None else 0.0
+    return DoorGeometry(pin, along, normal, face, width, height, thickness, opens, ajar, handle, turn)
 
 
 def _handle_geometry(

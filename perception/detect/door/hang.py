@@ -12,6 +12,8 @@ from perception.detect.door.profile import BAND, Rays
 from perception.detect.door.upright import Upright
 
 GAP = 0.004
+_REVEAL = 0.008  # usual distance of a casing from the leaf
+_STEP_REACH = 0.03
 # From a leaf's edge to the step to its casing as it is seen: gap and reveal, less half of the step's own width.
 _TO_CASING = 0.004
 _CASING = (0.006, 0.05)  # height of a casing over a leaf flush with the wall
@@ -48,12 +50,32 @@ def find_ends(
         return _ends_in_opening(leaf, frame, hinge, rays, ground, thickness if is_ajar else 0.0)
     if not is_ajar:
         ends = [
-            edge.at + side * _TO_CASING if _CASING[0] < edge.jump < _CASING[1] else edge.at
-            for edge, side in zip(edges, (-hinge, hinge), strict=True)
+            _inside_casing(leaf, edge, side, rays, ground) if _CASING[0] < edge.jump < _CASING[1] else edge.at
+            for edge, side in zip(edges, (hinge, -hinge), strict=True)
         ]
         return ends[0], ends[1]
     seen = find_step(leaf.plane, rays, free, -hinge, ground, 2.5 * leaf.rms)
     return _hinge_in_wall(leaf, frame, at, hinge), free if np.isnan(seen) else seen
+
+
+def _inside_casing(leaf: Leaf, edge: Edge, side: int, rays: Rays, ground: float) -> float:
+    """Return the usual end of a leaf inside of its casing, whose step is fitted by least squares [m].
+
+    Args:
+        side: direction along the plane out of the face, -1 or 1.
+    """
+    local = leaf.plane.local(rays.ends)
+    place = (local[:, 0] - edge.at) * side
+    mine = (np.abs(place) < _STEP_REACH) & (np.abs(local[:, 2]) < _CASING[1])
+    mine &= (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
+    order = np.argsort(place[mine], kind="stable")
+    place, out = place[mine][order], local[mine, 2][order]
+    if len(out) < 2 * _FEWEST:
+        return edge.at - side * _REVEAL
+    # The sum of squares that a step at each point explains: the face is at zero, the casing at its own mean.
+    beyond = np.cumsum(out[::-1])[::-1]
+    explained = np.where(beyond > 0.0, beyond**2 / np.arange(len(out), 0, -1), 0.0)[_FEWEST:-_FEWEST]
+    return edge.at + side * (float(place[_FEWEST + int(np.argmax(explained))]) - _REVEAL)
 
 
 def _hinge_in_wall(leaf: Leaf, frame: Frame, at: float, hinge: int) -> float:

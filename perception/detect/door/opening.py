@@ -38,8 +38,8 @@ def judge_opening(
     """
     if frame is None:
         return None, 0.0
-    if frame.hinge and frame.ajar > _SURELY_AJAR:
-        return ("push" if frame.opens_away else "pull"), 1.0
+    if frame.hinge:
+        return ("push" if frame.opens_away else "pull"), 1.0 if frame.ajar > _SURELY_AJAR else 0.8
     local = leaf.plane.local(rays.ends)
     local = local[np.abs(local[:, 2]) < _NEAR]
     shows_hinges = _rate_knuckles(local, ends, ground) > _SURE_KNUCKLES
