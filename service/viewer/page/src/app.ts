@@ -1,7 +1,7 @@
 // The page's state and what can be done to it; main.ts connects it to keys, pointer and URL.
 import { Box3, Mesh, Vector3 } from "three";
 import { Balance } from "./balance";
-import { Movable, Result, readPayload, spanAt } from "./data";
+import { Body, Movable, Result, readPayload, spanAt } from "./data";
 import { el, tellTimes } from "./dom";
 import { Ghosts } from "./ghosts";
 import { Goal } from "./goal";
@@ -67,9 +67,9 @@ export class App implements Player {
     const subject = this.subject(z);
     this.stage = new Stage(viewport, subject);
     this.robot = new Robot(result.bodies, motion);
-    this.ghosts = new Ghosts(result.bodies, motion, result.waypoints);
+    this.ghosts = new Ghosts([...result.bodies, ...this.movedBodies()], motion, result.waypoints);
     this.pieces = new Pieces(result);
-    this.movables = new Movables(result);
+    this.movables = new Movables(result, motion);
     const targets = new Targets(result);
     this.marks = new Marks(result.checks, motion.start, (name, t) => this.placeOf(name, t), this.labels, () => this.solids());
     const centre = subject.box.getCenter(new Vector3());
@@ -114,9 +114,14 @@ export class App implements Player {
     if (link) return link;
     const isNamed = (movable: Movable): boolean => [movable.joint, movable.name, ...movable.bodies.map((body) => body.name)].includes(name);
     const movable = this.result.movables.find(isNamed);
-    if (movable) return new Vector3().fromArray(movable.origin);
+    if (movable) return this.motion.place(movable.name, t) ?? new Vector3().fromArray(movable.origin);
     const sphere = this.pieces.solids.find((piece) => piece.name === name)?.mesh.geometry.boundingSphere;
     return sphere?.center.clone();
+  }
+
+  // The bodies of what the task moves, by link, as those of the robot.
+  private movedBodies(): Body[] {
+    return this.result.movables.flatMap(({ name: link, bodies }) => bodies.map(({ name, hull }) => ({ name, link, hull })));
   }
 
   // The link a target speaks of, else the hand that travels most, else the link that does.
@@ -126,8 +131,9 @@ export class App implements Player {
     const asked = this.result.phases.flatMap((phase) => phase.targets ?? []).map((target) => links.indexOf(target.frame ?? ""));
     const found = asked.find((link) => link >= 0);
     if (found !== undefined) return found;
-    const hands = links.map((_, link) => link).filter((link) => /hand|tool|gripper/i.test(links[link]));
-    const pool = hands.length > 0 ? hands : links.map((_, link) => link);
+    const own = links.map((_, link) => link).filter((link) => !this.result.movables.some(({ name }) => name === links[link]));
+    const hands = own.filter((link) => /hand|tool|gripper/i.test(links[link]));
+    const pool = hands.length > 0 ? hands : own;
     return pool.reduce((best, link) => (this.motion.travel(link) > this.motion.travel(best) ? link : best), pool[0] ?? -1);
   }
 
@@ -137,15 +143,18 @@ export class App implements Player {
     const p = new Vector3();
     for (let i = 0; i <= 12 && motion.nFrames > 0; i++) {
       const matrices = motion.links.map((_, link) => motion.matrix(link, motion.start + (i / 12) * (motion.end - motion.start)));
-      for (const body of result.bodies) {
+      for (const body of [...result.bodies, ...this.movedBodies()]) {
         const matrix = matrices[motion.links.indexOf(body.link)];
         const { vertices } = body.hull;
         for (let k = 0; k < vertices.length; k += 3) box.expandByPoint(p.fromArray(vertices, k).applyMatrix4(matrix));
       }
     }
-    const scene = result.movables.flatMap((movable) => movable.bodies);
-    for (const body of box.isEmpty() ? [...scene, ...result.pieces] : scene) {
-      for (let i = 0; i < body.hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(body.hull.vertices, i));
+    if (box.isEmpty()) {
+      for (const { origin, bodies } of [...result.movables, { origin: [0, 0, 0], bodies: result.pieces }]) {
+        for (const { hull } of bodies) {
+          for (let i = 0; i < hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(hull.vertices, i).add(new Vector3().fromArray(origin)));
+        }
+      }
     }
     box.union(this.goal.box);
     if (box.isEmpty()) box.set(new Vector3(-1, -1, 0), new Vector3(1, 1, 1));

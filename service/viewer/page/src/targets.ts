@@ -34,7 +34,7 @@ export class Targets implements Layer {
   constructor(result: Result) {
     const seen = new Map<string, Phase[]>();
     // The goal of a motion that was never planned stands all the time.
-    const goal: Phase = { name: "goal", start: -Infinity, end: Infinity, targets: result.obstruction?.targets ?? [] };
+    const goal: Phase = { name: "goal", start: -Infinity, end: Infinity, targets: result.obstruction?.targets ?? [], regions: [] };
     for (const phase of [...result.phases, goal]) {
       for (const target of phase.targets ?? []) {
         const same = seen.get(JSON.stringify(target));
