@@ -1,6 +1,7 @@
 // The page's state and what can be done to it; main.ts connects it to keys, pointer and URL.
 import { Box3, Mesh, Vector3 } from "three";
 import { Balance } from "./balance";
+import { Cones, Contacts } from "./contacts";
 import { Body, Movable, Result, readPayload, spanAt } from "./data";
 import { el, tellTimes } from "./dom";
 import { Ghosts } from "./ghosts";
@@ -8,13 +9,15 @@ import { Goal } from "./goal";
 import { Header, makeHeader, makeHelp, tone } from "./header";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
+import { Loads } from "./loads";
 import { Marks } from "./marks";
 import { Motion } from "./motion";
 import { Panel } from "./panel";
+import { Forces, Regions } from "./regions";
 import { Robot } from "./robot";
 import { Shapeless } from "./shapeless";
 import { Stage, Subject, View } from "./stage";
-import { Contacts, Targets } from "./targets";
+import { Targets } from "./targets";
 import { THEMES } from "./theme";
 import { Player, SPEEDS, Timeline } from "./timeline";
 import { Cloud, Floor, Movables, Pieces, floorHeight } from "./world";
@@ -33,6 +36,7 @@ export class App implements Player {
   readonly labels: Labels;
   readonly help: HTMLElement;
   readonly tip = el("div", "tip");
+  private readonly scales = el("div", "scales");
   time: number;
   isPlaying = false;
   speed = 1;
@@ -54,7 +58,7 @@ export class App implements Player {
     const viewport = el("main", "viewport");
     const overlay = el("div", "labels");
     this.tip.hidden = true;
-    viewport.append(overlay, this.tip);
+    viewport.append(overlay, this.scales, this.tip);
     this.labels = new Labels(overlay);
     this.header = makeHeader(result, (view) => this.show(view), {
       theme: () => this.setTheme(this.theme === "dark" ? "light" : "dark"), xray: () => this.setXray(!this.isXray),
@@ -71,15 +75,17 @@ export class App implements Player {
     this.pieces = new Pieces(result);
     this.movables = new Movables(result, motion);
     const targets = new Targets(result);
+    const loads = new Loads(result, motion);
     this.marks = new Marks(result.checks, motion.start, (name, t) => this.placeOf(name, t), this.labels, () => this.solids());
     const centre = subject.box.getCenter(new Vector3());
     const reach = Math.max(6, subject.box.getSize(new Vector3()).length() * 2.2);
     this.layers = [
-      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result), this.goal,
+      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result),
+      new Cones(result), new Regions(result, z), new Forces(result), loads, this.goal,
       new Shapeless(result.shapeless, motion), this.marks,
       new Cloud(result.cloud), new Floor(result, z, centre, reach),
     ];
-    for (const label of [...targets.labels, ...this.movables.labels, ...this.goal.labels]) this.labels.add(label);
+    for (const label of [...targets.labels, ...this.movables.labels, ...loads.labels, ...this.goal.labels]) this.labels.add(label);
     for (const layer of this.layers) this.stage.scene.add(layer.group);
     this.panel = new Panel(result, this.layers, (index) => this.chooseCheck(index), (layer) => this.toggle(layer));
     this.timeline = new Timeline(result, this, this.ghosts.times);
@@ -177,6 +183,7 @@ export class App implements Player {
       this.stage.follow(this.motion.place(this.motion.links[this.hand], this.time)!.sub(before));
     }
     this.timeline.update();
+    this.explain();
     this.panel.setPhase(spanAt(this.result.phases, this.time));
     this.stage.draw();
   }
@@ -193,7 +200,19 @@ export class App implements Player {
     layer.update?.(this.time);
     this.panel.setLayer(layer);
     this.marks.refresh();
+    this.explain();
     this.stage.draw();
+  }
+
+  // What the colours of forces and regions mean, of the layers that show some now.
+  private explain(): void {
+    const rows = this.layers.map((layer) => layer.legend?.()).filter((legend) => legend !== undefined);
+    this.scales.hidden = rows.length === 0;
+    this.scales.replaceChildren(...rows.map(({ colour, text }) => {
+      const swatch = el("i");
+      swatch.style.background = colour;
+      return el("div", "", swatch, text);
+    }));
   }
 
   play(on: boolean): void {
@@ -284,6 +303,7 @@ export class App implements Player {
     document.documentElement.dataset.theme = theme;
     for (const layer of this.layers) layer.recolour(THEMES[theme]);
     this.stage.recolour(THEMES[theme]);
+    this.explain();
   }
 
   togglePanel(): void { document.body.classList.toggle("wide"); }

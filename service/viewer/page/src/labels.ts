@@ -1,15 +1,15 @@
 // Text that stands at places of the scene, drawn as HTML over the canvas so that it stays sharp.
 import { PerspectiveCamera, Vector3 } from "three";
 
-export interface Label { at: Vector3; text: string; kind: "target" | "good" | "fair" | "bad" | "spot"; isOn: boolean; isDim?: boolean }
+export interface Label { at: Vector3; text: string; kind: "target" | "good" | "fair" | "bad" | "spot" | "force"; isOn: boolean; isDim?: boolean }
 
 interface Shown { label: Label; element: HTMLElement; text: HTMLElement; width: number }
 interface Box { left: number; right: number; top: number; bottom: number }
 
 // Who keeps its place when two labels meet.
-const RANK: Record<Label["kind"], number> = { bad: 0, fair: 1, good: 1, target: 2, spot: 3 };
+const RANK: Record<Label["kind"], number> = { bad: 0, fair: 1, good: 1, force: 2, target: 2, spot: 3 };
 const HEIGHT = 24;
-const LIFT: Record<Label["kind"], number> = { bad: 22, fair: 22, good: 22, target: 12, spot: -34 };
+const LIFT: Record<Label["kind"], number> = { bad: 22, fair: 22, good: 22, target: 12, force: 10, spot: -34 };
 
 export class Labels {
   private readonly shown: Shown[] = [];
