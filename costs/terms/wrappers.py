@@ -119,11 +119,13 @@ class WithinTolerance(Between[StateT]):
 
 
 class NormWithin(Residual[StateT]):
-    """``|r| - limit`` of the ``k`` rows of each waypoint, one row per waypoint: at most zero inside a ball."""
+    """``|r| - limit`` of the ``k`` rows of each waypoint, one row per waypoint: at most zero inside a ball.
 
-    is_smooth = False
+    It is as smooth as its residual where it binds.
+    """
 
     def __init__(self, residual: Residual[StateT], k: int, limit: float) -> None:
+        self.is_smooth = residual.is_smooth
         self._residual, self._k, self._limit = residual, k, limit
 
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:

@@ -26,8 +26,10 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Problem, Sense
 from service.body.holds import DRIFT, Hold, KeptPose, project_onto_holds
+from service.body.loaded_regions import PlannedRegion
 from service.demands.stance import BALANCE_RESERVE, make_standing_allowances
 from service.start.standing import sole_corners
+from service.verify import PlantedContact
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
@@ -50,6 +52,11 @@ class PlantedLink:
     link: str
     pose_world_link: Float[np.ndarray, "4 4"]
     sole: Float[np.ndarray, "C 3"]
+
+    @property
+    def contact(self) -> PlantedContact:
+        """The verifier's contact."""
+        return PlantedContact(self.link, self.pose_world_link, self.sole)
 
     @property
     def sole_in_world(self) -> Float[np.ndarray, "C 3"]:
@@ -179,6 +186,7 @@ class WholeBody:
         costs: Sequence[Cost[MotionState]] = (),
         constraints: Sequence[Constraint[MotionState]] = (),
         balanced: Sequence[int] | None = None,
+        regions: Sequence[PlannedRegion] = (),
     ) -> Problem[MotionState]:
         """Return the terms of every phase and the task's as one problem.
 
@@ -187,6 +195,7 @@ class WholeBody:
             checker: of swept collisions.
             costs, constraints: of the task.
             balanced: waypoints with a balance constraint; all if not given.
+            regions: where the loaded feet hold the robot, instead of their hull.
         """
         n_waypoints = len(lower)
         everywhere = np.arange(n_waypoints)
@@ -202,12 +211,16 @@ class WholeBody:
         ]
         standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
         if self.polygon is not None:
-            inside = CentreOfMassInPolygon(
-                self.polygon,
-                everywhere if balanced is None else balanced,
-                self.aims.balance_margin + BALANCE_RESERVE,
-            )
-            standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
+            margin = self.aims.balance_margin + BALANCE_RESERVE
+            inside = [CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)]
+            if regions:
+                inside = [
+                    CentreOfMassInPolygon(
+                        loaded.region.polygon, everywhere[loaded.first : loaded.last + 1], margin + loaded.shift_m
+                    )
+                    for loaded in regions
+                ]
+            standing += [Constraint("balance", term, tolerance=0.5 * BALANCE_RESERVE, unit="m") for term in inside]
         for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
             acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
             clearance = SweptClearance(self.robot, is_self=is_self)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.door_demand import measure_peg
 from service.demands.hands import Hand
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
@@ -65,7 +65,7 @@ class DoorOpening:
     def _choices(self, hand: Hand) -> Iterator[DoorChoice]:
         """Yield ways to hold the handle with a hand, the most promising first; the leaf alone where it is ajar."""
         door, start = self.door, self.door.geometry.ajar
-        peg = measure_peg(self.solver, hand)
+        peg = measure_peg(self.solver.body.robot, hand)
         handle = door.handle
         if door.is_push and not door.is_latched:
             yield DoorChoice(hand, peg, 0.0, 1.0, start, stays=self.stays)
@@ -222,10 +222,3 @@ class DoorOpening:
             is_bar = self.door.handle is not None and self.door.handle.kind == "push_bar"
             figures["pressed_m" if is_bar else "lever_deg"] = largest if is_bar else float(np.rad2deg(largest))
         return figures
-
-
-def measure_peg(solver: PhaseSolver, hand: Hand) -> float:
-    """Return the length of a hand's free rod [m]."""
-    body = solver.body
-    poses = locate_links(body.engine, body.nominal, [hand.tool, hand.stub])
-    return float(np.linalg.norm(poses[hand.tool][:3, 3] - poses[hand.stub][:3, 3]))

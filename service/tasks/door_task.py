@@ -13,7 +13,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door import Door
-from service.demands.door_demand import read_given_door
+from service.demands.door_demand import make_door, read_given_door
 from service.demands.hands import HANDS, Hand
 from service.errors import RequestError
 from service.request.door import DoorRequest
@@ -64,9 +64,7 @@ def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
         if scene.cloud is None:
             raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
         return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
-    is_bar = geometry.handle is not None and geometry.handle.kind == "push_bar"
-    release = request.press_m if is_bar else float(np.deg2rad(request.release_deg))
-    door = Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
+    door = make_door(request, geometry)
     return door, describe_door(door)
 
 

@@ -20,6 +20,7 @@ from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, NormWithin, WithinTolerance
 from scopt import Constraint, Residual, Sense
 from service.body.holds import Hold
+from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.phases import Bounds, PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
@@ -155,7 +156,16 @@ class _Compiler:
         fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
         fixed |= {names.index(name): value for name, value in spec.fixed.items()}
         constraints = self._constraints(spec, np.zeros(1, dtype=int), 1)
-        return self.solver.solve_pose(step, guesses, constraints, spec.touches, fixed)
+        regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
+        return self.solver.solve_pose(step, guesses, constraints, spec.touches, fixed, regions)
+
+    def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
+        """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
+        body = self.solver.body
+        if not spec.loads or body.polygon is None:
+            return ()
+        contacts = [foot.contact for foot in body.planted]
+        return plan_regions(self.robot, contacts, spec.loads, values, body.nominal)
 
     def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
         """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""
@@ -197,7 +207,7 @@ class _Compiler:
 
         return self.solver.solve_trajectory(
             spec.name, [start], fixed, constraints=self._constraints(spec, free, count), allowances=spec.touches,
-            bounds=narrow,
+            bounds=narrow, regions=self.find_regions(spec, values),
         )  # fmt: skip
 
     def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
@@ -224,9 +234,10 @@ class _Compiler:
             lower[:, self.columns] = upper[:, self.columns] = q[:, self.columns]
 
         constraints = self._constraints(spec, np.arange(1, last), len(q))
+        regions = self.find_regions(spec, q[:, self.columns])
         fixed = {0: q[0], last: q[last]}
         return self.solver.solve_trajectory(
-            spec.name, [q], fixed, constraints=constraints, allowances=spec.touches, bounds=narrow
+            spec.name, [q], fixed, constraints=constraints, allowances=spec.touches, bounds=narrow, regions=regions
         )
 
     def _move(self, spec: PhaseSpec, count: int) -> Bounds:
@@ -253,6 +264,8 @@ class _Compiler:
             lambda at: spec.targets(self.mechanism, at),
             resolve=None if spec.hand is not None and spec.hand.is_line else solve_again,
             loads=spec.loads,
+            regions=self.find_regions(spec, spec.values(spec.n_waypoints)),
+            values=spec.values(spec.n_waypoints) if spec.loads else None,
         )
 
     def _constraints(
