@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
 from tiny_robots import PLANAR, chain
-from viewer_results import box, make_result
+from viewer_results import HINGE, SLIDE, door, make_result, movable, unpack
 
 from costs.robot import MechanismJoint, RobotModel, with_mechanism
 from service.viewer import LinkPlacements, write_glb, write_openrave
@@ -21,24 +20,6 @@ from service.viewer.movables import list_chains, place_movables
 from service.viewer.payload import make_payload
 
 N = 61
-U = np.linspace(0.0, 1.0, N)
-HINGE, SLIDE = np.array([0.75, -0.45, 0.0]), np.array([0.65, 0.1, 1.0])
-
-
-def movable(name: str, origin: Any, axis: Any, angles: Any, kind: str = "revolute", parent: str | None = None) -> Any:
-    """An entry of ``result["movables"]``."""
-    return {
-        "name": name, "joint": f"{name}_joint", "type": kind, "parent": parent, "origin": list(origin),
-        "axis": list(axis), "lower": -9.0, "upper": 9.0, "start": float(angles[0]),
-        "bodies": [{"name": f"{name}/body", "kind": "movable", "vertices": box(origin, (0.04, 0.6, 0.1))}],
-        "angles": [float(angle) for angle in angles],
-    }  # fmt: skip
-
-
-def door() -> list[dict[str, Any]]:
-    """A leaf that opens by 1.2 rad from 0.2 rad on, and a bar on it that slides by 3 cm."""
-    bar = movable("door/bar", SLIDE, (2.0, 0.0, 0.0), 0.03 * U, "prismatic", "door/leaf")
-    return [movable("door/leaf", HINGE, (0.0, 0.0, -1.0), 0.2 + U), bar]
 
 
 def augment(movables: list[dict[str, Any]]) -> RobotModel:
@@ -77,16 +58,6 @@ def as_matrix(pose: Any) -> np.ndarray:
     return made
 
 
-def unpack(entry: dict[str, Any]) -> np.ndarray:
-    """A packed array of a payload."""
-    array = np.frombuffer(base64.b64decode(entry["data"]), dtype=np.dtype(entry["dtype"]).newbyteorder("<"))
-    array = array.reshape(entry["shape"])
-    if "lower" not in entry:
-        return array
-    lower, upper = np.array(entry["lower"]), np.array(entry["upper"])
-    return lower + array / 65535.0 * (upper - lower)
-
-
 vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
 axes = vectors.filter(lambda v: np.linalg.norm(v) > 0.1)
 kinds = st.sampled_from(["revolute", "prismatic"])
@@ -107,13 +78,13 @@ def test_links_of_any_tree_stand_where_pinocchio_has_them(joints: list[Any]) -> 
 
 
 def test_children_may_be_listed_before_their_parents() -> None:
-    leaf, bar = door()
+    leaf, bar = door(N)
     forth, back = place_movables([leaf, bar], N), place_movables([bar, leaf], N)
     np.testing.assert_allclose(back.poses[:, ::-1], forth.poses, atol=1e-12)
 
 
 def test_an_unknown_parent_and_a_cycle_are_refused_by_name() -> None:
-    leaf, bar = door()
+    leaf, bar = door(N)
     with pytest.raises(ValueError, match="'door/bar': its parent 'gate' is no movable"):
         list_chains([leaf, {**bar, "parent": "gate"}])
     with pytest.raises(ValueError, match="'door/leaf': its parents form a cycle"):
@@ -121,7 +92,7 @@ def test_an_unknown_parent_and_a_cycle_are_refused_by_name() -> None:
 
 
 def test_without_a_trajectory_a_movable_stands_at_its_start() -> None:
-    leaf, bar = door()
+    leaf, bar = door(N)
     for values in ({"angles": []}, {"angles": None}, {}):
         placed = place_movables([{**leaf, **values}, {**bar, "angles": []}], 0)
         assert placed.poses.shape == (1, 2, 7)
@@ -130,12 +101,12 @@ def test_without_a_trajectory_a_movable_stands_at_its_start() -> None:
 
 def test_the_page_gets_the_poses_and_the_bodies_in_their_frames() -> None:
     result, placements = make_result(n_samples=N)
-    result["movables"] = door()
+    result["movables"] = door(N)
     payload = make_payload(result, placements)
-    expected = poses_by_pinocchio(door())
+    expected = poses_by_pinocchio(door(N))
     samples = np.rint(unpack(payload["times"]) / 6.0 * (N - 1)).astype(int)
     positions, rotations = unpack(payload["positions"]), unpack(payload["rotations"]) / 32767.0
-    for entry, source in zip(payload["movables"], door(), strict=True):
+    for entry, source in zip(payload["movables"], door(N), strict=True):
         column = payload["links"].index(entry["name"])
         made = np.array([as_matrix([*p, *r]) for p, r in zip(positions[:, column], rotations[:, column], strict=True)])
         np.testing.assert_allclose(made, expected[entry["name"]][samples], atol=1e-4)
@@ -151,7 +122,7 @@ def test_the_page_gets_the_poses_and_the_bodies_in_their_frames() -> None:
 
 def test_glb_moves_the_bar_with_the_leaf(tmp_path: Any) -> None:
     result, placements = make_result(n_samples=N)
-    result["movables"] = door()
+    result["movables"] = door(N)
     write_glb(result, placements, tmp_path / "scene.glb")
     document = pygltflib.GLTF2().load(str(tmp_path / "scene.glb"))
 
@@ -162,7 +133,7 @@ def test_glb_moves_the_bar_with_the_leaf(tmp_path: Any) -> None:
         return np.frombuffer(blob, dtype="<f4").reshape(accessor.count, -1)
 
     animation = document.animations[0]
-    for name, expected in poses_by_pinocchio(door()).items():
+    for name, expected in poses_by_pinocchio(door(N)).items():
         node = next(i for i, node in enumerate(document.nodes) if node.name == name)
         tracks = {
             channel.target.path: rows(animation.samplers[channel.sampler].output)
@@ -178,7 +149,7 @@ def test_glb_moves_the_bar_with_the_leaf(tmp_path: Any) -> None:
 def test_openrave_has_one_kinbody_whose_joints_make_the_same_poses(tmp_path: Any) -> None:
     result, placements = make_result(n_samples=N)
     assert isinstance(placements, LinkPlacements)
-    result["movables"] = door()[::-1]  # a tree in any order
+    result["movables"] = door(N)[::-1]  # a tree in any order
     environment, trajectory = write_openrave(result, tmp_path)
     kinbody = etree.parse(str(environment)).find("kinbody[@name='door/leaf']")
     assert etree.parse(str(environment)).find("kinbody[@name='door/bar']") is None
@@ -194,7 +165,7 @@ def test_openrave_has_one_kinbody_whose_joints_make_the_same_poses(tmp_path: Any
     data = root.find("data")
     table = np.array(data.text.split(), dtype=float).reshape(int(data.get("count")), -1)
     values = table[:, int(group.get("offset")) :][:, :2]
-    expected = poses_by_pinocchio(door())
+    expected = poses_by_pinocchio(door(N))
     for sample in (0, 20, N - 1):
         poses = {"base": np.eye(4)}
         for joint, value in zip(kinbody.findall("joint"), values[sample], strict=True):

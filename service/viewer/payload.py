@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from service.viewer.forces import find_holding_forces, list_contact_points
+from service.viewer.forces import find_holding_forces, list_contact_points, sum_loads
 from service.viewer.hulls import make_convex_mesh
 from service.viewer.movables import is_prismatic, make_local_bodies, place_movables, read_angles
 from service.viewer.placements import LinkPlacements
@@ -56,7 +56,7 @@ def make_payload(result: Mapping[str, Any], placements: LinkPlacements) -> dict[
         "pieces": [_make_piece(piece) for piece in _get_list(result, "pieces")],
         "movables": [_make_movable(movable, len(times), kept) for movable in movables],
         "waypoints": np.searchsorted(kept, [i for i in waypoints if 0 <= i < len(times)]).tolist(),
-        "phases": [_make_phase(phase, times, kept, com) for phase in phases],
+        "phases": [_make_phase(phase, times, kept, com, moved) for phase in phases],
         "support": [_make_support(polygon, times) for polygon in _get_list(result, "support_polygons")],
         "com": pack(com[kept], "f4"),
         "cloud": quantize(_read_cloud(result)),
@@ -193,6 +193,7 @@ def _make_movable(movable: Mapping[str, Any], n_samples: int, kept: Int[np.ndarr
         "name": movable["name"],
         "joint": movable.get("joint", ""),
         "type": "prismatic" if is_prismatic(movable) else "revolute",
+        "parent": movable.get("parent"),
         "origin": list(movable["origin"]),
         "axis": list(movable["axis"]),
         "bodies": [_make_piece(body) for body in make_local_bodies(movable)],
@@ -205,8 +206,12 @@ def _make_phase(
     times: Float[np.ndarray, "S"],
     kept: Int[np.ndarray, "F"],
     com: Float[np.ndarray, "S 3"],
+    moved: LinkPlacements,
 ) -> dict[str, Any]:
-    regions = [_make_region(region, phase, times, kept, com) for region in phase.get("regions") or []]
+    """Return a phase with times for samples, and its static regions with forces that hold the robot."""
+    found = phase.get("regions") or []
+    wrench = sum_loads(phase, moved) if found and len(times) else np.zeros((len(times), 6))
+    regions = [_make_region(region, phase, times, kept, com, wrench) for region in found]
     return {**_replace_samples(phase, times), "regions": regions}
 
 
@@ -216,6 +221,7 @@ def _make_region(
     times: Float[np.ndarray, "S"],
     kept: Int[np.ndarray, "F"],
     com: Float[np.ndarray, "S 3"],
+    wrench: Float[np.ndarray, "S 6"],
 ) -> dict[str, Any]:
     """Return a static region with forces that hold the robot, one row per frame from ``frame`` on.
 
@@ -225,7 +231,7 @@ def _make_region(
     places, shape = list_contact_points(phase), np.shape(region.get("witnesses") or [])
     forces = np.empty((0, 0, 3))
     if len(places) and len(shape) == 4 and shape[0] == len(region["polygon"]) and shape[2] == len(places):
-        forces = find_holding_forces(region, com[kept[frames]])
+        forces = find_holding_forces(region, com[kept[frames]], wrench[kept[frames]])
     return {
         **_replace_samples({"first": region["first"], "last": region["last"]}, times),
         "polygon": region["polygon"],

@@ -7,7 +7,7 @@ interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
 export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array; bends: Uint8Array }
 export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
-interface MovedJoint { name: string; joint: string; type: "revolute" | "prismatic"; origin: number[]; axis: number[] }
+interface MovedJoint { name: string; joint: string; type: "revolute" | "prismatic"; parent: string | null; origin: number[]; axis: number[] }
 // Bodies are in the frame of the link, which has a pose among those of the robot's links.
 export interface Movable extends MovedJoint { bodies: NamedHull[]; angles: Float32Array }
 export interface Contact {

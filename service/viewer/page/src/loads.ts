@@ -42,7 +42,7 @@ export class Loads implements Layer {
         slide.add(mesh);
       }
       const newtons = Math.hypot(...load.force_n);
-      const label: Label = { at: new Vector3(), text: `${load.tool} up to ${newtons.toFixed(newtons < 10 ? 1 : 0)} N`, kind: "force", isOn: false };
+      const label: Label = { at: new Vector3(), text: `up to ${newtons.toFixed(newtons < 10 ? 1 : 0)} N on ${load.link}`, kind: "force", isOn: false };
       this.labels.push(label);
       this.group.add(arrow.group, slide);
       this.drawn.push({ load, link, arrow, slide, label });

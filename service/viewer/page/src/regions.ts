@@ -120,7 +120,7 @@ export class Forces implements Layer {
 
   legend(): Legend | undefined {
     if (!this.isNow) return undefined;
-    const text = "contact forces that hold the robot at rest here under the full load; others may too";
+    const text = "contact forces that hold the robot at rest here under the largest loads; others may too";
     return { colour: this.colour, text: `${text}; ${scaleText(this.scale)}` };
   }
 

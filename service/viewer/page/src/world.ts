@@ -201,8 +201,8 @@ export class Cloud implements Layer {
   recolour(colours: Colours): void { (this.material.uniforms.colour.value as Color).set(colours.cloud); }
 }
 
-// Where the label of what is moved hangs, in its link: clear of a wheel below it, on a leaf or a slide where it is seen.
-function labelPlace(movable: Movable): Vector3 {
+// Where the label of what is moved stands: below a wheel or lever, clear of it however it turns; on a leaf or slide, with it.
+function labelPlace(movable: Movable, parent: Movable | undefined): { place: Vector3; hangs: boolean } {
   const axis = new Vector3().fromArray(movable.axis).normalize();
   const box = new Box3();
   const p = new Vector3();
@@ -214,10 +214,14 @@ function labelPlace(movable: Movable): Vector3 {
     }
   }
   const down = new Vector3(0, 0, -1).projectOnPlane(axis);
-  if (movable.type === "revolute" && down.length() > 0.5) return down.normalize().multiplyScalar(radius);
-  if (box.isEmpty()) return new Vector3();
+  if (movable.type === "revolute" && down.length() > 0.5) return { place: down.normalize().multiplyScalar(radius), hangs: true };
+  if (box.isEmpty()) return { place: new Vector3(), hangs: true };
   const middle = box.getCenter(new Vector3());
-  return middle.setZ(movable.type === "prismatic" ? box.min.z : box.max.z);
+  if (movable.type === "revolute") return { place: middle.setZ(box.max.z), hangs: false };
+  // The hand works far from the hinge: the label keeps to the other end.
+  const ends = [[box.min.x, box.min.y], [box.max.x, box.max.y]].map(([x, y]) => new Vector3(x, y, box.min.z));
+  const hinge = new Vector3().fromArray(parent?.origin ?? movable.origin).sub(new Vector3().fromArray(movable.origin));
+  return { place: ends.sort((a, b) => a.distanceTo(hinge) - b.distanceTo(hinge))[0], hangs: false };
 }
 
 export class Movables implements Layer {
@@ -230,7 +234,7 @@ export class Movables implements Layer {
   private readonly hub = new MeshStandardMaterial({ flatShading: true, roughness: 0.5, metalness: 0.2 });
   private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.7, vertexColors: true });
   readonly labels: Label[] = [];
-  private readonly moving: { group: Group; movable: Movable; label: Label; place: Vector3 }[] = [];
+  private readonly moving: { group: Group; movable: Movable; label: Label; place: Vector3; hangs: boolean }[] = [];
 
   constructor(private readonly result: Result, private readonly motion: Motion) {
     for (const movable of result.movables) {
@@ -245,8 +249,9 @@ export class Movables implements Layer {
       }
       group.add(new LineSegments(edgeGeometry(movable.bodies.map((body) => body.hull)), this.edges));
       const label: Label = { at: new Vector3(), text: movable.name, kind: "spot", isOn: true };
+      const parent = result.movables.find(({ name }) => name === movable.parent);
       this.labels.push(label);
-      this.moving.push({ group, movable, label, place: labelPlace(movable) });
+      this.moving.push({ group, movable, label, ...labelPlace(movable, parent) });
       this.group.add(group);
     }
     for (const { group, label, place } of this.moving) label.at.copy(place).add(group.position);
@@ -255,14 +260,19 @@ export class Movables implements Layer {
   get count(): number { return this.result.movables.length; }
 
   update(t: number): void {
-    for (const { group, movable, label, place } of this.moving) {
+    for (const { group, movable, label, place, hangs } of this.moving) {
       label.isOn = this.group.visible;
       const link = this.motion.links.indexOf(movable.name);
       if (link < 0 || movable.angles.length === 0) continue;
       this.motion.pose(link, t, group.position, group.quaternion);
-      label.at.copy(place).applyQuaternion(group.quaternion).add(group.position);
+      label.at.copy(place);
+      if (!hangs) label.at.applyQuaternion(group.quaternion);
+      label.at.add(group.position);
       const [value] = rowAt(this.result.times, movable.angles, 1, t);
-      label.text = `${words(movable.name)} ${moved(movable, value - movable.angles[0])}`;
+      const by = value - movable.angles[0];
+      label.text = `${words(movable.name)} ${moved(movable, by)}`;
+      // A handle at rest says nothing that its door does not.
+      label.isOn &&= movable.parent === null || Math.abs(by) > (movable.type === "prismatic" ? 5e-4 : 9e-3);
     }
   }
 
