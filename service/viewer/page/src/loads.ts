@@ -66,6 +66,7 @@ export class Loads implements Layer {
       slide.position.copy(place);
       slide.quaternion.copy(turn);
       label.at.copy(place).add(vector);
+      label.isBelow = vector.z < -0.3 * vector.length();
     }
   }
 
