@@ -1,9 +1,10 @@
 """Check a certificate with independent code: `python examples/check_certificate.py out/valve`.
 
 Prints one line per claim, `ok` or `FAIL`, and exits with 1 if any claim fails.  It imports only numpy and pinocchio.
-Parts are placements and motion bounds (`replayed_motion.py`), facts that the folder states twice (`replayed_record.py`)
-and targets (`replayed_targets.py`).  Distances come from Wolfe's minimum-norm-point algorithm (Math. Programming 11,
-1976), which returns a separating direction as its proof.
+Parts are placements and motion bounds (`replayed_motion.py`), facts that the folder states twice
+(`replayed_record.py`), targets (`replayed_targets.py`) and the latches of a mechanism (`replayed_mechanism.py`).
+Distances come from Wolfe's minimum-norm-point algorithm (Math. Programming 11, 1976), which returns a separating
+direction as its proof.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from replayed_mechanism import release
 from replayed_motion import Array, Replay, covers, read_model
 from replayed_record import hashes, samples, speeds
 from replayed_targets import target
@@ -73,7 +75,7 @@ def separation(a: Array, b: Array, wanted: float) -> float:
 
 def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
     """Check every pair on the whole curve: by the certificate's rows if there are any, else by bounding boxes."""
-    solids, named, moved = {}, {}, {m["name"] for m in data["movables"]}
+    solids, named = {}, {}
     for body in data["bodies"]:
         frame = replay.model.frames[replay.model.getFrameId(body["link"])]
         points = np.array(body["vertices"]) @ frame.placement.rotation.T + frame.placement.translation
@@ -85,10 +87,9 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
             solids[body["name"]] = (movable["name"], joint, np.array(body["vertices"]) - movable["origin"])
             named[body["name"]] = ("mechanism", movable["name"], body["name"])
     pieces = {p["name"]: ("", 0, np.array(p["vertices"])) for p in data["pieces"]}
-    pairs = [(n, p) for n, (link, j, _) in solids.items() if j and link not in moved for p in pieces]
+    pairs = [(n, p) for n, (_, j, _) in solids.items() if j for p in pieces]
     for (n, (la, ja, _)), (m, (lb, jb, _)) in itertools.combinations(solids.items(), 2):
-        is_apart = moved >= {la, lb} or (moved & {la, lb} and 0 in (ja, jb))
-        if ja != jb and la != lb and sorted((la, lb)) not in data["ignored_pairs"] and not is_apart:
+        if ja != jb and la != lb and sorted((la, lb)) not in data["ignored_pairs"]:
             pairs.append((n, m))
     solids |= pieces
     named |= {name: ("scene", None, name) for name in pieces}
@@ -148,6 +149,12 @@ def feet(replay: Replay, phase: dict[str, Any], contact: dict[str, Any]) -> tupl
     return drift <= contact["tolerance_m"], f"drifts at most {1e3 * drift:.3f} mm"
 
 
+def off_line(offsets: Array, slide: Array) -> Array:
+    """Return the distances of offsets from the line between -slide and slide, which are convex."""
+    share = np.clip(offsets @ slide / max(float(slide @ slide), 1e-300), -1.0, 1.0)
+    return np.linalg.norm(offsets - share[:, None] * slide, axis=1)
+
+
 def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple[bool, str]:
     """Check that a frame's origin and points 10 cm along its axes (or its free axis) stay in place."""
     model, reference = replay.model, target["reference"]
@@ -157,22 +164,30 @@ def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple
         other = model.frames[model.getFrameId(reference)]
         holder, there = int(other.parentJoint), other.placement
     pose = pin.XYZQUATToSE3(np.array([*target["position"], *np.roll(target["quaternion_wxyz"], -1)]))
+    slide = np.zeros(3) if target["slide"] is None else there.rotation @ np.array(target["slide"])
     tips = 0.1 * (np.eye(3) if target["free_axis"] is None else np.array([target["free_axis"]]))
     allowed = [target["position_tolerance_m"]]
-    allowed.append(allowed[0] + 0.2 * np.sin(0.5 * np.deg2rad(target["rotation_tolerance_deg"])))
+    is_anywhere = allowed[0] > 1.0  # then the tips are measured from the origin
+    lean = 0.2 * np.sin(0.5 * np.deg2rad(target["rotation_tolerance_deg"]))
+    allowed.append(lean if is_anywhere else allowed[0] + lean)
     joint, off = int(frame.parentJoint), []
     for corners, most in zip((np.zeros((1, 3)), tips), allowed, strict=True):
+        is_lean = is_anywhere and corners is tips
+        corners = np.vstack([np.zeros((1, 3)), tips]) if is_lean else corners
         points = np.array([frame.placement.act(corner) for corner in corners])
         places = np.array([there.act(pose.act(corner)) for corner in corners])
         chain = replay.chain(holder, joint, points)
-        off.append(
-            replay.highest(
-                phase,
-                lambda s, p=points, q=places: np.linalg.norm(replay.points(s, joint, p, holder) - q, axis=1).max(),
-                lambda a, b, c=chain, p=points: replay.bound(a, b, c, joint, p),
-                most,
+
+        def apart(s: float, points: Array = points, places: Array = places, is_lean: bool = is_lean) -> float:
+            offsets = replay.points(s, joint, points, holder) - places
+            return float(
+                (np.linalg.norm(offsets[1:] - offsets[0], axis=1) if is_lean else off_line(offsets, slide)).max()
             )
-        )
+
+        def leaves(a: float, b: float, points: Array = points, chain: Any = chain, is_lean: bool = is_lean) -> float:
+            return (2.0 if is_lean else 1.0) * replay.bound(a, b, chain, joint, points)
+
+        off.append(replay.highest(phase, apart, leaves, most))
     is_kept = all(value <= most for value, most in zip(off, allowed, strict=True))
     return is_kept, f"off by at most {1e3 * off[0]:.2f} mm, its axes' tips by {1e3 * off[1]:.2f} mm"
 
@@ -225,6 +240,7 @@ def main(folder: Path) -> int:
     replay = Replay(read_model(folder, data), data)
     claims = [("hashes", *hashes(folder, data)), ("samples", *samples(folder, replay, data))]
     claims += [("speeds", *speeds(replay, data)), ("clearance", *clearance(replay, data))]
+    claims += [(f"release of {rule['joint']}", *release(replay, rule)) for rule in data["releases"]]
     for phase in data["phases"]:
         claims += [(f"{phase['name']}: {c['link']}", *feet(replay, phase, c)) for c in phase["contacts"]]
         relative = [target for target in phase["targets"] if target["kind"] == "relative_pose"]

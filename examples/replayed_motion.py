@@ -30,9 +30,16 @@ def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
     root.addJoint(pin.JointModelSphericalZYX())
     is_floating = data["robot"]["root"] == "floating"
     model = pin.buildModelFromXML(text, root) if is_floating else pin.buildModelFromXML(text)
-    for m in data["movables"]:
-        turn = pin.JointModelRevoluteUnaligned(np.array(m["axis"]))
-        joint = model.addJoint(0, turn, pin.SE3(np.eye(3), np.array(m["origin"])), m["joint"])
+    origins = {m["name"]: np.array(m["origin"], float) for m in data["movables"]}
+    for m in data["movables"]:  # parents come before children; at 0 every link has the axes of the world
+        kinds = {"revolute": pin.JointModelRevoluteUnaligned, "prismatic": pin.JointModelPrismaticUnaligned}
+        axis = np.array(m["axis"], float)
+        above, place = 0, origins[m["name"]]
+        if m["parent"] is not None:
+            above = int(model.frames[model.getFrameId(m["parent"])].parentJoint)
+            place = place - origins[m["parent"]]
+        kind = kinds[m["type"]](axis / np.linalg.norm(axis))
+        joint = model.addJoint(above, kind, pin.SE3(np.eye(3), place), m["joint"])
         model.addFrame(pin.Frame(m["name"], joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     if list(model.names)[1 + is_floating :] != data["curve"]["joint_names"][6 * is_floating :]:
         raise SystemExit("the URDF's joints are not the curve's")

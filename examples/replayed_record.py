@@ -111,7 +111,10 @@ def _of_shapes(named: list[tuple[str, Any]]) -> str:
 def _of_promises(data: dict[str, Any]) -> str:
     """Hash the texts and numbers of all promises in the order of docs/result-format.md."""
     s, content = data["curve"]["samples"], b""
-    for part in (part for phase in data["phases"] for part in _promises(phase, s)):
+    parts: list[str | Array] = [part for phase in data["phases"] for part in _promises(phase, s)]
+    for rule in data["releases"]:
+        parts += ["release", rule["joint"], rule["latch"], np.array(rule["latch_at"]), np.array(rule["free_beyond"])]
+    for part in parts:
         if isinstance(part, str):
             content += b"t" + part.encode() + b"\0"
             continue
@@ -137,6 +140,9 @@ def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
         yield from ("support", *(np.array(support[key]) for key in ("polygon", "margin_m", "height")))
     for one in phase["targets"]:
         yield from _target(one, s)
+    for one in phase["loads"]:
+        slide = none if one["slide"] is None else np.array(one["slide"])
+        yield from ("load", one["tool"], one["link"], np.array(one["place"]), np.array(one["force_n"]), slide)
 
 
 def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
@@ -161,10 +167,8 @@ def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
         case "relative_pose":
             yield from ("RelativePoseTarget", one["frame"], none if one["reference"] is None else one["reference"])
             yield from (np.array(one["position"]), turn, np.array(one["position_tolerance_m"]))
-            yield from (
-                np.radians(one["rotation_tolerance_deg"]),
-                none if one["free_axis"] is None else one["free_axis"],
-            )
+            yield np.radians(one["rotation_tolerance_deg"])
+            yield from (none if one[key] is None else np.array(one[key]) for key in ("free_axis", "slide"))
         case "joint":
             yield from ("JointTarget", one["joint"], np.array(one["value"]), np.array(one["tolerance"]), at)
 

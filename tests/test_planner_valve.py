@@ -83,9 +83,11 @@ def test_the_wheel_turns_with_the_tool_and_the_hook_touches_only_the_rim(shipped
     hook, feet = ("robot", "l_hook", None), [("robot", foot, None) for foot in ("l_foot", "r_foot")]
     standing = {(foot, ("scene", None, "floor")) for foot in feet}
     assert len(rim) == 20
-    assert touching == {(hook, ("mechanism", "valve", name)) for name in rim} | standing
+    of_robot = {pair for pair in touching if pair[0][0] == "robot"}
+    assert of_robot == {(hook, ("mechanism", "valve", name)) for name in rim} | standing
+    assert {second for _, second in touching - of_robot} == {("scene", None, "stem")}
     reach = stranger.data["phases"][0]
-    assert {pair_of(allowance) for allowance in reach["allowances"]} == standing
+    assert {pair_of(allowance) for allowance in reach["allowances"]} & of_robot == standing
 
 
 def test_dense_samples_of_the_turn_keep_clear_of_the_scene(shipped):

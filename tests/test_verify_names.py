@@ -106,7 +106,7 @@ def test_a_request_cannot_call_its_rods_like_the_rim(turned):
     with pytest.raises(RequestError) as caught:
         plan(valve_request([{"name": "valve/rim/x", **rod}, {"name": "valve/rim/7", **rod}]))
     assert [line.split(";")[0] for line in caught.value.problems] == [
-        f"scene.obstacles[{k}].name: {name!r} is the valve that the task turns, or a part of it"
+        f"scene.obstacles[{k}].name: {name!r} is the valve that the task moves, or a part of it"
         for k, name in enumerate(("valve/rim/x", "valve/rim/7"))
     ]
 

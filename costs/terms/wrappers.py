@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import sparse
@@ -116,6 +118,20 @@ class WithinTolerance(Between[StateT]):
     def __init__(self, residual: Residual[StateT], tolerance: Float[np.ndarray, "k"] | float) -> None:
         tolerances = _as_rows(tolerance)
         super().__init__(residual, -tolerances, tolerances)
+
+
+class Joined(Residual[StateT]):
+    """Rows of several residuals, one after another, as one term."""
+
+    def __init__(self, residuals: Sequence[Residual[StateT]]) -> None:
+        self._residuals = tuple(residuals)
+        self.is_smooth = all(residual.is_smooth for residual in self._residuals)
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        return np.concatenate([residual.value(state) for residual in self._residuals])
+
+    def linearize(self, state: StateT) -> AffineRows:
+        return AffineRows.stack([residual.linearize(state) for residual in self._residuals])
 
 
 class NormWithin(Residual[StateT]):

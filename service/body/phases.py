@@ -64,6 +64,7 @@ class PhaseSolver:
         allowances: Sequence[Allowance] = (),
         fixed: Mapping[int, float] | None = None,
         regions: Sequence[PlannedRegion] = (),
+        effort: Mapping[str, Any] = POSE_EFFORT,
     ) -> Solved:
         """Solve for a configuration near the nominal posture; the first guess that leads to a feasible one wins.
 
@@ -74,6 +75,7 @@ class PhaseSolver:
             allowances: pairs that may touch.
             fixed: value by coordinate index.
             regions: where the loaded feet hold the robot, instead of their hull.
+            effort: settings of the optimiser.
         """
         lower, upper = self.body.bounds(1, {})
         for index, value in (fixed or {}).items():
@@ -81,7 +83,7 @@ class PhaseSolver:
         checker = self.body.make_checker(allowances, [self.body.nominal], self.overrides)
         terms = self._add_own_terms(name, 1, (), constraints)
         problem = self.body.make_problem(lower, upper, checker, *terms, regions=regions)
-        return self.with_settings(**POSE_EFFORT)._solve_in_turn(name, problem, [guess[None] for guess in guesses])
+        return self.with_settings(**effort)._solve_in_turn(name, problem, [guess[None] for guess in guesses])
 
     def solve_trajectory(
         self,

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
 from costs.kinematics import KinematicsEngine, locate_links
-from costs.robot import BASE_NAMES, RobotModel
+from costs.robot import BASE_NAMES, Release, RobotModel
 from costs.scene import Scene
 from costs.state import MotionState
 from costs.support import SupportPolygon
@@ -20,11 +20,12 @@ from costs.terms import (
     CentreOfMassAt,
     CentreOfMassInPolygon,
     FramePose,
+    Joined,
     JointDifference,
     JointTarget,
     SweptClearance,
 )
-from scopt import Constraint, Cost, Problem, Sense
+from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.holds import DRIFT, Hold, KeptPose, project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.demands.stance import BALANCE_RESERVE, make_standing_allowances
@@ -88,6 +89,7 @@ class WholeBody:
         kept: relative poses that hold in every phase.
         has_default_costs: whether to move smoothly, upright and near the nominal posture.
         sight: distance beyond its margin at which a pair enters the problem [m].
+        releases: rules of the latches of ``robot``'s mechanism.
     """
 
     robot: RobotModel
@@ -100,6 +102,7 @@ class WholeBody:
     kept: tuple[KeptPose, ...] = ()
     has_default_costs: bool = True
     sight: float = 0.03
+    releases: tuple[Release, ...] = ()
 
     @staticmethod
     def standing(
@@ -212,15 +215,12 @@ class WholeBody:
         standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
         if self.polygon is not None:
             margin = self.aims.balance_margin + BALANCE_RESERVE
-            inside = [CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)]
+            inside: Residual[MotionState] = CentreOfMassInPolygon(
+                self.polygon, everywhere if balanced is None else balanced, margin
+            )
             if regions:
-                inside = [
-                    CentreOfMassInPolygon(
-                        loaded.region.polygon, everywhere[loaded.first : loaded.last + 1], margin + loaded.shift_m
-                    )
-                    for loaded in regions
-                ]
-            standing += [Constraint("balance", term, tolerance=0.5 * BALANCE_RESERVE, unit="m") for term in inside]
+                inside = Joined([_keep_in_region(planned, everywhere, margin) for planned in regions])
+            standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
         for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
             acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
             clearance = SweptClearance(self.robot, is_self=is_self)
@@ -232,7 +232,7 @@ class WholeBody:
 
         defaults: tuple[Cost[MotionState], ...] = ()
         if self.has_default_costs:
-            defaults = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere))
+            defaults = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere, regions))
         return Problem(
             lower,
             upper,
@@ -295,9 +295,22 @@ class WholeBody:
             for link in self.robot.link_groups.get("upright", ())
         )
 
-    def _comfort(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
-        """Return a cost that keeps the centre of mass near the middle of the feet, for balance of faster motions."""
+    def _comfort(self, everywhere: np.ndarray, regions: Sequence[PlannedRegion]) -> tuple[Cost[MotionState], ...]:
+        """Return a cost that keeps the centre of mass near the middle of where the feet hold it, for faster motions."""
         if self.polygon is None:
             return ()
-        middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+        middle: Residual[MotionState] = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+        if regions:
+            middle = Joined(
+                [
+                    CentreOfMassAt(planned.region.vertices.mean(axis=0), everywhere[planned.first : planned.last + 1])
+                    for planned in regions
+                ]
+            )
         return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
+
+
+def _keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
+    """Return the distance of the centre of mass outside a region, at the waypoints of its stretch [m]."""
+    waypoints = everywhere[planned.first : planned.last + 1]
+    return CentreOfMassInPolygon(planned.region.polygon, waypoints, margin + planned.shift_m)

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis, with_mechanism
 from costs.scene import Scene
+from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
 from service.demands.recorded_task import RecordedTask, TaskDemand
 from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
@@ -86,7 +87,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     if recorded.robot.joint_names != robot.joint_names:
         return HeldMotion(recorded, tuple(differences))
     differences += compare_path(demands, recorded)
-    promises, lines = _promises(demands, recorded)
+    promises, lines = _promises(demands, robot, recorded)
     phases = tuple(_rebuild(demands, recorded, index, promises) for index in range(len(recorded.phases)))
     differences += lines
     for phase, own in zip(recorded.phases, phases, strict=True):
@@ -97,6 +98,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
+    releases = () if demands.task is None else demands.task.mechanism.releases
+    if not _same(recorded.releases, releases):
+        differences.append("the releases of the mechanism's latches are not those of the request")
     motion = replace(
         recorded,
         robot=robot,
@@ -104,6 +108,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         phases=phases,
         mechanism_links=robot.mechanism_links,
         waived=waived,
+        releases=releases,
     )
     return HeldMotion(motion, tuple(differences))
 
@@ -119,6 +124,7 @@ class _Promises:
         last: targets of the last phase.
         everywhere: targets of all phases.
         task: phases of a task that moves a mechanism, or None.
+        neighbours: allowances of the mechanism and what is near it at the start.
     """
 
     stance: Stance
@@ -127,9 +133,10 @@ class _Promises:
     last: tuple[Target, ...]
     everywhere: tuple[Target, ...]
     task: RecordedTask | None
+    neighbours: tuple[Allowance, ...]
 
 
-def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
+def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
     request, robot, start, feet = demands.request, demands.robot, demands.start, demands.feet
     is_balanced = demands.program is None or demands.program.is_balanced
     stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
@@ -142,10 +149,12 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
         targets = make_goal_targets(robot, request.goal, float(knots[-1]))
     elif demands.program is not None:
         targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
-    task = None
+    task, neighbours = None, tuple[Allowance, ...]()
     if demands.task is not None:
         task = RecordedTask.of(demands.task, recorded)
         lines = task.problems
+        at_start = np.concatenate([start, demands.task.mechanism.start])
+        neighbours = make_neighbour_allowances(augmented, demands.scene, at_start)
     return _Promises(
         stance,
         make_standing_allowances(feet, demands.scene),
@@ -153,6 +162,7 @@ def _promises(demands: Demands, recorded: Motion) -> tuple[_Promises, tuple[str,
         targets,
         tuple(make_kept_target(robot, start, keep) for keep in request.keep),
         task,
+        neighbours,
     ), lines
 
 
@@ -174,7 +184,7 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         first=phase.first,
         last=phase.last,
         contacts=promises.stance.contacts,
-        allowances=(*promises.standing, *escape, *touching),
+        allowances=(*promises.standing, *escape, *touching, *promises.neighbours),
         targets=(*targets, *promises.everywhere),
         support=promises.stance.support(phase.name, first),
         loads=loads,

@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from costs.allowance import Allowance
 from costs.curve import Curve, TimeLaw
 from service.body.holds import DRIFT
 from service.body.monitor import Monitor
 from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import WholeBody
+from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.verify import Basis, Certificate, LoadedRegion, Motion, Phase, SupportPolygon
@@ -36,8 +38,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     spline = _fit_spline(body, plan.phases)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
+    neighbours = make_neighbour_allowances(body.robot, body.scene, body.nominal)
     phases = tuple(
-        _make_phase(body, phase, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
+        _make_phase(body, phase, neighbours, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
         for phase, a, b in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True)
     )
     motion = Motion(
@@ -49,6 +52,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         waived=list_waived_checks(
             is_timed=timing is not None, is_balanced=body.polygon is not None or not body.robot.is_floating
         ),
+        releases=body.releases,
     )
     if timing is None:
         is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)
@@ -71,8 +75,10 @@ def _fit_spline(body: WholeBody, phases: Sequence[PlannedPhase]) -> Spline:
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
 
 
-def _make_phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> Phase:
-    """Return the verifier's phase, given the path parameters of its waypoints."""
+def _make_phase(
+    body: WholeBody, phase: PlannedPhase, neighbours: tuple[Allowance, ...], s: Float[np.ndarray, "T"]
+) -> Phase:
+    """Return the verifier's phase, given the allowances of the mechanism and the path parameters of its waypoints."""
     first, last = float(s[0]), float(s[-1])
     margin = 0.0 if phase.is_settling else body.aims.balance_margin
     support = None
@@ -84,7 +90,7 @@ def _make_phase(body: WholeBody, phase: PlannedPhase, s: Float[np.ndarray, "T"])
         first=first,
         last=last,
         contacts=tuple(foot.contact for foot in body.planted),
-        allowances=(*body.standing_allowances(), *phase.allowances),
+        allowances=(*body.standing_allowances(), *phase.allowances, *neighbours),
         targets=(*phase.targets(last), *phase.at_waypoints(s), *(kept.target() for kept in body.kept)),
         support=support,
         loads=phase.loads,

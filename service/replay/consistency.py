@@ -55,7 +55,7 @@ def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: 
         "scene_sha256": scene_hash(motion.scene),
         "bodies_sha256": bodies_hash(motion.robot),
         "robot_sha256": robot_hash(motion.robot),
-        "promises_sha256": promises_hash(motion.phases),
+        "promises_sha256": promises_hash(motion.phases, motion.releases),
     }
     for name, value in computed.items():
         if recorded[name] != value:

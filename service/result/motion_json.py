@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
-from costs.robot import BASE_NAMES, MechanismJoint, RobotModel, read_joint_axis, with_mechanism
+from costs.robot import BASE_NAMES, MechanismJoint, Release, RobotModel, read_joint_axis, with_mechanism
 from costs.rotation import make_quaternions
 from costs.scene import ConvexPiece, Scene
 from service.result.phase_json import phase_from_json, phase_json, sample_index
@@ -39,6 +40,7 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "phases": phases,
         "waived": sorted(motion.waived or ()),
         "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
+        "releases": [asdict(release) for release in motion.releases],
         "support_polygons": [
             {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
             for phase, zmp_of_phase in zip(standing, zmp_of_phases, strict=True)
@@ -68,6 +70,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         samples=s,
         mechanism_links=robot.mechanism_links,
         waived=frozenset(str(name) for name in data.get("waived", ())),
+        releases=tuple(_read_release(release) for release in data.get("releases", ())),
     )
 
 
@@ -106,6 +109,10 @@ def _write_curve(motion: Motion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         if law is None
         else {"times": law.times.tolist(), "path": law.path.tolist(), "speed": law.speed.tolist()},
     }
+
+
+def _read_release(data: Mapping[str, Any]) -> Release:
+    return Release(data["joint"], data["latch"], float(data["latch_at"]), float(data["free_beyond"]))
 
 
 def _read_movable(movable: Mapping[str, Any]) -> MechanismJoint:

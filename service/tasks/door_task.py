@@ -13,12 +13,13 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door import Door
-from service.demands.door_demand import make_door, read_given_door
+from service.demands.door_demand import choose_door, make_door
 from service.demands.hands import HANDS, Hand
 from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door import DoorOpening
+from service.tasks.door_sweep import find_blocked_opening
 from service.tasks.sequence import add_mechanism
 
 REACH_WAYPOINTS = 14
@@ -50,20 +51,26 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
     collisions = tuple(find_collisions(solver.body))
     if collisions:
         raise RequestError(collisions)
+    blocked = find_blocked_opening(solver.body, door, target)
+    obstacles = [met for met in blocked if met.stands_still]
+    if obstacles:
+        is_piece = any(met.is_piece for met in obstacles)
+        sentences = tuple(met.describe(target) for met in obstacles)
+        return TaskPlan(solver.body, (), sentences, notes=(note,), is_impossible=is_piece)
+    notes = (note, *(met.describe(target) for met in blocked))
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
-    return replace(plan, notes=(note, *plan.notes))
+    return replace(plan, notes=(*notes, *plan.notes))
 
 
 def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
     """Return the door to open and a note about it, or a sentence why there is none."""
     base = setup.start[:3] if setup.robot.is_floating else np.zeros(3)
-    geometry = read_given_door(request, base)
-    if geometry is None:
-        scene = setup.request.scene
-        if scene.cloud is None:
-            raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
-        return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
+    if request.leaf is None and setup.request.scene.cloud is None:
+        raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
+    geometry = choose_door(request, setup.surroundings.doors, base)
+    if isinstance(geometry, str):
+        return geometry
     door = make_door(request, geometry)
     return door, describe_door(door)
 

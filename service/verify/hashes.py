@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
+from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.motion import HandLoad, Phase, PlantedContact, SupportPolygon, Target
@@ -34,8 +35,8 @@ def robot_hash(robot: RobotModel) -> str:
     return "sha256:" + hashlib.sha256(robot.source.urdf.encode()).hexdigest()
 
 
-def promises_hash(phases: Iterable[Phase]) -> str:
-    """``sha256:`` of everything the phases promise (docs/result-format.md says how it is made)."""
+def promises_hash(phases: Iterable[Phase], releases: Iterable[Release] = ()) -> str:
+    """``sha256:`` of what the phases promise, and of the releases (docs/result-format.md says how it is made)."""
     digest = hashlib.sha256()
     for phase in phases:
         _add(digest, "phase", phase.name, np.array([phase.first, phase.last]))
@@ -49,6 +50,8 @@ def promises_hash(phases: Iterable[Phase]) -> str:
             _add(digest, type(target).__name__, *_parts(target))
         for load in phase.loads:
             _add(digest, "load", *_parts(load))
+    for release in releases:
+        _add(digest, "release", *_parts(release))
     return "sha256:" + digest.hexdigest()
 
 
@@ -69,7 +72,7 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
 
 
 def _parts(
-    promise: Allowance | BodyRef | HandLoad | PlantedContact | SupportPolygon | Target,
+    promise: Allowance | BodyRef | HandLoad | PlantedContact | Release | SupportPolygon | Target,
 ) -> Iterator[str | np.ndarray]:
     """Yield the fields of a promise in their order: texts, references to bodies, numbers; no numbers for None."""
     for item in fields(promise):

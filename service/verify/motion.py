@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.curve import Curve, TimeLaw
+from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 
@@ -266,9 +267,11 @@ class Motion:
         law: time law of the curve; None if untimed (then no speed, acceleration or force is checked).
         phases: together they cover the curve; none overlaps another.
         samples: (M,) path parameters of the exported samples, all knots among them; None if only the curve counts.
-        mechanism_links: links that move with the task (a valve's wheel): checked against the robot and each other.
+        mechanism_links: links that move with the task (a valve's wheel): checked against the robot, the pieces and
+            each other.
         waived: checks that the request waives: ``timing``, ``balance``; all others are required. None where the
             request is unknown: checks that were not made are then listed in the coverage and nothing more.
+        releases: rules of the mechanism's latches.
     """
 
     robot: RobotModel
@@ -279,3 +282,4 @@ class Motion:
     samples: Float[np.ndarray, "M"] | None = None
     mechanism_links: frozenset[str] = field(default_factory=frozenset)
     waived: frozenset[str] | None = None
+    releases: tuple[Release, ...] = ()

@@ -32,7 +32,8 @@ def validate_motion(motion: Motion) -> None:
 
     Raises:
         VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
-            that are not of unit length, targets outside their phase, names that two bodies or pieces have.
+            that are not of unit length, targets outside their phase, names that two bodies or pieces have, releases
+            of unknown joints.
     """
     _validate_curve(motion)
     _validate_names(motion)
@@ -42,8 +43,26 @@ def validate_motion(motion: Motion) -> None:
         _points(f"vertices of piece '{piece.name}'", piece.vertices, 3)
     for phase in motion.phases:
         _validate_phase(phase)
+    _validate_releases(motion)
     if motion.law is not None:
         check_law(motion.curve, motion.law)
+
+
+def _validate_releases(motion: Motion) -> None:
+    """Reject release rules of unknown joints, two rules of a joint, and values that are not finite."""
+    for release in motion.releases:
+        what = f"release of '{release.joint}'"
+        unknown = [name for name in (release.joint, release.latch) if name not in motion.robot.joint_names]
+        if unknown or release.joint == release.latch:
+            raise VerifyError(f"the {what} by '{release.latch}' needs two joints of the motion")
+        _finite(what, release.latch_at, release.free_beyond)
+        if release.latch_at == 0.0 or release.free_beyond < 0.0:
+            raise VerifyError(
+                f"the {what} needs a latch_at other than 0 and a free_beyond >= 0, got {release.latch_at} and "
+                f"{release.free_beyond}"
+            )
+    if len({release.joint for release in motion.releases}) < len(motion.releases):
+        raise VerifyError("two releases are of the same joint; one is expected")
 
 
 def _validate_curve(motion: Motion) -> None:

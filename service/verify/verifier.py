@@ -18,6 +18,7 @@ from service.verify.forces.dynamics import check_dynamics
 from service.verify.ground import check_ground
 from service.verify.hashes import bodies_hash, promises_hash, robot_hash, scene_hash
 from service.verify.limits import check_positions, check_timing
+from service.verify.mechanism_checks import check_mechanism
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.stance_checks import check_stance
@@ -28,7 +29,7 @@ MotionCheck = Callable[[PreparedMotion, VerifySettings], Iterable[Check]]
 PhaseCheck = Callable[[PreparedMotion, Phase, VerifySettings], Iterable[Check]]
 
 # Checks of the whole motion, then of each phase, in the certificate's order; clearance and coverage follow.
-MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing)
+MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing, check_mechanism)
 PHASE_CHECKS: tuple[PhaseCheck, ...] = (check_stance, check_targets, check_ground, check_dynamics)
 
 
@@ -37,8 +38,8 @@ def verify(
 ) -> Certificate:
     """Prove or refute what the motion promises.
 
-    Clearance, balance, planted feet, targets, position, speed and acceleration limits hold on the whole curve (and,
-    with ``motion.samples``, on the exported samples read linearly); ZMP and torques hold at samples.
+    Clearance, balance, planted feet, targets, release rules, position, speed and acceleration limits hold on the whole
+    curve (and, with ``motion.samples``, on the exported samples read linearly); ZMP and torques hold at samples.
 
     Args:
         should_stop: called at least every 100 ms, besides whatever surrounds the call (``costs.stopping``).
@@ -71,7 +72,7 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
         scene_hash(motion.scene),
         bodies_hash(motion.robot),
         robot_hash(motion.robot),
-        promises_hash(prepared.phases),
+        promises_hash(prepared.phases, motion.releases),
         _notes(prepared, coverage),
         gaps=clearance.gaps,
         coverage=coverage,

@@ -135,13 +135,14 @@ def _summary_check(
 def check_start(prepared: PreparedMotion, table: PairTable, settings: VerifySettings) -> Iterator[Check]:
     """Check each pair that overlaps at the first pose and that the first phase allows to touch.
 
-    Planted links that rest on the floor are not listed.
+    Not listed are planted links that rest on the floor, and overlaps of a mechanism with itself or with its
+    surroundings (a leaf in its frame), in which the robot has no part; the clearance proof bounds their depth.
     """
     s, phase = float(prepared.motion.curve.knots[0]), prepared.phases[0]
     placed, row = prepared.at(np.array([s]))
     query = DistanceQuery()
     for pair in np.flatnonzero(~np.isnan(table.allowed[:, 0])).tolist():
-        if _rests_on_floor(prepared, table, pair, phase):
+        if _rests_on_floor(prepared, table, pair, phase) or not _has_own_link(prepared, table, pair):
             continue
         mover, holder = table.solids[table.mover[pair]], table.solids[table.holder[pair]]
         distances, _ = query.closest([mover.convex], *placed.relative(holder.joint, mover.joint, row), [holder.convex])
@@ -157,6 +158,13 @@ def check_start(prepared: PreparedMotion, table: PairTable, settings: VerifySett
         is_ok = distance >= -allowed - settings.contact_tolerance_m
         where = Where(s, find_time(prepared.motion.law, s), None, names)
         yield Check(f"start.{names[0]}.{names[1]}", is_ok, distance, -allowed, "m", text, where, Basis.SAMPLES)
+
+
+def _has_own_link(prepared: PreparedMotion, table: PairTable, pair: int) -> bool:
+    """Return whether a member of a pair is a link of the robot itself."""
+    members = (int(table.mover[pair]), int(table.holder[pair]))
+    moved = prepared.motion.mechanism_links
+    return any(member < table.n_bodies and table.solids[member].link not in moved for member in members)
 
 
 def _rests_on_floor(prepared: PreparedMotion, table: PairTable, pair: int, phase: Phase) -> bool:

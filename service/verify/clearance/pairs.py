@@ -84,17 +84,15 @@ class PairTable:
 def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     """Collect the pairs whose two members can move against each other, without the ignored ones.
 
-    The links of ``motion.mechanism_links`` are checked against the robot's links only, those that stand still included.
+    The links of a mechanism are checked like the robot's: against all pieces, the robot's links and each other.
     """
     bodies = [CoalSolid.of_body(body) for body in motion.robot.bodies]
     pieces = [CoalSolid.of_piece(piece) for piece in motion.scene.pieces]
     solids = (*bodies, *pieces)
     joint = np.array([solid.joint for solid in bodies], dtype=int)
-    is_mechanism = np.array([solid.link in motion.mechanism_links for solid in bodies], dtype=bool)
-    moving = np.flatnonzero((joint > 0) & ~is_mechanism)
+    moving = np.flatnonzero(joint > 0)
     i, j = np.triu_indices(len(bodies), 1)
     apart = ~_are_ignored(bodies, motion.robot.ignored_pairs)[i, j] & (joint[i] != joint[j])
-    apart &= ~(is_mechanism[i] & is_mechanism[j])
     mover = np.concatenate([np.repeat(moving, len(pieces)), i[apart]])
     holder = np.concatenate([np.tile(np.arange(len(bodies), len(solids)), len(moving)), j[apart]])
     index = BodyIndex(motion.robot.bodies, motion.mechanism_links, motion.scene.pieces)

@@ -38,6 +38,7 @@ class RequiredChecks:
 def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChecks:
     """List the checks that a motion requires, phase by phase."""
     names, waived = ["limits.position", "clearance"], []
+    names += [f"release.{release.joint}" for release in motion.releases]
     if motion.law is not None:
         names += ["limits.speed", "limits.acceleration", "limits.rest"]
     elif _is_waived(motion, TIMING):
