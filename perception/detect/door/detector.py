@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from perception.detect.door.bar import EXTENSIONS, expect_extension
-from perception.detect.door.bodies import HOUSING_HALF_WIDTH
 from perception.detect.door.frame import Frame, find_frame
-from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry, Opens
 from perception.detect.door.handle import Handle, find_handle
 from perception.detect.door.hang import find_ends
 from perception.detect.door.leaf import Leaf, find_leaves
 from perception.detect.door.model import USUAL_THICKNESS, DoorModel
 from perception.detect.door.opening import judge_opening
 from perception.detect.door.profile import Rays
+from perception.detect.door.shut import shut_leaf
 from perception.detect.door.upright import find_uprights
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
@@ -39,8 +37,6 @@ _SQUARE = (np.radians(70.0), np.radians(85.0))
 _HINT_TRUST = 0.7
 _SHOWN = 2000
 _ENOUGH = 60_000
-_OVER_FLOOR = 0.008
-_KNOB_DEPTH = 0.04
 
 
 @dataclass(frozen=True)
@@ -240,71 +236,10 @@ def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
     opens, certainty = judge_opening(leaf, frame, (hinge_at, free_at), rays, ground)
-    model = DoorModel(_shut(candidate, pose, side, sizes, opens, ground))
+    model = DoorModel(shut_leaf(leaf, frame, handle, pose, sizes, opens, ground))
     residuals |= {"opens_share": certainty, "hinge_share": float(candidate.knows_hinge)}
     residuals["thickness_share"] = 0.0
     return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step], model)
-
-
-def _shut(
-    candidate: _Candidate,
-    pose: Float[np.ndarray, "4 4"],
-    side: float,
-    sizes: Mapping[str, float],
-    opens: Opens | None,
-    ground: float,
-) -> DoorGeometry:
-    """Return the door with its leaf shut.
-
-    Args:
-        pose, side, sizes: of the detection.
-    """
-    leaf, frame = candidate.leaf, candidate.frame
-    is_ajar = frame is not None and frame.hinge != 0
-    along, normal = pose[:3, 0], side * pose[:3, 1]
-    shows_far_face = False  # the one that is away from the robot when the leaf is shut
-    if frame is not None and is_ajar:
-        along = frame.plane.along * np.sign(frame.plane.along @ along)
-        normal = frame.plane.normal
-        out = -1.0 if frame.opens_away else 1.0
-        opened = np.cos(frame.ajar) * normal - out * np.sin(frame.ajar) * along
-        shows_far_face = bool(opened @ leaf.plane.normal < 0.0)
-    thickness = USUAL_THICKNESS
-    # The hinge pin is on the face to which the leaf turns.
-    face = thickness if opens == "push" else 0.0
-    corner = pose[:3, 3] - [0.0, 0.0, pose[2, 3] - ground - _OVER_FLOOR]
-    pin = corner - (thickness - face if shows_far_face else face) * leaf.plane.normal
-    handle = None
-    if candidate.handle is not None and not shows_far_face:
-        handle = _handle_geometry(candidate.handle, sizes, pin + face * normal, along, normal)
-        handle = replace(handle, centre=handle.centre - [0.0, 0.0, _OVER_FLOOR])
-    width, height = sizes["width"], sizes["height"] - _OVER_FLOOR
-    ajar = sizes["ajar"] if is_ajar else 0.0
-    turn = sizes.get("handle_turn_rad", 0.0) if handle is not None else 0.0
-    return DoorGeometry(pin, along, normal, face, width, height, thickness, opens, ajar, handle, turn)
-
-
-def _handle_geometry(
-    handle: Handle,
-    sizes: Mapping[str, float],
-    corner: Float[np.ndarray, "3"],
-    along: Float[np.ndarray, "3"],
-    normal: Float[np.ndarray, "3"],
-) -> HandleGeometry:
-    """Return the handle on the shut leaf, whose face begins at ``corner``."""
-    centre = corner + sizes["handle_x"] * along + handle.out * normal + sizes["handle_z"] * UP
-    bar = handle.bar
-    if bar is None:
-        width, height = handle.high - handle.low
-        # The measured extent leaves off 2 % at each end, and holds both housings.
-        length = float(width / 0.96) - 2.0 * HOUSING_HALF_WIDTH
-        return HandleGeometry("push_bar", centre, along, length, 0.5 * min(float(height), 0.03), float(height))
-    if handle.is_lever:
-        direction = along * sizes["lever_direction"]
-        return HandleGeometry("lever", centre, direction, sizes["handle_length"], bar.radius)
-    if handle.is_pull:
-        return HandleGeometry("pull", centre, UP, bar.length, bar.radius)
-    return HandleGeometry("knob", centre, normal, _KNOB_DEPTH, bar.radius + 0.5 * bar.axis_length)
 
 
 def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.ndarray, "2"], float]:

@@ -20,6 +20,7 @@ _MOST_SLACK = 0.12
 _PULL_END = 0.1
 _FRONT = 0.75  # mean distance of a bar's returns in front of its centre line, in radii
 _THIN, _BAR = 0.005, 0.012  # least and largest radius of a bar across a face [m]
+_THINNEST_KNOB, _NO_KIND = 0.018, 0.4
 _START_RADIUS = 0.01
 _NEAR = 0.12
 _WENT_ON, _EDGE = 0.06, 0.06
@@ -72,6 +73,11 @@ class Handle:
         return self.out + _FRONT * (_BAR if self.bar is None else self.bar.radius)
 
     @property
+    def is_round(self) -> bool:
+        """Whether it is as thick as a knob."""
+        return self.bar is not None and self.bar.radius + 0.25 * self.bar.axis_length > _THINNEST_KNOB
+
+    @property
     def quality(self) -> float:
         """Certainty that it is a handle, 0 to 1."""
         return float(
@@ -80,6 +86,7 @@ class Handle:
             * np.clip((self.alone - 0.5) / 0.25, 0.0, 1.0)
             * np.clip((self.front - 0.031) / 0.008, 0.0, 1.0)
             * np.clip((0.103 - self.front) / 0.006, 0.0, 1.0)
+            * (1.0 if self.is_lever or self.is_pull or self.is_panic or self.is_round else _NO_KIND)
         )
 
 

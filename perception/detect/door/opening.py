@@ -16,6 +16,7 @@ _RECESSED, _DEEP = 0.03, 0.05
 _STOP, _INSIDE = (0.001, 0.006), (0.03, 0.05)  # columns inside of the leaf's edge with a stop, and without one [m]
 _STOP_HEIGHT, _BARE = 0.006, 0.004
 _FEWEST = 20
+_SURE = 2.5  # two standard errors of a median, in standard deviations over the root of the number of points
 _NEAR = 0.06
 _KNUCKLE_COLUMNS = (-0.016, 0.008)  # about the leaf's hinge edge, towards its free edge [m]
 _KNUCKLE_ZONES = ((0.08, 0.45), (0.8, 1.3), (1.5, 1.97))
@@ -44,7 +45,7 @@ def judge_opening(
     local = local[np.abs(local[:, 2]) < _NEAR]
     shows_hinges = _rate_knuckles(local, ends, ground) > _SURE_KNUCKLES
     if frame.depth > _RECESSED:
-        is_behind_stop = all(_has_stop(local, end, other, ground) for end, other in (ends, ends[::-1]))
+        is_behind_stop = all(_has_stop(local, end, other, ground, leaf.rms) for end, other in (ends, ends[::-1]))
         if is_behind_stop and frame.depth > _DEEP and not shows_hinges:
             return "push", 0.9
         return ("pull", 0.8) if shows_hinges and not is_behind_stop else (None, 0.0)
@@ -53,15 +54,20 @@ def judge_opening(
     return None, 0.0
 
 
-def _has_stop(local: Float[np.ndarray, "N 3"], end: float, other: float, ground: float) -> bool:
-    """Return whether a narrow strip that stands over the leaf covers its edge at ``end``."""
+def _has_stop(local: Float[np.ndarray, "N 3"], end: float, other: float, ground: float, rms: float) -> bool:
+    """Return whether a narrow strip that stands over the leaf covers its edge at ``end``.
+
+    Args:
+        rms: scatter of the leaf's points [m].
+    """
     inwards = 1.0 if other > end else -1.0
     along = (local[:, 0] - end) * inwards
     band = (local[:, 1] > ground + BAND[0]) & (local[:, 1] < ground + BAND[1])
     strip, bare = (local[band & (along > low) & (along < high), 2] for low, high in (_STOP, _INSIDE))
     if min(len(strip), len(bare)) < _FEWEST:
         return False
-    return bool(np.median(strip) > _STOP_HEIGHT and abs(np.median(bare)) < _BARE)
+    sure = _SURE * rms / np.sqrt(len(strip))
+    return bool(np.median(strip) > _STOP_HEIGHT + sure and abs(np.median(bare)) < _BARE)
 
 
 def _rate_knuckles(local: Float[np.ndarray, "N 3"], ends: tuple[float, float], ground: float) -> float:
