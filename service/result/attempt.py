@@ -91,6 +91,8 @@ class Attempt:
             start=setup.start,
             motion=self.motion,
             certificate=self.certificate,
+            unsolved=() if task is None else tuple(phase.name for phase in task.phases if not phase.is_feasible),
+            task_phases=() if task is None or task.stuck is None else task.stuck.order,
             explanation=self.explanation,
             conflict=self.conflict,
             found_from="" if task is None else task.found_from,

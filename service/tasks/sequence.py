@@ -67,7 +67,7 @@ class PhaseSequence:
             planned, stuck = self._plan_group(group, at)
             phases += planned
             if stuck is not None:
-                return phases, stuck
+                return phases, replace(stuck, order=tuple(spec.name for spec in self.specs))
             at = phases[-1].q[-1]
         return phases, None
 
