@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-
 from make_valve_scan import SENSOR, link_hulls
 
 from perception import write_pcd
