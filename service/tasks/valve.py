@@ -64,7 +64,7 @@ class ValveTurn:
         sequence = PhaseSequence(self.solver, make_wheel_mechanism(self.wheel), self.list_phases())
         phases, stuck = sequence.plan(body.nominal)
         note = f"{self.hand.side} hand in {self.mode} mode, inserted at {np.rad2deg(self.entry):.0f} deg of the rim"
-        return TaskPlan(body, phases, stuck=stuck, measure=self._measure, notes=() if stuck else (note,))
+        return TaskPlan(body, phases, stuck=stuck, measure=self.measure, notes=() if stuck else (note,))
 
     def list_phases(self) -> tuple[PhaseSpec, ...]:
         """Return the phases of as few equal strokes as the wrist's range allows; of a single one in hook mode."""
@@ -93,7 +93,7 @@ class ValveTurn:
         name = self.robot.joint_names[column]
         return Grasp(fixed={name: float(lower if rises else upper)}, rates={name: -sense})
 
-    def _measure(self, motion: Motion) -> Mapping[str, float]:
+    def measure(self, motion: Motion) -> Mapping[str, float]:
         """Measure the tool's angle of travel about the valve's axis on the executed curve."""
         total = 0.0
         joint, pose_joint_tool = locate_frame(motion.robot, self.hand.tool)
