@@ -51,10 +51,11 @@ LIMIT_S = 20.0
 RADIUS_M = 1.0  # of the places searched about the start
 GRID_M, GRID_YAW = 0.12, np.deg2rad(20.0)  # of the coarse grid
 MOST_TURN = np.deg2rad(80.0)  # from facing what is held
-COARSE, FINE, FINE_ROUNDS, FINE_PARENTS = 9, 4, 2, 2  # places that are checked by poses, and rounds about the best
-IDEAL_REACH = 0.58  # share of the arm's length between shoulder and what is held
+COARSE, FINE, FINE_ROUNDS, FINE_PARENTS = 6, 3, 2, 2  # places that are checked by poses, and rounds about the best
+IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is held
 MOST_REACH = 1.12  # the same at most: the trunk leans
 LEAST_REACH_M = 0.25
+TURN_COST = 0.03  # per squared angle between facing and what is held [1/rad^2]
 BODY_RADIUS_M = 0.25  # about the base, clear of pieces and leaf before anything else is checked
 ENOUGH_BALANCE_M, ENOUGH_REACH_M, ENOUGH_CLEARANCE_M = 0.05, 0.2, 0.1  # reserves that count no further
 SCORE_SHARES = (0.7, 0.12, 0.1, 0.08)  # of angle, balance, reach and clearance
@@ -296,9 +297,14 @@ class _Grid:
         distance = np.linalg.norm(offset, axis=2)
         ahead = offset[:, :, 0] * cos[:, None] + offset[:, :, 1] * sin[:, None]
         cost = ((distance / arm - IDEAL_REACH) ** 2).mean(axis=1)
-        cost += 0.05 * np.clip(0.2 - ahead, 0.0, None).mean(axis=1)
+        cost += 0.05 * np.clip(0.2 - ahead, 0.0, None).mean(axis=1) + TURN_COST * self._turn_from(poses, points) ** 2
         cost[(distance > MOST_REACH * arm).any(axis=1) | (distance < LEAST_REACH_M).any(axis=1)] = np.inf
         return np.asarray(cost)
+
+    def _turn_from(self, poses: Float[np.ndarray, "N 3"], points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "N"]:
+        """Return the angle between where the robot faces and the middle of points [rad]."""
+        towards = np.arctan2(*(points.mean(axis=0)[:2] - poses[:, :2]).T[::-1])
+        return np.asarray((poses[:, 2] - towards + np.pi) % (2.0 * np.pi) - np.pi)
 
     def _is_in_the_way(self, poses: Float[np.ndarray, "N 3"]) -> np.ndarray:
         """Return (N,) whether the robot stands in a piece, or where the leaf moves."""
