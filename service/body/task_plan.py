@@ -178,10 +178,17 @@ class Solved:
 
 @dataclass(frozen=True)
 class Stuck:
-    """A step that has no solution, with the best attempt at it."""
+    """A step that has no solution, with the best attempt at it.
+
+    Attributes:
+        step: its name.
+        best: the best attempt.
+        order: names of all phases of the task in their order, where the task knows them.
+    """
 
     step: str
     best: Solved
+    order: tuple[str, ...] = ()
 
     @staticmethod
     def at(step: str, solved: Solved) -> Stuck | None:

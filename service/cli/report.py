@@ -97,7 +97,8 @@ def _join_first_sentence(lines: Sequence[str]) -> str:
 
 def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
     """Print phases, planning time, smallest clearance with its pair, and smallest balance margin."""
-    names = [phase["name"] for phase in summary.get("phases") or []]
+    names = [_name_phase(phase) for phase in summary.get("phases") or []]
+    names += [f"{name} (NOT_PLANNED)" for name in summary.get("not_planned") or []]
     if names:
         out.print(f"phases           {', '.join(names)}", markup=False)
     if "planning_time_s" in summary:
@@ -109,6 +110,12 @@ def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
     aside = ", pairs that may touch aside" if touching else ""
     out.print(f"clearance        {_format_mm(clearance)}{between}{aside}", markup=False)
     out.print(f"balance margin   {_format_mm(summary.get('min_balance_margin_m'))}", markup=False)
+
+
+def _name_phase(phase: Mapping[str, Any]) -> str:
+    """Return a phase's name, with its status unless it is certified."""
+    status = phase.get("status", "CERTIFIED")
+    return str(phase["name"]) if status == "CERTIFIED" else f"{phase['name']} ({status})"
 
 
 def print_table(out: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

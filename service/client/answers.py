@@ -239,12 +239,27 @@ def summarize(result: MotionResult) -> dict[str, Any]:
         **_summarize_certificate(result.certificate),
         "figures": to_plain(result.figures),
         "detections": [to_plain(detection) for detection in result.detections],
-        "phases": [
-            {"name": phase.name, "start_s": phase.start_s, "end_s": phase.end_s}
-            for phase in (trajectory.phases if trajectory is not None else ())
-        ],
+        "phases": _list_phases(result),
         "duration_s": trajectory.times[-1] if trajectory is not None and trajectory.times else None,
     }
+
+
+def _list_phases(result: MotionResult) -> list[dict[str, Any]]:
+    """Return the phases of a result; those of an older server have no status."""
+    if not result.phases:
+        return [
+            {"name": phase.name, "start_s": phase.start_s, "end_s": phase.end_s} for phase in result.trajectory.phases
+        ]
+    return [
+        {
+            "name": phase.name,
+            "status": phase.status,
+            "checks": list(phase.checks),
+            "start_s": phase.start_s if phase.HasField("start_s") else None,
+            "end_s": phase.end_s if phase.HasField("end_s") else None,
+        }
+        for phase in result.phases
+    ]
 
 
 def _summarize_certificate(certificate: Certificate) -> dict[str, Any]:

@@ -54,7 +54,7 @@ class ValveDemand:
             hand, entry, grasp = choice
             suffix = "" if len(turns) == 1 else f" {count + 1}"
             turn = (float(edges[count]), float(edges[count + 1]))
-            specs += make_stroke_phases(self.wheel, hand, entry, turn, suffix, grasp)
+            specs += make_stroke_phases(self.wheel, hand, entry, turn, suffix, grasp, self.request.torque_nm)
         return tuple(specs), tuple(problems)
 
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:

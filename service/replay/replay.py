@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from costs.robot import RobotError, RobotModel, load_robot
+from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
+from service.demands.door_demand import SeenDoor
 from service.errors import RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
 from service.replay.rebuild import Grounds, Record, rebuild_demands
@@ -20,7 +22,8 @@ from service.request.file import load_request, parse_request
 from service.request.schema import PlanRequest
 from service.result.folder import TRAJECTORY_NAME, read_result, result_path
 from service.result.motion_json import motion_from_json
-from service.result.result_json import proof_summary
+from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
+from service.result.result_json import add_reports, proof_summary
 from service.verify import Certificate, Motion, Status, VerifyError, verify
 
 if TYPE_CHECKING:
@@ -59,12 +62,14 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     table = folder / TRAJECTORY_NAME
     with _explain_defects(folder):
         certificate = verify(held.motion)
+        reports = report_phases(held.motion, certificate, _read_unsolved(data))
         differences = held.differences
         if demands is not None:
             differences += tuple(compare_pace(demands.request, certificate))
             if demands.task is not None:
                 differences += tuple(demands.task.compare_figures(data["figures"]))
         if data.get("certificate") is not None:
+            differences += tuple(_compare_phases(data, reports))
             differences += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
     if certificate.status is Status.CERTIFIED and is_claimed and differences:
         why = CHANGED if request is None else OTHER
@@ -77,7 +82,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         "held_to": None if grounds is None else grounds.sentence(),
         "timings": {"verify": time.perf_counter() - started},
         **proof_summary(certificate),
-        "phases": data["phases"],
+        "phases": add_reports(data["phases"], reports),
+        "not_planned": data["not_planned"],
     }
 
 
@@ -87,7 +93,7 @@ def _read_demands(
     """Return the demands of the user's or the recorded request, and their sources."""
     request = _read_request(data, folder) if given is None else load_request(given)
     with _explain_defects(folder):
-        record = replace(record, valves=_read_valves(data))
+        record = replace(record, valves=_read_valves(data), doors=_read_doors(data))
     try:
         return rebuild_demands(request, record, given, clouds)
     except RequestError as error:
@@ -95,6 +101,28 @@ def _read_demands(
             raise
         line = " ".join(str(error).split())
         raise ResultError(f"{folder}: the request in this folder cannot be used: {line}; {CHANGED}") from None
+
+
+def _read_unsolved(data: dict[str, Any]) -> list[str]:
+    """Return the phases that a result calls best attempts; only a result without a solution has any."""
+    if data["verdict"] in (Status.CERTIFIED.value, Status.FEASIBLE_AT_SAMPLES.value):
+        return []
+    return [str(phase["name"]) for phase in data["phases"] if phase["status"] == PhaseStatus.NOT_FOUND.value]
+
+
+def _compare_phases(data: dict[str, Any], reports: Sequence[PhaseReport]) -> Iterator[str]:
+    """Yield a sentence for each phase whose recorded status or checks are not the verifier's."""
+    for phase, report in zip(data["phases"], reports, strict=True):
+        if phase["status"] != report.status.value:
+            yield f"phase '{report.name}' is {report.status.value}; recorded is {shown(phase['status'])}"
+        elif phase["checks"] != list(report.checks):
+            yield f"checks of phase '{report.name}' are not those of the certificate"
+    planned = {report.name for report in reports}
+    repeated = [name for name in data["not_planned"] if name in planned]
+    if repeated:
+        yield f"not_planned lists {shown(repeated[0])}, which is in the motion"
+    elif data["not_planned"] and data["verdict"] == Status.CERTIFIED.value:
+        yield "the verdict is CERTIFIED, and not_planned lists phases"
 
 
 def _read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
@@ -108,6 +136,20 @@ def _read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
     vectors = [{name: np.array(hit[name], dtype=float) for name in ("centre", "axis")} for hit in plain]
     tuples = [{name: tuple(value) for name, value in hit.items() if isinstance(value, list)} for hit in plain]
     return tuple(ValveDetection(**{**a, **b, **c}) for a, b, c in zip(plain, tuples, vectors, strict=True))
+
+
+def _read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
+    """Read the doors of ``detections``."""
+    doors = []
+    for hit in data["detections"]:
+        if hit["kind"] == "door":
+            geometry, handle = dict(hit["geometry"]), hit["geometry"]["handle"]
+            if handle is not None:
+                vectors = {name: np.array(handle[name], dtype=float) for name in ("centre", "direction")}
+                handle = HandleGeometry(**{**handle, **vectors})
+            vectors = {name: np.array(geometry[name], dtype=float) for name in ("hinge", "along", "normal")}
+            doors.append(SeenDoor(DoorGeometry(**{**geometry, **vectors, "handle": handle}), float(hit["confidence"])))
+    return tuple(doors)
 
 
 def _read_request(data: dict[str, Any], folder: Path) -> PlanRequest:

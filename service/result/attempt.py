@@ -91,6 +91,8 @@ class Attempt:
             start=setup.start,
             motion=self.motion,
             certificate=self.certificate,
+            unsolved=() if task is None else tuple(phase.name for phase in task.phases if not phase.is_feasible),
+            task_phases=() if task is None or task.stuck is None else task.stuck.order,
             explanation=self.explanation,
             conflict=self.conflict,
             found_from="" if task is None else task.found_from,
@@ -98,7 +100,10 @@ class Attempt:
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
-            detections=tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves),
+            detections=(
+                *({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves),
+                *({"kind": "door", **asdict(door)} for door in setup.surroundings.doors),
+            ),
             obstruction=self._describe_obstruction(setup),
             cloud=setup.surroundings.points,
         )

@@ -14,6 +14,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from service.explain.conflict import Conflict
 from service.request.schema import PlanRequest
+from service.result.phase_report import PhaseReport, report_phases
 from service.verify.certificate import Certificate
 from service.verify.motion import Motion
 
@@ -42,6 +43,8 @@ class PlanResult:
         start: (n,) first configuration.
         motion: the motion, timed and sampled; the last coordinates of its robot may be joints of a mechanism.
         certificate: the verifier's certificate of ``motion``.
+        unsolved: names of phases in the motion that are the best attempts at steps without a solution.
+        task_phases: names of all phases of a task that stopped at such a step; empty where it does not know them.
         explanation: what prevents a certified motion; empty when certified.
         conflict: demands that contradict each other at a step without a solution.
         found_from: start of the optimiser that led to the motion; empty if there was only one.
@@ -59,6 +62,8 @@ class PlanResult:
     start: Float[np.ndarray, "n"]
     motion: Motion | None = None
     certificate: Certificate | None = None
+    unsolved: tuple[str, ...] = ()
+    task_phases: tuple[str, ...] = ()
     explanation: tuple[str, ...] = ()
     conflict: Conflict | None = None
     found_from: str = ""
@@ -77,3 +82,8 @@ class PlanResult:
             raise ValueError("the motion's robot must begin with the joints of the result's robot")
         if self.verdict is Verdict.CERTIFIED and self.certificate is None:
             raise ValueError("a certified result needs its certificate")
+
+    @property
+    def phases(self) -> tuple[PhaseReport, ...]:
+        """Status and checks of each phase in the order of execution, also of those that were not planned."""
+        return report_phases(self.motion, self.certificate, self.unsolved, self.task_phases)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from service.json_data import encode_piece, to_json_data
 from service.request.file import request_hash, to_json
 from service.result.folder import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
+from service.result.phase_report import PhaseReport, PhaseStatus
 from service.result.result import PlanResult
 from service.verify import Certificate, Motion
 from service.verify.hashes import link_vertices, robot_hash
@@ -36,7 +38,8 @@ def to_result_json(result: PlanResult) -> dict[str, Any]:
         ],
         "ignored_pairs": sorted(list(pair) for pair in robot.ignored_pairs),
         "pieces": [encode_piece(piece) for piece in result.scene.pieces],
-        **(_write_start(result) if result.motion is None else motion_json(result.motion, robot)),
+        **(_write_start(result) if result.motion is None else _write_motion(result, result.motion)),
+        "not_planned": [report.name for report in result.phases if report.status is PhaseStatus.NOT_PLANNED],
         "certificate": None if result.certificate is None else result.certificate.to_dict(),
         "obstruction": to_json_data(result.obstruction),
         "cloud": np.round(thin_points(result.cloud, MAX_CLOUD_POINTS), 4).tolist(),
@@ -50,7 +53,7 @@ def summary_json(result: PlanResult) -> dict[str, Any]:
         "format": FORMAT,
         "request_hash": request_hash(result.request),
         **_summarize(result),
-        "phases": [] if motion is None else _list_phase_times(motion),
+        "phases": list_phases(result),
         "duration_s": None if motion is None else float(sample_times(motion)[-1]),
     }
 
@@ -83,16 +86,37 @@ def _summarize(result: PlanResult) -> dict[str, Any]:
     }
 
 
-def _list_phase_times(motion: Motion) -> list[dict[str, Any]]:
-    s, times = samples_of(motion), sample_times(motion)
+def list_phases(result: PlanResult) -> list[dict[str, Any]]:
+    """Return the phases with status, checks and times [s]; a phase that was not planned has null for its times."""
+    ends = {} if result.motion is None else _find_phase_times(result.motion)
+    nothing = (None, None)
     return [
         {
-            "name": phase.name,
-            "start_s": float(np.interp(phase.first, s, times)),
-            "end_s": float(np.interp(phase.last, s, times)),
+            **report.to_dict(),
+            **dict(zip(("start_s", "end_s"), ends.get(report.name, nothing), strict=True)),
         }
-        for phase in motion.phases
+        for report in result.phases
     ]
+
+
+def _find_phase_times(motion: Motion) -> dict[str, tuple[float, float]]:
+    s, times = samples_of(motion), sample_times(motion)
+    return {
+        phase.name: (float(np.interp(phase.first, s, times)), float(np.interp(phase.last, s, times)))
+        for phase in motion.phases
+    }
+
+
+def _write_motion(result: PlanResult, motion: Motion) -> dict[str, Any]:
+    """Return the motion's keys, its phases with their status and checks."""
+    data = motion_json(motion, result.robot)
+    reports = [report for report in result.phases if report.status is not PhaseStatus.NOT_PLANNED]
+    return {**data, "phases": add_reports(data["phases"], reports)}
+
+
+def add_reports(phases: Sequence[Mapping[str, Any]], reports: Sequence[PhaseReport]) -> list[dict[str, Any]]:
+    """Return phases of ``result.json`` with the status and the checks of their reports."""
+    return [{**phase, **report.to_dict()} for phase, report in zip(phases, reports, strict=True)]
 
 
 def _write_start(result: PlanResult) -> dict[str, Any]:

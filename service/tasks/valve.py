@@ -40,6 +40,7 @@ class ValveTurn:
         wheel, hand, mode: as in the request.
         turn: angle to turn by, right-handed about the wheel's axis [rad].
         entry: angle of the gap at which the hook is inserted [rad].
+        torque_nm: that turns the wheel.
         reach_waypoints: of the phases that reach for the wheel.
     """
 
@@ -49,6 +50,7 @@ class ValveTurn:
     mode: Mode
     turn: float
     entry: float
+    torque_nm: float
     reach_waypoints: int = REACH_WAYPOINTS
 
     @property
@@ -78,7 +80,7 @@ class ValveTurn:
             phase
             for name, *ends in zip(names, edges[:-1], edges[1:], strict=True)
             for phase in make_stroke_phases(
-                self.wheel, self.hand, self.entry, (ends[0], ends[1]), name, grasp, self.reach_waypoints
+                self.wheel, self.hand, self.entry, (ends[0], ends[1]), name, grasp, self.torque_nm, self.reach_waypoints
             )
         )
 

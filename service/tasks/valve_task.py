@@ -147,7 +147,7 @@ def _plan_turn(
     best: TaskPlan | None = None
     for hand, entry in product(hands, wheel.gaps[:MOST_GAPS]):
         turn = np.deg2rad(request.turn_deg)
-        plan = ValveTurn(solver, wheel, hand, request.mode, turn, entry, reach_waypoints).plan()
+        plan = ValveTurn(solver, wheel, hand, request.mode, turn, entry, request.torque_nm, reach_waypoints).plan()
         if plan.is_feasible:
             return plan
         if best is None or len(plan.phases) > len(best.phases):

@@ -10,11 +10,12 @@ import numpy as np
 
 from service.json_data import to_json_data
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
-from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseTimes, Trajectory
+from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseReport, PhaseTimes, Trajectory
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
 from service.request.file import request_hash
 from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
 from service.result.result import PlanResult
+from service.result.result_json import list_phases
 from service.verify import Certificate, Motion
 from service.wire.hashes import hash_certificate, hash_trajectory
 
@@ -34,6 +35,7 @@ def result_to_message(result: PlanResult, sha256: str = "") -> MotionResult:
         request_sha256=sha256 or request_hash(result.request),
         planning_time_s=result.planning_time_s,
         timings=result.timings,
+        phases=[PhaseReport(**phase) for phase in list_phases(result)],
     )
     message.figures.update(to_json_data(result.figures))
     for detection in result.detections:

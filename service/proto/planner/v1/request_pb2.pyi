@@ -257,7 +257,7 @@ class Task(_message.Message):
     def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class Valve(_message.Message):
-    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius")
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm")
     MODE_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     TURN_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -265,6 +265,7 @@ class Valve(_message.Message):
     CENTRE_FIELD_NUMBER: _ClassVar[int]
     AXIS_FIELD_NUMBER: _ClassVar[int]
     RADIUS_FIELD_NUMBER: _ClassVar[int]
+    TORQUE_NM_FIELD_NUMBER: _ClassVar[int]
     mode: HoldMode
     hand: Hand
     turn_deg: float
@@ -272,7 +273,8 @@ class Valve(_message.Message):
     centre: _containers.RepeatedScalarFieldContainer[float]
     axis: _containers.RepeatedScalarFieldContainer[float]
     radius: float
-    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ...) -> None: ...
+    torque_nm: float
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
     __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays")

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17planner/v1/result.proto\x12\nplanner.v1\x1a\x1cgoogle/protobuf/struct.proto\"\xe1\x03\n\x0cMotionResult\x12$\n\x07verdict\x18\x01 \x01(\x0e\x32\x13.planner.v1.Verdict\x12\x13\n\x0b\x65xplanation\x18\x02 \x03(\t\x12\r\n\x05notes\x18\x03 \x03(\t\x12\x12\n\nfound_from\x18\x04 \x01(\t\x12\x16\n\x0erequest_sha256\x18\x05 \x01(\t\x12*\n\ntrajectory\x18\x06 \x01(\x0b\x32\x16.planner.v1.Trajectory\x12,\n\x0b\x63\x65rtificate\x18\x07 \x01(\x0b\x32\x17.planner.v1.Certificate\x12\x17\n\x0fplanning_time_s\x18\x08 \x01(\x01\x12\x36\n\x07timings\x18\t \x03(\x0b\x32%.planner.v1.MotionResult.TimingsEntry\x12(\n\x07\x66igures\x18\n \x01(\x0b\x32\x17.google.protobuf.Struct\x12+\n\ndetections\x18\x0b \x03(\x0b\x32\x17.google.protobuf.Struct\x12)\n\x08\x63onflict\x18\x0c \x01(\x0b\x32\x17.google.protobuf.Struct\x1a.\n\x0cTimingsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"\x8d\x01\n\nTrajectory\x12\x13\n\x0bjoint_names\x18\x01 \x03(\t\x12\r\n\x05times\x18\x02 \x03(\x01\x12\x11\n\tpositions\x18\x03 \x03(\x01\x12&\n\x06phases\x18\x04 \x03(\x0b\x32\x16.planner.v1.PhaseTimes\x12\x10\n\x08is_timed\x18\x05 \x01(\x08\x12\x0e\n\x06sha256\x18\x06 \x01(\t\":\n\nPhaseTimes\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07start_s\x18\x02 \x01(\x01\x12\r\n\x05\x65nd_s\x18\x03 \x01(\x01\"\xe8\x01\n\x0b\x43\x65rtificate\x12\x0e\n\x06status\x18\x01 \x01(\t\x12!\n\x06\x63hecks\x18\x02 \x03(\x0b\x32\x11.planner.v1.Check\x12\x1c\n\x0fmin_clearance_m\x18\x03 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\x12min_clearance_pair\x18\x04 \x03(\t\x12!\n\x14min_balance_margin_m\x18\x05 \x01(\x01H\x01\x88\x01\x01\x12\x0c\n\x04json\x18\x06 \x01(\x0c\x12\x0e\n\x06sha256\x18\x07 \x01(\tB\x12\n\x10_min_clearance_mB\x17\n\x15_min_balance_margin_m\"j\n\x05\x43heck\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\n\n\x02ok\x18\x02 \x01(\x08\x12\r\n\x05value\x18\x03 \x01(\x01\x12\r\n\x05limit\x18\x04 \x01(\x01\x12\x0c\n\x04unit\x18\x05 \x01(\t\x12\x0c\n\x04text\x18\x06 \x01(\t\x12\r\n\x05\x62\x61sis\x18\x07 \x01(\t\"8\n\tFileChunk\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x02 \x01(\x0c\x12\x0f\n\x07is_last\x18\x03 \x01(\x08*\xd5\x01\n\x07Verdict\x12\x17\n\x13VERDICT_UNSPECIFIED\x10\x00\x12\x15\n\x11VERDICT_CERTIFIED\x10\x01\x12\x1f\n\x1bVERDICT_FEASIBLE_AT_SAMPLES\x10\x02\x12\x15\n\x11VERDICT_NOT_FOUND\x10\x03\x12\x16\n\x12VERDICT_INFEASIBLE\x10\x04\x12\x16\n\x12VERDICT_TIME_LIMIT\x10\x05\x12\x15\n\x11VERDICT_CANCELLED\x10\x06\x12\x1b\n\x17VERDICT_INVALID_REQUEST\x10\x07\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17planner/v1/result.proto\x12\nplanner.v1\x1a\x1cgoogle/protobuf/struct.proto\"\x8a\x04\n\x0cMotionResult\x12$\n\x07verdict\x18\x01 \x01(\x0e\x32\x13.planner.v1.Verdict\x12\x13\n\x0b\x65xplanation\x18\x02 \x03(\t\x12\r\n\x05notes\x18\x03 \x03(\t\x12\x12\n\nfound_from\x18\x04 \x01(\t\x12\x16\n\x0erequest_sha256\x18\x05 \x01(\t\x12*\n\ntrajectory\x18\x06 \x01(\x0b\x32\x16.planner.v1.Trajectory\x12,\n\x0b\x63\x65rtificate\x18\x07 \x01(\x0b\x32\x17.planner.v1.Certificate\x12\x17\n\x0fplanning_time_s\x18\x08 \x01(\x01\x12\x36\n\x07timings\x18\t \x03(\x0b\x32%.planner.v1.MotionResult.TimingsEntry\x12(\n\x07\x66igures\x18\n \x01(\x0b\x32\x17.google.protobuf.Struct\x12+\n\ndetections\x18\x0b \x03(\x0b\x32\x17.google.protobuf.Struct\x12)\n\x08\x63onflict\x18\x0c \x01(\x0b\x32\x17.google.protobuf.Struct\x12\'\n\x06phases\x18\r \x03(\x0b\x32\x17.planner.v1.PhaseReport\x1a.\n\x0cTimingsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"\x8d\x01\n\nTrajectory\x12\x13\n\x0bjoint_names\x18\x01 \x03(\t\x12\r\n\x05times\x18\x02 \x03(\x01\x12\x11\n\tpositions\x18\x03 \x03(\x01\x12&\n\x06phases\x18\x04 \x03(\x0b\x32\x16.planner.v1.PhaseTimes\x12\x10\n\x08is_timed\x18\x05 \x01(\x08\x12\x0e\n\x06sha256\x18\x06 \x01(\t\":\n\nPhaseTimes\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07start_s\x18\x02 \x01(\x01\x12\r\n\x05\x65nd_s\x18\x03 \x01(\x01\"{\n\x0bPhaseReport\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06status\x18\x02 \x01(\t\x12\x0e\n\x06\x63hecks\x18\x03 \x03(\r\x12\x14\n\x07start_s\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x12\n\x05\x65nd_s\x18\x05 \x01(\x01H\x01\x88\x01\x01\x42\n\n\x08_start_sB\x08\n\x06_end_s\"\xe8\x01\n\x0b\x43\x65rtificate\x12\x0e\n\x06status\x18\x01 \x01(\t\x12!\n\x06\x63hecks\x18\x02 \x03(\x0b\x32\x11.planner.v1.Check\x12\x1c\n\x0fmin_clearance_m\x18\x03 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\x12min_clearance_pair\x18\x04 \x03(\t\x12!\n\x14min_balance_margin_m\x18\x05 \x01(\x01H\x01\x88\x01\x01\x12\x0c\n\x04json\x18\x06 \x01(\x0c\x12\x0e\n\x06sha256\x18\x07 \x01(\tB\x12\n\x10_min_clearance_mB\x17\n\x15_min_balance_margin_m\"j\n\x05\x43heck\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\n\n\x02ok\x18\x02 \x01(\x08\x12\r\n\x05value\x18\x03 \x01(\x01\x12\r\n\x05limit\x18\x04 \x01(\x01\x12\x0c\n\x04unit\x18\x05 \x01(\t\x12\x0c\n\x04text\x18\x06 \x01(\t\x12\r\n\x05\x62\x61sis\x18\x07 \x01(\t\"8\n\tFileChunk\x12\x0c\n\x04path\x18\x01 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x02 \x01(\x0c\x12\x0f\n\x07is_last\x18\x03 \x01(\x08*\xd5\x01\n\x07Verdict\x12\x17\n\x13VERDICT_UNSPECIFIED\x10\x00\x12\x15\n\x11VERDICT_CERTIFIED\x10\x01\x12\x1f\n\x1bVERDICT_FEASIBLE_AT_SAMPLES\x10\x02\x12\x15\n\x11VERDICT_NOT_FOUND\x10\x03\x12\x16\n\x12VERDICT_INFEASIBLE\x10\x04\x12\x16\n\x12VERDICT_TIME_LIMIT\x10\x05\x12\x15\n\x11VERDICT_CANCELLED\x10\x06\x12\x1b\n\x17VERDICT_INVALID_REQUEST\x10\x07\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -34,20 +34,22 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_MOTIONRESULT_TIMINGSENTRY']._loaded_options = None
   _globals['_MOTIONRESULT_TIMINGSENTRY']._serialized_options = b'8\001'
-  _globals['_VERDICT']._serialized_start=1159
-  _globals['_VERDICT']._serialized_end=1372
+  _globals['_VERDICT']._serialized_start=1325
+  _globals['_VERDICT']._serialized_end=1538
   _globals['_MOTIONRESULT']._serialized_start=70
-  _globals['_MOTIONRESULT']._serialized_end=551
-  _globals['_MOTIONRESULT_TIMINGSENTRY']._serialized_start=505
-  _globals['_MOTIONRESULT_TIMINGSENTRY']._serialized_end=551
-  _globals['_TRAJECTORY']._serialized_start=554
-  _globals['_TRAJECTORY']._serialized_end=695
-  _globals['_PHASETIMES']._serialized_start=697
-  _globals['_PHASETIMES']._serialized_end=755
-  _globals['_CERTIFICATE']._serialized_start=758
-  _globals['_CERTIFICATE']._serialized_end=990
-  _globals['_CHECK']._serialized_start=992
-  _globals['_CHECK']._serialized_end=1098
-  _globals['_FILECHUNK']._serialized_start=1100
-  _globals['_FILECHUNK']._serialized_end=1156
+  _globals['_MOTIONRESULT']._serialized_end=592
+  _globals['_MOTIONRESULT_TIMINGSENTRY']._serialized_start=546
+  _globals['_MOTIONRESULT_TIMINGSENTRY']._serialized_end=592
+  _globals['_TRAJECTORY']._serialized_start=595
+  _globals['_TRAJECTORY']._serialized_end=736
+  _globals['_PHASETIMES']._serialized_start=738
+  _globals['_PHASETIMES']._serialized_end=796
+  _globals['_PHASEREPORT']._serialized_start=798
+  _globals['_PHASEREPORT']._serialized_end=921
+  _globals['_CERTIFICATE']._serialized_start=924
+  _globals['_CERTIFICATE']._serialized_end=1156
+  _globals['_CHECK']._serialized_start=1158
+  _globals['_CHECK']._serialized_end=1264
+  _globals['_FILECHUNK']._serialized_start=1266
+  _globals['_FILECHUNK']._serialized_end=1322
 # @@protoc_insertion_point(module_scope)

@@ -28,7 +28,7 @@ VERDICT_CANCELLED: Verdict
 VERDICT_INVALID_REQUEST: Verdict
 
 class MotionResult(_message.Message):
-    __slots__ = ("verdict", "explanation", "notes", "found_from", "request_sha256", "trajectory", "certificate", "planning_time_s", "timings", "figures", "detections", "conflict")
+    __slots__ = ("verdict", "explanation", "notes", "found_from", "request_sha256", "trajectory", "certificate", "planning_time_s", "timings", "figures", "detections", "conflict", "phases")
     class TimingsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -48,6 +48,7 @@ class MotionResult(_message.Message):
     FIGURES_FIELD_NUMBER: _ClassVar[int]
     DETECTIONS_FIELD_NUMBER: _ClassVar[int]
     CONFLICT_FIELD_NUMBER: _ClassVar[int]
+    PHASES_FIELD_NUMBER: _ClassVar[int]
     verdict: Verdict
     explanation: _containers.RepeatedScalarFieldContainer[str]
     notes: _containers.RepeatedScalarFieldContainer[str]
@@ -60,7 +61,8 @@ class MotionResult(_message.Message):
     figures: _struct_pb2.Struct
     detections: _containers.RepeatedCompositeFieldContainer[_struct_pb2.Struct]
     conflict: _struct_pb2.Struct
-    def __init__(self, verdict: _Optional[_Union[Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., found_from: _Optional[str] = ..., request_sha256: _Optional[str] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., certificate: _Optional[_Union[Certificate, _Mapping]] = ..., planning_time_s: _Optional[float] = ..., timings: _Optional[_Mapping[str, float]] = ..., figures: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., detections: _Optional[_Iterable[_Union[_struct_pb2.Struct, _Mapping]]] = ..., conflict: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
+    phases: _containers.RepeatedCompositeFieldContainer[PhaseReport]
+    def __init__(self, verdict: _Optional[_Union[Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., found_from: _Optional[str] = ..., request_sha256: _Optional[str] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., certificate: _Optional[_Union[Certificate, _Mapping]] = ..., planning_time_s: _Optional[float] = ..., timings: _Optional[_Mapping[str, float]] = ..., figures: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., detections: _Optional[_Iterable[_Union[_struct_pb2.Struct, _Mapping]]] = ..., conflict: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., phases: _Optional[_Iterable[_Union[PhaseReport, _Mapping]]] = ...) -> None: ...
 
 class Trajectory(_message.Message):
     __slots__ = ("joint_names", "times", "positions", "phases", "is_timed", "sha256")
@@ -87,6 +89,20 @@ class PhaseTimes(_message.Message):
     start_s: float
     end_s: float
     def __init__(self, name: _Optional[str] = ..., start_s: _Optional[float] = ..., end_s: _Optional[float] = ...) -> None: ...
+
+class PhaseReport(_message.Message):
+    __slots__ = ("name", "status", "checks", "start_s", "end_s")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
+    START_S_FIELD_NUMBER: _ClassVar[int]
+    END_S_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    status: str
+    checks: _containers.RepeatedScalarFieldContainer[int]
+    start_s: float
+    end_s: float
+    def __init__(self, name: _Optional[str] = ..., status: _Optional[str] = ..., checks: _Optional[_Iterable[int]] = ..., start_s: _Optional[float] = ..., end_s: _Optional[float] = ...) -> None: ...
 
 class Certificate(_message.Message):
     __slots__ = ("status", "checks", "min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "json", "sha256")
