@@ -223,7 +223,7 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
     )
     note = f"valve at {np.round(valve.centre, 3).tolist()}, rim radius {valve.rim_radius:.3f} m"
     turn = float(np.deg2rad(task.valve.turn_deg))
-    return ValveStance(wheel, hooks, task.valve.mode, turn, near, mechanism), (note,)
+    return ValveStance(wheel, hooks, task.valve.mode, turn, task.valve.torque_nm, near, mechanism), (note,)
 
 
 @dataclass(frozen=True)

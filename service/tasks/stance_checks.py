@@ -283,7 +283,7 @@ class ValveStance:
     Attributes:
         wheel: the wheel.
         hands: that may be used.
-        mode, turn: as in the request [rad].
+        mode, turn, torque_nm: as in the request [rad, N m].
         near: required clearances between hooks and wheel [m].
         mechanism: the wheel as a mechanism.
     """
@@ -292,6 +292,7 @@ class ValveStance:
     hands: tuple[Hand, ...]
     mode: Mode
     turn: float
+    torque_nm: float
     near: tuple[tuple[BodyRef, BodyRef, float], ...]
     mechanism: Mechanism
 
@@ -329,7 +330,7 @@ class ValveStance:
 
     def _try_gap(self, finder: _PoseFinder, hand: Hand, entry: float) -> Outcome:
         hold = f"{hand.side} hand in {self.mode} mode"
-        turn = ValveTurn(finder.solver, self.wheel, hand, self.mode, self.turn, entry)
+        turn = ValveTurn(finder.solver, self.wheel, hand, self.mode, self.turn, entry, self.torque_nm)
         poses: list[HeldPose] = []
         reached = 0.0
         for spec in turn.list_phases():
