@@ -122,6 +122,12 @@ def draw_search(search: StanceSearch) -> str:
         lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2" fill="#bbbbbb"><title>{title}</title></circle>')
     for rank, candidate in reversed(list(enumerate(drawn))):
         lines += _draw_candidate(candidate, rank, polygon, place)
+    ((x, y),) = place(search.setup.start[None, :2])
+    lines.append(
+        f'<path d="M {x - 6:.1f} {y:.1f} h 12 M {x:.1f} {y - 6:.1f} v 12" stroke="black" stroke-width="2">'
+        "<title>start of the request</title></path>"
+    )
+    lines.append(f'<rect y="{height:.0f}" width="{width:.0f}" height="60" fill="white"/>')
     lines += _draw_legend(height)
     return "\n".join([*lines, "</svg>"]) + "\n"
 
