@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | bench-tasks | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -26,6 +26,7 @@ help:
 	@echo "make check     ruff, mypy, import-linter"
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
+	@echo "make bench-tasks    doors and valves from the best stance, certified or not, as a table; half an hour"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
 	@echo "make gallery   a film strip of a motion per task, in out/gallery"
 	@echo "make clean     remove .venv, .venv-ray, out and caches"
@@ -68,6 +69,10 @@ bench: $(READY)
 
 bench-service: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.service
+
+# BENCH_ARGS="--count 4" takes a quick look, BENCH_ARGS=--long adds random stances.
+bench-tasks: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks $(BENCH_ARGS)
 
 attack: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack

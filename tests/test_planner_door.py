@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 from stranger import Stranger
 
-from service.errors import RequestError
+from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
@@ -143,7 +143,11 @@ def test_lies_about_loads_are_not_believed(pushed: tuple[PlanResult, Path], lie:
     lie(data)
     assert data["phases"] != before
     (folder / "result.json").write_text(json.dumps(data))
-    assert verify_result(folder)["verdict"] != "CERTIFIED"
+    try:
+        verdict = verify_result(folder)["verdict"]
+    except ResultError:
+        return
+    assert verdict != "CERTIFIED"
 
 
 def test_a_knob_is_refused_by_name() -> None:

@@ -24,6 +24,7 @@ from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 
 REACH_WAYPOINTS = 14
+STANCE_ADVICE = "the door may open farther from elsewhere: `scopt stance REQUEST` searches for a place to stand"
 HANDLE_MARGIN = 4e-3  # between a hand and the door that it holds [m]
 
 
@@ -64,10 +65,12 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
     if obstacles:
         is_piece = any(met.is_piece for met in obstacles)
         sentences = tuple(met.describe(target) for met in obstacles)
-        return TaskPlan(solver.body, (), sentences, notes=(note,), is_impossible=is_piece)
+        advice = () if is_piece else (STANCE_ADVICE,)
+        return TaskPlan(solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)
     notes = (note, *(met.describe(target) for met in blocked))
     plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
-    return replace(plan, notes=(*notes, *plan.notes))
+    advice = () if plan.is_feasible else (STANCE_ADVICE,)
+    return replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))
 
 
 def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
