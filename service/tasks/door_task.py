@@ -12,7 +12,7 @@ from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.door import Door
+from service.demands.door import FREE_BEYOND, Door
 from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door
 from service.demands.hands import HANDS, Hand
 from service.errors import RequestError
@@ -40,7 +40,7 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
             f"task.door.open_deg: {request.open_deg:g}; the leaf is open by {np.rad2deg(door.geometry.ajar):.0f} deg "
             "already; expected more"
         )
-    if door.handle is not None and door.handle.kind == "knob" and not (door.is_push and not door.is_latched):
+    if door.handle is not None and door.handle.kind == "knob" and door.geometry.ajar < FREE_BEYOND:
         return TaskPlan(solver.body, (), ("the door has a knob; no hand of this robot can turn a knob",))
     hands = choose_hands(solver.body, request, door)
     near = tuple(
