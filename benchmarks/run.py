@@ -17,6 +17,7 @@ NAMES = (
     "arm",
     "whole_body",
     "two_hands",
+    "equilibrium_poses",
     "ablations",
     "planning",
     "cloud_pieces",

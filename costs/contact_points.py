@@ -106,8 +106,10 @@ class Loads:
 
         Raises:
             KeyError: the robot has no such link.
-            ValueError: the robot has no mass.
+            ValueError: the robot has no mass, or a load is on a link of a mechanism.
         """
+        for load in loads:
+            _refuse_mechanism(robot, load.link, f"load on {load.link}")
         weight = measure_weight(robot)
         points, force, moment = (
             np.array([getattr(load, name) for load in loads], dtype=float).reshape(-1, 3)
@@ -146,18 +148,19 @@ class ContactPoints:
     def of(
         robot: RobotModel,
         contacts: Sequence[Contact],
-        world_normals: Mapping[int, Float[np.ndarray, "3"]] | None = None,
+        world_normals: Mapping[int, Float[np.ndarray, "3"] | Float[np.ndarray, "C 3"]] | None = None,
     ) -> ContactPoints:
         """Return the points of contacts in their order.
 
         Args:
             contacts: of the stance.
-            world_normals: normal in the world by index of the contact, for contacts whose link may turn against the
-                surface that it touches; the others' normals turn with their links.
+            world_normals: normal in the world (or one per point) by index of the contact, for contacts whose link may
+                turn against the surface that it touches; the others' normals turn with their links.
 
         Raises:
             KeyError: the robot has no such link.
-            ValueError: the robot has no mass, or a normal in the world is zero.
+            ValueError: the robot has no mass, a normal in the world is zero, or a contact is not one of a robot's
+                link with the world or with a mechanism's link.
         """
         weight = measure_weight(robot)
         fixed = {} if world_normals is None else world_normals
@@ -169,13 +172,14 @@ class ContactPoints:
         reference = np.zeros(len(which), dtype=int)
         for k, contact in enumerate(contacts):
             rows = which == k
+            _refuse_mechanism(robot, contact.link, f"contact of {contact.link}")
             if k in fixed:
                 normal[rows] = fixed[k]
             else:
                 joint[rows], pose = locate_frame(robot, contact.link)
                 normal[rows] = np.asarray(contact.normals) @ pose[:3, :3].T
             if contact.reference is not None:
-                reference[rows] = locate_frame(robot, contact.reference)[0]
+                reference[rows] = _find_reference(robot, contact.link, contact.reference)
         length = np.linalg.norm(normal, axis=1)
         if not (length > 0.0).all():
             k = int(which[int(np.argmin(length))])
@@ -218,3 +222,19 @@ def _lean(normal: Float[np.ndarray, "C 3"], side: Float[np.ndarray, "#C 3"]) -> 
     across = side - np.einsum("ck,ck->c", normal, np.broadcast_to(side, normal.shape))[:, None] * normal
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.where(length > 1e-6, across / np.maximum(length, 1e-6), tangent)
+
+
+def _find_reference(robot: RobotModel, link: str, reference: str) -> int:
+    """Return the joint of a mechanism's link that a robot's link touches."""
+    if reference not in robot.mechanism_links:
+        known = ", ".join(sorted(robot.mechanism_links)) or "none"
+        raise ValueError(
+            f"contact of {link}: reference '{reference}' is no link of a mechanism; mechanism links: {known}"
+        )
+    return locate_frame(robot, reference)[0]
+
+
+def _refuse_mechanism(robot: RobotModel, link: str, what: str) -> None:
+    """Refuse a link of a mechanism where one of the robot is needed."""
+    if link in robot.mechanism_links:
+        raise ValueError(f"{what}: {link} belongs to a mechanism; name the robot's link")

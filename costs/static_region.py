@@ -3,7 +3,7 @@
 Bretl and Lall, Testing static equilibrium for legged robots, T-RO 2008: for contacts fixed in the world these places
 are a convex polygon in (x, y), whatever the height. Cones of friction and balances of forces are convex: a centre of
 mass inside the polygon is held by the same combination of forces (witnesses) as it is of the vertices. No solver is
-needed to check a region (``service.verify.equilibrium``).
+needed to check a region (``service.verify.forces.equilibrium``).
 """
 
 from __future__ import annotations
@@ -275,8 +275,8 @@ class _Search:
         moment = (wrench[3:] - np.cross(self._origin, wrench[:3])) / self.weight
         self._offset = np.array([-moment[1], moment[0]])
         self._target = np.array([-force[0], -force[1], 1.0 - force[2], -moment[2]])
-        rows = np.arange(4, dtype=np.int32)
-        self._solver.changeRowsBounds(4, rows, self._target, self._target)
+        for row, value in enumerate(self._target):
+            self._solver.changeRowBounds(row, value, value)
 
     def _find_farthest(
         self, direction: Float[np.ndarray, "2"], index: int

@@ -360,6 +360,36 @@ def test_contact_places_by_hand():
     np.testing.assert_allclose(relative, [1.0, 1.0, 0.0], atol=1e-12)
 
 
+def test_places_are_those_of_the_reference_frame():
+    robot, rng = atlas(), np.random.default_rng(8)
+    q, spot = random_configurations(robot, rng, 1), rng.normal(size=3)
+    state = MotionState(KinematicsEngine(robot)(q), Contacts.none())
+    poses = locate_links(KinematicsEngine(robot), q[0], ["l_tool", "r_tool"])
+    expected = np.linalg.inv(poses["r_tool"]) @ poses["l_tool"] @ [*spot, 1.0]
+    value = ContactPlace.at(robot, "l_tool", spot[None], [0], np.zeros((1, 3)), "r_tool").value(state)
+    np.testing.assert_allclose(value, expected[:3], atol=1e-12)
+
+
+def test_a_force_on_a_smooth_point_keeps_its_margin_along_the_normal_only():
+    robot = chain(BOX, "floating")
+    points = ContactPoints.of(robot, [Contact("link1", np.zeros((1, 3)), UP[None], 0.0, 100.0)])
+    cap = 100.0 / measure_weight(robot)
+    make, term = loaded_state(robot, 1), FrictionPyramid(points, [0], 0.1)
+    for normal, inside in ((0.09, False), (0.11, True), (cap - 0.11, True), (cap - 0.09, False)):
+        value = term.value(make(iterate(np.zeros(7), [0.0, 0.0, normal])))
+        assert (value.max() <= 1e-12) == inside
+
+
+def test_contacts_and_loads_on_the_wrong_side_are_refused():
+    robot, spot = atlas_with_wheel(), (np.zeros((1, 3)), UP[None], 0.5, 100.0)
+    with pytest.raises(ValueError, match="contact of valve: valve belongs to a mechanism"):
+        ContactPoints.of(robot, [Contact("valve", *spot)])
+    with pytest.raises(ValueError, match="reference 'pelvis' is no link of a mechanism; mechanism links: valve"):
+        ContactPoints.of(robot, [Contact("l_hand", *spot, "pelvis")])
+    with pytest.raises(ValueError, match="load on valve: valve belongs to a mechanism"):
+        Equilibrium(robot, ContactPoints.of(robot, [Contact("l_hand", *spot)]), [0], [Load("valve", UP)])
+
+
 def test_a_normal_of_no_direction_is_refused():
     contact = Contact("tip", np.zeros((1, 3)), UP[None], 0.5, 100.0)
     with pytest.raises(ValueError, match=r"world_normals\[0\] is zero; give the direction that pushes on tip"):

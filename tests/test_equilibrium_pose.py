@@ -1,14 +1,17 @@
 """Poses in equilibrium: forces against inverse dynamics, limits, loads, mechanisms, and what is said of failures."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tiny_robots import atlas, atlas_with_wheel
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation
+from tiny_robots import SPATIAL, atlas, atlas_with_wheel, chain
 
+from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact, WorldContacts
 from costs.contact_points import ContactPoints, Load, measure_weight
 from costs.kinematics import KinematicsEngine, locate_links
@@ -152,6 +155,18 @@ def test_a_margin_is_room_for_errors_of_every_force():
     pose = lean_on_bar(margin_n=40.0)
     assert pose.is_feasible
     assert pose.reserve_n >= 40.0
+    # The reported forces have the room, too: level contacts, nearest side of the pyramid.
+    x, y, z = pose.forces_n.T
+    room = (0.7 * z - np.abs(x) - np.abs(y)) / np.sqrt(2.0 + 0.7**2)
+    assert room.min() >= 40.0 - 1e-3
+
+
+def test_a_missing_margin_is_told():
+    body = stand()
+    contacts = make_planted_contacts(body, 0.7, 2000.0)
+    fixed = dict(enumerate(body.nominal.tolist()))
+    pose = solve_equilibrium_pose(body, contacts, body.nominal, ForceLimits(margin_n=100.0), fixed=fixed)
+    assert pose.violations == (f"contact forces can err by {pose.reserve_n:.3g} N at most, 100 N are required",)
 
 
 def test_a_centre_of_mass_beyond_the_feet_is_explained():
@@ -189,6 +204,24 @@ def test_terms_of_the_body_stay():
         np.testing.assert_allclose(feet[foot.link], foot.pose_world_link, atol=1e-4)
 
 
+def test_a_hand_on_a_wall_touches_it_as_allowed():
+    wall = np.array([[x, y, z] for x in (0.8, 1.0) for y in (-2.0, 2.0) for z in (0.0, 2.5)])
+    body = stand(scene=Scene((ConvexPiece("wall", wall, "obstacle"),)))
+    outward = np.array([-1.0, 0.0, 0.0])
+    contacts = (*make_planted_contacts(body, 0.7, 2000.0), Contact("r_tool", TIP, UP[None], 0.7, 300.0))
+    on_wall = ContactPlace.on_plane(body.robot, "r_tool", TIP, [0], -outward, 0.8)
+    terms = [Constraint("tool on the wall", on_wall, Sense.EQUAL_ZERO, 1e-4), centre_at(0.2)]
+    limits = ForceLimits(world_normals={2: outward})
+    touches = Allowance(BodyRef.of_link("r_hook"), BodyRef.of_piece("wall"), 0.005)
+    pose = solve_equilibrium_pose(body, contacts, guess_of(body), limits, (), terms, allowances=[touches])
+    assert pose.is_feasible, pose.violations
+    along = np.linalg.norm(pose.forces_n[-1, 1:])
+    assert 100.0 < -pose.forces_n[-1, 0] <= 300.0
+    assert along <= 0.7 * -pose.forces_n[-1, 0]
+    forbidden = solve_equilibrium_pose(body, contacts, guess_of(body), limits, (), terms)
+    assert any("r_hook" in line and "wall" in line for line in forbidden.violations)
+
+
 def test_a_pushed_wheel_gets_its_load_and_no_more():
     robot = atlas_with_wheel()
     body = stand(robot)
@@ -206,6 +239,34 @@ def test_a_pushed_wheel_gets_its_load_and_no_more():
         torque = axis @ np.cross(pose.places[-1] - arm, -pose.forces_n[-1])
         assert torque == pytest.approx(load, abs=1e-3)
     assert pose.forces_n[-1, 2] > 20.0
+
+
+def test_contacts_find_their_places_on_patches():
+    robot = atlas()
+    body = replace(stand(), planted=())
+    soles = {foot.link: foot.sole for foot in stand().planted}
+    hip = np.array([[x, y, -0.095] for x in (-0.1, 0.1) for y in (-0.12, 0.12)])
+    patches = {
+        "pelvis": (hip, 0.7, (-0.25, 0.1, -0.2, 0.2)),
+        "l_foot": (soles["l_foot"], 0.0, (0.1, 0.7, 0.0, 0.4)),
+        "r_foot": (soles["r_foot"], -0.1, (0.1, 0.55, -0.5, -0.2)),
+    }
+    edges = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    contacts, places = [], []
+    for link, (points, height, box) in patches.items():
+        contacts.append(Contact(link, points, np.tile(UP, (4, 1)), 0.7, 1500.0))
+        level = ContactPlace.on_plane(robot, link, points, [0], UP, height)
+        inside = ContactPlace.inside(robot, link, points, [0], edges, np.array(box) * [-1.0, 1.0, -1.0, 1.0])
+        places += [Constraint(f"{link} on plane", level, Sense.EQUAL_ZERO, 1e-4)]
+        places += [Constraint(f"{link} in patch", inside, tolerance=1e-4)]
+    pose = solve_equilibrium_pose(body, contacts, guess_of(body), constraints=places)
+    assert pose.is_feasible, pose.violations
+    for spots, (_, height, box) in zip(pose.places.reshape(3, 4, 3), patches.values(), strict=True):
+        np.testing.assert_allclose(spots[:, 2], height, atol=1e-3)
+        low, high = spots[:, :2].min(axis=0), spots[:, :2].max(axis=0)
+        assert (low >= np.array([box[0], box[2]]) - 2e-4).all()
+        assert (high <= np.array([box[1], box[3]]) + 2e-4).all()
+    assert pose.forces_n[:4, 2].sum() > 300.0  # it sits
 
 
 def test_a_cost_of_forces_unloads_a_foot():
@@ -236,7 +297,7 @@ def test_widened_constraints_keep_their_figures():
                 assert getattr(first, field.name) == getattr(second, field.name)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 10_000))
 def test_forces_exist_where_the_static_region_says_so(seed):
     robot, rng = atlas(), np.random.default_rng(seed)
@@ -261,7 +322,78 @@ def test_forces_exist_where_the_static_region_says_so(seed):
     assert bool(region.contains(body.engine(q[None]).com[:, :2])[0]) == (reserve > 0.0)
 
 
-def test_a_pose_needs_contacts():
+def test_torque_leaves_the_reserve_of_forces_alone():
+    pose = lean_on_bar(torque_share=None)
     body = stand()
+    rows = ForceRows.at(body.engine, pose.q, pose.points)
+    least, forces = rows.spread_torque()
+    assert rows.measure_shares(forces).max() == pytest.approx(least)
+    assert least == pytest.approx(pose.least_torque_share)
+    assert rows.find_least(least - 1e-4) is None
+    assert rows.find_least(least + 1e-4) is not None
+    (A, a), (U, u), (E, e) = rows.inside, rows.used, rows.balance
+    share = least + 0.02
+    inequalities = np.block([[A, rows.length[:, None]], [U, np.zeros((len(U), 1))], [-U, np.zeros((len(U), 1))]])
+    reference = linprog(
+        [0.0] * A.shape[1] + [-1.0], inequalities, np.concatenate([-a, share - u, share + u]),
+        np.column_stack([E, 0.0 * e]), -e, bounds=(None, None),
+    )  # fmt: skip
+    assert rows.measure_reserve(share) == pytest.approx(-rows.weight_n * reference.fun, abs=1e-3)
+    assert rows.measure_reserve(share) < rows.measure_reserve(None) - 1.0
+
+
+def test_a_smooth_contact_takes_no_reserve_away():
+    body = stand()
+    wall = Contact("l_tool", TIP, UP[None], 0.0, 400.0)
+    contacts = (*make_planted_contacts(body, 0.7, 2000.0), wall)
+    limits = ForceLimits(margin_n=20.0, world_normals={2: UP})
+    pose = solve_equilibrium_pose(body, contacts, guess_of(body), limits)
+    assert pose.is_feasible, pose.violations
+    assert pose.reserve_n >= 20.0
+    np.testing.assert_allclose(pose.forces_n[-1, :2], 0.0, atol=1e-3)
+
+
+def test_a_free_wheel_carries_nobody():
+    robot = atlas_with_wheel()
+    body = stand(robot)
+    spot = locate_links(body.engine, body.nominal, ["valve"])["valve"][:3, 3] + [-0.06, -0.2, -0.1]
+    on_rim = ContactPlace.at(robot, "r_tool", TIP, [0], spot[None])
+    terms = [Constraint("tool on the rim", on_rim, Sense.EQUAL_ZERO, 1e-4), centre_at(0.25)]
+    limits = ForceLimits(torque_share=None, world_normals={2: UP})
+    poses = []
+    for reference in ("valve", None):
+        rim = Contact("r_tool", TIP, UP[None], 0.7, 600.0, reference)
+        contacts = (*make_planted_contacts(body, 0.7, 2000.0), rim)
+        fixed = {robot.n - 1: 0.0}
+        poses.append(solve_equilibrium_pose(body, contacts, guess_of(body), limits, (), terms, fixed=fixed))
+    free, rigid = poses
+    assert rigid.is_feasible, rigid.violations
+    assert rigid.forces_n[-1, 2] > 100.0
+    assert not free.is_feasible
+    assert "mechanism load" in free.result.violation  # the optimiser knew of it, not only the check of the forces
+
+
+def test_planted_soles_are_pushed_up_however_the_foot_stands():
+    body = stand()
+    turned = Rotation.from_euler("zyx", [0.5, 0.3, -0.2]).as_matrix()
+    pose = body.planted[0].pose_world_link.copy()
+    pose[:3, :3] = turned
+    tilted = replace(body, planted=(replace(body.planted[0], pose_world_link=pose),))
+    (contact,) = make_planted_contacts(tilted, 0.7, 2000.0)
+    np.testing.assert_allclose(contact.normals @ turned.T, np.tile(UP, (4, 1)), atol=1e-12)
+
+
+def test_a_fixed_base_is_refused():
+    arm = chain(SPATIAL)
+    body = WholeBody.standing(arm, Scene(()), np.zeros(4), (), Aims())
+    contact = Contact("tip", TIP, UP[None], 0.5, 100.0)
+    with pytest.raises(ValueError, match="robot 'chain' has a fixed base"):
+        solve_equilibrium_pose(body, (contact,), np.zeros(4))
+
+
+def test_a_pose_needs_contacts_and_a_guess():
+    body = stand()
+    with pytest.raises(ValueError, match=r"guess must be finite with shape \(36,\), got shape \(35,\)"):
+        solve_equilibrium_pose(body, make_planted_contacts(body, 0.7, 2000.0), body.nominal[1:])
     with pytest.raises(ValueError, match="at least one contact"):
         solve_equilibrium_pose(body, (), body.nominal)

@@ -6,7 +6,7 @@ from told_results import told_results
 
 from service.result.motion_json import samples_of
 from service.result.result_json import to_result_json
-from service.verify.stance_checks import outside_polygon
+from service.verify.polygons import outside_polygon
 
 
 @pytest.fixture(scope="module", params=["atlas waves", "atlas settles", "a wheel", "a wheel, too fast"])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from benchmarks.stances import (
     UP,
@@ -247,12 +248,25 @@ def test_wrenches_that_are_held_at_different_places_are_named_together():
     assert refusal.value.wrench == 1
 
 
-def test_a_squeeze_that_holds_nothing_is_not_made():
-    sides = [make_contacts([0.25 * s, 0.0, 1.0], [-s, 0.0, 0.0], 0.0, 5.0 * WEIGHT) for s in (1.0, -1.0)]
-    region = find_static_region(WorldContacts.join([FEET, *sides]), MASS, PUSHED)
-    # 80 N at 1 m: the chest alone gives it, or the feet do; never chest and back against each other
-    both = np.linalg.norm(region.witnesses[:, 0, 8:], axis=2).min(axis=1)
-    assert both.max() < 1e-6 * WEIGHT
+def least_force(contacts: WorldContacts, weight: float, place: np.ndarray) -> float:
+    """Least sum of forces in the pyramids that hold a place, in weights."""
+    edges = np.concatenate([contacts.list_pyramid_edges(), contacts.normals[:, None]], axis=1).reshape(-1, 3)
+    points = np.repeat(contacts.points, 5, axis=0)
+    sums = np.concatenate([edges.T, np.cross(points - [*place, 0.0], edges).T])
+    caps = np.kron(np.eye(len(contacts.points)), np.ones(5))
+    lengths, target = np.linalg.norm(edges, axis=1), [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    found = linprog(lengths, caps, contacts.caps / weight, sums, target, method="highs")
+    assert found.status == 0
+    return float(found.fun)
+
+
+def test_witnesses_press_no_more_than_their_places_need():
+    contacts, mass = random_stance(np.random.default_rng(1))  # between walls: much is possible that is not needed
+    region = find_static_region(contacts, mass)
+    totals = np.linalg.norm(region.witnesses[:, 0], axis=2).sum(axis=1) / (mass * GRAVITY)
+    middle = region.vertices.mean(axis=0)
+    for vertex, total in zip(region.vertices, totals, strict=True):
+        assert total < least_force(contacts, mass * GRAVITY, vertex + 1e-5 * (middle - vertex)) + 0.02
 
 
 def test_tilted_normals_make_the_region_smaller():

@@ -12,7 +12,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.verify import Motion, Phase, PlantedContact
-from service.verify.dynamics import compute_forces, list_sample_times
+from service.verify.forces.dynamics import compute_forces, list_sample_times
 from service.verify.timeline import find_time, find_times
 
 FEET = ("l_foot", "r_foot")
@@ -44,15 +44,15 @@ def test_the_ground_carries_all_that_the_base_cannot(atlas: RobotModel, feet: tu
     assert motion.law is not None
     found = compute_forces(motion, motion.law, motion.phases[0], TIMES)
     weight = 9.81 * sum(inertia.mass for inertia in atlas.model.inertias)
-    assert found.wrench[:, 2].mean() == pytest.approx(weight, rel=0.3)
-    assert np.abs(found.torque[:, :6]).max() < 1e-8 * weight
+    assert found.wrench[0, :, 2].mean() == pytest.approx(weight, rel=0.3)
+    assert np.abs(found.torque[0, :, :6]).max() < 1e-8 * weight
 
 
 def test_the_legs_carry_their_foot_s_share_and_the_arms_none(atlas: RobotModel) -> None:
     motion = _squat(atlas, FEET[:1])
     assert motion.law is not None
-    standing = compute_forces(motion, motion.law, motion.phases[0], TIMES).torque
-    free = compute_forces(motion, motion.law, replace(motion.phases[0], contacts=()), TIMES).torque
+    standing = compute_forces(motion, motion.law, motion.phases[0], TIMES).torque[0]
+    free = compute_forces(motion, motion.law, replace(motion.phases[0], contacts=()), TIMES).torque[0]
     names = np.array(atlas.joint_names)
     carries = np.array([name.startswith(("l_leg", "base")) for name in names])
     assert np.allclose(standing[:, ~carries], free[:, ~carries], rtol=0.0, atol=1e-12)
@@ -60,7 +60,7 @@ def test_the_legs_carry_their_foot_s_share_and_the_arms_none(atlas: RobotModel) 
     model, data = atlas.model, atlas.model.createData()
     s, speed, gain = motion.law.at(TIMES)
     slope, bend = motion.curve(s, 1), motion.curve(s, 2)
-    wrench = compute_forces(motion, motion.law, motion.phases[0], TIMES).wrench
+    wrench = compute_forces(motion, motion.law, motion.phases[0], TIMES).wrench[0]
     joint = int(model.frames[model.getFrameId("l_foot")].parentJoint)
     for k, q in enumerate(motion.curve(s)):
         pin.forwardKinematics(model, data, q)
@@ -73,7 +73,7 @@ def test_the_legs_carry_their_foot_s_share_and_the_arms_none(atlas: RobotModel) 
 def test_a_phase_that_stands_on_nothing_has_no_wrench(atlas: RobotModel) -> None:
     motion = _squat(atlas, ())
     assert motion.law is not None
-    wrench = compute_forces(motion, motion.law, motion.phases[0], TIMES).wrench
+    wrench = compute_forces(motion, motion.law, motion.phases[0], TIMES).wrench[0]
     assert wrench.shape == (len(TIMES), 6)
     assert np.all(np.isnan(wrench))
 

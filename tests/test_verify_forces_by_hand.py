@@ -13,7 +13,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
 from service.verify import Basis, Check, Motion, Phase, PlantedContact, SupportPolygon, VerifySettings
-from service.verify.dynamics import check_dynamics, compute_forces, list_sample_times
+from service.verify.forces.dynamics import check_dynamics, compute_forces, list_sample_times
 from service.verify.prepared_motion import PreparedMotion
 
 G, MASS, HEIGHT = 9.81, 7.0, 0.05
@@ -44,7 +44,7 @@ def _forces(motion: Motion, times: np.ndarray = TIMES) -> tuple[np.ndarray, np.n
     assert motion.law is not None
     found = compute_forces(motion, motion.law, motion.phases[0], times)
     np.testing.assert_array_equal(found.times, times)
-    return found.wrench, found.torque, found.zmp(HEIGHT)
+    return found.wrench[0], found.torque[0], found.zmp(HEIGHT)[0]
 
 
 def _checks(motion: Motion) -> dict[str, Check]:
@@ -58,10 +58,10 @@ def test_at_rest_the_zmp_is_below_the_centre_of_mass_on_any_plane(height: float)
     motion = _accelerated(_gantry(), np.zeros(3))
     assert motion.law is not None
     found = compute_forces(motion, motion.law, motion.phases[0], TIMES)
-    np.testing.assert_allclose(found.zmp(height), np.tile(OFFSET[:2], (3, 1)), atol=1e-12)
-    np.testing.assert_allclose(found.wrench[1, :3], [0.0, 0.0, MASS * G])
+    np.testing.assert_allclose(found.zmp(height)[0], np.tile(OFFSET[:2], (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(found.wrench[0, 1, :3], [0.0, 0.0, MASS * G])
     # The moment about the origin: c x f.
-    np.testing.assert_allclose(found.wrench[1, 3:], MASS * G * np.array([OFFSET[1], -OFFSET[0], 0.0]))
+    np.testing.assert_allclose(found.wrench[0, 1, 3:], MASS * G * np.array([OFFSET[1], -OFFSET[0], 0.0]))
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_forces_without_torques_are_the_same_wrench() -> None:
     motion = _accelerated(_gantry(), np.array([1.0, 2.0, 0.5]))
     assert motion.law is not None
     short = compute_forces(motion, motion.law, motion.phases[0], TIMES, torques=False)
-    np.testing.assert_allclose(short.wrench, _forces(motion)[0])
+    np.testing.assert_allclose(short.wrench[0], _forces(motion)[0])
     np.testing.assert_allclose(short.path, TIMES**2)
 
 

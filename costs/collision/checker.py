@@ -54,7 +54,13 @@ class SweptCollisionChecker:
         return other
 
     def _order_pair(self, a: int, b: int) -> tuple[int, int]:
-        """Return two bodies with the one that sweeps, which has fewer vertices, last."""
+        """Return two bodies with the one that sweeps last: it has fewer vertices, and is not of a mechanism.
+
+        A door's leaf that swept in the frame of the hand on it would sweep over the hand.
+        """
+        is_moved = [self.robot.bodies[body].link in self.robot.mechanism_links for body in (a, b)]
+        if is_moved[0] != is_moved[1]:
+            return (a, b) if is_moved[0] else (b, a)
         return (a, b) if self._bodies.count[a] >= self._bodies.count[b] else (b, a)
 
     def __call__(self, kinematics: Kinematics) -> Contacts:

@@ -9,7 +9,7 @@ from costs.terms.joint import JointDifference, JointTarget
 from costs.terms.joint_torque import JointTorque, StaticTorque
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.wrappers import Between, Masked, NormWithin, Scaled, Widened, WithinTolerance
+from costs.terms.wrappers import Between, Joined, Masked, NormWithin, Scaled, Widened, WithinTolerance
 
 __all__ = [
     "AxisDirection",
@@ -24,6 +24,7 @@ __all__ = [
     "FrameDisplacement",
     "FramePose",
     "FrictionPyramid",
+    "Joined",
     "JointDifference",
     "JointTarget",
     "JointTorque",

@@ -86,9 +86,8 @@ class FrictionPyramid(Residual[LoadedState]):
 
     The pyramid has four edges on the cone and four sides inside it: ``t . f - mu / sqrt 2  n . f`` for the directions
     ``t`` halfway between the edges.  The fifth row is ``n . f - cap``; a point without friction has a sixth,
-    ``-n . f``.  A force may err by ``margin`` in any direction without leaving pyramid and cap (by a quarter of its
-    cap, if that is less; along its normal, if it has no friction).  Normals that turn with their links enter the
-    derivative.
+    ``-n . f``.  A force may err by ``margin`` in any direction without leaving pyramid and cap, along its normal if it
+    has no friction.  Normals that turn with their links enter the derivative.
     """
 
     is_smooth = True
@@ -105,7 +104,7 @@ class FrictionPyramid(Residual[LoadedState]):
         self._points = points
         self._waypoints = np.asarray(waypoints)
         self.point, self._face, offset, self.length = list_faces(points)
-        self._offset = offset + np.minimum(margin, 0.25 * points.cap)[self.point] * self.length
+        self._offset = offset + margin * self.length
 
     def value(self, state: LoadedState) -> Float[np.ndarray, "m"]:
         faces = self._points.turn(state.kinematics, self._waypoints, self.point, self._face)
@@ -136,7 +135,7 @@ def list_faces(
         point: (R,) whose force is meant.
         face: (R, 3) where the point's normal is given.
         offset: (R,) [robot's weight].
-        length: (R,) of the faces; 0 for the sides of points without friction, which leave no force any room.
+        length: (R,) of the faces; 0 where they leave no force any room: sides without friction, points without a cap.
     """
     point, face, offset, has_room = [], [], [], []
     across = np.cross(points.normal, points.tangent)
@@ -150,7 +149,7 @@ def list_faces(
         bottom = [] if friction > 0.0 else [-normal]
         own = [*sides, *bottom, normal]
         face += own
-        has_room += [friction > 0.0] * 4 + [True] * (len(own) - 4)
+        has_room += [min(friction, cap) > 0.0] * 4 + [cap > 0.0] * (len(own) - 4)
         offset += [0.0] * (len(own) - 1) + [-cap]
         point += [i] * len(own)
     faces = np.array(face).reshape(-1, 3)

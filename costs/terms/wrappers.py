@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import sparse
@@ -118,12 +120,28 @@ class WithinTolerance(Between[StateT]):
         super().__init__(residual, -tolerances, tolerances)
 
 
-class NormWithin(Residual[StateT]):
-    """``|r| - limit`` of the ``k`` rows of each waypoint, one row per waypoint: at most zero inside a ball."""
+class Joined(Residual[StateT]):
+    """Rows of several residuals, one after another, as one term."""
 
-    is_smooth = False
+    def __init__(self, residuals: Sequence[Residual[StateT]]) -> None:
+        self._residuals = tuple(residuals)
+        self.is_smooth = all(residual.is_smooth for residual in self._residuals)
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        return np.concatenate([residual.value(state) for residual in self._residuals])
+
+    def linearize(self, state: StateT) -> AffineRows:
+        return AffineRows.stack([residual.linearize(state) for residual in self._residuals])
+
+
+class NormWithin(Residual[StateT]):
+    """``|r| - limit`` of the ``k`` rows of each waypoint, one row per waypoint: at most zero inside a ball.
+
+    It is as smooth as its residual where it binds.
+    """
 
     def __init__(self, residual: Residual[StateT], k: int, limit: float) -> None:
+        self.is_smooth = residual.is_smooth
         self._residual, self._k, self._limit = residual, k, limit
 
     def value(self, state: StateT) -> Float[np.ndarray, "m"]:

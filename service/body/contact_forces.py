@@ -27,8 +27,8 @@ class ForceRows:
     Attributes:
         balance: (B, F) and (B,): ``A f + b = 0`` balances robot and mechanisms [robot's weight, its moment].
         inside: (R, F) and (R,): ``A f + b <= 0`` inside pyramids and caps [robot's weight].
-        length: (R,) of the rows of ``inside``: how much a unit of force changes them at most; 0 for the sides of
-            points without friction.
+        length: (R,) of the rows of ``inside``: how much a unit of force changes them at most; 0 where no force has any
+            room (sides of points without friction).
         used: (J, F) and (J,): ``A f + b`` is the share of its limit that each limited joint uses.
         limited: (J,) coordinates of these joints.
         weight_n: the robot's weight [N].
@@ -86,15 +86,16 @@ class ForceRows:
         )
 
     def find_least(
-        self, torque_share: float | None, near: Float[np.ndarray, "C 3"] | None = None
+        self, torque_share: float | None, margin_n: float = 0.0, near: Float[np.ndarray, "C 3"] | None = None
     ) -> Float[np.ndarray, "C 3"] | None:
         """Return the forces with the least sum of squares that hold the configuration [N]; None where none do.
 
         Args:
             torque_share: of the joints' limits that may be used; None for any torque.
+            margin_n: how far inside pyramids and caps [N].
             near: forces whose distance is measured instead of that from zero [N].
         """
-        (A, b), (E, e) = self._inequalities(torque_share), self.balance
+        (A, b), (E, e) = self._inequalities(torque_share, margin_n / self.weight_n), self.balance
         size = E.shape[1]
         towards = np.zeros(size) if near is None else near.ravel() / self.weight_n
         program = QuadraticProgram(
@@ -118,11 +119,14 @@ class ForceRows:
         return np.asarray(self.weight_n * forces.reshape(-1, 3))
 
     def measure_reserve(self, torque_share: float | None) -> float:
-        """Return the largest error that the force at every contact point may have in any direction [N].
+        """Return how far inside pyramids and caps the forces at all contact points can be at once [N].
 
-        Forces that hold the configuration exist which stay in their pyramids and below their caps with errors up to it
-        (a linear program; Del Prete, Tonneau and Mansard, ICRA 2016, use the same figure).  Negative where none hold
-        it: by how much they would have to leave their pyramids; ``-inf`` where even that does not help.
+        Errors of the forces up to it, in any direction, make no contact slip, lift or press too hard (a linear program;
+        Del Prete, Tonneau and Mansard, ICRA 2016, use the same figure).  Negative where no forces hold the
+        configuration: by how much they would have to leave their pyramids; ``-inf`` where even that does not help.
+
+        Args:
+            torque_share: of the joints' limits that may be used; None for any torque.
         """
         (A, b), (E, e) = self._inequalities(torque_share), self.balance
         length = np.zeros(len(A))
@@ -152,8 +156,9 @@ class ForceRows:
         E, e = self.balance
         return float(np.abs(E @ forces.ravel() + self.weight_n * e).max())
 
-    def _inequalities(self, torque_share: float | None) -> tuple[np.ndarray, np.ndarray]:
+    def _inequalities(self, torque_share: float | None, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         (A, b), (U, u) = self.inside, self.used
+        b = b + margin * self.length
         if torque_share is None:
             return A, b
         return np.concatenate([A, U, -U]), np.concatenate([b, u - torque_share, -u - torque_share])

@@ -49,8 +49,9 @@ class EquilibriumPose:
         torque_nm: (n,) generalised forces of the joints at rest under these forces [N m, N].
         most_loaded_joint: the joint that uses most of its limit; empty for a robot without torque limits.
         torque_share: of its limit that it uses.
-        reserve_n: the error that the force at every contact point may have in any direction without leaving friction
-            and caps, if the others adapt [N]; negative where no forces hold the configuration.
+        least_torque_share: the same under the forces that spread torque best; ``inf`` where none hold the pose.
+        reserve_n: how far inside friction and caps the forces at all contact points can be at once [N]: errors up to it
+            make no contact slip, lift or press too hard.  Negative where no forces hold the configuration.
         is_feasible: whether all constraints are kept and forces hold the configuration within all limits.
         violations: what is violated, in sentences; empty for a feasible pose.
         result: of the optimiser, its variables the configuration and the forces in units of the robot's weight.
@@ -64,6 +65,7 @@ class EquilibriumPose:
     torque_nm: Float[np.ndarray, "n"]
     most_loaded_joint: str
     torque_share: float
+    least_torque_share: float
     reserve_n: float
     is_feasible: bool
     violations: tuple[str, ...]
@@ -80,14 +82,15 @@ class ForceLimits:
         loads: given forces and moments on links.
         mechanism_loads: by joint of a touched mechanism: what the robot has to exert along it [N m, N].  A mechanism
             that is touched and has no load here is free: it supports nobody.
-        world_normals: by index of a contact: its normal in the world, for a link that may turn on what it touches.
+        world_normals: by index of a contact: its normal in the world, or those of its points, for a link that may turn
+            on what it touches.
     """
 
     torque_share: float | None = 1.0
     margin_n: float = 0.0
     loads: tuple[Load, ...] = ()
     mechanism_loads: Mapping[str, float] | None = None
-    world_normals: Mapping[int, Float[np.ndarray, "3"]] | None = None
+    world_normals: Mapping[int, Float[np.ndarray, "3"] | Float[np.ndarray, "C 3"]] | None = None
 
 
 def make_planted_contacts(body: WholeBody, friction: float, force_cap_n: float) -> tuple[Contact, ...]:
@@ -140,23 +143,37 @@ def solve_equilibrium_pose(
 
     Raises:
         KeyError: a link or joint is unknown.
-        ValueError: there is no contact, the robot has no mass, or a contact's figures make no sense.
-        ProblemError: the guess has the wrong shape or holds NaN.
+        ValueError: the guess has a wrong shape or is not finite, there is no contact, the robot has a fixed base or no
+            mass, or a contact or a load is refused.
     """
+    if guess.shape != (body.robot.n,) or not np.isfinite(guess).all():
+        raise ValueError(f"guess must be finite with shape ({body.robot.n},), got shape {guess.shape}")
     if not contacts:
         raise ValueError("a pose in equilibrium needs at least one contact")
+    if not body.robot.is_floating:
+        raise ValueError(f"robot '{body.robot.name}' has a fixed base, which holds it; equilibrium needs a free one")
     free = replace(body, polygon=None)
     lower, upper = free.bounds(1, {})
     for index, value in (fixed or {}).items():
         lower[0, index] = upper[0, index] = value
     narrow = free.make_problem(lower, upper, free.make_checker(allowances, ends), costs, constraints)
-    points = ContactPoints.of(body.robot, contacts, limits.world_normals).lean_up(body.engine(guess[None]))
+    points = ContactPoints.of(body.robot, contacts, _fix_normals(body, contacts, limits))
+    points = points.lean_up(body.engine(guess[None]))
     problem = add_forces(narrow, points, (*_make_force_terms(body, points, guess, limits), *force_terms))
     rows = ForceRows.at(body.engine, guess, points, limits.loads, limits.mechanism_loads)
     start = np.concatenate([guess, rows.guess().ravel() / rows.weight_n])[None]
     result = TrustRegionSQP(settings).solve(problem, start, should_stop=should_stop)
     own = tuple(term for term in force_terms if isinstance(term, Constraint))
     return _describe(_Attempt(free, narrow, points, limits, result, own, has_own_terms=bool(force_terms)))
+
+
+def _fix_normals(
+    body: WholeBody, contacts: Sequence[Contact], limits: ForceLimits
+) -> dict[int, Float[np.ndarray, "3"] | Float[np.ndarray, "C 3"]]:
+    """Return the given normals in the world and those of planted links, which a perturbed guess does not turn."""
+    poses = {foot.link: foot.pose_world_link for foot in body.planted}
+    planted = {k: c.normals @ poses[c.link][:3, :3].T for k, c in enumerate(contacts) if c.link in poses}
+    return {**planted, **(limits.world_normals or {})}
 
 
 def add_forces(
@@ -219,7 +236,7 @@ def _make_force_terms(
     """Return equilibrium, friction, torque and the cost of forces at waypoint 0."""
     robot = body.robot
     about = points.places.locate(body.engine(guess[None]), np.arange(1))[0].mean(axis=0)
-    margin = max(limits.margin_n / measure_weight(robot), FORCE_RESERVE)
+    margin = limits.margin_n / measure_weight(robot) + FORCE_RESERVE
     terms: list[Cost[LoadedState] | Constraint[LoadedState]] = [
         Cost("contact forces", ContactForce(points, [0]), FORCE_WEIGHT),
         Constraint(
@@ -264,7 +281,8 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
     robot = body.robot
     x, proposed = LoadedState.split(result.x, len(points))
     rows = ForceRows.at(body.engine, x[0], points, limits.loads, limits.mechanism_loads)
-    held = rows.find_least(limits.torque_share, rows.weight_n * proposed[0] if attempt.has_own_terms else None)
+    near = rows.weight_n * proposed[0] if attempt.has_own_terms else None
+    held = rows.find_least(limits.torque_share, limits.margin_n, near)
     forces = rows.weight_n * proposed[0] if held is None else held
     motion = attempt.problem.state(x)
     state = LoadedState(motion, forces[None] / rows.weight_n)
@@ -278,7 +296,7 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
             violations = (*violations, f"pose: '{term.name}' is off by {worst:.3g} {term.unit}".rstrip())
     reserve = rows.measure_reserve(limits.torque_share)
     if held is None:
-        violations = (*violations, _explain_forces(rows, limits, robot.joint_names))
+        violations = (*violations, _explain_forces(rows, limits, reserve, robot.joint_names))
     return EquilibriumPose(
         x[0],
         points,
@@ -288,6 +306,7 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
         rows.weight_n * StaticTorque(robot, points, limits.loads).measure(state, np.arange(1))[0],
         robot.joint_names[rows.limited[most]] if len(shares) else "",
         float(shares[most]) if len(shares) else 0.0,
+        rows.spread_torque()[0],
         reserve,
         not violations,
         violations,
@@ -295,8 +314,10 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
     )
 
 
-def _explain_forces(rows: ForceRows, limits: ForceLimits, joint_names: Sequence[str]) -> str:
-    """Return a sentence why no forces hold the configuration."""
+def _explain_forces(rows: ForceRows, limits: ForceLimits, reserve: float, joint_names: Sequence[str]) -> str:
+    """Return a sentence why no forces hold the configuration, with a reserve within its limits [N]."""
+    if reserve >= 0.0:
+        return f"contact forces can err by {reserve:.3g} N at most, {limits.margin_n:.3g} N are required"
     missing = rows.measure_reserve(None)
     if missing == -np.inf:
         return "no forces at the contacts balance the weight and the loads, whatever friction and caps are"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from costs.collision import Contacts
@@ -57,16 +57,28 @@ def linearize_holds(
 def project_onto_holds(
     engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
 ) -> Float[np.ndarray, "S n"]:
-    """Return the nearest configurations that keep the holds (Gauss-Newton with least-norm steps)."""
+    """Return the nearest configurations that keep the holds (Gauss-Newton with least-norm steps).
+
+    The joints of a mechanism stay where they are: the robot follows them.
+    """
     poll()
     if not holds or not len(q):
         return q
+    prescribed = find_prescribed(engine.robot)
     for _ in range(PROJECTION_STEPS):
         value, jacobian = linearize_holds(engine, q, holds)
         if np.abs(value).max() < PROJECTION_TOLERANCE:
             break
-        q = q - least_norm_step(jacobian, value)
+        q = q - least_norm_step(np.where(prescribed, 0.0, jacobian), value)
     return q
+
+
+def find_prescribed(robot: RobotModel) -> Bool[np.ndarray, "n"]:
+    """Return the mask of coordinates whose motion is prescribed: those of a mechanism."""
+    prescribed = np.zeros(robot.n, dtype=bool)
+    for joint in {body.joint for body in robot.bodies if body.link in robot.mechanism_links}:
+        prescribed[robot.model.joints[joint].idx_v] = True
+    return prescribed
 
 
 def least_norm_step(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:

@@ -14,6 +14,7 @@ from costs.collision import Contacts
 from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Settings, TrustRegionSQP
+from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
 from service.body.sampling import SamplingProblem, Tree, free_coordinates, sample_path
 from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan
@@ -62,6 +63,8 @@ class PhaseSolver:
         constraints: Sequence[Constraint[MotionState]],
         allowances: Sequence[Allowance] = (),
         fixed: Mapping[int, float] | None = None,
+        regions: Sequence[PlannedRegion] = (),
+        effort: Mapping[str, Any] = POSE_EFFORT,
     ) -> Solved:
         """Solve for a configuration near the nominal posture; the first guess that leads to a feasible one wins.
 
@@ -71,13 +74,16 @@ class PhaseSolver:
             constraints: of the task, at waypoint 0.
             allowances: pairs that may touch.
             fixed: value by coordinate index.
+            regions: where the loaded feet hold the robot, instead of their hull.
+            effort: settings of the optimiser.
         """
         lower, upper = self.body.bounds(1, {})
         for index, value in (fixed or {}).items():
             lower[0, index] = upper[0, index] = value
         checker = self.body.make_checker(allowances, [self.body.nominal], self.overrides)
-        problem = self.body.make_problem(lower, upper, checker, *self._add_own_terms(name, 1, (), constraints))
-        return self.with_settings(**POSE_EFFORT)._solve_in_turn(name, problem, [guess[None] for guess in guesses])
+        terms = self._add_own_terms(name, 1, (), constraints)
+        problem = self.body.make_problem(lower, upper, checker, *terms, regions=regions)
+        return self.with_settings(**effort)._solve_in_turn(name, problem, [guess[None] for guess in guesses])
 
     def solve_trajectory(
         self,
@@ -89,6 +95,7 @@ class PhaseSolver:
         allowances: Sequence[Allowance] = (),
         bounds: Bounds | None = None,
         balanced: Sequence[int] | None = None,
+        regions: Sequence[PlannedRegion] = (),
     ) -> Solved:
         """Solve for a trajectory; the first start that leads to a feasible one wins, else the best is returned.
 
@@ -100,13 +107,14 @@ class PhaseSolver:
             allowances: pairs that may touch.
             bounds: may narrow the bounds.
             balanced: waypoints with a balance constraint; all if not given.
+            regions: where the loaded feet hold the robot, instead of their hull.
         """
         lower, upper = self.body.bounds(len(starts[0]), fixed)
         if bounds is not None:
             bounds(lower, upper)
         checker = self.body.make_checker(allowances, list(fixed.values()), self.overrides)
         terms = self._add_own_terms(name, len(lower), costs, constraints)
-        problem = self.body.make_problem(lower, upper, checker, *terms, balanced)
+        problem = self.body.make_problem(lower, upper, checker, *terms, balanced, regions)
         return self._solve_in_turn(name, problem, starts)
 
     def restore_feasibility(self, step: str, solved: Solved) -> Solved:

@@ -14,6 +14,7 @@ from costs.collision import Contacts
 from costs.state import MotionState
 from scopt import Problem, Result
 from service.body.holds import Hold
+from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 from service.verify import HandLoad, Motion, Target
 
@@ -42,6 +43,8 @@ class PlannedPhase:
         is_settling: whether it begins outside the balance margin.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
         loads: forces that hands exert on the mechanism.
+        regions: where the loaded feet hold the robot, by stretches of the waypoints that it was solved with.
+        values: (T, k) of the mechanism's joints at those waypoints, its last coordinates.
     """
 
     name: str
@@ -54,6 +57,8 @@ class PlannedPhase:
     is_settling: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
     loads: tuple[HandLoad, ...] = ()
+    regions: tuple[PlannedRegion, ...] = ()
+    values: Float[np.ndarray, "T k"] | None = None
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """Solve the phase from a denser trajectory between the same ends; None if it cannot be solved again."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
@@ -20,14 +20,17 @@ from costs.terms import (
     CentreOfMassAt,
     CentreOfMassInPolygon,
     FramePose,
+    Joined,
     JointDifference,
     JointTarget,
     SweptClearance,
 )
-from scopt import Constraint, Cost, Problem, Sense
+from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.holds import DRIFT, Hold, KeptPose, project_onto_holds
+from service.body.loaded_regions import PlannedRegion
 from service.demands.stance import BALANCE_RESERVE, make_standing_allowances
 from service.start.standing import sole_corners
+from service.verify import PlantedContact
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
@@ -50,6 +53,11 @@ class PlantedLink:
     link: str
     pose_world_link: Float[np.ndarray, "4 4"]
     sole: Float[np.ndarray, "C 3"]
+
+    @property
+    def contact(self) -> PlantedContact:
+        """The verifier's contact."""
+        return PlantedContact(self.link, self.pose_world_link, self.sole)
 
     @property
     def sole_in_world(self) -> Float[np.ndarray, "C 3"]:
@@ -181,6 +189,7 @@ class WholeBody:
         costs: Sequence[Cost[MotionState]] = (),
         constraints: Sequence[Constraint[MotionState]] = (),
         balanced: Sequence[int] | None = None,
+        regions: Sequence[PlannedRegion] = (),
     ) -> Problem[MotionState]:
         """Return the terms of every phase and the task's as one problem.
 
@@ -189,6 +198,7 @@ class WholeBody:
             checker: of swept collisions.
             costs, constraints: of the task.
             balanced: waypoints with a balance constraint; all if not given.
+            regions: where the loaded feet hold the robot, instead of their hull.
         """
         n_waypoints = len(lower)
         everywhere = np.arange(n_waypoints)
@@ -204,11 +214,12 @@ class WholeBody:
         ]
         standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
         if self.polygon is not None:
-            inside = CentreOfMassInPolygon(
-                self.polygon,
-                everywhere if balanced is None else balanced,
-                self.aims.balance_margin + BALANCE_RESERVE,
+            margin = self.aims.balance_margin + BALANCE_RESERVE
+            inside: Residual[MotionState] = CentreOfMassInPolygon(
+                self.polygon, everywhere if balanced is None else balanced, margin
             )
+            if regions:
+                inside = Joined([_keep_in_region(planned, everywhere, margin) for planned in regions])
             standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
         for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
             acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
@@ -290,3 +301,9 @@ class WholeBody:
             return ()
         middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
         return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
+
+
+def _keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
+    """Return the distance of the centre of mass outside a region, at the waypoints of its stretch [m]."""
+    waypoints = everywhere[planned.first : planned.last + 1]
+    return CentreOfMassInPolygon(planned.region.polygon, waypoints, margin + planned.shift_m)

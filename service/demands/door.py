@@ -31,7 +31,9 @@ TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
 LINE_WAYPOINTS = 5
 HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(25.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
-PEG_LEAN, LEAN_TILT = np.deg2rad(18.0), np.deg2rad(8.0)  # of the peg behind a lever
+PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
+ABOVE_LEVER = 3e-3  # of the hand's front, which leans [m]
+PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg leans [m]
 PEG_ACROSS = np.deg2rad(40.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
@@ -72,9 +74,8 @@ class Door:
     @property
     def pressed(self) -> float:
         """Value of the handle's joint at which the leaf is opened [rad, m]."""
-        if self.handle is not None and self.handle.kind == "push_bar":
-            return self.release + PRESS_BEYOND
-        return self.release + BEYOND_RELEASE
+        is_bar = self.handle is not None and self.handle.kind == "push_bar"
+        return self.release + (PRESS_BEYOND if is_bar else float(BEYOND_RELEASE))
 
     @property
     def mechanism(self) -> Mechanism:
@@ -202,8 +203,11 @@ def _open_at_handle(
     count = max(int(np.ceil((choice.first - start[0]) / OPEN_STEP)) + 1, 3)
     loads = (*held.open_loads(on_leaf), *(held.press_loads() if presses else ()))
     phases.append(
-        PhaseSpec("open", pressed, opened, on_leaf, held.touches, loads, is_anchor=True, step=step, n_waypoints=count)
-    )
+        PhaseSpec(
+            "open", pressed, opened, on_leaf, held.touches, loads,
+            is_anchor=True, aims_at_end=True, step=step, n_waypoints=count,
+        )
+    )  # fmt: skip
     if choice.stays and choice.push is None:
         return phases
     if presses:
@@ -241,7 +245,16 @@ def _push_leaf(
         PhaseSpec(f"reach{suffix}", at, at, n_waypoints=reach_waypoints),
         PhaseSpec(f"touch{suffix}", at, at, line, touches, n_waypoints=LINE_WAYPOINTS),
         PhaseSpec(
-            f"push{suffix}", at, last, tip, touches, (load,), is_anchor=True, step="pose on the leaf", n_waypoints=count
+            f"push{suffix}",
+            at,
+            last,
+            tip,
+            touches,
+            (load,),
+            is_anchor=True,
+            step="pose on the leaf",
+            n_waypoints=count,
+            aims_at_end=True,
         ),
     ]
     if not choice.stays:
@@ -336,7 +349,7 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
     if handle is None or handle.kind == "knob":
         raise ValueError("no hand of this robot holds a knob")
     normal, radius = geometry.normal, handle.radius
-    peg = radius + hand.peg_radius
+    peg = radius + hand.peg_radius + PEG_SPACE
     stands_out = float((handle.centre - geometry.hinge) @ normal) - geometry.face
     at_grip = choice.grip * handle.direction
     kind = handle.kind
@@ -364,7 +377,7 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
         return HandleHold(door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches)
     # The peg hangs behind the lever, leaning so that the hand keeps off the leaf; its front rests on the lever.
     axis = -np.cos(PEG_LEAN) * UP - np.sin(PEG_LEAN) * normal
-    place = at_grip - peg / np.cos(PEG_LEAN) * normal + (radius + peg * np.tan(PEG_LEAN)) * UP
+    place = at_grip - peg / np.cos(PEG_LEAN) * normal + (radius + peg * np.tan(PEG_LEAN) + ABOVE_LEVER) * UP
     offset = -(LINE_OUT + choice.peg_m) * axis
     return HandleHold(door, hand.stub, place, at_grip, axis, offset, float(LEAN_TILT), touches)
 

@@ -2,13 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 
+from costs.robot import Mechanism, RobotModel
+from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
+from perception.detect.door.model import choose_opening
+from service.demands.door import LEAST_GRIP, Door, DoorChoice, Push, hold_handle, make_door_phases
+from service.demands.hands import HANDS, Hand
+from service.demands.phase_spec import PhaseSpec
 from service.request.door import DoorRequest, HandleRequest
+from service.request.names import LEAF_JOINT
+from service.verify import JointTarget, Motion, Phase, RelativePoseTarget
 
+SAME_PLACE_M = 1e-6
+SURE = 0.5  # least confidence of a detection that is used
+OPENED_ROUNDING_DEG = 0.2
 DEFAULT_LENGTHS = {"lever": 0.12, "pull": 0.3, "push_bar": 0.7, "knob": 0.06}
+
+
+@dataclass(frozen=True)
+class SeenDoor:
+    """A door that a scan shows.
+
+    Attributes:
+        geometry: leaf and handle.
+        confidence: 0 to 1.
+    """
+
+    geometry: DoorGeometry
+    confidence: float
+
+
+def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.ndarray, "3"]) -> DoorGeometry | str:
+    """Return the door to open, or a sentence why there is none.
+
+    Args:
+        request: the task.
+        seen: doors of the scan, the best first.
+        robot: (3,) place of the robot's base in the world [m].
+    """
+    given = read_given_door(request, robot)
+    if given is not None:
+        return given
+    if not seen:
+        return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
+    geometry, confidence = seen[0].geometry, seen[0].confidence
+    if confidence < SURE:
+        place = np.round(geometry.hinge + 0.5 * geometry.width * geometry.along, 2).tolist()
+        return (
+            f"no door was found with confidence: the best candidate, at {place}, has {confidence:.2f} of the {SURE} "
+            "needed; task.door.hint (a point near it) would help, or leaf and handle"
+        )
+    if request.opens != "auto":
+        return choose_opening(geometry, request.opens)
+    if geometry.opens is None:
+        return "the scan does not show whether the door opens by a push or a pull; say it in task.door.opens"
+    return geometry
 
 
 def read_given_door(request: DoorRequest, robot: Float[np.ndarray, "3"]) -> DoorGeometry | None:
@@ -50,3 +106,126 @@ def _read_handle(handle: HandleRequest, along: Float[np.ndarray, "3"]) -> Handle
     length = DEFAULT_LENGTHS[handle.kind] if handle.length_m is None else handle.length_m
     direction = direction / np.linalg.norm(direction)
     return HandleGeometry(handle.kind, np.array(handle.centre), direction, length, handle.radius_m)
+
+
+def make_door(request: DoorRequest, geometry: DoorGeometry) -> Door:
+    """Return a door with the request's loads and release."""
+    is_bar = geometry.handle is not None and geometry.handle.kind == "push_bar"
+    release = request.press_m if is_bar else float(np.deg2rad(request.release_deg))
+    return Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
+
+
+def measure_peg(robot: RobotModel, hand: Hand) -> float:
+    """Return the length of a hand's free rod [m]."""
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    tool, stub = (data.oMf[model.getFrameId(frame)].translation for frame in (hand.tool, hand.stub))
+    return float(np.linalg.norm(tool - stub))
+
+
+@dataclass(frozen=True)
+class DoorDemand:
+    """What the task of opening a door demands, and the choices it leaves: hand, grip, and how far it stays there.
+
+    Attributes:
+        door: leaf, handle and loads.
+        request: the task.
+        robot: without the door.
+    """
+
+    door: Door
+    request: DoorRequest
+    robot: RobotModel
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """Leaf and handle."""
+        return self.door.mechanism
+
+    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+        """Return the phases with the record's choices, and a sentence for each that the task forbids."""
+        phases = {phase.name: phase for phase in recorded.phases}
+        opened, pushed = phases.get("open"), phases.get("push 2", phases.get("push"))
+        if opened is None and pushed is None:
+            return (), ("no phase opens the door",)
+        last = _read_leaf_angle(pushed if pushed is not None else opened)
+        problems = []
+        target = float(np.deg2rad(self.request.open_deg))
+        if last is None or abs(last - target) > 1e-6:
+            problems.append(f"the leaf is not opened to the {self.request.open_deg:g} deg of the request")
+        push = None if pushed is None else self._read_push(pushed)
+        if isinstance(push, str):
+            return (), (*problems, push)
+        choice: DoorChoice | str
+        if opened is None:
+            if push is None:
+                return (), (*problems, "no phase opens the door")
+            peg = measure_peg(self.robot, push.hand)
+            choice = DoorChoice(push.hand, peg, 0.0, 1.0, self.door.geometry.ajar, push, self.request.stays)
+        else:
+            choice = self._read_hold(opened, push)
+        if isinstance(choice, str):
+            return (), (*problems, choice)
+        return make_door_phases(self.door, choice), tuple(problems)
+
+    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
+        """Yield a sentence where the figures of a result name another angle than the request."""
+        opened = figures.get("opening_deg")
+        if not isinstance(opened, float | int) or abs(opened - self.request.open_deg) > OPENED_ROUNDING_DEG:
+            yield f"figures.opening_deg is {opened}, the request opens by {self.request.open_deg:g}"
+
+    def _list_hands(self) -> list[Hand]:
+        return [hand for hand in HANDS.values() if self.request.hand in ("auto", hand.side)]
+
+    def _read_push(self, phase: Phase) -> Push | str:
+        """Return hand, place and angle of a phase that pushes the leaf."""
+        geometry, last = self.door.geometry, _read_leaf_angle(phase)
+        for hand in self._list_hands():
+            for hold in _list_holds(phase, hand.tool, LEAF_LINK):
+                along, up = float(hold.position @ geometry.along), float(hold.position @ UP)
+                if last is None or not (0.0 < along < geometry.width and 0.0 < up < geometry.height):
+                    return f"the hand is not on the leaf in phase '{phase.name}'"
+                return Push(hand, along, up, last)
+        return f"no hand that the task permits is on the leaf in phase '{phase.name}'"
+
+    def _read_hold(self, phase: Phase, push: Push | None) -> DoorChoice | str:
+        """Return the choice whose hold a phase that opens the leaf promises."""
+        last, handle = _read_leaf_angle(phase), self.door.handle
+        if last is None or handle is None or handle.kind == "knob":
+            return f"phase '{phase.name}' does not open the leaf by a handle"
+        pressed = self.door.pressed if self.door.is_latched else 0.0
+        pressed = max(pressed, self.door.geometry.handle_turn) if handle.kind == "lever" else pressed
+        for hand in self._list_hands():
+            for sense in (1.0, -1.0) if handle.kind == "pull" else (1.0,):
+                centred = DoorChoice(
+                    hand, measure_peg(self.robot, hand), 0.0, sense, last, push, self.request.stays and push is None
+                )
+                hold = hold_handle(self.door, centred)
+                middle = hold.on_leaf(pressed).place
+                bar = hold_handle(self.door, replace(centred, grip=1.0)).on_leaf(pressed).place - middle
+                for target in _list_holds(phase, hold.tool, LEAF_LINK):
+                    grip = float((target.position - middle) @ bar)
+                    if np.linalg.norm(target.position - middle - grip * bar) <= SAME_PLACE_M:
+                        low, high = (LEAST_GRIP, handle.length) if handle.kind == "lever" else (
+                            -0.5 * handle.length, 0.5 * handle.length
+                        )  # fmt: skip
+                        if not low - SAME_PLACE_M <= grip <= high + SAME_PLACE_M:
+                            return f"the hand is {grip:.3f} m along the handle, beyond what the task permits"
+                        return replace(centred, grip=grip, stays=self.request.stays)
+        return f"no hand that the task permits holds the handle in phase '{phase.name}'"
+
+
+def _list_holds(phase: Phase, tool: str, link: str) -> list[RelativePoseTarget]:
+    return [
+        target
+        for target in phase.targets
+        if isinstance(target, RelativePoseTarget)
+        and (target.frame, target.reference) == (tool, link)
+        and target.position_tolerance_m < 1.0
+    ]
+
+
+def _read_leaf_angle(phase: Phase | None) -> float | None:
+    """Return the angle that a phase opens the leaf to [rad]."""
+    targets = () if phase is None else phase.targets
+    return next((t.value for t in targets if isinstance(t, JointTarget) and t.joint == LEAF_JOINT), None)

@@ -188,6 +188,7 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         targets=(*targets, *promises.everywhere),
         support=promises.stance.support(phase.name, first),
         loads=loads,
+        regions=phase.regions,  # evidence, which the verifier proves
     )
 
 

@@ -90,6 +90,7 @@ class PhaseSpec:
         step: of its pose, in messages.
         n_waypoints: number of waypoints.
         fixed: values of the robot's joints at the first pose of the anchor.
+        aims_at_end: whether the first guess of an anchor leads straight to a pose at its end.
         guess_rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
     """
 
@@ -104,6 +105,7 @@ class PhaseSpec:
     step: str = ""
     n_waypoints: int = 14
     fixed: Mapping[str, float] = field(default_factory=dict)
+    aims_at_end: bool = False
     guess_rates: Mapping[str, float] = field(default_factory=dict)
 
     @property

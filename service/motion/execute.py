@@ -17,7 +17,7 @@ from service.body.whole_body import WholeBody
 from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
-from service.verify import Basis, Certificate, Motion, Phase, PlantedContact, SupportPolygon
+from service.verify import Basis, Certificate, LoadedRegion, Motion, Phase, SupportPolygon
 from service.verify.coverage.required import list_waived_checks
 from service.verify.timeline import find_times
 
@@ -89,10 +89,29 @@ def _make_phase(
         name=phase.name,
         first=first,
         last=last,
-        contacts=tuple(PlantedContact(foot.link, foot.pose_world_link, foot.sole) for foot in body.planted),
+        contacts=tuple(foot.contact for foot in body.planted),
         allowances=(*body.standing_allowances(), *phase.allowances, *neighbours),
         targets=(*phase.targets(last), *phase.at_waypoints(s), *(kept.target() for kept in body.kept)),
         support=support,
+        loads=phase.loads,
+        regions=_place_regions(phase, s),
+    )
+
+
+def _place_regions(phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> tuple[LoadedRegion, ...]:
+    """Return the regions of a loaded phase at their path parameters; waypoints may have been added since."""
+    if phase.values is None:
+        return ()
+    mechanism = phase.q[:, -phase.values.shape[1] :]
+    borders = []
+    for waypoint in (0, *(planned.last for planned in phase.regions)):
+        off = np.abs(mechanism - phase.values[waypoint]).max(axis=1)
+        borders.append(
+            float(s[int(off.argmin())]) if 0 < waypoint < len(phase.values) - 1 else float(s[-1 if waypoint else 0])
+        )
+    return tuple(
+        LoadedRegion(first, last, planned.region.vertices, planned.region.wrenches, planned.region.witnesses)
+        for planned, first, last in zip(phase.regions, borders[:-1], borders[1:], strict=True)
     )
 
 

@@ -11,7 +11,15 @@ from jaxtyping import Float
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
 from costs.stopping import poll
-from service.body.holds import DRIFT, Hold, largest_hold_error, least_norm_step, linearize_holds, project_onto_holds
+from service.body.holds import (
+    DRIFT,
+    Hold,
+    find_prescribed,
+    largest_hold_error,
+    least_norm_step,
+    linearize_holds,
+    project_onto_holds,
+)
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
 SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
@@ -175,7 +183,7 @@ def _project_tangents(
     if not holds or not len(q):
         return v
     _, jacobian = linearize_holds(engine, q, holds)
-    at_limit = np.zeros(v.shape, dtype=bool)
+    at_limit = np.tile(find_prescribed(engine.robot), (len(v), 1))
     for _ in range(LIMIT_ROUNDS):
         free = np.where(at_limit[:, None, :], 0.0, jacobian)
         v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v))
@@ -184,7 +192,8 @@ def _project_tangents(
             return v
         at_limit |= beyond
         v = np.clip(v, least, most)
-    v = v - least_norm_step(jacobian, np.einsum("skn,sn->sk", jacobian, v))
+    free = np.where(find_prescribed(engine.robot), 0.0, jacobian)
+    v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v))
     beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
     share = np.where(beyond, np.where(v > 0.0, most, least) / np.where(beyond, v, 1.0), 1.0)
     return np.asarray(v * share.min(axis=1, keepdims=True))

@@ -1,8 +1,9 @@
 """Time law of a curve: as fast as its limits of speed, acceleration, torque and ZMP allow.
 
-Forces and peaks are the verifier's own (``compute_forces`` of ``service.verify.dynamics``, ``measure_timed_peaks`` of
-``service.verify.limits``): a mistake in them would affect law and check alike.  The certificate's ZMP, torques and
-peaks are therefore no independent check of the timing; the tests compare them with figures computed by other means.
+Forces and peaks are the verifier's own (``compute_forces`` of ``service.verify.forces.dynamics``,
+``measure_timed_peaks`` of ``service.verify.limits``): a mistake in them would affect law and check alike.  The
+certificate's ZMP, torques and peaks are therefore no independent check of the timing; the tests compare them with
+figures computed by other means.
 """
 
 from __future__ import annotations
@@ -18,10 +19,9 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
-from service.verify.dynamics import compute_forces, list_sample_times
+from service.verify.forces.dynamics import compute_forces, list_sample_times
 from service.verify.limits import measure_timed_peaks
 from service.verify.motion import Motion, Phase, SupportPolygon
-from service.verify.stance_checks import outside_polygon
 
 # Shortest duration of a knot interval, for stretches without motion [s].
 _SHORTEST_KNOT_TIME = 0.01
@@ -251,8 +251,8 @@ def _compare_with_rest(
         loads = compute_forces(motion, timing, phase, at)
         outside = np.full(len(at), -np.inf)
         if support is not None:
-            outside = np.nan_to_num(outside_polygon(support.polygon, loads.zmp(support.height)), nan=1e3)
-        return np.abs(loads.torque[:, rows]) / robot.effort[rows] - 1.0, outside
+            outside = np.minimum(loads.find_worst_zmp(support)[1], 1e3)
+        return loads.find_largest_torque()[:, rows] / robot.effort[rows] - 1.0, outside
 
     torque, outside = measure(law, times)
     beyond = np.flatnonzero((torque > 0.0).any(axis=1) | (outside > -reserve_m))

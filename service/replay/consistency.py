@@ -16,7 +16,7 @@ from service.errors import shown
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.verify import Certificate, Motion, Status
 from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
-from service.verify.stance_checks import outside_polygon
+from service.verify.polygons import outside_polygon
 
 TOLERANCE = 1e-6  # of numbers that are written and recomputed [m, rad, s]
 CLAIM_TOLERANCE = 1e-4  # of a clearance or balance margin proven on another machine [m]

@@ -21,6 +21,7 @@ from service.demands import (
     has_scan,
     list_planted_feet,
 )
+from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door
 from service.demands.valve_demand import ValveDemand
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
@@ -68,11 +69,13 @@ class Record:
         robot: the robot, without the joints that the task moves.
         scene: its pieces.
         valves: valves detected in the scan; the first is the task's.
+        doors: doors detected in the scan; the first is the task's.
     """
 
     robot: RobotModel
     scene: Scene
     valves: tuple[ValveDetection, ...] = ()
+    doors: tuple[SeenDoor, ...] = ()
 
 
 def rebuild_demands(
@@ -94,7 +97,7 @@ def rebuild_demands(
     start, _, program = resolve_start(robot, request)
     feet = list_planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
-    surroundings = Surroundings(_select_scanned(request, record.scene), record.valves)
+    surroundings = Surroundings(_select_scanned(request, record.scene), record.valves, doors=record.doors)
     scene_from = request_from
     if is_read:
         surroundings = _read_scan(request, robot, start, feet, clouds)
@@ -105,7 +108,7 @@ def rebuild_demands(
     scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
     demands = Demands(
-        request, robot, start, scene, _get_program(program, robot), _rebuild_task(request, surroundings.valves)
+        request, robot, start, scene, _get_program(program, robot), _rebuild_task(request, robot, start, surroundings)
     )
     without = () if demands.program is None else demands.program.unproven
     return demands, Grounds(request_from, scene_from, robot_from, without)
@@ -119,14 +122,24 @@ def _get_program(program: Program | None, robot: RobotModel) -> ProgramDemand | 
     return make_program_demand(program, robot)
 
 
-def _rebuild_task(request: PlanRequest, valves: Sequence[ValveDetection]) -> TaskDemand | None:
+def _rebuild_task(
+    request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"], surroundings: Surroundings
+) -> TaskDemand | None:
     """Return the demands of the request's task, if it moves a mechanism."""
     task = request.task
-    if task is None or task.valve is None:
+    if task is None or (task.valve is None and task.door is None):
+        return None
+    if task.door is not None:
+        base = start[:3] if robot.is_floating else np.zeros(3)
+        geometry = choose_door(task.door, surroundings.doors, base)
+        if isinstance(geometry, str):
+            raise RequestError(f"task.door: {geometry}")
+        return DoorDemand(make_door(task.door, geometry), task.door, robot)
+    if task.valve is None:
         return None
     from service.tasks.valve_task import read_given_valve
 
-    valve = read_given_valve(task.valve) or next(iter(valves), None)
+    valve = read_given_valve(task.valve) or next(iter(surroundings.valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
     return ValveDemand(make_wheel(valve), task.valve)

@@ -16,6 +16,7 @@ from service.verify import (
     CircleTarget,
     HandLoad,
     JointTarget,
+    LoadedRegion,
     Phase,
     PlantedContact,
     PoseTarget,
@@ -23,6 +24,8 @@ from service.verify import (
     SupportPolygon,
     Target,
 )
+
+FORCE_DIGITS = 8  # of the witnesses in newtons, as they are written
 
 
 def sample_index(s: Float[np.ndarray, "S"], at: float) -> int:
@@ -41,6 +44,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "targets": targets_json(phase.targets, s),
         "support": None if phase.support is None else _write_support(phase.support),
         "loads": [_write_load(load) for load in phase.loads],
+        "regions": [_write_region(region, s) for region in phase.regions],
     }
 
 
@@ -62,6 +66,7 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         if support is None
         else SupportPolygon(np.array(support["polygon"]), float(support["margin_m"]), float(support["height"])),
         loads=tuple(_read_load(load) for load in data["loads"]),
+        regions=tuple(_read_region(region, s) for region in data["regions"]),
     )
 
 
@@ -89,6 +94,8 @@ def _write_contact(contact: PlantedContact) -> dict[str, Any]:
         "sole": (contact.sole @ pose[:3, :3].T + pose[:3, 3]).tolist(),
         "tolerance_m": contact.tolerance_m,
         "knot_tolerance_m": contact.knot_tolerance_m,
+        "friction": contact.friction,
+        "force_cap_n": contact.force_cap_n,
     }
 
 
@@ -97,7 +104,8 @@ def _read_contact(data: Mapping[str, Any]) -> PlantedContact:
     pose[:3, :3] = read_rotation(data["quaternion_wxyz"])
     pose[:3, 3] = data["position"]
     sole = (np.array(data["sole"]) - pose[:3, 3]) @ pose[:3, :3]
-    return PlantedContact(data["link"], pose, sole, float(data["tolerance_m"]), float(data["knot_tolerance_m"]))
+    numbers = (float(data[key]) for key in ("tolerance_m", "knot_tolerance_m", "friction", "force_cap_n"))
+    return PlantedContact(data["link"], pose, sole, *numbers)
 
 
 def _write_support(support: SupportPolygon) -> dict[str, Any]:
@@ -111,13 +119,29 @@ def _write_load(load: HandLoad) -> dict[str, Any]:
         "place": load.place.tolist(),
         "force_n": load.force.tolist(),
         "slide": None if load.slide is None else load.slide.tolist(),
+        "drift_m": load.drift_m,
     }
 
 
 def _read_load(data: Mapping[str, Any]) -> HandLoad:
     place, force = np.array(data["place"], dtype=float), np.array(data["force_n"], dtype=float)
     slide = None if data["slide"] is None else np.array(data["slide"], dtype=float)
-    return HandLoad(data["tool"], data["link"], place, force, slide)
+    return HandLoad(data["tool"], data["link"], place, force, slide, float(data["drift_m"]))
+
+
+def _write_region(region: LoadedRegion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
+    return {
+        "first": sample_index(s, region.first),
+        "last": sample_index(s, region.last),
+        "polygon": region.vertices.tolist(),
+        "wrenches": region.wrenches.tolist(),
+        "witnesses": np.round(region.witnesses, FORCE_DIGITS).tolist(),
+    }
+
+
+def _read_region(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> LoadedRegion:
+    polygon, wrenches, witnesses = (np.array(data[key], dtype=float) for key in ("polygon", "wrenches", "witnesses"))
+    return LoadedRegion(float(s[data["first"]]), float(s[data["last"]]), polygon, wrenches, witnesses)
 
 
 def write_rotation(rotation: Float[np.ndarray, "3 3"]) -> list[float]:

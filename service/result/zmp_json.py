@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from costs.curve import TimeLaw
 from service.verify import Motion, Phase, SupportPolygon, VerifySettings
-from service.verify.dynamics import compute_forces, list_sample_times
-from service.verify.stance_checks import outside_polygon
+from service.verify.forces.dynamics import compute_forces, list_sample_times
 from service.verify.timeline import find_times
 
 _SAME_S = 1e-9  # times that differ by less are equal
@@ -33,10 +32,9 @@ class PhaseZmp:
 
     @staticmethod
     def of(motion: Motion, law: TimeLaw, phase: Phase, support: SupportPolygon) -> PhaseZmp:
-        """Compute inverse dynamics at the samples of ``service.verify.dynamics``."""
+        """Compute inverse dynamics at the samples of ``service.verify.forces.dynamics``."""
         times = list_sample_times(motion, law, phase.first, phase.last, VerifySettings().time_step_s)
-        points = compute_forces(motion, law, phase, times, torques=False).zmp(support.height)
-        return PhaseZmp(times, points, np.nan_to_num(outside_polygon(support.polygon, points), nan=np.inf))
+        return PhaseZmp(times, *compute_forces(motion, law, phase, times, torques=False).find_worst_zmp(support))
 
     def select_worst(self, times: Float[np.ndarray, "S"]) -> dict[str, Any]:
         """Select the first and last samples and, between two neighbours of ``times``, the one least inside."""

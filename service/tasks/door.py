@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.door_demand import measure_peg
 from service.demands.hands import Hand
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
@@ -23,6 +23,7 @@ HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
 PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
 PUSH_UP = (1.05, 1.25, 0.9)  # heights of the peg's tip on the leaf [m]
+HAND_ROOM = 0.25  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
 PULL_PLACES = (0.0, 0.08, -0.08)  # of the hand along a pull handle, from its middle [m]
 BAR_SHARES = (0.3, 0.1, 0.4)  # of the hand along a push bar, from its middle towards the free edge
 
@@ -65,7 +66,7 @@ class DoorOpening:
     def _choices(self, hand: Hand) -> Iterator[DoorChoice]:
         """Yield ways to hold the handle with a hand, the most promising first; the leaf alone where it is ajar."""
         door, start = self.door, self.door.geometry.ajar
-        peg = measure_peg(self.solver, hand)
+        peg = measure_peg(self.solver.body.robot, hand)
         handle = door.handle
         if door.is_push and not door.is_latched:
             yield DoorChoice(hand, peg, 0.0, 1.0, start, stays=self.stays)
@@ -141,27 +142,43 @@ class DoorOpening:
         """Push the leaf from where it is with the peg's tip, as far as this stance allows; None if nowhere."""
         best: tuple[DoorChoice, tuple[PlannedPhase, ...], float] | None = None
         geometry = self.door.geometry
+        if not self.door.is_push and geometry.width * np.sin(choice.first) < HAND_ROOM:
+            return None  # the hand does not get behind the leaf
         angles = self._angles(choice.first)
-        for hand in self.hands:
-            for share in PUSH_ALONG:
-                for up in PUSH_UP:
-                    place = (share * geometry.width, up - float(geometry.hinge[2]))
+        places = [
+            (hand, share * geometry.width, up - float(geometry.hinge[2]))
+            for hand in self.hands
+            for share in PUSH_ALONG
+            for up in PUSH_UP
+        ]
+        held: dict[int, float] = {}  # largest angle that a pose was found for, by place
+        for candidates in (angles[:1], angles[1:]):
+            for index, place in enumerate(places):
+                if index in held or not candidates:
+                    continue
+                if best is not None and candidates[0] <= best[2]:
+                    return best
 
-                    def at_angle(angle: float, hand: Hand = hand, place: tuple[float, float] = place) -> DoorChoice:
-                        return replace(choice, push=Push(hand, *place, angle))
+                def at_angle(angle: float, place: tuple[Hand, float, float] = place) -> DoorChoice:
+                    return replace(choice, push=Push(*place, angle))
 
-                    farthest = self._find_farthest(angles, at_angle)
-                    if farthest is None or (best is not None and angles[farthest] <= best[2]):
-                        continue
-                    chosen = at_angle(angles[farthest])
-                    specs = make_door_phases(self.door, chosen, self.reach_waypoints)
-                    n_before = len(make_door_phases(self.door, replace(chosen, push=None), self.reach_waypoints))
-                    phases, stuck = replace(self._sequence(chosen), specs=specs[n_before:]).plan(at)
-                    if stuck is None:
-                        best = chosen, phases, angles[farthest]
-                        if farthest == 0:
-                            return best
+                farthest = self._find_farthest(candidates, at_angle)
+                if farthest is None:
+                    continue
+                held[index] = candidates[farthest]
+                pushed = self._plan_push(at_angle(held[index]), at)
+                if pushed is not None and (best is None or held[index] > best[2]):
+                    best = at_angle(held[index]), pushed, held[index]
+                    if held[index] >= self.target:
+                        return best
         return best
+
+    def _plan_push(self, choice: DoorChoice, at: Float[np.ndarray, "n"]) -> tuple[PlannedPhase, ...] | None:
+        """Plan the phases after the regrasp; None if they have no solution."""
+        specs = make_door_phases(self.door, choice, self.reach_waypoints)
+        n_before = len(make_door_phases(self.door, replace(choice, push=None), self.reach_waypoints))
+        phases, stuck = replace(self._sequence(choice), specs=specs[n_before:]).plan(at)
+        return None if stuck is not None else phases
 
     def _angles(self, start: float) -> list[float]:
         """Return the opening angles to try, the target first [rad]."""
@@ -190,9 +207,9 @@ class DoorOpening:
         """Solve for the pose at the end of the choice's last opening."""
         specs = make_door_phases(self.door, choice, self.reach_waypoints)
         spec = next(spec for spec in reversed(specs) if spec.is_anchor)
-        sequence = replace(self._sequence(choice), solver=replace(self.solver, most_starts=2))
+        sequence = self._sequence(choice)
         with self.solver.monitor.step(HOW_FAR, 0.05):
-            return sequence.solve_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
+            return sequence.try_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
 
     def _sequence(self, choice: DoorChoice) -> PhaseSequence:
         specs = make_door_phases(self.door, choice, self.reach_waypoints)
@@ -222,10 +239,3 @@ class DoorOpening:
             is_bar = self.door.handle is not None and self.door.handle.kind == "push_bar"
             figures["pressed_m" if is_bar else "lever_deg"] = largest if is_bar else float(np.rad2deg(largest))
         return figures
-
-
-def measure_peg(solver: PhaseSolver, hand: Hand) -> float:
-    """Return the length of a hand's free rod [m]."""
-    body = solver.body
-    poses = locate_links(body.engine, body.nominal, [hand.tool, hand.stub])
-    return float(np.linalg.norm(poses[hand.tool][:3, 3] - poses[hand.stub][:3, 3]))

@@ -13,7 +13,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door import Door
-from service.demands.door_demand import read_given_door
+from service.demands.door_demand import choose_door, make_door
 from service.demands.hands import HANDS, Hand
 from service.errors import RequestError
 from service.request.door import DoorRequest
@@ -66,15 +66,12 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
 def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
     """Return the door to open and a note about it, or a sentence why there is none."""
     base = setup.start[:3] if setup.robot.is_floating else np.zeros(3)
-    geometry = read_given_door(request, base)
-    if geometry is None:
-        scene = setup.request.scene
-        if scene.cloud is None:
-            raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
-        return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
-    is_bar = geometry.handle is not None and geometry.handle.kind == "push_bar"
-    release = request.press_m if is_bar else float(np.deg2rad(request.release_deg))
-    door = Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
+    if request.leaf is None and setup.request.scene.cloud is None:
+        raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
+    geometry = choose_door(request, setup.surroundings.doors, base)
+    if isinstance(geometry, str):
+        return geometry
+    door = make_door(request, geometry)
     return door, describe_door(door)
 
 

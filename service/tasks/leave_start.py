@@ -13,6 +13,7 @@ from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem
+from service.body.loaded_regions import PlannedRegion
 from service.body.phases import PhaseSolver, change_contacts, straight_path
 from service.body.sampling import free_coordinates
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
@@ -73,9 +74,10 @@ class LeavingBody(WholeBody):
         costs: Sequence[Cost[MotionState]] = (),
         constraints: Sequence[Constraint[MotionState]] = (),
         balanced: Sequence[int] | None = None,
+        regions: Sequence[PlannedRegion] = (),
     ) -> Problem[MotionState]:
         """Return the usual problem, but with overlaps whose depth falls at least linearly over the intervals."""
-        problem = super().make_problem(lower, upper, checker, costs, constraints, balanced)
+        problem = super().make_problem(lower, upper, checker, costs, constraints, balanced, regions)
         return change_contacts(problem, lambda contacts: self._raise_margins(contacts, len(lower)))
 
     def _raise_margins(self, contacts: Contacts, n_waypoints: int) -> Contacts:

@@ -8,23 +8,29 @@ anchor follow.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from costs.allowance import Allowance
 from costs.kinematics import locate_links
 from costs.robot import Mechanism, RobotModel, with_mechanism
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, NormWithin, WithinTolerance
 from scopt import Constraint, Residual, Sense
 from service.body.holds import Hold
-from service.body.phases import Bounds, PhaseSolver, path_via, posture_guesses, straight_path
+from service.body.loaded_regions import PlannedRegion, plan_regions
+from service.body.phases import POSE_EFFORT, Bounds, PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, find_moves, find_rotation_onto
 
+QUICK_GUESSES = 2
+QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
+DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between the waypoints [m]
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
 AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
@@ -65,10 +71,11 @@ class PhaseSequence:
             at = phases[-1].q[-1]
         return phases, None
 
-    def solve_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]] = ()) -> Solved:
-        """Solve for the first pose of a phase, whatever comes before it; by default from the usual guesses."""
+    def try_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]] = ()) -> Solved:
+        """Try with little effort whether a phase's first pose exists, whatever comes before it."""
         compiler = _Compiler(self.solver, self.mechanism)
-        return compiler.solve_pose(step, spec, guesses or compiler.list_guesses(self.solver.body.nominal))
+        guesses = [*guesses, *compiler.list_guesses(self.solver.body.nominal)][:QUICK_GUESSES]
+        return compiler.solve_pose(step, spec, guesses, QUICK_EFFORT)
 
     def _plan_group(
         self, group: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
@@ -114,6 +121,11 @@ class PhaseSequence:
         return tuple(phases), None
 
 
+def shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
+    """Return allowances with depths for the waypoints, which leave some of each for the curve between them."""
+    return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in touches)
+
+
 def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
     """Yield the groups of phases, each with its free phase first.
 
@@ -150,13 +162,28 @@ class _Compiler:
         """Return configurations from which a pose is solved: ``at``, then the robot's postures."""
         return [at, *(guess for _, guess in posture_guesses(self.solver.body)[1:])]
 
-    def solve_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]]) -> Solved:
+    def solve_pose(
+        self,
+        step: str,
+        spec: PhaseSpec,
+        guesses: Sequence[Float[np.ndarray, "n"]],
+        effort: Mapping[str, Any] = POSE_EFFORT,
+    ) -> Solved:
         """Solve for the first pose of an anchor."""
         names = self.robot.joint_names
         fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
         fixed |= {names.index(name): value for name, value in spec.fixed.items()}
         constraints = self._constraints(spec, np.zeros(1, dtype=int), 1)
-        return self.solver.solve_pose(step, guesses, constraints, spec.touches, fixed)
+        regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
+        return self.solver.solve_pose(step, guesses, constraints, shrink(spec.touches), fixed, regions, effort)
+
+    def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
+        """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
+        body = self.solver.body
+        if not spec.loads or body.polygon is None:
+            return ()
+        contacts = [foot.contact for foot in body.planted]
+        return plan_regions(self.robot, contacts, spec.loads, values, body.nominal)
 
     def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
         """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""
@@ -187,6 +214,14 @@ class _Compiler:
             (moving,) = spec.moving
             start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
+        starts = [start]
+        if is_anchor and spec.aims_at_end:
+            guesses = [np.concatenate([q[: self.columns[0]], spec.last])]
+            end = self.solve_pose(spec.name, replace(spec, first=spec.last), guesses, QUICK_EFFORT)
+            if end.is_feasible:
+                straight = straight_path(q, end.x[0], count)
+                straight[:, self.columns] = values
+                starts = [straight, start]
         free = np.setdiff1d(np.arange(count), list(fixed))
         anchored = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()}
 
@@ -197,8 +232,8 @@ class _Compiler:
                     lower[0, column] = upper[0, column] = value
 
         return self.solver.solve_trajectory(
-            spec.name, [start], fixed, constraints=self._constraints(spec, free, count), allowances=spec.touches,
-            bounds=narrow,
+            spec.name, starts, fixed, constraints=self._constraints(spec, free, count), allowances=shrink(spec.touches),
+            bounds=narrow, regions=self.find_regions(spec, values),
         )  # fmt: skip
 
     def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
@@ -214,7 +249,7 @@ class _Compiler:
         first, last, count = starts[0][0], starts[0][-1], len(starts[0])
         fixed = {0: first, count - 1: last}
         return self.solver.solve_trajectory(
-            spec.name, starts, fixed, allowances=spec.touches, bounds=self._move(spec, count)
+            spec.name, starts, fixed, allowances=shrink(spec.touches), bounds=self._move(spec, count)
         )
 
     def _solve_held_again(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> Solved:
@@ -225,9 +260,16 @@ class _Compiler:
             lower[:, self.columns] = upper[:, self.columns] = q[:, self.columns]
 
         constraints = self._constraints(spec, np.arange(1, last), len(q))
+        regions = self.find_regions(spec, q[:, self.columns])
         fixed = {0: q[0], last: q[last]}
         return self.solver.solve_trajectory(
-            spec.name, [q], fixed, constraints=constraints, allowances=spec.touches, bounds=narrow
+            spec.name,
+            [q],
+            fixed,
+            constraints=constraints,
+            allowances=shrink(spec.touches),
+            bounds=narrow,
+            regions=regions,
         )
 
     def _move(self, spec: PhaseSpec, count: int) -> Bounds:
@@ -254,6 +296,8 @@ class _Compiler:
             lambda at: spec.targets(self.mechanism, at),
             resolve=None if spec.hand is not None and spec.hand.is_line else solve_again,
             loads=spec.loads,
+            regions=self.find_regions(spec, spec.values(spec.n_waypoints)),
+            values=spec.values(spec.n_waypoints) if spec.loads else None,
         )
 
     def _constraints(

@@ -13,6 +13,10 @@ from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 
+FEET_FRICTION = 0.6
+FEET_CAP_N = 5000.0  # at each corner of a sole [N]
+HAND_DRIFT_M = 6e-3  # from the place of a load to where the hand really presses [m]
+
 
 class VerifyError(ValueError):
     """Error for a malformed motion; the message names the field and the value."""
@@ -55,6 +59,8 @@ class PlantedContact:
         sole: (C, 3) corners in the link frame [m].
         tolerance_m: greatest drift of a corner anywhere in the phase.
         knot_tolerance_m: greatest drift of a corner at the curve's knots.
+        friction: coefficient of its sole on the ground.
+        force_cap_n: largest normal force at each corner [N].
     """
 
     link: str
@@ -62,6 +68,8 @@ class PlantedContact:
     sole: Float[np.ndarray, "C 3"]
     tolerance_m: float = 1e-3
     knot_tolerance_m: float = 1e-4
+    friction: float = FEET_FRICTION
+    force_cap_n: float = FEET_CAP_N
 
 
 @dataclass(frozen=True)
@@ -189,6 +197,7 @@ class HandLoad:
         place: (3,) where it acts, in the link [m].
         force: (3,) the largest force on the link, in the link's axes [N].
         slide: (3,) in the link: it acts anywhere on ``place`` +- ``slide``, or None [m].
+        drift_m: farthest that it acts from there [m].
     """
 
     tool: str
@@ -196,6 +205,26 @@ class HandLoad:
     place: Float[np.ndarray, "3"]
     force: Float[np.ndarray, "3"]
     slide: Float[np.ndarray, "3"] | None = None
+    drift_m: float = HAND_DRIFT_M
+
+
+@dataclass(frozen=True)
+class LoadedRegion:
+    """Places of the centre of mass on a stretch of a phase at which the feet hold the robot under the hand's loads.
+
+    Attributes:
+        first, last: path parameters of its ends.
+        vertices: (V, 2) of a convex polygon, counter-clockwise, world x and y [m].
+        wrenches: (W, 6) force and moment about the world's origin that the mechanism puts on the robot [N, Nm].
+        witnesses: (V, W, C, 3) forces of the ground at the corners of all soles, in the order of the phase's contacts,
+            that hold the robot at each vertex under each wrench [N].
+    """
+
+    first: float
+    last: float
+    vertices: Float[np.ndarray, "V 2"]
+    wrenches: Float[np.ndarray, "W 6"]
+    witnesses: Float[np.ndarray, "V W C 3"]
 
 
 Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | JointTarget
@@ -213,6 +242,7 @@ class Phase:
         targets: poses, axes and joint values that the motion reaches or keeps.
         support: region of the centre of mass and the ZMP, or None (fixed base).
         loads: forces that hands exert on the mechanism.
+        regions: where the feet hold the robot under the loads, stretch by stretch; required with loads and a support.
     """
 
     name: str
@@ -223,6 +253,7 @@ class Phase:
     targets: tuple[Target, ...] = ()
     support: SupportPolygon | None = None
     loads: tuple[HandLoad, ...] = ()
+    regions: tuple[LoadedRegion, ...] = ()
 
 
 @dataclass(frozen=True)

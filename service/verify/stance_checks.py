@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from service.verify.certificate import Basis, Check
+from service.verify.forces.loaded_balance import check_loaded_balance
 from service.verify.frame_paths import FramePath, MassPath
 from service.verify.motion import Phase, PlantedContact, SupportPolygon, VerifySettings
 from service.verify.phase_proof import Extreme, PhaseProof
+from service.verify.polygons import describe_inside, outside_polygon
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.timeline import edges_within
 
@@ -23,7 +24,10 @@ def check_stance(prepared: PreparedMotion, phase: Phase, settings: VerifySetting
     """Check balance, the support polygon and planted links of one phase."""
     proof = PhaseProof(prepared, phase, settings)
     if phase.support is not None:
-        yield _balance_check(proof, phase.support)
+        if phase.loads:
+            yield from check_loaded_balance(prepared, phase, phase.support, settings)
+        else:
+            yield _balance_check(proof, phase.support)
         if phase.contacts:
             yield _support_check(phase, phase.support)
     for contact in phase.contacts:
@@ -79,17 +83,3 @@ def _support_check(phase: Phase, support: SupportPolygon) -> Check:
     is_ok = value <= _SUPPORT_TOLERANCE_M
     text = f"the support polygon of {phase.name} reaches {1e3 * value:.1f} mm beyond the planted soles"
     return Check(f"support.{phase.name}", is_ok, value, _SUPPORT_TOLERANCE_M, "m", text, None, Basis.PROOF)
-
-
-def describe_inside(inside_m: float) -> str:
-    """Return ``1.2 mm inside``, or ``1.2 mm outside`` for a negative distance."""
-    return f"{1e3 * inside_m:.1f} mm inside" if inside_m >= 0.0 else f"{-1e3 * inside_m:.1f} mm outside"
-
-
-def outside_polygon(polygon: Float[np.ndarray, "E 2"], points: Float[np.ndarray, "S 2"]) -> Float[np.ndarray, "S"]:
-    """Return the largest signed distance of points outside the polygon's edges [m]; negative inside."""
-    along = np.roll(polygon, -1, axis=0) - polygon
-    length = np.linalg.norm(along, axis=1)
-    keep = length > 1e-12
-    normal = np.stack([along[keep, 1], -along[keep, 0]], axis=1) / length[keep, None]
-    return np.asarray(((points[:, None] - polygon[keep]) * normal).sum(axis=2).max(axis=1))

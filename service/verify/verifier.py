@@ -14,7 +14,7 @@ from service.verify.certificate import Basis, Certificate, Check, Coverage, Stat
 from service.verify.clearance.checks import prove_clearance
 from service.verify.coverage.checks import check_coverage
 from service.verify.coverage.required import list_own_joints
-from service.verify.dynamics import check_dynamics
+from service.verify.forces.dynamics import check_dynamics
 from service.verify.ground import check_ground
 from service.verify.hashes import bodies_hash, promises_hash, robot_hash, scene_hash
 from service.verify.limits import check_positions, check_timing

@@ -17,13 +17,13 @@ _PER_LENGTH = 50.0  # cost of a bar's length, so that it ends where no ray shows
 _FAR = 0.15
 _RADII = (0.005, 0.032)
 _OUTS = (0.015, 0.1)
-_MOST_RAYS = 1500
+_MOST_RAYS = 3000
 _SCALE = 0.004
 _MOST_STEPS = 400
 EXTENSIONS = np.arange(-0.012, 0.061, 0.003)
 """(E,) lengths by which an end of a bar may have to be moved out [m]."""
 _LONGER = ((0.035, 0.0), (0.0, 0.035))  # at the first and second end [m]
-_MOST_ROUNDS = 3
+_MOST_ROUNDS = 5
 _GAIN = 2.0
 
 

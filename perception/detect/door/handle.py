@@ -21,7 +21,9 @@ _PULL_END = 0.1
 _FRONT = 0.75  # mean distance of a bar's returns in front of its centre line, in radii
 _THIN, _BAR = 0.005, 0.012  # least and largest radius of a bar across a face [m]
 _START_RADIUS = 0.01
-_NEAR = 0.09
+_NEAR = 0.12
+_WENT_ON, _EDGE = 0.06, 0.06
+_TRUSTED = 0.5  # share of a fitted bar's likelihood that counts: the best of many bars fits noise as well
 _LEAST_BAR = 4.0  # length of a bar, in radii; shorter ones are knobs
 _STEEPEST_LEVER, _FLATTEST_PULL = np.radians(55.0), np.radians(65.0)
 
@@ -150,7 +152,7 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
         is_lever,
         is_pull,
         False,
-        bump.evidence,
+        max(bump.evidence, -_TRUSTED * bar.cost * len(near.length)),
         float(np.mean(met[inside])) if inside.any() else 0.0,
         _free_share(face, seen, bar, near, is_pull),
         _neck_side(face, seen, bar) if is_lever else 0,
@@ -226,7 +228,11 @@ def _free_share(face: DoorFace, seen: _Seen, bar: Bar, near: NearRays, is_pull: 
     """Return the share of the rays beside a bar that met the face; low for a pipe, which continues up and down."""
     limit = max(2.5 * face.sigma, 0.02)
     outside = bar.reached_by(near)[0]
-    ring = np.abs(near.out[(outside > _ABOUT) & (outside < _RING)]) < limit
+    beside_bar = (outside > _ABOUT) & (outside < _RING)
+    # Rays that went on just inside of an edge show only that the edge lies further in.
+    at = near.start[:, 0] - near.start[:, 2] / near.direction[:, 2] * near.direction[:, 0]
+    beside_bar &= (near.out > -_WENT_ON) | ((at > face.low + _EDGE) & (at < face.high - _EDGE))
+    ring = np.abs(near.out[beside_bar]) < limit
     beside = [ring]
     if is_pull:
         column = np.abs(seen.at[:, 0] - bar.middle[0]) < bar.radius

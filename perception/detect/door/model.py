@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece
-from perception.detect.door.bodies import HOUSING_HALF_HEIGHT
+from perception.detect.door.bodies import HOUSING_HALF_HEIGHT, HOUSING_HALF_WIDTH
 from perception.detect.door.geometry import UP, DoorGeometry, Opens
 from perception.detect.shared.detection import Detection
 from perception.errors import PerceptionError
@@ -22,14 +22,9 @@ _ABOUT_HANDLE = 0.03
 
 @dataclass(frozen=True)
 class DoorModel:
-    """Detected door.
-
-    Attributes:
-        shows_far_face: whether the seen face is the one away from the robot when the leaf is shut.
-    """
+    """Detected door."""
 
     geometry: DoorGeometry
-    shows_far_face: bool = False
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
         """Return (N,) points on leaf and handle where they were seen; no part of a door stays in the scene."""
@@ -55,8 +50,10 @@ class DoorModel:
 def read_door(detection: Detection) -> DoorGeometry:
     """Return the geometry of a detected door, its leaf shut and its lever at rest.
 
-    Its ``opens`` is None where the scan does not show it; ``choose_opening`` then takes a person's word for it.
-    The thickness is the usual 45 mm, which ``residuals['thickness_share']`` of 0 says.
+    Its ``opens`` is None where the scan does not show it; ``choose_opening`` then sets what a person says.  Among the
+    detection's residuals, ``opens_share`` is the certainty of the opening direction, ``hinge_share`` is 0 where the
+    hinge side is a guess (a shut leaf with a bar across it), and ``thickness_share`` is 0 since no scan has shown the
+    thickness, which is then the usual 45 mm.
 
     Raises:
         PerceptionError: the detection is no door.
@@ -86,6 +83,7 @@ def door_points(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Boo
     # The box of a lever holds every angle of it.
     centre = _in_leaf(replace(geometry, ajar=0.0), handle.centre[None])[0]
     reach = handle.length if handle.kind == "lever" else 0.5 * handle.length
+    reach += HOUSING_HALF_WIDTH if handle.kind == "push_bar" else 0.0
     half = np.abs([handle.direction @ geometry.along, 0.0, handle.direction @ UP]) * reach
     half = np.maximum(half, max(handle.radius, HOUSING_HALF_HEIGHT))
     half[2] = max(half[2], reach if handle.kind == "lever" else 0.0)

@@ -61,6 +61,7 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
             waived.append(f"balance in '{phase.name}'")
             continue
         names += [f"balance.{phase.name}", *([f"zmp.{phase.name}"] if motion.law is not None else [])]
+        names += [f"equilibrium.{phase.name}"] if phase.loads else []
         names += [f"planted.{phase.name}"] if motion.waived is not None and not phase.contacts else []
     return RequiredChecks(tuple(names), tuple(waived))
 

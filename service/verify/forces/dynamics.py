@@ -12,10 +12,11 @@ from jaxtyping import Float
 from costs.curve import TimeLaw
 from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
+from service.verify.forces.hand_loads import list_load_cases
 from service.verify.frame_paths import find_mechanism_joints
-from service.verify.motion import Motion, Phase, VerifySettings
+from service.verify.motion import Motion, Phase, SupportPolygon, VerifySettings
+from service.verify.polygons import describe_inside, outside_polygon
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.stance_checks import describe_inside, outside_polygon
 from service.verify.timeline import find_times
 
 # A moment of 1 Nm counts as much as a force of 1 / 0.1 N when the ground's wrench is shared between the feet.
@@ -24,26 +25,39 @@ _MOMENT_ARM_M = 0.1
 
 @dataclass(frozen=True)
 class Forces:
-    """Inverse dynamics at ``S`` times.
+    """Inverse dynamics at ``S`` times, for ``K`` cases: hands without load, then every combination of full loads.
 
     Attributes:
         times, path: (S,) [s] and path parameter.
-        wrench: (S, 6) force and moment about the world's origin that the world exerts on the robot [N, Nm]; NaN in a
-            phase that neither plants a link nor names a support.
-        torque: (S, n) generalised forces; joints between planted feet and base with the ground's wrench shared at
+        wrench: (K, S, 6) force and moment about the world's origin that the ground exerts on the robot [N, Nm]; NaN in
+            a phase that neither plants a link nor names a support.
+        torque: (K, S, n) generalised forces; joints between planted feet and base with the ground's wrench shared at
             least norm between the feet.
     """
 
     times: Float[np.ndarray, "S"]
     path: Float[np.ndarray, "S"]
-    wrench: Float[np.ndarray, "S 6"]
-    torque: Float[np.ndarray, "S n"]
+    wrench: Float[np.ndarray, "K S 6"]
+    torque: Float[np.ndarray, "K S n"]
 
-    def zmp(self, height: float) -> Float[np.ndarray, "S 2"]:
-        """Return the zero moment point on a horizontal plane [m]; NaN without vertical force."""
-        fx, fy, fz, mx, my, _ = self.wrench.T
+    def zmp(self, height: float) -> Float[np.ndarray, "K S 2"]:
+        """Return the zero moment point of the ground's forces on a horizontal plane [m]; NaN without vertical force."""
+        fx, fy, fz, mx, my, _ = np.moveaxis(self.wrench, -1, 0)
         pressed = np.where(fz > 1e-6, fz, np.nan)
-        return np.stack([(height * fx - my) / pressed, (height * fy + mx) / pressed], axis=1)
+        return np.stack([(height * fx - my) / pressed, (height * fy + mx) / pressed], axis=-1)
+
+    def find_worst_zmp(self, support: SupportPolygon) -> tuple[Float[np.ndarray, "S 2"], Float[np.ndarray, "S"]]:
+        """Return at each sample the ZMP of the worst case, and its distance outside the polygon (inf: no force) [m]."""
+        points = self.zmp(support.height)
+        outside = outside_polygon(support.polygon, points.reshape(-1, 2)).reshape(points.shape[:2])
+        outside = np.nan_to_num(outside, nan=np.inf)
+        worst = outside.argmax(axis=0)
+        each = np.arange(points.shape[1])
+        return points[worst, each], outside[worst, each]
+
+    def find_largest_torque(self) -> Float[np.ndarray, "S n"]:
+        """Return the largest size of each joint's torque over the cases [Nm]; it is affine in each load."""
+        return np.asarray(np.abs(self.torque).max(axis=0))
 
 
 def list_sample_times(motion: Motion, law: TimeLaw, first: float, last: float, step: float) -> Float[np.ndarray, "S"]:
@@ -61,7 +75,7 @@ def list_sample_times(motion: Motion, law: TimeLaw, first: float, last: float, s
 def compute_forces(
     motion: Motion, law: TimeLaw, phase: Phase, times: Float[np.ndarray, "S"], *, torques: bool = True
 ) -> Forces:
-    """Return wrench from the world and joint torques at times of a phase (``torques=False``: wrench only)."""
+    """Return wrench from the ground and joint torques at times of a phase (``torques=False``: wrench only)."""
     s, speed, gain = law.at(times)
     curve, model = motion.curve, motion.robot.model
     q, slope, bend = curve(s), curve(s, 1), curve(s, 2)
@@ -74,10 +88,11 @@ def compute_forces(
     shares = torques and bool(phase.contacts)
     torque = np.empty((len(times), model.nv))
     wrench = np.zeros((len(times), 6)) if stands else np.full((len(times), 6), np.nan)
-    jacobians = np.empty((len(times) if shares else 0, 6, model.nv))
+    pulls = torques and bool(phase.loads)
+    jacobians = np.empty((len(times) if shares or pulls else 0, 6, model.nv))
     for k in range(len(times)):
         poll()
-        if shares:
+        if shares or pulls:
             jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nv)
         torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
         if not stands:
@@ -85,9 +100,15 @@ def compute_forces(
         for joint in roots:
             # The parent of a root is the world, so its placement in its parent is the one in the world.
             wrench[k] += data.liMi[joint].act(data.f[joint]).vector
-    if shares:
-        torque -= _ground_torques(model, phase, wrench, jacobians)
-    return Forces(times, s, wrench, torque)
+    cases = list_load_cases(motion.robot, q, phase.loads)
+    ground = np.stack([wrench - case.wrench for case in cases])
+    each = np.stack([torque] * len(cases))
+    for own, case, below in zip(each, cases, ground, strict=True):
+        if shares:
+            own -= _ground_torques(model, phase, below, jacobians)
+        for joint, part in case.parts if torques else ():
+            own -= _carried_torques(model, joint, part, jacobians)
+    return Forces(times, s, ground, each)
 
 
 def _ground_torques(
@@ -100,11 +121,19 @@ def _ground_torques(
     share = _share_map([contact.pose_world_link[:3, 3] for contact in phase.contacts])
     torque = np.zeros((len(wrench), model.nv))
     for contact, part in zip(phase.contacts, share.reshape(-1, 6, 6), strict=True):
-        carried = np.zeros(model.nv)
-        for joint in list(model.supports[model.frames[model.getFrameId(contact.link)].parentJoint])[1:]:
-            carried[model.joints[joint].idx_v : model.joints[joint].idx_v + model.joints[joint].nv] = 1.0
-        torque += np.einsum("sij,si->sj", jacobians, wrench @ part.T) * carried
+        joint = int(model.frames[model.getFrameId(contact.link)].parentJoint)
+        torque += _carried_torques(model, joint, wrench @ part.T, jacobians)
     return torque
+
+
+def _carried_torques(
+    model: pin.Model, joint: int, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 n"]
+) -> Float[np.ndarray, "S n"]:
+    """Return the generalised forces of a wrench on what a joint carries, about the world's origin."""
+    carried = np.zeros(model.nv)
+    for above in list(model.supports[joint])[1:]:
+        carried[model.joints[above].idx_v : model.joints[above].idx_v + model.joints[above].nv] = 1.0
+    return np.asarray(np.einsum("sij,si->sj", jacobians, wrench) * carried)
 
 
 def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
@@ -115,8 +144,7 @@ def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySetti
     times = list_sample_times(motion, law, phase.first, phase.last, settings.time_step_s)
     dynamics = compute_forces(motion, law, phase, times)
     if phase.support is not None:
-        zmp = dynamics.zmp(phase.support.height)
-        outside = np.nan_to_num(outside_polygon(phase.support.polygon, zmp), nan=np.inf)
+        zmp, outside = dynamics.find_worst_zmp(phase.support)
         worst = int(outside.argmax())
         value = -float(outside[worst])
         point = (float(zmp[worst, 0]), float(zmp[worst, 1]), phase.support.height)
@@ -126,7 +154,7 @@ def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySetti
         yield Check(f"zmp.{phase.name}", value >= 0.0, value, 0.0, "m", text, where, Basis.SAMPLES)
     limited = np.flatnonzero(np.isfinite(motion.robot.effort) & (motion.robot.effort > 0.0))
     if len(limited):
-        ratio = np.abs(dynamics.torque[:, limited]) / motion.robot.effort[limited]
+        ratio = dynamics.find_largest_torque()[:, limited] / motion.robot.effort[limited]
         row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         value, name = float(ratio[row, column]), motion.robot.joint_names[limited[column]]
         where = Where(float(dynamics.path[row]), float(times[row]), None, (name,))

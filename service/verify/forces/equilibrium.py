@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 # Forces may be off by this share of the weight, moments by the same share times 1 m.
 TOLERANCE = 1e-6
 _SHORTEST_EDGE_M = 1e-6
-_OVERHANG_M = 1e-9  # rounding of a flat corner
+_OVERHANG_M = 1e-7  # rounding of recorded corners
 _LARGEST = 1e9  # of any number; sums of larger ones would overflow or lose the digits that matter
 _LONGEST_ARC = np.pi / 3.0
 
@@ -337,7 +337,8 @@ def _judge_balance(region: RecordedRegion, given: _Given) -> tuple[_Defect, _Def
 def _judge_polygon(vertices: Float[np.ndarray, "V 2"]) -> _Defect:
     """Return how far a vertex is outside the line of an edge.
 
-    A closed chain of edges that all have every vertex on their left runs around the hull of the vertices.
+    A closed chain of edges that all have a point on their left runs around it, and the point is in the hull of the
+    vertices: what is inside all edges is held even where rounding has dented the polygon.
     """
     edges = np.roll(vertices, -1, axis=0) - vertices
     lengths = np.linalg.norm(edges, axis=1)

@@ -1,0 +1,1 @@
+"""Forces of ground and hands: regions of equilibrium, loads, and inverse dynamics."""

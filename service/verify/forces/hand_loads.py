@@ -1,0 +1,149 @@
+"""Wrenches on the robot of the loads that its hands carry, from the mechanism's own coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.curve import Curve
+from costs.robot.model import RobotModel
+from service.verify.forces.equilibrium import list_slid_loads, list_turned_loads
+from service.verify.motion import HandLoad, Motion, VerifyError
+
+STILL = 1e-5  # by which a joint at rest may be off [rad, m]
+
+
+def bound_coordinate(curve: Curve, column: int, first: float, last: float) -> tuple[float, float]:
+    """Return the least and greatest value of a coordinate between two path parameters, exactly [rad, m]."""
+    knots, coefficients = curve.knots, curve.coefficients()
+    values = [curve(np.array([first, last]))[:, column]]
+    for k in range(len(knots) - 1):
+        low, high = max(first, knots[k]), min(last, knots[k + 1])
+        if high < low:
+            continue
+        # A cubic is largest at an end of the stretch or where its derivative vanishes.
+        _, c1, c2, c3 = (float(part[k, column]) for part in coefficients)
+        roots = np.roots([3.0 * c3, 2.0 * c2, c1]) if c3 or c2 else np.zeros(0)
+        at = [root.real + knots[k] for root in roots if abs(root.imag) < 1e-12]
+        inside = np.array([low, high, *(s for s in at if low < s < high)])
+        values.append(curve(inside)[:, column])
+    everything = np.concatenate(values)
+    return float(everything.min()), float(everything.max())
+
+
+def list_load_wrenches(
+    motion: Motion, loads: tuple[HandLoad, ...], first: float, last: float
+) -> Float[np.ndarray, "G 6"]:
+    """Return wrenches on the robot whose convex hull has those of all loads on a stretch, of any size down to zero.
+
+    Raises:
+        VerifyError: more than one joint that carries the loads moves on the stretch, or a link is unknown.
+    """
+    model = motion.robot.model
+    moving = _find_moving_joint(motion, loads, first, last)
+    q = motion.curve(np.array([first]))[0].copy()
+    span = (0.0, 0.0)
+    if moving is not None:
+        column = int(model.joints[moving].idx_q)
+        span = bound_coordinate(motion.curve, column, first, last)
+        q[column] = 0.0
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    corners = [_corners_of(motion.robot, data, load, moving, span) for load in loads]
+    wrenches = [np.zeros((1, 6))]
+    for choice in product(*corners):  # where each load acts on its slide
+        for share in product((0.0, 1.0), repeat=len(loads)):
+            if any(share):
+                wrenches.append(np.sum([s * part for s, part in zip(share, choice, strict=True)], axis=0))
+    return np.unique(np.concatenate(wrenches), axis=0)
+
+
+def _find_moving_joint(motion: Motion, loads: tuple[HandLoad, ...], first: float, last: float) -> int | None:
+    """Return the only joint that moves one of the loaded links on a stretch, or None."""
+    model, moving = motion.robot.model, set[int]()
+    for load in loads:
+        if not model.existFrame(load.link):
+            raise VerifyError(f"unknown link '{load.link}' of a load")
+        joint = int(model.frames[model.getFrameId(load.link)].parentJoint)
+        while joint > 0:
+            low, high = bound_coordinate(motion.curve, int(model.joints[joint].idx_q), first, last)
+            if high - low > STILL:
+                moving.add(joint)
+            joint = int(model.parents[joint])
+    if len(moving) > 1:
+        names = ", ".join(model.names[joint] for joint in sorted(moving))
+        raise VerifyError(f"{names} move at once; loads can be followed while one joint moves")
+    return next(iter(moving), None)
+
+
+def _corners_of(
+    robot: RobotModel, data: pin.Data, load: HandLoad, moving: int | None, span: tuple[float, float]
+) -> Iterator[Float[np.ndarray, "K 6"]]:
+    """Yield the corners of one load's wrenches, once per end of its slide."""
+    model = robot.model
+    pose = data.oMf[model.getFrameId(load.link)]
+    force = -pose.rotation @ load.force
+    slides = [np.zeros(3)] if load.slide is None else [-load.slide, load.slide]
+    above = int(model.frames[model.getFrameId(load.link)].parentJoint)
+    chain = set[int]()
+    while above > 0:
+        chain.add(above)
+        above = int(model.parents[above])
+    for slide in slides:
+        point = pose.rotation @ (load.place + slide) + pose.translation
+        if moving is None:
+            yield np.concatenate([force, np.cross(point, force)])[None]
+            continue
+        joint = model.joints[moving]
+        made = joint.createData()
+        joint.calc(made, np.zeros(model.nq), np.zeros(model.nv))
+        axis = np.asarray(made.S).reshape(6, -1)[:, -1]
+        if moving not in chain:  # same number of corners as the loads that move
+            count = len(list_turned_loads(force, point, np.array([0.0, 0.0, 1.0]), point, *span))
+            yield np.tile(np.concatenate([force, np.cross(point, force)]), (count if np.any(axis[3:]) else 2, 1))
+        elif np.any(axis[3:]):
+            turned = data.oMi[moving].rotation @ axis[3:]
+            yield list_turned_loads(force, point, turned, np.array(data.oMi[moving].translation), *span)
+        else:
+            yield list_slid_loads(force, point, data.oMi[moving].rotation @ axis[:3], *span)
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """Wrench on the robot and what carries it, at samples of the curve.
+
+    Attributes:
+        wrench: (S, 6) force and moment about the world's origin [N, Nm].
+        parts: per load, the joint that carries its tool and its wrench (S, 6).
+    """
+
+    wrench: Float[np.ndarray, "S 6"]
+    parts: tuple[tuple[int, Float[np.ndarray, "S 6"]], ...]
+
+
+def list_load_cases(
+    robot: RobotModel, q: Float[np.ndarray, "S n"], loads: tuple[HandLoad, ...]
+) -> tuple[LoadCase, ...]:
+    """Return no load, and every combination of the loads at their largest, at configurations.
+
+    A slide's ends are within a few centimetres of its middle, where the force is taken to act.
+    """
+    model, data = robot.model, robot.model.createData()
+    joints = [int(model.frames[model.getFrameId(load.tool)].parentJoint) for load in loads]
+    wrenches = np.zeros((len(loads), len(q), 6))
+    for k, row in enumerate(q if loads else ()):
+        pin.framesForwardKinematics(model, data, row)
+        for index, load in enumerate(loads):
+            pose = data.oMf[model.getFrameId(load.link)]
+            force, point = -pose.rotation @ load.force, pose.rotation @ load.place + pose.translation
+            wrenches[index, k] = np.concatenate([force, np.cross(point, force)])
+    cases = []
+    for share in product((0.0, 1.0), repeat=len(loads)):
+        parts = tuple((joints[i], wrenches[i]) for i in range(len(loads)) if share[i])
+        cases.append(LoadCase(np.sum([part for _, part in parts], axis=0) if parts else np.zeros((len(q), 6)), parts))
+    return tuple(cases)

@@ -1,0 +1,165 @@
+"""Checks of balance under the loads of the hands: recorded regions proven, and the centre of mass inside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from service.verify.certificate import Basis, Check, Where
+from service.verify.forces.equilibrium import EquilibriumProof, RecordedRegion, prove_equilibrium
+from service.verify.forces.hand_loads import list_load_wrenches
+from service.verify.frame_paths import MassPath, find_mechanism_joints
+from service.verify.motion import (
+    LoadedRegion,
+    Motion,
+    Phase,
+    PlantedContact,
+    SupportPolygon,
+    VerifyError,
+    VerifySettings,
+)
+from service.verify.phase_proof import Extreme, PhaseProof
+from service.verify.polygons import describe_inside, outside_polygon
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.timeline import find_time
+
+GRAVITY = 9.81
+_BORDER = 1e-9  # rounding of path parameters
+
+
+def check_loaded_balance(
+    prepared: PreparedMotion, phase: Phase, support: SupportPolygon, settings: VerifySettings
+) -> Iterator[Check]:
+    """Check that the ground holds the robot on the whole phase, under every load up to the largest.
+
+    Each recorded region is proven by its witnesses, for the loads of its stretch and with contacts that drift and lean
+    within their tolerances; the centre of mass is inside it by the margin.
+    """
+    gap = _find_gap(phase, prepared.edges)
+    if gap is not None:
+        where = Where(gap, find_time(prepared.motion.law, gap), None)
+        text = f"no region says where the ground holds the robot under its loads during {phase.name}"
+        nan = float("nan")
+        yield Check(f"equilibrium.{phase.name}", True, nan, 0.0, "1", text, where, Basis.UNPROVEN)
+        return
+    mass = _weigh(prepared.motion)
+    proofs = [_prove(prepared.motion, phase, region, mass) for region in phase.regions]
+    yield _equilibrium_check(prepared, phase, proofs)
+    extremes = [
+        _bound_outside(prepared, phase, region, support.margin_m + shift, settings)
+        for region, (_, shift) in zip(phase.regions, proofs, strict=True)
+    ]
+    # Each extreme is relative to the margin of its own stretch, so that stretches can be compared.
+    worst = max(extremes, key=lambda extreme: (not extreme.is_proven, extreme.bound))
+    proof = PhaseProof(prepared, phase, settings)
+    point = MassPath(prepared, settings.rounding).at(np.array([worst.s]))[0]
+    place = f"the region that the loaded feet hold during {phase.name}"
+    text = f"the centre of mass stays {-1e3 * worst.bound:.1f} mm inside {place}"
+    failure = f"the centre of mass is {describe_inside(-worst.sampled)} {place}"
+    name, limit = f"balance.{phase.name}", -support.margin_m
+    yield proof.check(name, worst, limit, "m", text, point, negate=True, failure=failure)
+
+
+def place_sole_corners(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
+    """Return the corners of all soles in the world, in the order of the contacts [m]."""
+    placed = [c.sole @ c.pose_world_link[:3, :3].T + c.pose_world_link[:3, 3] for c in contacts]
+    return np.concatenate(placed) if placed else np.zeros((0, 3))
+
+
+def find_sole_normals(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
+    """Return at each corner the upward unit normal of its sole's plane, in the world.
+
+    Raises:
+        VerifyError: the corners of a sole are on a line.
+    """
+    normals = []
+    for contact in contacts:
+        corners = contact.sole @ contact.pose_world_link[:3, :3].T
+        _, sizes, axes = np.linalg.svd(corners - corners.mean(axis=0))
+        if len(sizes) < 2 or sizes[1] < 1e-3:
+            raise VerifyError(f"the corners of the sole of {contact.link} are on a line")
+        normal = axes[2] if axes[2, 2] >= 0.0 else -axes[2]
+        normals.append(np.tile(normal, (len(corners), 1)))
+    return np.concatenate(normals) if normals else np.zeros((0, 3))
+
+
+def find_sole_tilt(contacts: tuple[PlantedContact, ...]) -> float:
+    """Return the largest angle by which a sole may lean while its corners drift within their tolerance [rad]."""
+    tilts = [0.0]
+    for contact in contacts:
+        flat = contact.sole - contact.sole.mean(axis=0)
+        narrow = flat @ np.linalg.svd(flat)[2][1]
+        tilts.append(float(np.arctan2(2.0 * contact.tolerance_m, np.ptp(narrow))))
+    return max(tilts)
+
+
+def _find_gap(phase: Phase, edges: Float[np.ndarray, "E"]) -> float | None:
+    """Return a path parameter of the phase that no region covers; None if they cover it, from knot to knot."""
+    scale = _BORDER * max(1.0, abs(phase.last))
+    reached = phase.first
+    for region in phase.regions:
+        is_knot = float(np.abs(edges - region.last).min()) <= scale
+        if abs(region.first - reached) > scale or not region.last > region.first or not is_knot:
+            return reached
+        reached = region.last
+    return None if phase.regions and abs(reached - phase.last) <= scale else reached
+
+
+def _weigh(motion: Motion) -> float:
+    model: pin.Model = motion.robot.model
+    apart = find_mechanism_joints(motion)
+    return float(sum(model.inertias[j].mass for j in range(1, model.njoints) if j not in apart))
+
+
+def _prove(motion: Motion, phase: Phase, region: LoadedRegion, mass: float) -> tuple[EquilibriumProof, float]:
+    """Prove one region; return also the part of the margin that drifting feet and hands take off [m]."""
+    contacts = phase.contacts
+    points = place_sole_corners(contacts)
+    frictions = np.concatenate([np.full(len(c.sole), c.friction) for c in contacts]) if contacts else np.zeros(0)
+    caps = np.concatenate([np.full(len(c.sole), c.force_cap_n) for c in contacts]) if contacts else np.zeros(0)
+    recorded = RecordedRegion(
+        points, find_sole_normals(contacts), frictions, caps, region.wrenches, region.vertices, region.witnesses
+    )
+    loads = list_load_wrenches(motion, phase.loads, region.first, region.last)
+    feet_drift = max((contact.tolerance_m for contact in contacts), default=0.0)
+    # The feet's horizontal forces are at least the hands', so their drift covers the yaw moment of the hands' drift.
+    hand_drift = max(load.drift_m for load in phase.loads)
+    drift = feet_drift + hand_drift
+    tilt = find_sole_tilt(contacts)
+    proof = prove_equilibrium(recorded, mass, loads, GRAVITY, drift_m=drift, tilt_rad=tilt)
+    hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in phase.loads) / (mass * GRAVITY)
+    return proof, proof.shift_m * feet_drift / drift + hands if drift > 0.0 else 0.0
+
+
+def _equilibrium_check(prepared: PreparedMotion, phase: Phase, proofs: list[tuple[EquilibriumProof, float]]) -> Check:
+    refuted = [k for k, (proof, _) in enumerate(proofs) if not proof.is_proven]
+    at = phase.regions[refuted[0] if refuted else 0].first
+    where = Where(at, find_time(prepared.motion.law, at), None)
+    worst = max((max(proof.force_n, proof.moment_nm) for proof, _ in proofs), default=np.inf)
+    if refuted:
+        text = f"during {phase.name}: {proofs[refuted[0]][0].text}"
+    else:
+        count = sum(len(region.vertices) * len(region.wrenches) for region in phase.regions)
+        text = f"the ground's forces hold the robot under its loads during {phase.name} ({count} balances)"
+    return Check(f"equilibrium.{phase.name}", not refuted, worst, 1e-2, "N, Nm", text, where, Basis.PROOF)
+
+
+def _bound_outside(
+    prepared: PreparedMotion, phase: Phase, region: LoadedRegion, margin: float, settings: VerifySettings
+) -> Extreme:
+    """Bound how far the centre of mass is outside a region on its stretch, less what drift takes off the margin [m]."""
+    part = replace(phase, first=region.first, last=region.last)
+    path = MassPath(prepared, settings.rounding)
+    proof = PhaseProof(prepared, part, settings)
+
+    def outside(s: np.ndarray) -> np.ndarray:
+        return outside_polygon(region.vertices, path.at(s)[:, :2])
+
+    extreme = proof.bound_convex(outside, path.deviation, -margin, settings.resolution_m)
+    support_margin = 0.0 if phase.support is None else phase.support.margin_m
+    taken = margin - support_margin
+    return Extreme(extreme.bound + taken, extreme.sampled + taken, extreme.s, extreme.is_proven)
