@@ -67,17 +67,17 @@ def plan_rest(
     """
     body, start = solver.body, demand.mechanism.start
     index = find_index(specs, demand.phase)
-    specs = list(specs)
-    spec = specs[index] = _shorten_line(body, specs[index])
-    beginnings = list(_choose_beginnings(body, specs, index))
-    is_touching = beginnings[0] is not Beginning.REACH
-    problems = tuple(find_collisions(body, spec.touches if is_touching else ()))
+    begun = _shorten_line(body, specs[index])
+    beginnings = list(_choose_beginnings(body, specs, index, begun.hand))
+    problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
         raise RequestError(problems)
     best: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
     for beginning in beginnings:
-        rest = resume_phases(specs, demand.phase, start, beginning)
-        is_held = spec.hand is not None and beginning is not Beginning.REACH
+        is_reach = beginning is Beginning.REACH
+        whole = specs if is_reach else [*specs[:index], begun, *specs[index + 1 :]]
+        rest = resume_phases(whole, demand.phase, start, beginning)
+        is_held = begun.hand is not None and not is_reach
         planned = PhaseSequence(solver, demand.mechanism, rest, is_held).plan(body.nominal)
         if planned[1] is None:
             note = f"planned again from '{demand.phase}' on"
@@ -87,47 +87,62 @@ def plan_rest(
     return TaskPlan(body, best[0], stuck=best[1], measure=measure)
 
 
-def _choose_beginnings(body: WholeBody, specs: Sequence[PhaseSpec], index: int) -> Iterator[Beginning]:
+def _choose_beginnings(
+    body: WholeBody, specs: Sequence[PhaseSpec], index: int, hand: HandMotion | None
+) -> Iterator[Beginning]:
     """Yield the ways to begin with a phase that are to be tried, by where the hand is.
+
+    Args:
+        body: at its start.
+        specs: phases of the whole task.
+        index: of the phase.
+        hand: its motion, from where on a line it is.
 
     Raises:
         RequestError: there is none.
     """
-    spec = specs[index]
-    if spec.hand is None:
+    if hand is None:
         yield Beginning.AT_ONCE
         return
     group = find_group(specs, index)
     anchor = next(k for k in group if specs[k].is_anchor)
     can_reach = specs[group.start].hand is None and index <= anchor
-    if spec.hand.is_line and not spec.hand.leaves and can_reach:
-        yield Beginning.REACH
-        return
-    off = measure_hand(body, spec.hand)
-    if spec.hand.is_line and off.is_near:
-        yield Beginning.AT_ONCE
-        return
-    if off.is_at_place:
-        yield Beginning.AT_ONCE
+    off = measure_hand(body, _first_place(hand))
     if off.is_near:
-        yield Beginning.TAKE_HOLD
+        if hand.is_line or off.is_at_place:
+            yield Beginning.AT_ONCE
+        if not hand.is_line:
+            yield Beginning.TAKE_HOLD
+        elif can_reach:
+            yield Beginning.REACH
         return
     if not can_reach:
         raise RequestError(
-            f"resume.phase: {spec.hand.tool} is {off.distance:.3f} m from its place in '{spec.name}', and at most "
+            f"resume.phase: {hand.tool} is {off.distance:.3f} m from its place in '{specs[index].name}', and at most "
             f"{NEAR:g} m can be planned from; expected an earlier phase, or the hand at its place"
         )
     yield Beginning.REACH
 
 
 def _shorten_line(body: WholeBody, spec: PhaseSpec) -> PhaseSpec:
-    """Return a phase in which the hand leaves on a line, from where on the line the hand is."""
+    """Return a phase in which the hand moves on a line, from where on the line the hand is."""
     hand = spec.hand
-    if hand is None or hand.offset is None or not hand.leaves:
+    if hand is None or hand.offset is None:
         return spec
-    off = _locate_tool(body, hand)
-    share = float(np.clip(off @ hand.offset / (hand.offset @ hand.offset), 0.0, MOST_OF_LINE))
-    return replace(spec, hand=replace(hand, place=hand.place + share * hand.offset, offset=(1.0 - share) * hand.offset))
+    share = float(_locate_tool(body, hand) @ hand.offset / (hand.offset @ hand.offset))
+    if hand.leaves:
+        share = float(np.clip(share, 0.0, MOST_OF_LINE))
+        left = replace(hand, place=hand.place + share * hand.offset, offset=(1.0 - share) * hand.offset)
+        return replace(spec, hand=left)
+    share = float(np.clip(share, 1.0 - MOST_OF_LINE, 1.0))
+    return replace(spec, hand=replace(hand, offset=share * hand.offset))
+
+
+def _first_place(hand: HandMotion) -> HandMotion:
+    """Return the hand at rest where its motion begins."""
+    if hand.offset is None or hand.leaves:
+        return replace(hand, offset=None)
+    return replace(hand, place=hand.place + hand.offset, offset=None)
 
 
 def _locate_tool(body: WholeBody, hand: HandMotion) -> Float[np.ndarray, "3"]:

@@ -91,7 +91,7 @@ class PhaseSequence:
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan phases with a held hand in the order of execution; a free one before them brings the hand to its place.
 
-        A rigid hand keeps the turn about its axis that it has at the start.
+        A rigid hand keeps the turn about its axis that it has when it begins.
         """
         compiler, monitor = _Compiler(self.solver, self.mechanism), self.solver.monitor
         phases: list[PlannedPhase] = []
@@ -109,12 +109,14 @@ class PhaseSequence:
             if not taken.is_feasible:
                 return tuple(phases), Stuck(free.name, taken)
             at = pose.x[0]
-        for index, spec in enumerate(spec.with_rotation(compiler.find_rotation(spec, at)) for spec in specs):
+        for spec in specs:
+            held = spec.with_rotation(compiler.find_rotation(spec, at))
             with monitor.step(spec.name, 0.5):
-                solved = compiler.solve_held(spec, phases[-1].q[-1] if index else at)
-            phases.append(compiler.finish(spec, solved))
+                solved = compiler.solve_held(held, at)
+            phases.append(compiler.finish(held, solved))
             if not solved.is_feasible:
                 return tuple(phases), Stuck(spec.name, solved)
+            at = solved.x[-1]
         return tuple(phases), None
 
     def _plan_group(
