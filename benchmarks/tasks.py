@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.tasks [--count N] [--doors N] [--valves N] [--angles 30 60] [--seed S] [--long] [--out FILE]``
 
-``--count N`` plans N doors and N // 2 valves.  ``--long`` adds random places near each door: the share of 60 deg that
-one plan of 60 s reaches.  Processor time is of one call of the planner, certificate included.
+``--count N`` plans N doors and N // 2 valves.  ``--long`` adds random places near each door: the share of the largest
+angle that a plan reaches within 60 s of processor time.  Processor time is of one call of the planner, certificate included.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from service.tasks.stance import StanceSearch, find_stance
 ANGLES = (30.0, 60.0)  # [deg]
 STANCE_LIMIT_S = 120.0  # wall time, so that a busy machine does not decide
 PLAN_LIMIT_S = 240.0
-LONG_LIMIT_S = 60.0
+LONG_CPU_S = 60.0  # an angle reached later does not count
 N_RANDOM = 2  # places near each door
 RANDOM_M, RANDOM_YAW = 0.35, np.deg2rad(30.0)
 
@@ -124,10 +124,10 @@ def run_case(case: Case, robot: RobotModel, angles: Sequence[float], seed: int) 
 
 
 def run_random(case: Case, robot: RobotModel, seed: int) -> list[Run]:
-    """Plan from random places near the door, in 60 s each; places that are refused are drawn again."""
+    """Plan from random places near the door; places that are refused are drawn again."""
     rng = np.random.default_rng(seed)
     data = copy.deepcopy(case.request)
-    data["options"] = {"time_limit_s": LONG_LIMIT_S, "seed": seed}
+    data["options"] = {"time_limit_s": PLAN_LIMIT_S, "seed": seed}
     runs: list[Run] = []
     for _ in range(20 * N_RANDOM):
         if len(runs) == N_RANDOM:
@@ -216,7 +216,7 @@ def main() -> None:
     if valves:
         print_summary("Valves, one turn, from the best stance", valves, (0.0,), ("certified",))
     if long:
-        shares = [min(run.reached_deg / run.angle_deg, 1.0) for run in long]
+        shares = [min(run.reached_deg / run.angle_deg, 1.0) * (run.cpu_s <= LONG_CPU_S) for run in long]
         print(
             f"\nRandom places near a door: {100.0 * np.mean(shares):.0f} % of the angle on average, in {len(long)} runs"
         )

@@ -36,7 +36,7 @@ REQUEST = {
 def search() -> StanceSearch:
     """Search with little effort."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stance, "COARSE", 2)
+        patch.setattr(stance, "ENOUGH_GOOD", 1)
         patch.setattr(stance, "FINE", 1)
         patch.setattr(stance, "FINE_ROUNDS", 1)
         return find_stance(parse_request(REQUEST), limit_s=300.0)

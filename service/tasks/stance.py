@@ -51,7 +51,9 @@ LIMIT_S = 20.0
 RADIUS_M = 1.0  # of the places searched about the start
 GRID_M, GRID_YAW = 0.12, np.deg2rad(20.0)  # of the coarse grid
 MOST_TURN = np.deg2rad(80.0)  # from facing what is held
-COARSE, FINE, FINE_ROUNDS, FINE_PARENTS = 6, 3, 2, 2  # places that are checked by poses, and rounds about the best
+COARSE, ENOUGH_GOOD = 8, 5  # most places of the grid that are checked by poses, and how many of them have to do
+COARSE_APART = 2.0  # between them, in steps of the grid
+FINE, FINE_ROUNDS, FINE_PARENTS = 3, 2, 2  # places that are checked about the best, and rounds
 IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is held
 MOST_REACH = 1.12  # the same at most: the trunk leans
 LEAST_REACH_M = 0.25
@@ -466,26 +468,30 @@ def _search(
 ) -> None:
     """Check the most promising places, then finer steps about the best; what was checked is added in place."""
     monitor = examiner.monitor
-    total = COARSE + FINE * FINE_ROUNDS
+    total = ENOUGH_GOOD + FINE * FINE_ROUNDS
 
-    def examine(poses: Float[np.ndarray, "N 3"], most: int, apart: float) -> None:
-        checked = 0
+    def examine(poses: Float[np.ndarray, "N 3"], most: int, apart: float, enough: int) -> None:
+        """Check places that are apart from those before, until enough of them do or most were checked by poses."""
+        checked = good = 0
         for pose in poses:
-            if checked >= most:
+            if checked >= most or good >= enough:
                 return
-            if any(_is_near(pose, known.base, apart) for known in candidates):
+            if any(_is_near(pose, known.base, apart if known.outcome is not None else 0.99) for known in candidates):
                 continue
             monitor.check()
             monitor.report("places to stand", min(sum(not c.refused for c in candidates) / total, 1.0))
             candidate = examiner.examine(pose)
             candidates.append(candidate)
             checked += not candidate.refused
+            good += candidate.score > 0.0
 
-    examine(ranked, COARSE, 0.99)
+    examine(ranked, COARSE, COARSE_APART, ENOUGH_GOOD)
+    if not any(candidate.score > 0.0 for candidate in candidates):
+        examine(ranked, COARSE // 2, 0.99, 1)
     for level in range(1, FINE_ROUNDS + 1):
         good = sorted((c for c in candidates if c.score > 0.0), key=lambda c: -c.score)[:FINE_PARENTS]
         if good:
-            examine(grid.refine([c.base for c in good], 0.5**level), FINE, 0.9 * 0.5**level)
+            examine(grid.refine([c.base for c in good], 0.5**level), FINE, 0.9 * 0.5**level, FINE)
 
 
 def _is_near(pose: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], share: float) -> bool:
