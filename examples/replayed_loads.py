@@ -22,7 +22,7 @@ TOLERANCE = 1e-6  # of forces and moments, as a share of the weight and of the w
 def forces(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
     """Check that recorded forces hold the robot at every vertex of every region, and that the regions cover the loads.
 
-    Forces stay in their cones and below their caps, and balance weight and wrench with the centre of mass at the vertex.
+    Forces stay in their cones and below their caps, and balance weight and wrench for a centre of mass at the vertex.
     Every load at every sample is a mixture of these wrenches, so that a mixture of the forces holds it.
     """
     points, normals, friction, caps = _ground(phase)
@@ -78,7 +78,7 @@ def _ground(phase: dict[str, Any]) -> tuple[Array, Array, Array, Array]:
 
 
 def _loads(replay: Replay, phase: dict[str, Any], s: float) -> list[Array]:
-    """Return the wrenches of all loads at a place of the curve, each absent or at its largest, at the ends of slides."""
+    """Return the wrenches of all loads at a place of the curve, absent or at their largest, at the ends of slides."""
     data = replay.model.createData()
     pin.framesForwardKinematics(replay.model, data, replay.q(s))
     choices = []
