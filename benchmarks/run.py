@@ -1,6 +1,7 @@
 """Every benchmark, one after the other, each in a process of its own: `make bench`.
 
-One benchmark alone, from the checkout's root: ``python -m benchmarks.cycle``.
+One benchmark alone, from the checkout's root: ``python -m benchmarks.cycle``.  Doors and valves take half an hour and
+have a target of their own: ``make bench-tasks``.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from replayed_loads import forces, region_margin
 from replayed_mechanism import release
 from replayed_motion import Array, Replay, covers, read_model
 from replayed_record import hashes, samples, speeds
@@ -193,8 +194,24 @@ def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple
 
 
 def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
-    """Check that the centre of mass stays inside the support polygon by the promised margin."""
-    corners = np.array(phase["support"]["polygon"])
+    """Check that the centre of mass stays inside the support polygon by the promised margin.
+
+    Under loads, it stays inside each of the regions that the ground's forces hold.
+    """
+    if not phase["loads"]:
+        margin = phase["support"]["margin_m"]
+        inside = measure_inside(replay, phase, np.array(phase["support"]["polygon"]), margin)
+        return inside >= margin, f"centre of mass {1e3 * inside:.1f} mm inside the feet"
+    spare = []
+    for region in phase["regions"]:
+        margin, ends = region_margin(replay, phase, region), {end: region[end] for end in ("first", "last")}
+        spare.append(measure_inside(replay, {**phase, **ends}, np.array(region["polygon"]), margin) - margin)
+    text = f"centre of mass {1e3 * min(spare):.1f} mm more inside the regions of its loads than it has to be"
+    return min(spare) >= 0.0, text
+
+
+def measure_inside(replay: Replay, phase: dict[str, Any], corners: Array, margin: float) -> float:
+    """Return a lower bound of how far the centre of mass is inside a polygon during a phase [m]."""
     edge = np.roll(corners, -1, axis=0) - corners
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
     masses = [
@@ -213,8 +230,7 @@ def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
         rows = zip(masses, chains, strict=True)
         return float(sum(mass * replay.bound(a, b, chain, j, lever) for (j, mass, lever), chain in rows) / total)
 
-    margin = -replay.highest(phase, outside, leaving, -phase["support"]["margin_m"])
-    return margin >= phase["support"]["margin_m"], f"centre of mass {1e3 * margin:.1f} mm inside the feet"
+    return float(-replay.highest(phase, outside, leaving, -margin))
 
 
 def limits(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
@@ -247,6 +263,7 @@ def main(folder: Path) -> int:
         claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]
         others = [target for target in phase["targets"] if target["kind"] != "relative_pose"]
         claims += [(f"{phase['name']}: {t.get('frame', t.get('joint'))}", *target(replay, phase, t)) for t in others]
+        claims += [(f"{phase['name']}: forces", *forces(replay, phase))] if phase["loads"] and phase["support"] else []
         claims += [(f"{phase['name']}: balance", *balance(replay, phase))] if phase["support"] else []
         claims += [(f"{phase['name']}: limits", *limits(replay, phase))]
     for name, is_ok, text in claims:

@@ -75,6 +75,7 @@ class Replay:
         if data["robot"]["root"] == "floating":
             self.turns[:3], self.base[3:6] = False, True
         self.known: dict[float, Any] = {}
+        self.fastest: dict[tuple[float, float, int], tuple[Array, Array]] = {}
 
     def q(self, s: float, order: int = 0, piece: int | None = None) -> Array:
         if piece is None:
@@ -117,6 +118,12 @@ class Replay:
         return rows[::-1]
 
     def rates(self, a: float, b: float, piece: int) -> tuple[Array, Array]:
+        """Return the largest speeds and bends of all coordinates from a to b; kept, as all bodies use them."""
+        if (a, b, piece) not in self.fastest:
+            self.fastest[a, b, piece] = self._rates(a, b, piece)
+        return self.fastest[a, b, piece]
+
+    def _rates(self, a: float, b: float, piece: int) -> tuple[Array, Array]:
         _, c1, c2, c3 = self.c[:, piece]
         u = np.clip(-c2 / np.where(c3 == 0.0, np.inf, 3 * c3), a - self.knots[piece], b - self.knots[piece])
         slopes = [self.q(a, 1, piece), self.q(b, 1, piece), c1 + u * (2 * c2 + 3 * u * c3)]

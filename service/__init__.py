@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from service.result.output import write_result
     from service.result.result import PlanResult
     from service.setup.prepare import PlanSetup, prepare
+    from service.tasks.stance import StanceSearch, find_stance
 
 __all__ = [
     "PlanRequest",
@@ -25,6 +26,8 @@ __all__ = [
     "RequestError",
     "ResultError",
     "ServiceError",
+    "StanceSearch",
+    "find_stance",
     "load_request",
     "parse_request",
     "plan",
@@ -43,6 +46,7 @@ _MODULES = {
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),
     "setup.prepare": ("PlanSetup", "prepare"),
+    "tasks.stance": ("StanceSearch", "find_stance"),
 }
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import trustme
 from click.testing import Result
+from given_doors import door_request
 from typer.testing import CliRunner
 
 from service.cli.app import app
@@ -76,11 +77,21 @@ def test_example_requests_are_certified_by_a_server(served: Served, tmp_path: Pa
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["door", "egress"])
-def test_example_requests_without_a_planner_are_refused(served: Served, tmp_path: Path, name: str) -> None:
-    result = served.scopt("plan", "request", REQUESTS / f"{name}.yaml", "--out", tmp_path / "plan")
+def test_a_door_is_opened_alike_by_the_server_and_here(served: Served, tmp_path: Path) -> None:
+    path = tmp_path / "door.yaml"
+    path.write_text(json.dumps(door_request(open_deg=20.0)))
+    there = served.scopt("plan", "request", path, "--out", tmp_path / "there")
+    assert there.stdout.splitlines()[-1].startswith("CERTIFIED  clearance "), there.stdout
+    here = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "here")])
+    assert here.exit_code == 0, here.stdout
+    tables = [(tmp_path / place / "trajectory.csv").read_bytes() for place in ("there", "here")]
+    assert tables[0] == tables[1]
+
+
+def test_an_example_request_without_a_planner_is_refused(served: Served, tmp_path: Path) -> None:
+    result = served.scopt("plan", "request", REQUESTS / "egress.yaml", "--out", tmp_path / "plan")
     assert result.exit_code == 3
-    assert re.fullmatch(rf"INVALID_REQUEST  task\.{name}: there is no planner for .*\n", result.stdout)
+    assert re.fullmatch(r"INVALID_REQUEST  task\.egress: there is no planner for .*\n", result.stdout)
     assert list(tmp_path.iterdir()) == []
 
 

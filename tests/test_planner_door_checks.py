@@ -62,7 +62,8 @@ def _hold(opened: PlanResult, recorded: Motion) -> HeldMotion:
 
 def test_the_latch_and_the_leaf_are_part_of_the_certificate(opened: PlanResult) -> None:
     motion, certificate = opened.motion, opened.certificate
-    assert motion is not None and certificate is not None
+    assert motion is not None
+    assert certificate is not None
     assert [release.joint for release in motion.releases] == ["door_opening"]
     assert [check.ok for check in certificate.checks if check.name == "release.door_opening"] == [True]
     movers = {name for pair in certificate.stretches.pairs for name in pair}
@@ -79,7 +80,7 @@ def test_without_its_allowances_the_neck_in_its_rose_is_no_proof(opened: PlanRes
     motion = opened.motion
     assert motion is not None
     phases = tuple(
-        replace(phase, allowances=tuple(a for a in phase.allowances if "mechanism" != a.first.owner))
+        replace(phase, allowances=tuple(a for a in phase.allowances if a.first.owner != "mechanism"))
         for phase in motion.phases
     )
     certificate = verify(replace(motion, phases=phases))
@@ -163,7 +164,7 @@ def test_a_lever_that_springs_back_early_is_refuted_with_the_requests_releases(o
 def _deeper(motion: Motion) -> Motion:
     phase = motion.phases[0]
     allowances = tuple(
-        replace(a, depth=a.depth + 0.05) if "mechanism" == a.first.owner else a for a in phase.allowances
+        replace(a, depth=a.depth + 0.05) if a.first.owner == "mechanism" else a for a in phase.allowances
     )
     return replace(motion, phases=(replace(phase, allowances=allowances), *motion.phases[1:]))
 

@@ -222,6 +222,10 @@ def _deeper(data: dict[str, Any]) -> None:
             allowance["depth"] += 0.005
 
 
+def _latch(data: dict[str, Any]) -> None:
+    data["releases"] = [{"joint": "valve_turn", "latch": "neck_ry", "latch_at": 0.1, "free_beyond": 0.0}]
+
+
 def _by_whom(data: dict[str, Any]) -> None:
     for phase in data["phases"]:
         if phase["name"] == "reach":
@@ -235,6 +239,7 @@ TURN_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "the sense": (lambda data: data["request"]["task"]["valve"].update(turn_deg=-60.0), "targets of phase 'turn'"),
     "the hand": (lambda data: data["request"]["task"]["valve"].update(hand="right"), "no hand that the task permits"),
     "how deep the hook may be": (_deeper, "allowances of phase 'reach' are not those of the request"),
+    "a latch of the wheel": (_latch, "the releases of the mechanism's latches are not those of the request"),
     "when the hook may touch": (_by_whom, "allowances of phase 'reach' are not those of the request"),
     "the angle of its figures": (lambda data: data["figures"].update(turned_deg=360.0), "figures.turned_deg is 360"),
     "the turn's name": (lambda data: data["phases"][2].update(name="hold"), "valve_turn moves in phase 'hold'"),
@@ -254,7 +259,7 @@ def forge(source: Path, target: Path, edit: Callable[[dict[str, Any]], object]) 
         except ResultError:
             pass
         else:
-            data["certificate"]["promises_sha256"] = promises_hash(motion.phases)
+            data["certificate"]["promises_sha256"] = promises_hash(motion.phases, motion.releases)
     (target / "result.json").write_text(json.dumps(data))
     return target
 

@@ -124,7 +124,7 @@ def test_openrave_valve_is_a_hinge_at_its_origin(tmp_path):
     environment, _ = write_openrave(make_result()[0], tmp_path)
     joint = etree.parse(str(environment)).find("kinbody[@name='valve']/joint")
     assert joint.get("type") == "hinge"
-    assert [body.text for body in joint.findall("body")] == ["base", "moving"]
+    assert [body.text for body in joint.findall("body")] == ["base", "valve"]
     np.testing.assert_allclose(np.array(joint.findtext("anchor").split(), dtype=float), VALVE)
     np.testing.assert_allclose(np.array(joint.findtext("axis").split(), dtype=float), [-1, 0, 0])
 

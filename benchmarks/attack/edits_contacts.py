@@ -169,6 +169,13 @@ def allowance_of_the_hook_for_the_reach_too(folder: Folder) -> None:
 
 
 @CONTACTS.lie("valve")
+def allowance_of_the_wheel_in_a_piece(folder: Folder) -> None:
+    piece = ("scene", None, folder.data["pieces"][0]["name"])
+    for phase in folder.phases:
+        phase["allowances"].append(allowance(("mechanism", "valve", None), piece, 0.1))
+
+
+@CONTACTS.lie("valve")
 def allowance_of_the_other_hook(folder: Folder) -> None:
     for phase in folder.phases[1:]:
         phase["allowances"].append(allowance(("robot", "r_hook", None), ("mechanism", "valve", "valve/rim/9"), 0.03))

@@ -118,6 +118,21 @@ def angles_of_the_wheel_drawn_six_times_as_far(folder: Folder) -> None:
     folder.data["movables"][0]["angles"] = [6.0 * angle for angle in folder.data["movables"][0]["angles"]]
 
 
+@WORLD.lie("valve", level=Level.RAW)
+def wheel_said_to_start_elsewhere(folder: Folder) -> None:
+    folder.data["movables"][0]["start"] += 0.5
+
+
+@WORLD.lie("valve")
+def wheel_that_slides(folder: Folder) -> None:
+    folder.data["movables"][0]["type"] = "prismatic"
+
+
+@WORLD.lie("valve")
+def wheel_with_a_latch(folder: Folder) -> None:
+    folder.data["releases"] = [{"joint": "valve_turn", "latch": "neck_ry", "latch_at": 0.1, "free_beyond": 0.0}]
+
+
 def _each(path: str, change: Callable[[ET.Element], object]) -> Callable[[ET.Element], None]:
     def run(root: ET.Element) -> None:
         for element in root.findall(path):

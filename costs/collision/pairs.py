@@ -78,7 +78,8 @@ class PairMargins:
 def _find_pairs(robot: RobotModel) -> Int[np.ndarray, "K 2"]:
     """Find pairs of bodies that can move against each other, without those that the robot ignores.
 
-    How the links of a mechanism move against each other is prescribed, so they need no margin.
+    How the links of a mechanism move against each other and the scene is prescribed by the task: no variable of the
+    optimiser changes it, so they need no margin. The verifier checks them.
     """
     links = {body.link: row for row, body in enumerate(robot.bodies)}
     number = np.array([links[body.link] for body in robot.bodies], dtype=int)

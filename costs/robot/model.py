@@ -68,8 +68,9 @@ class RobotModel:
         postures: (n,) configurations by name.
         ignored_pairs: link pairs (sorted names) not checked against each other.
         fixed_links: links that no joint moves; not checked against the scene.
-        mechanism_links: links of a task's mechanism (``with_mechanism``), not part of the robot's mass; not checked
-            against the scene.
+        mechanism_links: links of a task's mechanism (``with_mechanism``), not part of the robot's mass. Their motion is
+            prescribed, so that the optimiser leaves out their clearance from the scene and each other; the verifier
+            checks it.
         source: the files it came from.
         ignored_reasons: reason for each of ``ignored_pairs``: ``srdf (its reason)``, ``adjacent``, ``derived`` (they
             overlap in nearly all poses), ``same joint``; for users only, no check relies on it.

@@ -232,7 +232,7 @@ class WholeBody:
 
         defaults: tuple[Cost[MotionState], ...] = ()
         if self.has_default_costs:
-            defaults = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere))
+            defaults = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere, regions))
         return Problem(
             lower,
             upper,
@@ -295,11 +295,18 @@ class WholeBody:
             for link in self.robot.link_groups.get("upright", ())
         )
 
-    def _comfort(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
-        """Return a cost that keeps the centre of mass near the middle of the feet, for balance of faster motions."""
+    def _comfort(self, everywhere: np.ndarray, regions: Sequence[PlannedRegion]) -> tuple[Cost[MotionState], ...]:
+        """Return a cost that keeps the centre of mass near the middle of where the feet hold it, for faster motions."""
         if self.polygon is None:
             return ()
-        middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+        middle: Residual[MotionState] = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+        if regions:
+            middle = Joined(
+                [
+                    CentreOfMassAt(planned.region.vertices.mean(axis=0), everywhere[planned.first : planned.last + 1])
+                    for planned in regions
+                ]
+            )
         return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
 
 

@@ -8,6 +8,7 @@ of ``options.CloudOptions`` and ``options.ServerOptions``.  A new command is a f
 | command | module |
 | --- | --- |
 | plan, verify, view, robots | ``plan`` |
+| stance | ``stance`` |
 | bench | ``bench`` |
 | scene, detect | ``scene`` |
 | serve, token | ``serve`` |

@@ -16,6 +16,7 @@ from service.cli.request import request_command
 from service.cli.review import review_command
 from service.cli.scene import detect_command, scene_command
 from service.cli.serve import serve_command, token_command
+from service.cli.stance import stance_command
 from service.cli.top import top_command
 
 EXIT_CODE_HELP = (
@@ -36,6 +37,7 @@ app = typer.Typer(
 )
 app.command("plan", epilog=LOCAL_EXIT_CODES)(plan_command)
 app.command("verify", epilog=LOCAL_EXIT_CODES)(verify_command)
+app.command("stance")(stance_command)
 app.command("view")(view_command)
 app.command("bench")(bench_command)
 app.command("robots")(robots_command)

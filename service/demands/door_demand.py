@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from costs.robot import Mechanism, RobotModel
 from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
+from perception.detect.door.model import choose_opening
 from service.demands.door import LEAST_GRIP, Door, DoorChoice, Push, hold_handle, make_door_phases
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import PhaseSpec
@@ -24,8 +25,49 @@ from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
 from service.verify import JointTarget, Motion, Phase, RelativePoseTarget
 
 SAME_PLACE_M = 1e-6
+SURE = 0.5  # least confidence of a detection that is used
 OPENED_ROUNDING_DEG = 0.2
 DEFAULT_LENGTHS = {"lever": 0.12, "pull": 0.3, "push_bar": 0.7, "knob": 0.06}
+
+
+@dataclass(frozen=True)
+class SeenDoor:
+    """A door that a scan shows.
+
+    Attributes:
+        geometry: leaf and handle.
+        confidence: 0 to 1.
+    """
+
+    geometry: DoorGeometry
+    confidence: float
+
+
+def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.ndarray, "3"]) -> DoorGeometry | str:
+    """Return the door to open, or a sentence why there is none.
+
+    Args:
+        request: the task.
+        seen: doors of the scan, the best first.
+        robot: (3,) place of the robot's base in the world [m].
+    """
+    given = read_given_door(request, robot)
+    if given is not None:
+        return given
+    if not seen:
+        return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
+    geometry, confidence = seen[0].geometry, seen[0].confidence
+    if confidence < SURE:
+        place = np.round(geometry.hinge + 0.5 * geometry.width * geometry.along, 2).tolist()
+        return (
+            f"no door was found with confidence: the best candidate, at {place}, has {confidence:.2f} of the {SURE} "
+            "needed; task.door.hint (a point near it) would help, or leaf and handle"
+        )
+    if request.opens != "auto":
+        return choose_opening(geometry, request.opens)
+    if geometry.opens is None:
+        return "the scan does not show whether the door opens by a push or a pull; say it in task.door.opens"
+    return geometry
 
 
 def read_given_door(request: DoorRequest, robot: Float[np.ndarray, "3"]) -> DoorGeometry | None:
@@ -181,15 +223,25 @@ class DoorDemand:
         return f"no hand that the task permits holds the handle in phase '{phase.name}'"
 
 
-def keep_door_choice(choice: DoorChoice) -> dict[str, HandleChoice | LeafChoice]:
+def keep_door_choice(choice: DoorChoice, door: Door) -> dict[str, HandleChoice | LeafChoice]:
     """Return the sections ``handle`` and ``leaf`` of ``resume`` for a plan's choice."""
     push, hand = choice.push, choice.hand
     kept: dict[str, HandleChoice | LeafChoice] = {
-        "handle": HandleChoice(hand.side, choice.grip, choice.first, choice.sense > 0.0)
+        "handle": HandleChoice(
+            hand.side, choice.grip, choice.first, choice.sense > 0.0, door.geometry.ajar, door.geometry.handle_turn
+        )
     }
     if push is not None:
         kept["leaf"] = LeafChoice(push.hand.side, push.along, push.up, push.last)
     return kept
+
+
+def set_back(door: Door, resume: ResumeRequest | None) -> Door:
+    """Return the door as the earlier plan found it; a new scan shows it as it is now."""
+    if resume is None or resume.handle is None:
+        return door
+    kept = resume.handle
+    return replace(door, geometry=replace(door.geometry, ajar=kept.ajar_rad, handle_turn=kept.turned_rad))
 
 
 def read_kept_choice(door: Door, request: DoorRequest, resume: ResumeRequest, robot: RobotModel) -> DoorChoice:

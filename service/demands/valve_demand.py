@@ -62,7 +62,7 @@ class ValveDemand:
             hand, entry, grasp = choice
             suffix = "" if len(turns) == 1 else f" {count + 1}"
             turn = (float(edges[count]), float(edges[count + 1]))
-            specs += make_stroke_phases(self.wheel, hand, entry, turn, suffix, grasp)
+            specs += make_stroke_phases(self.wheel, hand, entry, turn, suffix, grasp, self.request.torque_nm)
         return tuple(specs), tuple(problems)
 
     def read_stroke(self, recorded: Motion) -> StrokeChoice | str:
@@ -139,7 +139,7 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
         spec
         for k, ends in enumerate(pairwise(edges))
         for spec in make_stroke_phases(
-            demand.wheel, hand, stroke.gap_rad, ends, "" if count == 1 else f" {k + 1}", grasp
+            demand.wheel, hand, stroke.gap_rad, ends, "" if count == 1 else f" {k + 1}", grasp, demand.request.torque_nm
         )
     )
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)

@@ -14,7 +14,7 @@ from costs.robot import Mechanism, MechanismJoint
 from service.demands.hands import Hand
 from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.request.names import VALVE_JOINT, VALVE_LINK
-from service.verify import CircleTarget
+from service.verify import CircleTarget, HandLoad
 
 if TYPE_CHECKING:
     from perception import ValveDetection
@@ -110,6 +110,7 @@ def make_stroke_phases(
     turn: tuple[float, float],
     suffix: str = "",
     grasp: Grasp | None = None,
+    torque_nm: float = 0.0,
     reach_waypoints: int = REACH_WAYPOINTS,
 ) -> tuple[PhaseSpec, ...]:
     """Return the phases of a stroke: reach, insert, turn, retract; the turn is solved first.
@@ -120,6 +121,7 @@ def make_stroke_phases(
         turn: angles of the wheel at the beginning and the end of the stroke [rad].
         suffix: ends the names of the phases; empty for a single stroke.
         grasp: of a hand that turns with the wheel; None for one that may turn about its axis.
+        torque_nm: that turns the wheel.
         reach_waypoints: number of the first phase.
     """
     first, last = np.array(turn[:1]), np.array(turn[1:])
@@ -136,12 +138,14 @@ def make_stroke_phases(
     )  # fmt: skip
     count = max(int(np.ceil(abs(turn[1] - turn[0]) / TURN_STEP)) + 1, 3)
     wrist = grasp or Grasp()
+    turning = np.sign(turn[1] - turn[0]) * np.cross(wheel.axis, place) / (place @ place)
+    load = HandLoad(hand.tool, VALVE_LINK, place, torque_nm * turning)
     return (
         PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
         PhaseSpec(f"insert{suffix}", first, first, line, touches, n_waypoints=LINE_WAYPOINTS),
         PhaseSpec(
             f"turn{suffix}", first, last, held, touches, is_anchor=True, step="pose at the wheel", n_waypoints=count,
-            also=(circle,), fixed=wrist.fixed, guess_rates=wrist.rates,
+            loads=(load,), also=(circle,), fixed=wrist.fixed, guess_rates=wrist.rates,
         ),
         PhaseSpec(f"retract{suffix}", last, last, replace(line, leaves=True), touches, n_waypoints=LINE_WAYPOINTS),
     )  # fmt: skip

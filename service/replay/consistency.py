@@ -100,6 +100,8 @@ def _check_samples(data: Mapping[str, Any], motion: Motion, table: Path | None) 
     for column, movable in enumerate(data["movables"], start=n):
         if not _agree(np.array(movable["angles"], dtype=float), q[:, column]):
             yield f"movables: the angles of {movable['name']} are not on the curve"
+        if not _agree(np.array([movable["start"]], dtype=float), q[:1, column]):
+            yield f"movables: {movable['name']} does not start where the curve has it"
     if table is not None and not _holds_samples(table, trajectory["joint_names"], np.column_stack([times, positions])):
         yield f"{table.name} does not hold samples of the curve"
 

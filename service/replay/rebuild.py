@@ -21,7 +21,7 @@ from service.demands import (
     has_scan,
     list_planted_feet,
 )
-from service.demands.door_demand import DoorDemand, make_door, read_given_door, resume_door
+from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
@@ -69,11 +69,13 @@ class Record:
         robot: the robot, without the joints that the task moves.
         scene: its pieces.
         valves: valves detected in the scan; the first is the task's.
+        doors: doors detected in the scan; the first is the task's.
     """
 
     robot: RobotModel
     scene: Scene
     valves: tuple[ValveDetection, ...] = ()
+    doors: tuple[SeenDoor, ...] = ()
 
 
 def rebuild_demands(
@@ -95,7 +97,7 @@ def rebuild_demands(
     start, _, program = resolve_start(robot, request)
     feet = list_planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
-    surroundings = Surroundings(select_scanned(request, record.scene), record.valves)
+    surroundings = Surroundings(select_scanned(request, record.scene), record.valves, doors=record.doors)
     scene_from = request_from
     if is_read:
         surroundings = _read_scan(request, robot, start, feet, clouds)
@@ -128,10 +130,12 @@ def _rebuild_task(
     if task is None or (task.valve is None and task.door is None):
         return None
     if task.door is not None:
-        geometry = read_given_door(task.door, start[:3] if robot.is_floating else np.zeros(3))
-        if geometry is None:
-            raise RequestError("task.door: the scene shows no door")
-        opening = DoorDemand(make_door(task.door, geometry), task.door, robot)
+        base = start[:3] if robot.is_floating else np.zeros(3)
+        geometry = choose_door(task.door, surroundings.doors, base)
+        if isinstance(geometry, str):
+            raise RequestError(f"task.door: {geometry}")
+        door = set_back(make_door(task.door, geometry), request.resume)
+        opening = DoorDemand(door, task.door, robot)
         return opening if request.resume is None else resume_door(opening, request.resume)
     if task.valve is None:
         return None

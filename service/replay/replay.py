@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from costs.robot import RobotError, RobotModel, load_robot
+from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
+from service.demands.door_demand import SeenDoor
 from service.errors import RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
 from service.replay.rebuild import Grounds, Record, rebuild_demands
@@ -91,7 +93,7 @@ def _read_demands(
     """Return the demands of the user's or the recorded request, and their sources."""
     request = read_request(data, folder) if given is None else load_request(given)
     with _explain_defects(folder):
-        record = replace(record, valves=read_valves(data))
+        record = replace(record, valves=read_valves(data), doors=read_doors(data))
     try:
         return rebuild_demands(request, record, given, clouds)
     except RequestError as error:
@@ -134,6 +136,20 @@ def read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
     vectors = [{name: np.array(hit[name], dtype=float) for name in ("centre", "axis")} for hit in plain]
     tuples = [{name: tuple(value) for name, value in hit.items() if isinstance(value, list)} for hit in plain]
     return tuple(ValveDetection(**{**a, **b, **c}) for a, b, c in zip(plain, tuples, vectors, strict=True))
+
+
+def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
+    """Read the doors of ``detections``."""
+    doors = []
+    for hit in data["detections"]:
+        if hit["kind"] == "door":
+            geometry, handle = dict(hit["geometry"]), hit["geometry"]["handle"]
+            if handle is not None:
+                vectors = {name: np.array(handle[name], dtype=float) for name in ("centre", "direction")}
+                handle = HandleGeometry(**{**handle, **vectors})
+            vectors = {name: np.array(geometry[name], dtype=float) for name in ("hinge", "along", "normal")}
+            doors.append(SeenDoor(DoorGeometry(**{**geometry, **vectors, "handle": handle}), float(hit["confidence"])))
+    return tuple(doors)
 
 
 def read_request(data: dict[str, Any], folder: Path) -> PlanRequest:

@@ -76,6 +76,21 @@ def load_request(path: str | Path) -> PlanRequest:
     return dataclasses.replace(load_section(PlanRequest, path), folder=path.parent)
 
 
+def read_plain_request(path: Path) -> dict[str, Any]:
+    """Return a request file as the plain data that it holds, of which only the form is checked.
+
+    Raises:
+        RequestError: the file cannot be read, or holds no mapping.
+    """
+    try:
+        data = _read_yaml(_read_text(path))
+    except RequestError as error:
+        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
+    if not isinstance(data, Mapping):
+        raise RequestError(f"{path.name}: a mapping is needed, got {shown(data)}")
+    return dict(data)
+
+
 def load_section(kind: type[T], path: Path) -> T:
     """Read and check a file that holds one section of a request (``StartRequest`` for ``start``).
 

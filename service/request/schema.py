@@ -162,6 +162,7 @@ class ValveRequest(Section):
         hand: hand to use; ``auto`` tries both.
         turn_deg: angle, positive counter-clockwise as seen by the robot.
         centre, axis, radius: the rim's centre-line circle, axis towards the robot [m].
+        torque_nm: torque that turns the wheel; the robot is held with it and without it.
     """
 
     mode: Literal["hook", "grasp"] = "hook"
@@ -171,6 +172,7 @@ class ValveRequest(Section):
     centre: Point | None = None
     axis: Point | None = None
     radius: Annotated[Number, Field(gt=0.0, le=2.0)] | None = None
+    torque_nm: Annotated[Number, Field(ge=0.0, le=200.0)] = 10.0
 
     def __post_init__(self) -> None:
         if self.turn_deg == 0.0:

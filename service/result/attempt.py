@@ -100,7 +100,10 @@ class Attempt:
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
-            detections=tuple({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves),
+            detections=(
+                *({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves),
+                *({"kind": "door", **asdict(door)} for door in setup.surroundings.doors),
+            ),
             obstruction=self._describe_obstruction(setup),
             cloud=setup.surroundings.points,
         )

@@ -19,7 +19,7 @@ from service.demands import compose_scene
 from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
-from service.setup.checks import check_goal_and_keep, check_start, find_soles
+from service.setup.checks import StartCheck, check_goal_and_keep, check_start, find_soles
 from service.setup.units import find_unit_problems, note_far_obstacles
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
 from service.start.configuration import make_start_configuration
@@ -79,7 +79,9 @@ def prepare(
     robot: RobotModel | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     see: Callable[..., Perceived] | None = None,
+    *,
     around: Surroundings | None = None,
+    checks_start: bool = True,
 ) -> PlanSetup:
     """Load the robot, read the scan, and check the request against robot and scan.
 
@@ -90,6 +92,7 @@ def prepare(
         should_stop: polled while the scene is made; once it returns True, the result ``is_stopped``.
         see: ``perception.perceive``, or a function that caches its results.
         around: what the request's scan shows, if it is known already.
+        checks_start: whether to refuse a start in collision or out of balance.
 
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
@@ -129,7 +132,8 @@ def prepare(
     scene, renamed = compose_scene(request, robot, start, pieces, obstacles)
     announce("check start")
     with _timed(timings, "check_start"):
-        check = check_start(robot, start, scene, soles, request, program)
+        nothing_checked = StartCheck((), (), ())
+        check = check_start(robot, start, scene, soles, request, program) if checks_start else nothing_checked
     return PlanSetup(
         request,
         robot,

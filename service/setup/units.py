@@ -103,6 +103,10 @@ def _places(request: PlanRequest) -> Iterator[tuple[str, Float[np.ndarray, "3"],
         points += [("task.valve.hint", task.valve.hint), ("task.valve.centre", task.valve.centre)]
     if task is not None and task.door is not None:
         points.append(("task.door.hint", task.door.hint))
+        if task.door.leaf is not None:
+            points += [("task.door.leaf.hinge", task.door.leaf.hinge), ("task.door.leaf.edge", task.door.leaf.edge)]
+        if task.door.handle is not None:
+            points.append(("task.door.handle.centre", task.door.handle.centre))
     if task is not None and task.egress is not None:
         points.append(("task.egress.hint", task.egress.hint))
     for field, point in points:

@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
+from service.demands.door_demand import SeenDoor
 from service.errors import RequestError
 from service.request.scene import ConvexRequest, MeshRequest, ObstacleRequest
 from service.request.schema import PlanRequest
@@ -35,6 +36,7 @@ class Surroundings:
     Attributes:
         pieces: pieces to avoid, including the floor, without the wheel of ``valves[0]``.
         valves: wheel valves, the first is the one to turn; empty unless the task turns a valve.
+        doors: doors that the scan shows, the best first; empty unless the task opens a door.
         points: (M, 3) points of the scan for display [m].
         notes: sentences for the user.
         matches: matches of meshes with the scan, by name.
@@ -45,6 +47,7 @@ class Surroundings:
     points: Float[np.ndarray, "M 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     notes: tuple[str, ...] = ()
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
+    doors: tuple[SeenDoor, ...] = ()
 
 
 NOTHING = Surroundings(())
@@ -70,7 +73,8 @@ def read_surroundings(
         RequestError: a file that cannot be used.
     """
     scene, task = request.scene, None if request.task is None else request.task.valve
-    hint = scene.hint if task is None or task.hint is None else task.hint
+    moved = task if task is not None or request.task is None else request.task.door
+    hint = scene.hint if moved is None or moved.hint is None else moved.hint
     if scene.file is not None:
         from service.scan.scene_file import read_scene  # takes a while, and few requests need it
 
@@ -97,6 +101,7 @@ def _perceive_scan(
         Reach,
         perceive,
         read_clouds,
+        read_door,
         select_wheels,
     )
 
@@ -117,7 +122,7 @@ def _perceive_scan(
             reach=Reach(x=x, y=y),
             robot_hulls=[vertices for _, vertices in place_bodies(robot, start)],
             soles=soles,
-            kinds=("wheel",) if request.task is not None and request.task.valve is not None else (),
+            kinds=_list_kinds(request),
             hint=None if hint is None else np.array(hint),
             unknown=scene.unknown,
             seed=request.options.seed,
@@ -127,7 +132,16 @@ def _perceive_scan(
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
     wheels = select_wheels(seen.detections)
-    return Surroundings(seen.scene.pieces, wheels, seen.shown, seen.notes, seen.matches)
+    doors = tuple(SeenDoor(read_door(hit), hit.confidence) for hit in seen.detections if hit.kind == "door")
+    return Surroundings(seen.scene.pieces, wheels, seen.shown, seen.notes, seen.matches, doors)
+
+
+def _list_kinds(request: PlanRequest) -> tuple[str, ...]:
+    """Return the kinds of objects to find in the scan: what the task moves, whose points are no obstacles."""
+    task = request.task
+    if task is not None and task.valve is not None:
+        return ("wheel",)
+    return ("door",) if task is not None and task.door is not None else ()
 
 
 def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:

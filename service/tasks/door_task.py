@@ -12,8 +12,8 @@ from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.door import Door
-from service.demands.door_demand import DoorDemand, make_door, read_given_door, resume_door
+from service.demands.door import FREE_BEYOND, Door
+from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door, set_back
 from service.demands.hands import HANDS, Hand
 from service.errors import RequestError
 from service.request.door import DoorRequest
@@ -24,6 +24,7 @@ from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 
 REACH_WAYPOINTS = 14
+STANCE_ADVICE = "the door may open farther from elsewhere: `scopt stance REQUEST` searches for a place to stand"
 HANDLE_MARGIN = 4e-3  # between a hand and the door that it holds [m]
 
 
@@ -32,14 +33,14 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
     found = find_door(setup, request)
     if isinstance(found, str):
         return TaskPlan(solver.body, (), (found,))
-    door, note = found
+    door, note = set_back(found[0], setup.request.resume), found[1]
     target = float(np.deg2rad(request.open_deg))
     if door.geometry.ajar >= target:
         raise RequestError(
             f"task.door.open_deg: {request.open_deg:g}; the leaf is open by {np.rad2deg(door.geometry.ajar):.0f} deg "
             "already; expected more"
         )
-    if door.handle is not None and door.handle.kind == "knob" and not (door.is_push and not door.is_latched):
+    if door.handle is not None and door.handle.kind == "knob" and door.geometry.ajar < FREE_BEYOND:
         return TaskPlan(solver.body, (), ("the door has a knob; no hand of this robot can turn a knob",))
     hands = choose_hands(solver.body, request, door)
     near = tuple(
@@ -64,21 +65,22 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
     if obstacles:
         is_piece = any(met.is_piece for met in obstacles)
         sentences = tuple(met.describe(target) for met in obstacles)
-        return TaskPlan(solver.body, (), sentences, notes=(note,), is_impossible=is_piece)
+        advice = () if is_piece else (STANCE_ADVICE,)
+        return TaskPlan(solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)
     notes = (note, *(met.describe(target) for met in blocked))
     plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
-    return replace(plan, notes=(*notes, *plan.notes))
+    advice = () if plan.is_feasible else (STANCE_ADVICE,)
+    return replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))
 
 
 def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
     """Return the door to open and a note about it, or a sentence why there is none."""
     base = setup.start[:3] if setup.robot.is_floating else np.zeros(3)
-    geometry = read_given_door(request, base)
-    if geometry is None:
-        scene = setup.request.scene
-        if scene.cloud is None:
-            raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
-        return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
+    if request.leaf is None and setup.request.scene.cloud is None:
+        raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
+    geometry = choose_door(request, setup.surroundings.doors, base)
+    if isinstance(geometry, str):
+        return geometry
     door = make_door(request, geometry)
     return door, describe_door(door)
 

@@ -273,10 +273,22 @@ class _Compiler:
                 for column, value in anchored.items():
                     lower[0, column] = upper[0, column] = value
 
-        return self.solver.solve_trajectory(
-            spec.name, starts, fixed, constraints=self._constraints(spec, free, count), allowances=shrink(spec.touches),
-            bounds=narrow, regions=self.find_regions(spec, values),
-        )  # fmt: skip
+        def solve(starts: Sequence[Float[np.ndarray, "T n"]], regions: tuple[PlannedRegion, ...]) -> Solved:
+            return self.solver.solve_trajectory(
+                spec.name,
+                starts,
+                fixed,
+                constraints=self._constraints(spec, free, count),
+                allowances=shrink(spec.touches),
+                bounds=narrow,
+                regions=regions,
+            )
+
+        regions = self.find_regions(spec, values)
+        if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
+            unloaded = solve(starts, ())
+            starts = [unloaded.x, *starts] if unloaded.is_feasible else starts
+        return solve(starts, regions)
 
     def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""

@@ -17,12 +17,14 @@ from jaxtyping import Float
 from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
+from service.body.held_load import find_held_share
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import LIMIT_RESERVE
 from service.demands.hands import Hand
 from service.demands.phase_spec import PhaseSpec
 from service.demands.wheel import REACH_WAYPOINTS, Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.request.names import VALVE_LINK
 from service.tasks.sequence import PhaseSequence, find_turn_joint
 from service.verify import Motion
 
@@ -40,6 +42,7 @@ class ValveTurn:
         wheel, hand, mode: as in the request.
         turn: angle to turn by, right-handed about the wheel's axis [rad].
         entry: angle of the gap at which the hook is inserted [rad].
+        torque_nm: that turns the wheel.
         reach_waypoints: of the phases that reach for the wheel.
     """
 
@@ -49,6 +52,7 @@ class ValveTurn:
     mode: Mode
     turn: float
     entry: float
+    torque_nm: float
     reach_waypoints: int = REACH_WAYPOINTS
 
     @property
@@ -78,7 +82,7 @@ class ValveTurn:
             phase
             for name, *ends in zip(names, edges[:-1], edges[1:], strict=True)
             for phase in make_stroke_phases(
-                self.wheel, self.hand, self.entry, (ends[0], ends[1]), name, grasp, self.reach_waypoints
+                self.wheel, self.hand, self.entry, (ends[0], ends[1]), name, grasp, self.torque_nm, self.reach_waypoints
             )
         )
 
@@ -104,4 +108,6 @@ class ValveTurn:
                 offset = positions - self.wheel.centre
                 angle = np.unwrap(np.arctan2(offset @ second, offset @ first))
                 total += float(angle[-1] - angle[0])
-        return {"turned_deg": float(np.rad2deg(total))}
+        figures = {"turned_deg": float(np.rad2deg(total))}
+        share = find_held_share(motion, {VALVE_LINK}) if self.torque_nm > 0.0 else None
+        return figures if share is None else figures | {"holds_torque_nm": share * self.torque_nm}

@@ -56,11 +56,11 @@ ADVICE_AXIS_AIM = np.deg2rad(1.5)
 
 def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> TaskPlan:
     """Plan to turn the request's valve, detected in the scan or given by centre, axis and radius."""
-    valve = _find_valve(setup, request)
+    valve = find_valve(setup, request)
     if isinstance(valve, str):
         return TaskPlan(solver.body, (), (valve,))
     valve = turn_back(valve, setup.request.resume)
-    hands = _choose_hands(solver.body, request, valve)
+    hands = choose_hands(solver.body, request, valve)
     farthest = valve.rim_radius + RIM_TOLERANCE
     reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, farthest) for hand in hands]
     if all(reasons):
@@ -94,7 +94,7 @@ def read_given_valve(request: ValveRequest) -> ValveDetection | None:
     return wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
 
 
-def _find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
+def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
     """Return the valve to turn, or a sentence why there is none."""
     given = read_given_valve(request)
     if given is not None:
@@ -116,7 +116,7 @@ def _find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str
     return valves[0]
 
 
-def _choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> list[Hand]:
+def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> list[Hand]:
     """Return the hands to try, the nearest to the valve first."""
     known = [hand for hand in HANDS.values() if body.robot.model.existFrame(hand.tool)]
     if request.hand != "auto":
@@ -152,7 +152,7 @@ def _plan_turn(
     best: TaskPlan | None = None
     for hand, entry in product(hands, wheel.gaps[:MOST_GAPS]):
         turn = np.deg2rad(request.turn_deg)
-        plan = ValveTurn(solver, wheel, hand, request.mode, turn, entry, reach_waypoints).plan()
+        plan = ValveTurn(solver, wheel, hand, request.mode, turn, entry, request.torque_nm, reach_waypoints).plan()
         if plan.is_feasible:
             return plan
         if best is None or len(plan.phases) > len(best.phases):
@@ -176,7 +176,7 @@ def _plan_rest(
     hand, stroke = read_kept_stroke(request, resume)
     solver = _add_wheel(solver, rest.mechanism, [hand])
     turn = np.deg2rad(request.turn_deg)
-    turning = ValveTurn(solver, wheel, hand, request.mode, turn, stroke.gap_rad, reach_waypoints)
+    turning = ValveTurn(solver, wheel, hand, request.mode, turn, stroke.gap_rad, request.torque_nm, reach_waypoints)
     specs = turning.list_phases()
     if [spec.name for spec in specs] != [spec.name for spec in rest.specs]:
         raise RequestError(f"resume.stroke.strokes: {stroke.strokes}; this robot turns the wheel in another number")

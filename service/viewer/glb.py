@@ -12,8 +12,9 @@ from jaxtyping import Float, Shaped
 
 from service.viewer.files import replace_file
 from service.viewer.hulls import make_convex_mesh
+from service.viewer.movables import make_local_bodies, place_movables
 from service.viewer.payload import sample_times, select_samples
-from service.viewer.placements import LinkPlacements, align_signs
+from service.viewer.placements import LinkPlacements
 
 Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Rotation (xyzw) of the root node: world z up to glTF's y up."""
@@ -68,15 +69,13 @@ def _add_links(
 def _add_movables(
     writer: _Writer, result: Mapping[str, Any], n_samples: int, kept: Shaped[np.ndarray, "F"]
 ) -> list[tuple[int, Float[np.ndarray, "F 7"]]]:
+    """Add a node per movable; return the nodes and their poses in the world."""
+    movables = result.get("movables") or []
+    placed = place_movables(movables, n_samples).poses
     moving = []
-    for movable in result.get("movables") or []:
-        origin, axis = np.asarray(movable["origin"], dtype=float), np.asarray(movable["axis"], dtype=float)
-        angles = np.asarray(movable.get("angles") or [], dtype=float)
-        angles = angles[kept] if len(angles) == n_samples > 0 else np.zeros(max(len(kept), 1))
-        half = 0.5 * angles[:, None]
-        rotations = np.hstack([np.cos(half), np.sin(half) * axis / np.linalg.norm(axis)])
-        poses = align_signs(np.hstack([np.tile(origin, (len(angles), 1)), rotations])[:, None])[:, 0]
-        shapes = [(np.asarray(body["vertices"], dtype=float) - origin, "movable") for body in movable["bodies"]]
+    for column, movable in enumerate(movables):
+        poses = placed[kept, column] if len(kept) else placed[:, column]
+        shapes = [(body["vertices"], "movable") for body in make_local_bodies(movable)]
         moving.append((writer.add_node(str(movable["name"]), shapes, poses[0]), poses))
     return moving
 

@@ -17,10 +17,17 @@ from lxml import etree
 
 from service.viewer.files import replace_file
 from service.viewer.hulls import make_convex_mesh
+from service.viewer.movables import is_prismatic, list_chains
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 AFFINE_DOFS = 39
 """OpenRAVE's ``DOF_X | DOF_Y | DOF_Z | DOF_RotationQuat``: x y z qw qx qy qz."""
+
+BASE = "base"
+"""The body of a kinbody that does not move."""
+
+FREE = 4.0 * np.pi
+"""Limit of a joint that has none [rad]."""
 
 COLOURS = {"floor": "0.62 0.65 0.70", "rim": "0.90 0.35 0.20", "hub": "0.60 0.22 0.12"}
 PIECE_COLOUR = "0.50 0.62 0.82"
@@ -39,18 +46,18 @@ def write_openrave(result: Mapping[str, Any], folder: Path) -> tuple[Path, ...]:
 
 
 def make_environment(result: Mapping[str, Any]) -> Any:
-    """Return ``<environment>`` with a static kinbody per piece and one with a hinge per movable."""
+    """Return ``<environment>`` with a static kinbody per piece and one with joints per tree of movables."""
     root = etree.Element("environment")
     for piece in result.get("pieces") or []:
         kinbody = etree.SubElement(root, "kinbody", name=_make_identifier(piece["name"]))
         _add_geom(etree.SubElement(kinbody, "body", name="base", type="static"), piece)
-    for movable in result.get("movables") or []:
-        _add_movable(root, movable)
+    for tree in _list_trees(result):
+        _add_tree(root, tree)
     return root
 
 
 def make_trajectory(result: Mapping[str, Any]) -> Any:
-    """Return ``<trajectory>``: base pose, joint values and time step of the robot, and the angle of every movable.
+    """Return ``<trajectory>``: base pose, joint values and time step of the robot, and the values of every movable.
 
     Degrees of freedom are numbered in the order of ``trajectory.joint_names``, which the description lists.
     """
@@ -65,10 +72,11 @@ def make_trajectory(result: Mapping[str, Any]) -> Any:
     groups = [(f"joint_values {robot} {indices}", "linear", positions[:, n_base:])]
     if n_base:
         groups.append((f"affine_transform {robot} {AFFINE_DOFS}", "linear", positions[:, :n_base]))
-    for movable in result.get("movables") or []:
-        if len(movable.get("angles") or []) == len(times):
-            angles = np.asarray(movable["angles"], dtype=float)[:, None]
-            groups.append((f"joint_values {_make_identifier(movable['name'])} 0", "linear", angles))
+    for tree in _list_trees(result):
+        if all(len(movable.get("angles") or []) == len(times) for movable in tree):
+            values = np.column_stack([np.asarray(movable["angles"], dtype=float) for movable in tree])
+            indices = " ".join(str(index) for index in range(len(tree)))
+            groups.append((f"joint_values {_make_identifier(tree[0]['name'])} {indices}", "linear", values))
     groups.append(("deltatime", "", np.diff(times, prepend=times[0])[:, None]))
 
     root = etree.Element("trajectory", type="GenericTrajectory")
@@ -86,20 +94,48 @@ def make_trajectory(result: Mapping[str, Any]) -> Any:
     return root
 
 
-def _add_movable(root: Any, movable: Mapping[str, Any]) -> None:
-    kinbody = etree.SubElement(root, "kinbody", name=_make_identifier(movable["name"]))
-    # A hinge joins two bodies; the static one has no shape.
-    etree.SubElement(kinbody, "body", name="base", type="static")
-    moving = etree.SubElement(kinbody, "body", name="moving", type="dynamic")
-    for body in movable["bodies"]:
-        _add_geom(moving, body)
-    joint = etree.SubElement(kinbody, "joint", name=_make_identifier(movable.get("joint") or "turn"), type="hinge")
-    for name in ("base", "moving"):
-        etree.SubElement(joint, "body").text = name
-    etree.SubElement(joint, "offsetfrom").text = "base"
+def _list_trees(result: Mapping[str, Any]) -> list[list[Mapping[str, Any]]]:
+    """Return the movables in trees, each with its root first and parents before children.
+
+    Raises:
+        ValueError: a parent is no movable, or parents form a cycle.
+    """
+    chains = list_chains(result.get("movables") or [])
+    by_name = {chain[-1]["name"]: chain for chain in chains}
+    roots = [chain[0]["name"] for chain in chains if len(chain) == 1]
+    ordered = sorted(by_name.values(), key=len)  # stable: parents before children, else as in the result
+    return [[chain[-1] for chain in ordered if chain[0]["name"] == root] for root in roots]
+
+
+def _add_tree(root: Any, tree: Sequence[Mapping[str, Any]]) -> None:
+    """Add a kinbody with a body and a joint per movable; everything is described in the world with all joints at 0."""
+    kinbody = etree.SubElement(root, "kinbody", name=_make_identifier(tree[0]["name"]))
+    # A joint joins two bodies; the static one has no shape.
+    etree.SubElement(kinbody, "body", name=BASE, type="static")
+    for movable in tree:
+        moving = etree.SubElement(kinbody, "body", name=_make_identifier(movable["name"]), type="dynamic")
+        for body in movable["bodies"]:
+            _add_geom(moving, body)
+    for movable in tree:
+        _add_joint(kinbody, movable)
+    starts = [float(movable.get("start") or 0.0) for movable in tree]
+    if any(starts):
+        etree.SubElement(kinbody, "jointvalues").text = _format_numbers(starts)
+
+
+def _add_joint(kinbody: Any, movable: Mapping[str, Any]) -> None:
+    slides = is_prismatic(movable)
+    name = _make_identifier(movable.get("joint") or ("slide" if slides else "turn"))
+    joint = etree.SubElement(kinbody, "joint", name=name, type="slider" if slides else "hinge")
+    parent = movable.get("parent")
+    etree.SubElement(joint, "body").text = BASE if parent is None else _make_identifier(parent)
+    etree.SubElement(joint, "body").text = _make_identifier(movable["name"])
+    etree.SubElement(joint, "offsetfrom").text = BASE
     etree.SubElement(joint, "anchor").text = _format_numbers(movable["origin"])
     etree.SubElement(joint, "axis").text = _format_numbers(movable["axis"])
-    etree.SubElement(joint, "limitsdeg").text = "-720 720"
+    limits = np.array([movable.get("lower", -FREE), movable.get("upper", FREE)], dtype=float)
+    tag, values = ("limits", limits) if slides else ("limitsdeg", np.degrees(limits))
+    etree.SubElement(joint, tag).text = _format_numbers(values)
 
 
 def _add_geom(body: Any, piece: Mapping[str, Any]) -> None:

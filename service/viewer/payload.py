@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from service.viewer.forces import find_holding_forces, list_contact_points, sum_loads
 from service.viewer.hulls import make_convex_mesh
+from service.viewer.movables import is_prismatic, make_local_bodies, place_movables, read_angles
 from service.viewer.placements import LinkPlacements
 from service.viewer.proof import ClearanceTrack, trace_clearance
 
@@ -33,7 +35,11 @@ def make_payload(result: Mapping[str, Any], placements: LinkPlacements) -> dict[
         raise ValueError(f"no placement for link {missing[0]!r} of the result's bodies")
     phases, waypoints = _get_list(result, "phases"), [int(i) for i in _get_list(result, "waypoints")]
     kept = select_samples(times, [*waypoints, *(int(p[end]) for p in phases for end in ("first", "last"))])
-    poses = placements.poses[kept]
+    movables = _get_list(result, "movables")
+    moved = place_movables(movables, len(times))
+    # What the task moves is drawn like the robot's links, after them.
+    poses = np.concatenate([placements.poses[kept], moved.poses[kept]], axis=1) if len(times) else placements.poses
+    com = _read_rows(result, "com", len(times), 3)
     proof = trace_clearance(result) if len(times) else None
     return {
         **_summarize(result),
@@ -43,16 +49,16 @@ def make_payload(result: Mapping[str, Any], placements: LinkPlacements) -> dict[
         "obstruction": result.get("obstruction"),
         "shapeless": _list_shapeless(result, placements),
         "times": pack(times[kept], "f4"),
-        "links": list(placements.links),
+        "links": [*placements.links, *(moved.links if len(times) else ())],
         "positions": quantize(poses[..., :3]),
         "rotations": pack(np.round(poses[..., 3:] * 32767.0), "i2"),
         "bodies": [{"name": b["name"], "link": b["link"], "hull": pack_hull(b)} for b in _get_list(result, "bodies")],
         "pieces": [_make_piece(piece) for piece in _get_list(result, "pieces")],
-        "movables": [_make_movable(movable, len(times), kept) for movable in _get_list(result, "movables")],
+        "movables": [_make_movable(movable, len(times), kept) for movable in movables],
         "waypoints": np.searchsorted(kept, [i for i in waypoints if 0 <= i < len(times)]).tolist(),
-        "phases": [_replace_samples(phase, times) for phase in phases],
+        "phases": [_make_phase(phase, times, kept, com, moved) for phase in phases],
         "support": [_make_support(polygon, times) for polygon in _get_list(result, "support_polygons")],
-        "com": pack(_read_rows(result, "com", len(times), 3)[kept], "f4"),
+        "com": pack(com[kept], "f4"),
         "cloud": quantize(_read_cloud(result)),
     }
 
@@ -182,16 +188,57 @@ def _make_piece(piece: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _make_movable(movable: Mapping[str, Any], n_samples: int, kept: Int[np.ndarray, "F"]) -> dict[str, Any]:
-    angles = np.asarray(movable.get("angles") or [], dtype=float)
-    if len(angles) != n_samples:
-        angles = np.full(n_samples, angles[0] if len(angles) else 0.0)
+    """Return a movable with its bodies in its own frame, whose poses are among the links'."""
     return {
         "name": movable["name"],
         "joint": movable.get("joint", ""),
+        "type": "prismatic" if is_prismatic(movable) else "revolute",
+        "parent": movable.get("parent"),
         "origin": list(movable["origin"]),
         "axis": list(movable["axis"]),
-        "bodies": [_make_piece(body) for body in movable["bodies"]],
-        "angles": pack(angles[kept], "f4"),
+        "bodies": [_make_piece(body) for body in make_local_bodies(movable)],
+        "angles": pack(read_angles(movable, n_samples)[kept], "f4"),
+    }
+
+
+def _make_phase(
+    phase: Mapping[str, Any],
+    times: Float[np.ndarray, "S"],
+    kept: Int[np.ndarray, "F"],
+    com: Float[np.ndarray, "S 3"],
+    moved: LinkPlacements,
+) -> dict[str, Any]:
+    """Return a phase with times for samples, and its static regions with forces that hold the robot."""
+    found = phase.get("regions") or []
+    wrench = sum_loads(phase, moved) if found and len(times) else np.zeros((len(times), 6))
+    regions = [_make_region(region, phase, times, kept, com, wrench) for region in found]
+    return {**_replace_samples(phase, times), "regions": regions}
+
+
+def _make_region(
+    region: Mapping[str, Any],
+    phase: Mapping[str, Any],
+    times: Float[np.ndarray, "S"],
+    kept: Int[np.ndarray, "F"],
+    com: Float[np.ndarray, "S 3"],
+    wrench: Float[np.ndarray, "S 6"],
+) -> dict[str, Any]:
+    """Return a static region with forces that hold the robot, one row per frame from ``frame`` on.
+
+    Without witnesses for exactly the corners of the phase's soles there are no forces.
+    """
+    frames = np.flatnonzero((kept >= region["first"]) & (kept <= region["last"]))
+    places, shape = list_contact_points(phase), np.shape(region.get("witnesses") or [])
+    forces = np.empty((0, 0, 3))
+    if len(places) and len(shape) == 4 and shape[0] == len(region["polygon"]) and shape[2] == len(places):
+        forces = find_holding_forces(region, com[kept[frames]], wrench[kept[frames]])
+    return {
+        **_replace_samples({"first": region["first"], "last": region["last"]}, times),
+        "polygon": region["polygon"],
+        "margin_m": region.get("margin_m"),
+        "places": places.tolist(),
+        "frame": int(frames[0]) if len(frames) else 0,
+        "forces": pack(forces, "f4"),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,9 @@ PLACES = {
 VALVE = np.array([0.55, 0.3, 1.0])
 TURN = 2.0
 """What the valve turns [rad]."""
+
+HINGE, SLIDE = np.array([0.75, -0.45, 0.0]), np.array([0.65, 0.1, 1.0])
+"""Origins of the joints of ``door``."""
 
 
 def box(centre: Any, size: Any) -> list[list[float]]:
@@ -195,3 +199,30 @@ def _checks(is_certified: bool, times: np.ndarray) -> list[dict[str, Any]]:
             "where": {"time_s": None, "position": None, "names": []},
         },
     ]
+
+
+def movable(name: str, origin: Any, axis: Any, angles: Any, kind: str = "revolute", parent: str | None = None) -> Any:
+    """An entry of ``result["movables"]``."""
+    return {
+        "name": name, "joint": f"{name}_joint", "type": kind, "parent": parent, "origin": list(origin),
+        "axis": list(axis), "lower": -9.0, "upper": 9.0, "start": float(angles[0]),
+        "bodies": [{"name": f"{name}/body", "kind": "movable", "vertices": box(origin, (0.04, 0.6, 0.1))}],
+        "angles": [float(angle) for angle in angles],
+    }  # fmt: skip
+
+
+def door(n_samples: int) -> list[dict[str, Any]]:
+    """A leaf that opens by 1 rad, from 0.2 rad on, and a bar on it that slides by 3 cm."""
+    u = np.linspace(0.0, 1.0, n_samples)
+    bar = movable("door/bar", SLIDE, (2.0, 0.0, 0.0), 0.03 * u, "prismatic", "door/leaf")
+    return [movable("door/leaf", HINGE, (0.0, 0.0, -1.0), 0.2 + u), bar]
+
+
+def unpack(entry: dict[str, Any]) -> np.ndarray:
+    """A packed array of a payload."""
+    array = np.frombuffer(base64.b64decode(entry["data"]), dtype=np.dtype(entry["dtype"]).newbyteorder("<"))
+    array = array.reshape(entry["shape"])
+    if "lower" not in entry:
+        return array
+    lower, upper = np.array(entry["lower"]), np.array(entry["upper"])
+    return lower + array / 65535.0 * (upper - lower)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from perception.detect.door.bar import EXTENSIONS, expect_extension
-from perception.detect.door.bodies import HOUSING_HALF_WIDTH
 from perception.detect.door.frame import Frame, find_frame
-from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry, Opens
 from perception.detect.door.handle import Handle, find_handle
 from perception.detect.door.hang import find_ends
 from perception.detect.door.leaf import Leaf, find_leaves
 from perception.detect.door.model import USUAL_THICKNESS, DoorModel
+from perception.detect.door.opening import judge_opening
 from perception.detect.door.profile import Rays
+from perception.detect.door.shut import shut_leaf
 from perception.detect.door.upright import find_uprights
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
@@ -28,6 +27,7 @@ _HINT_REACH = 0.4
 _GUESSED_HEIGHT = 2.03
 _USUAL_BACKSET = 0.065
 _BACKSET_SPREAD = 0.02
+_USUAL_EXTENSION = 0.02
 _AT_EDGE = 0.035
 _SURELY_AJAR = np.radians(6.0)
 _HINGE_UNKNOWN = _HANDLE_UNKNOWN = 0.45
@@ -36,11 +36,8 @@ _OCCLUDED = 0.3
 _SQUARE = (np.radians(70.0), np.radians(85.0))
 _HINT_TRUST = 0.7
 _SHOWN = 2000
+_FARTHEST_NOISE, _NOISE = 5.0, (0.03, 0.06)  # of a leaf's points, in standard deviations and as limits [m]
 _ENOUGH = 60_000
-_OVER_FLOOR = 0.008
-_KNOB_DEPTH = 0.04
-_SURELY_OPEN = np.radians(3.0)
-_SURELY_RECESSED = 0.055
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     ``side``, +1 when y points to the sensor, else -1; ``handle_x``, ``handle_y``, ``handle_z``, the
     position of the handle's bar at its pivot [m] (left out when no handle was seen); ``lever_direction``, -1 towards
     the hinge, +1 away, 0 for knobs and upright bars; of levers ``handle_length``, from pivot to free end [m], and
-    ``handle_turn``, the angle by which it is turned down [rad].  ``read_door`` returns the geometry of a hit.
+    ``handle_turn_rad``, the angle by which it is turned down [rad].  ``read_door`` returns the geometry of a hit.
 
     Args:
         hint: (3,) a point near the leaf or its handle [m].
@@ -231,90 +228,20 @@ def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
         (along, up), direction = _pivot(handle, free_at, hinge_at)
         if handle.is_lever and handle.bar is not None:
             far = handle.bar.ends[int(np.argmax(np.linalg.norm(handle.bar.ends - [along, up], axis=1)))]
-            sizes["handle_turn"] = float(np.arctan2(up - far[1], abs(along - far[0])))
+            sizes["handle_turn_rad"] = float(np.arctan2(up - far[1], abs(along - far[0])))
             sizes["handle_length"] = float(np.hypot(along - far[0], up - far[1])) + handle.bar.radius
         sizes["lever_direction"] = direction
-        sizes["handle_x"] = abs(along - hinge_at)
-        sizes["handle_y"] = side * handle.out
+        sizes["handle_x"] = float(abs(along - hinge_at))
+        sizes["handle_y"] = float(side * handle.out)
         sizes["handle_z"] = float(up - ground)
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
-    model = DoorModel(*_shut(candidate, pose, side, sizes, ground))
-    opens = model.geometry.opens
-    residuals |= {"opens_share": float(opens is not None), "hinge_share": float(candidate.knows_hinge)}
+    opens, certainty = judge_opening(leaf, frame, (hinge_at, free_at), rays, ground)
+    noise = float(np.clip(_FARTHEST_NOISE * leaf.rms, *_NOISE))
+    model = DoorModel(shut_leaf(leaf, frame, handle, pose, sizes, opens, ground), noise)
+    residuals |= {"opens_share": certainty, "hinge_share": float(candidate.knows_hinge)}
     residuals["thickness_share"] = 0.0
     return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step], model)
-
-
-def _shut(
-    candidate: _Candidate, pose: Float[np.ndarray, "4 4"], side: float, sizes: Mapping[str, float], ground: float
-) -> tuple[DoorGeometry, bool]:
-    """Return the door with its leaf shut, and whether the seen face is the one away from the robot.
-
-    Args:
-        pose, side, sizes: of the detection.
-    """
-    leaf, frame = candidate.leaf, candidate.frame
-    opens = _opens(candidate)
-    is_ajar = frame is not None and frame.hinge != 0
-    along, normal = pose[:3, 0], side * pose[:3, 1]
-    shows_far_face = False
-    if frame is not None and is_ajar:
-        along = frame.plane.along * np.sign(frame.plane.along @ along)
-        normal = frame.plane.normal
-        out = -1.0 if frame.opens_away else 1.0
-        opened = np.cos(frame.ajar) * normal - out * np.sin(frame.ajar) * along
-        shows_far_face = bool(opened @ leaf.plane.normal < 0.0)
-    thickness = USUAL_THICKNESS
-    # The hinge pin is on the face to which the leaf turns.
-    face = thickness if opens == "push" else 0.0
-    corner = pose[:3, 3] - [0.0, 0.0, pose[2, 3] - ground - _OVER_FLOOR]
-    pin = corner - (face - (thickness if shows_far_face else 0.0)) * leaf.plane.normal
-    handle = None
-    if candidate.handle is not None and not shows_far_face:
-        handle = _handle_geometry(candidate.handle, sizes, pin + face * normal, along, normal)
-        handle = replace(handle, centre=handle.centre - [0.0, 0.0, _OVER_FLOOR])
-    width, height = sizes["width"], sizes["height"] - _OVER_FLOOR
-    ajar = sizes["ajar"] if is_ajar else 0.0
-    turn = sizes.get("handle_turn", 0.0) if handle is not None else 0.0
-    geometry = DoorGeometry(pin, along, normal, face, width, height, thickness, opens, ajar, handle, turn)
-    return geometry, shows_far_face
-
-
-def _handle_geometry(
-    handle: Handle,
-    sizes: Mapping[str, float],
-    corner: Float[np.ndarray, "3"],
-    along: Float[np.ndarray, "3"],
-    normal: Float[np.ndarray, "3"],
-) -> HandleGeometry:
-    """Return the handle on the shut leaf, whose face begins at ``corner``."""
-    centre = corner + sizes["handle_x"] * along + handle.out * normal + sizes["handle_z"] * UP
-    bar = handle.bar
-    if bar is None:
-        width, height = handle.high - handle.low
-        # The measured extent leaves off 2 % at each end, and holds both housings.
-        length = float(width / 0.96) - 2.0 * HOUSING_HALF_WIDTH
-        return HandleGeometry("push_bar", centre, along, length, 0.5 * min(float(height), 0.03), float(height))
-    if handle.is_lever:
-        direction = along * sizes["lever_direction"]
-        return HandleGeometry("lever", centre, direction, sizes["handle_length"], bar.radius)
-    if handle.is_pull:
-        return HandleGeometry("pull", centre, UP, bar.length, bar.radius)
-    return HandleGeometry("knob", centre, normal, _KNOB_DEPTH, bar.radius + 0.5 * bar.axis_length)
-
-
-def _opens(candidate: _Candidate) -> Opens | None:
-    """Return the opening direction that the scan shows; None where it does not.
-
-    An open leaf shows it.  A shut leaf deep in its frame opens away: on its other side it is flush with the wall.
-    """
-    frame = candidate.frame
-    if frame is None:
-        return None
-    if frame.hinge and frame.ajar > _SURELY_OPEN:
-        return "push" if frame.opens_away else "pull"
-    return "push" if not frame.hinge and frame.depth > _SURELY_RECESSED else None
 
 
 def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.ndarray, "2"], float]:
@@ -331,5 +258,6 @@ def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.nd
     if handle.pivot_side == -outwards and abs(free_at - near[0]) < _AT_EDGE:
         return far, 1.0
     backset = abs(free_at - near[0]) - np.abs(bar.axis[0]) * EXTENSIONS
-    longer, _ = expect_extension(handle.extensions[end], -0.5 * ((backset - _USUAL_BACKSET) / _BACKSET_SPREAD) ** 2)
+    prior = -0.5 * ((backset - _USUAL_BACKSET) / _BACKSET_SPREAD) ** 2 - EXTENSIONS / _USUAL_EXTENSION
+    longer, _ = expect_extension(handle.extensions[end], prior)
     return near + longer * outwards * bar.axis, -1.0

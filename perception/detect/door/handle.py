@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.door.bar import Bar, NearRays, fit_bar, rate_extensions
+from perception.detect.door.bar import Bar, NearRays, fit_ball, fit_bar, rate_extensions
 from perception.detect.door.bump import JAMB, Bump, DoorFace, find_bumps, rays_towards
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import Upright
@@ -20,8 +20,11 @@ _MOST_SLACK = 0.12
 _PULL_END = 0.1
 _FRONT = 0.75  # mean distance of a bar's returns in front of its centre line, in radii
 _THIN, _BAR = 0.005, 0.012  # least and largest radius of a bar across a face [m]
+_THINNEST_KNOB, _NO_KIND = 0.018, 0.4
 _START_RADIUS = 0.01
-_NEAR = 0.09
+_NEAR = 0.12
+_WENT_ON, _EDGE = 0.06, 0.06
+_TRUSTED = 0.5  # share of a fitted bar's likelihood that counts: the best of many bars fits noise as well
 _LEAST_BAR = 4.0  # length of a bar, in radii; shorter ones are knobs
 _STEEPEST_LEVER, _FLATTEST_PULL = np.radians(55.0), np.radians(65.0)
 
@@ -70,6 +73,11 @@ class Handle:
         return self.out + _FRONT * (_BAR if self.bar is None else self.bar.radius)
 
     @property
+    def is_round(self) -> bool:
+        """Whether it is as thick as a knob."""
+        return self.bar is not None and self.bar.radius + 0.25 * self.bar.axis_length > _THINNEST_KNOB
+
+    @property
     def quality(self) -> float:
         """Certainty that it is a handle, 0 to 1."""
         return float(
@@ -78,6 +86,7 @@ class Handle:
             * np.clip((self.alone - 0.5) / 0.25, 0.0, 1.0)
             * np.clip((self.front - 0.031) / 0.008, 0.0, 1.0)
             * np.clip((0.103 - self.front) / 0.006, 0.0, 1.0)
+            * (1.0 if self.is_lever or self.is_pull or self.is_panic or self.is_round else _NO_KIND)
         )
 
 
@@ -139,6 +148,9 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
     is_long = bar.length > _LEAST_BAR * bar.radius
     is_lever = bool(is_long and bar.length > 0.065 and bar.tilt < _STEEPEST_LEVER)
     is_pull = bool(is_long and bar.length > 0.12 and bar.tilt > _FLATTEST_PULL)
+    if not is_lever and not is_pull:
+        # The neck of a knob makes it look long from aside.
+        bar = fit_ball(near, bar)
     half = 0.5 * bar.axis_length * np.abs(bar.axis) + bar.radius
     inside = bar.reached_by(near)[0] < -0.3 * bar.radius
     met = near.out > 0.5 * bar.out
@@ -150,7 +162,7 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
         is_lever,
         is_pull,
         False,
-        bump.evidence,
+        max(bump.evidence, -_TRUSTED * bar.cost * len(near.length)),
         float(np.mean(met[inside])) if inside.any() else 0.0,
         _free_share(face, seen, bar, near, is_pull),
         _neck_side(face, seen, bar) if is_lever else 0,
@@ -226,7 +238,11 @@ def _free_share(face: DoorFace, seen: _Seen, bar: Bar, near: NearRays, is_pull: 
     """Return the share of the rays beside a bar that met the face; low for a pipe, which continues up and down."""
     limit = max(2.5 * face.sigma, 0.02)
     outside = bar.reached_by(near)[0]
-    ring = np.abs(near.out[(outside > _ABOUT) & (outside < _RING)]) < limit
+    beside_bar = (outside > _ABOUT) & (outside < _RING)
+    # Rays that went on just inside of an edge show only that the edge lies further in.
+    at = near.start[:, 0] - near.start[:, 2] / near.direction[:, 2] * near.direction[:, 0]
+    beside_bar &= (near.out > -_WENT_ON) | ((at > face.low + _EDGE) & (at < face.high - _EDGE))
+    ring = np.abs(near.out[beside_bar]) < limit
     beside = [ring]
     if is_pull:
         column = np.abs(seen.at[:, 0] - bar.middle[0]) < bar.radius

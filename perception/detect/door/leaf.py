@@ -18,6 +18,7 @@ _STEEPEST = 0.35
 _RELIEF = 0.006
 _STRIP = 0.08
 _STRIP_RELIEF = 0.015
+_OPEN_BEYOND = 2  # columns between a strip of the leaf and its frame; a strip of the frame is fixed to it
 
 
 @dataclass(frozen=True)
@@ -140,13 +141,15 @@ def _with_strips(profile: Profile, stretches: list[Stretch], first: int, last: i
         kept = end
         for n in range(1, wide + 1):
             at = end + step * n - (step > 0)
-            beyond = at + step * np.arange(1, 4)
+            beyond = at + step * np.arange(1, _OPEN_BEYOND + 1)
             if not 0 <= at < len(profile.depth) or not abs(profile.depth[at]) < _STRIP_RELIEF:
                 break
-            if profile.open_storeys[at] > 0.35 * profile.storeys[at]:
+            is_open = profile.open_storeys > 0.35 * profile.storeys
+            if is_open[at]:
                 break
             beyond = beyond[(beyond >= 0) & (beyond < len(profile.depth))]
-            if (~profile.is_solid[beyond] | (np.abs(profile.depth[beyond]) > 2.0 * _STRIP_RELIEF)).all():
+            is_off = ~profile.is_solid | is_open | (np.abs(profile.depth) > 2.0 * _STRIP_RELIEF)
+            if is_off[beyond].all():
                 kept = end + step * n
         ends.append(kept)
     return ends[0], ends[1]

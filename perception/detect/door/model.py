@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece
-from perception.detect.door.bodies import HOUSING_HALF_HEIGHT
+from perception.detect.door.bodies import HOUSING_HALF_HEIGHT, HOUSING_HALF_WIDTH
 from perception.detect.door.geometry import UP, DoorGeometry, Opens
 from perception.detect.shared.detection import Detection
 from perception.errors import PerceptionError
@@ -25,15 +25,15 @@ class DoorModel:
     """Detected door.
 
     Attributes:
-        shows_far_face: whether the seen face is the one away from the robot when the leaf is shut.
+        noise: distance from the leaf at which points may still be its own [m].
     """
 
     geometry: DoorGeometry
-    shows_far_face: bool = False
+    noise: float = _NOISE
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
         """Return (N,) points on leaf and handle where they were seen; no part of a door stays in the scene."""
-        return door_points(self.geometry, points), ()
+        return door_points(self.geometry, points, self.noise), ()
 
     def see_past(
         self, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], /
@@ -42,7 +42,7 @@ class DoorModel:
 
         Otherwise a wall whose face is flush with the leaf would continue through the doorway.
         """
-        own = door_points(self.geometry, ends)
+        own = door_points(self.geometry, ends, self.noise)
         begin, end = np.broadcast_to(starts, ends.shape)[own], ends[own]
         share = np.ones(len(end))
         for geometry in (self.geometry, replace(self.geometry, ajar=0.0)):
@@ -55,8 +55,10 @@ class DoorModel:
 def read_door(detection: Detection) -> DoorGeometry:
     """Return the geometry of a detected door, its leaf shut and its lever at rest.
 
-    Its ``opens`` is None where the scan does not show it; ``choose_opening`` then takes a person's word for it.
-    The thickness is the usual 45 mm, which ``residuals['thickness_share']`` of 0 says.
+    Its ``opens`` is None where the scan does not show it; ``choose_opening`` then sets what a person says.  Among the
+    detection's residuals, ``opens_share`` is the certainty of the opening direction, ``hinge_share`` is 0 where the
+    hinge side is a guess (a shut leaf with a bar across it), and ``thickness_share`` is 0 since no scan has shown the
+    thickness, which is then the usual 45 mm.
 
     Raises:
         PerceptionError: the detection is no door.
@@ -73,19 +75,23 @@ def choose_opening(geometry: DoorGeometry, opens: Opens) -> DoorGeometry:
     return replace(geometry, hinge=hinge, face=face, opens=opens)
 
 
-def door_points(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return (N,) points within the noise of leaf and handle, in the pose in which the leaf was seen."""
+def door_points(
+    geometry: DoorGeometry, points: Float[np.ndarray, "N 3"], noise: float = _NOISE
+) -> Bool[np.ndarray, "N"]:
+    """Return (N,) points within ``noise`` of leaf and handle, in the pose in which the leaf was seen [m]."""
     x, out, up = _in_leaf(geometry, points).T
     back = geometry.face - geometry.thickness
-    # Points beside the leaf are its frame.
-    own = (x > -_BESIDE) & (x < geometry.width + _BESIDE) & (up < geometry.height + _BESIDE)
-    own &= (out > back - _NOISE) & (out < geometry.face + _NOISE)
+    # Points beside the leaf are its frame, which may stand out of it.
+    beside = np.where(out > geometry.face + _BESIDE, 0.0, _BESIDE)
+    own = (x > -beside) & (x < geometry.width + beside) & (up < geometry.height + beside)
+    own &= (out > back - noise) & (out < geometry.face + noise)
     handle = geometry.handle
     if handle is None:
         return np.asarray(own)
     # The box of a lever holds every angle of it.
     centre = _in_leaf(replace(geometry, ajar=0.0), handle.centre[None])[0]
     reach = handle.length if handle.kind == "lever" else 0.5 * handle.length
+    reach += HOUSING_HALF_WIDTH if handle.kind == "push_bar" else 0.0
     half = np.abs([handle.direction @ geometry.along, 0.0, handle.direction @ UP]) * reach
     half = np.maximum(half, max(handle.radius, HOUSING_HALF_HEIGHT))
     half[2] = max(half[2], reach if handle.kind == "lever" else 0.0)

@@ -36,7 +36,8 @@ class Detection:
     Attributes:
         kind: one of ``perception.detect.KINDS``.
         pose_world_object: (4, 4); each detector's docstring defines the object's frame.
-        sizes: lengths [m] by name, except ``ajar`` [rad], ``side`` and ``lever_direction`` (+1 or -1) and ``n_...``.
+        sizes: lengths [m] by name, except ``ajar`` and ``..._rad`` [rad], ``side`` and ``lever_direction`` (+1 or -1)
+            and ``n_...``.
         confidence: 0 to 1; act on detections of 0.5 and more.
         residuals: quality of the model's fit, by name: lengths [m], except names that end in ``_rad``,
             ``_share`` (0 to 1), ``_ratio`` or ``_score`` and names that begin with ``n_`` (counts).

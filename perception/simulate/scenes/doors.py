@@ -66,6 +66,9 @@ class Door:
         handle_radius: of a lever's or pull handle's bar [m].
         pull_length: of a pull handle's bar [m].
         standoff: distance of the handle's centre line from the face [m]; None: usual for its kind.
+        recess: distance by which a leaf on its pull side stands back behind the wall's face [m].
+        gap: between leaf and lining [m].
+        reveal: width of the lining's edge between opening and casing [m].
         wall_reach: width of the wall beside the frame, on hinge side and latch side [m].
         eye: x, y of the viewer, which decides which face of an open leaf is visible [m].
     """
@@ -86,6 +89,9 @@ class Door:
     handle_radius: float = 0.01
     pull_length: float = 0.35
     standoff: float | None = None
+    recess: float = 0.0
+    gap: float = _GAP
+    reveal: float = 0.01
     wall_thickness: float = 0.12
     wall_reach: tuple[float, float] = (1.2, 1.2)
     wall_height: float = 2.6
@@ -127,8 +133,8 @@ class Door:
 
     def _surround(self) -> list[Mesh]:
         """Return the wall around the opening, the lining with stops, and the casing on the visible side."""
-        left, right, top = -_GAP, self.width + _GAP, self.height + _GAP
-        back, depth = -self.wall_thickness, self.wall_thickness
+        left, right, top = -self.gap, self.width + self.gap, self.height + self.gap
+        back = -self.wall_thickness
         lining = 0.035
         low, high = left - lining, right + lining
         parts = [
@@ -142,12 +148,12 @@ class Door:
         for y in (0.002, back - _CASING_DEPTH):
             outer = y + _CASING_DEPTH
             parts += [
-                box((low - 0.03, y, 0.0), (left - 0.01, outer, top + _CASING)),
-                box((right + 0.01, y, 0.0), (high + 0.03, outer, top + _CASING)),
-                box((low - 0.03, y, top + 0.01), (high + 0.03, outer, top + _CASING)),
+                box((low - 0.03, y, 0.0), (left - self.reveal, outer, top + _CASING)),
+                box((right + self.reveal, y, 0.0), (high + 0.03, outer, top + _CASING)),
+                box((low - 0.03, y, top + self.reveal), (high + 0.03, outer, top + _CASING)),
             ]
         # Stop of the closed leaf.
-        stop = -self.thickness - 0.002 if self.side == "pull" else -(depth - self.thickness) + 0.002
+        stop = self._face - self.thickness - 0.002 if self.side == "pull" else self._face + 0.002
         ends = (stop - 0.015, stop) if self.side == "pull" else (stop, stop + 0.015)
         parts += [
             box((left, ends[0], 0.0), (left + 0.012, ends[1], top)),
@@ -175,7 +181,7 @@ class Door:
     @property
     def _face(self) -> float:
         """Position of the shut leaf's visible face out of the wall's visible face [m]."""
-        return 0.0 if self.side == "pull" else -(self.wall_thickness - self.thickness)
+        return -self.recess if self.side == "pull" else -(self.wall_thickness - self.thickness)
 
     @property
     def _spindle_x(self) -> float:
@@ -310,6 +316,7 @@ class Doorway:
         width: width of the leaf, varied by 3 cm [m].
         distance: distance of the doorway's centre, varied by 8 cm [m].
         turned_deg: rotation of the wall about z, from normal to the robot's view, varied by 3 degrees.
+        lever_turn_deg: angle by which the levers are turned down.
         corridor: half the width of the corridor around the robot [m]; None: no side walls.
     """
 
@@ -321,6 +328,7 @@ class Doorway:
     distance: float = 0.85
     turned_deg: float = 0.0
     corridor: float | None = None
+    lever_turn_deg: float = 0.0
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
@@ -333,7 +341,8 @@ class Doorway:
         hinge = middle - 0.5 * width * np.array([np.cos(along), np.sin(along)])
         ajar = np.radians(self.ajar_deg + rng.uniform(-4.0, 4.0)) if self.ajar_deg else 0.0
         place = ((hinge[0], hinge[1]), along, self.hinge_on, self.side, ajar, width)
-        door = Door(*place, furniture=self.furniture, handle_z=rng.uniform(0.95, 1.1))
+        height, lever_turn = rng.uniform(0.95, 1.1), float(np.radians(self.lever_turn_deg))
+        door = Door(*place, furniture=self.furniture, handle_z=height, lever_turn=lever_turn)
         parts = [door.build(), floor(), things(box((3.5, -4.0, 0.0), (3.6, 4.0, 2.6)))]
         if self.corridor is not None:
             parts.append(side_walls(self.corridor, middle[0] - 0.1))
@@ -354,6 +363,8 @@ SCENES: Mapping[str, Recipe] = {
     "door_right_bar": Doorway("right", "push", furniture="bar"),
     "door_left_bar_ajar": Doorway("left", "push", 15.0, "bar", width=1.0),
     "door_right_knob": Doorway("right", furniture="knob", width=0.82),
+    "door_left_pull": Doorway("left", furniture="pull"),
+    "door_right_lever_turned": Doorway("right", lever_turn_deg=25.0),
     "door_oblique": Doorway("left", distance=1.1, turned_deg=25.0),
     "door_oblique_ajar": Doorway("right", "push", 12.0, distance=1.1, turned_deg=-30.0),
     "door_corridor": Doorway("left", distance=1.2, corridor=0.8, width=0.85),

@@ -259,7 +259,7 @@ class Task(_message.Message):
     def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class Valve(_message.Message):
-    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius")
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm")
     MODE_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     TURN_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -267,6 +267,7 @@ class Valve(_message.Message):
     CENTRE_FIELD_NUMBER: _ClassVar[int]
     AXIS_FIELD_NUMBER: _ClassVar[int]
     RADIUS_FIELD_NUMBER: _ClassVar[int]
+    TORQUE_NM_FIELD_NUMBER: _ClassVar[int]
     mode: HoldMode
     hand: Hand
     turn_deg: float
@@ -274,7 +275,8 @@ class Valve(_message.Message):
     centre: _containers.RepeatedScalarFieldContainer[float]
     axis: _containers.RepeatedScalarFieldContainer[float]
     radius: float
-    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ...) -> None: ...
+    torque_nm: float
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
     __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays")
@@ -552,16 +554,20 @@ class StrokeChoice(_message.Message):
     def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., gap_rad: _Optional[float] = ..., strokes: _Optional[int] = ...) -> None: ...
 
 class HandleChoice(_message.Message):
-    __slots__ = ("hand", "grip_m", "until_rad", "is_towards_hinge")
+    __slots__ = ("hand", "grip_m", "until_rad", "is_towards_hinge", "ajar_rad", "turned_rad")
     HAND_FIELD_NUMBER: _ClassVar[int]
     GRIP_M_FIELD_NUMBER: _ClassVar[int]
     UNTIL_RAD_FIELD_NUMBER: _ClassVar[int]
     IS_TOWARDS_HINGE_FIELD_NUMBER: _ClassVar[int]
+    AJAR_RAD_FIELD_NUMBER: _ClassVar[int]
+    TURNED_RAD_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     grip_m: float
     until_rad: float
     is_towards_hinge: bool
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., grip_m: _Optional[float] = ..., until_rad: _Optional[float] = ..., is_towards_hinge: bool = ...) -> None: ...
+    ajar_rad: float
+    turned_rad: float
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., grip_m: _Optional[float] = ..., until_rad: _Optional[float] = ..., is_towards_hinge: bool = ..., ajar_rad: _Optional[float] = ..., turned_rad: _Optional[float] = ...) -> None: ...
 
 class LeafChoice(_message.Message):
     __slots__ = ("hand", "along_m", "up_m", "until_rad")

@@ -1,20 +1,23 @@
 // The page's state and what can be done to it; main.ts connects it to keys, pointer and URL.
 import { Box3, Mesh, Vector3 } from "three";
 import { Balance } from "./balance";
-import { Movable, Result, readPayload, spanAt } from "./data";
+import { Cones, Contacts } from "./contacts";
+import { Body, Movable, Result, readPayload, spanAt } from "./data";
 import { el, tellTimes } from "./dom";
 import { Ghosts } from "./ghosts";
 import { Goal } from "./goal";
 import { Header, makeHeader, makeHelp, tone } from "./header";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
+import { Loads } from "./loads";
 import { Marks } from "./marks";
 import { Motion } from "./motion";
 import { Panel } from "./panel";
+import { Forces, Regions } from "./regions";
 import { Robot } from "./robot";
 import { Shapeless } from "./shapeless";
 import { Stage, Subject, View } from "./stage";
-import { Contacts, Targets } from "./targets";
+import { Targets } from "./targets";
 import { THEMES } from "./theme";
 import { Player, SPEEDS, Timeline } from "./timeline";
 import { Cloud, Floor, Movables, Pieces, floorHeight } from "./world";
@@ -33,6 +36,7 @@ export class App implements Player {
   readonly labels: Labels;
   readonly help: HTMLElement;
   readonly tip = el("div", "tip");
+  private readonly scales = el("div", "scales");
   time: number;
   isPlaying = false;
   speed = 1;
@@ -54,7 +58,7 @@ export class App implements Player {
     const viewport = el("main", "viewport");
     const overlay = el("div", "labels");
     this.tip.hidden = true;
-    viewport.append(overlay, this.tip);
+    viewport.append(overlay, this.scales, this.tip);
     this.labels = new Labels(overlay);
     this.header = makeHeader(result, (view) => this.show(view), {
       theme: () => this.setTheme(this.theme === "dark" ? "light" : "dark"), xray: () => this.setXray(!this.isXray),
@@ -67,19 +71,21 @@ export class App implements Player {
     const subject = this.subject(z);
     this.stage = new Stage(viewport, subject);
     this.robot = new Robot(result.bodies, motion);
-    this.ghosts = new Ghosts(result.bodies, motion, result.waypoints);
+    this.ghosts = new Ghosts([...result.bodies, ...this.movedBodies()], motion, result.waypoints);
     this.pieces = new Pieces(result);
-    this.movables = new Movables(result);
+    this.movables = new Movables(result, motion);
     const targets = new Targets(result);
+    const loads = new Loads(result, motion);
     this.marks = new Marks(result.checks, motion.start, (name, t) => this.placeOf(name, t), this.labels, () => this.solids());
     const centre = subject.box.getCenter(new Vector3());
     const reach = Math.max(6, subject.box.getSize(new Vector3()).length() * 2.2);
     this.layers = [
-      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result), this.goal,
+      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result),
+      new Cones(result), new Regions(result, z), new Forces(result), loads, this.goal,
       new Shapeless(result.shapeless, motion), this.marks,
       new Cloud(result.cloud), new Floor(result, z, centre, reach),
     ];
-    for (const label of [...targets.labels, ...this.movables.labels, ...this.goal.labels]) this.labels.add(label);
+    for (const label of [...targets.labels, ...this.movables.labels, ...loads.labels, ...this.goal.labels]) this.labels.add(label);
     for (const layer of this.layers) this.stage.scene.add(layer.group);
     this.panel = new Panel(result, this.layers, (index) => this.chooseCheck(index), (layer) => this.toggle(layer));
     this.timeline = new Timeline(result, this, this.ghosts.times);
@@ -114,9 +120,14 @@ export class App implements Player {
     if (link) return link;
     const isNamed = (movable: Movable): boolean => [movable.joint, movable.name, ...movable.bodies.map((body) => body.name)].includes(name);
     const movable = this.result.movables.find(isNamed);
-    if (movable) return new Vector3().fromArray(movable.origin);
+    if (movable) return this.motion.place(movable.name, t) ?? new Vector3().fromArray(movable.origin);
     const sphere = this.pieces.solids.find((piece) => piece.name === name)?.mesh.geometry.boundingSphere;
     return sphere?.center.clone();
+  }
+
+  // The bodies of what the task moves, by link, as those of the robot.
+  private movedBodies(): Body[] {
+    return this.result.movables.flatMap(({ name: link, bodies }) => bodies.map(({ name, hull }) => ({ name, link, hull })));
   }
 
   // The link a target speaks of, else the hand that travels most, else the link that does.
@@ -126,8 +137,9 @@ export class App implements Player {
     const asked = this.result.phases.flatMap((phase) => phase.targets ?? []).map((target) => links.indexOf(target.frame ?? ""));
     const found = asked.find((link) => link >= 0);
     if (found !== undefined) return found;
-    const hands = links.map((_, link) => link).filter((link) => /hand|tool|gripper/i.test(links[link]));
-    const pool = hands.length > 0 ? hands : links.map((_, link) => link);
+    const own = links.map((_, link) => link).filter((link) => !this.result.movables.some(({ name }) => name === links[link]));
+    const hands = own.filter((link) => /hand|tool|gripper/i.test(links[link]));
+    const pool = hands.length > 0 ? hands : own;
     return pool.reduce((best, link) => (this.motion.travel(link) > this.motion.travel(best) ? link : best), pool[0] ?? -1);
   }
 
@@ -137,15 +149,18 @@ export class App implements Player {
     const p = new Vector3();
     for (let i = 0; i <= 12 && motion.nFrames > 0; i++) {
       const matrices = motion.links.map((_, link) => motion.matrix(link, motion.start + (i / 12) * (motion.end - motion.start)));
-      for (const body of result.bodies) {
+      for (const body of [...result.bodies, ...this.movedBodies()]) {
         const matrix = matrices[motion.links.indexOf(body.link)];
         const { vertices } = body.hull;
         for (let k = 0; k < vertices.length; k += 3) box.expandByPoint(p.fromArray(vertices, k).applyMatrix4(matrix));
       }
     }
-    const scene = result.movables.flatMap((movable) => movable.bodies);
-    for (const body of box.isEmpty() ? [...scene, ...result.pieces] : scene) {
-      for (let i = 0; i < body.hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(body.hull.vertices, i));
+    if (box.isEmpty()) {
+      for (const { origin, bodies } of [...result.movables, { origin: [0, 0, 0], bodies: result.pieces }]) {
+        for (const { hull } of bodies) {
+          for (let i = 0; i < hull.vertices.length; i += 3) box.expandByPoint(p.fromArray(hull.vertices, i).add(new Vector3().fromArray(origin)));
+        }
+      }
     }
     box.union(this.goal.box);
     if (box.isEmpty()) box.set(new Vector3(-1, -1, 0), new Vector3(1, 1, 1));
@@ -168,6 +183,7 @@ export class App implements Player {
       this.stage.follow(this.motion.place(this.motion.links[this.hand], this.time)!.sub(before));
     }
     this.timeline.update();
+    this.explain();
     this.panel.setPhase(spanAt(this.result.phases, this.time));
     this.stage.draw();
   }
@@ -184,7 +200,19 @@ export class App implements Player {
     layer.update?.(this.time);
     this.panel.setLayer(layer);
     this.marks.refresh();
+    this.explain();
     this.stage.draw();
+  }
+
+  // What the colours of forces and regions mean, of the layers that show some now.
+  private explain(): void {
+    const rows = this.layers.map((layer) => layer.legend?.()).filter((legend) => legend !== undefined);
+    this.scales.hidden = rows.length === 0;
+    this.scales.replaceChildren(...rows.map(({ colour, text }) => {
+      const swatch = el("i");
+      swatch.style.background = colour;
+      return el("div", "", swatch, text);
+    }));
   }
 
   play(on: boolean): void {
@@ -275,6 +303,7 @@ export class App implements Player {
     document.documentElement.dataset.theme = theme;
     for (const layer of this.layers) layer.recolour(THEMES[theme]);
     this.stage.recolour(THEMES[theme]);
+    this.explain();
   }
 
   togglePanel(): void { document.body.classList.toggle("wide"); }

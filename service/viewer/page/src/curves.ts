@@ -1,6 +1,6 @@
 // What is left over time: the clearance that the certificate proves, and how far COM and ZMP are inside the support.
-import { Result, frameAt } from "./data";
-import { el, svg } from "./dom";
+import { Movable, Result, frameAt } from "./data";
+import { el, figure, svg, words } from "./dom";
 import { insideBy } from "./geometry";
 import { Told, clearanceTold, family, insideTold, standingOf } from "./standing";
 
@@ -111,6 +111,18 @@ function balance(result: Result, start: number, end: number): Plot[] {
   return [plot([...lines.map(([line]) => line), wanted], [], start, end, notes.join("; "), standing)];
 }
 
+// How far a joint of what is moved is turned [deg] or shifted [mm].
+function joint(result: Result, movable: Movable, start: number, end: number): Plot[] {
+  if (movable.angles.length < 2) return [];
+  const [factor, unit] = movable.type === "prismatic" ? [1000, "mm"] : [180 / Math.PI, "deg"];
+  const values = Array.from(movable.angles, (value) => factor * value);
+  const line: Line = { name: movable.joint || movable.name, kind: "value", points: values.map((value, i) => [result.times[i], value]) };
+  const range = [Math.min(...values), Math.max(...values)].map((value) => figure(Math.abs(value) < 0.05 ? 0 : Number(value.toFixed(1)), unit));
+  const drawn = plot([line], [], start, end, `${words(movable.joint || movable.name)}: ${range.join(" to ")}`, "");
+  drawn.element.classList.add("moved");
+  return [drawn];
+}
+
 export function curves(result: Result, start: number, end: number): Plot[] {
-  return [...clearance(result, start, end), ...balance(result, start, end)];
+  return [...clearance(result, start, end), ...balance(result, start, end), ...result.movables.flatMap((movable) => joint(result, movable, start, end))];
 }

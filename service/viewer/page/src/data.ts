@@ -7,8 +7,14 @@ interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
 export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array; bends: Uint8Array }
 export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
-export interface Movable { name: string; joint: string; origin: number[]; axis: number[]; bodies: NamedHull[]; angles: Float32Array }
-export interface Contact { link: string; position?: number[]; quaternion_wxyz?: number[]; sole?: number[][] }
+interface MovedJoint { name: string; joint: string; type: "revolute" | "prismatic"; parent: string | null; origin: number[]; axis: number[] }
+// Bodies are in the frame of the link, which has a pose among those of the robot's links.
+export interface Movable extends MovedJoint { bodies: NamedHull[]; angles: Float32Array }
+export interface Contact {
+  link: string; position?: number[]; quaternion_wxyz?: number[]; sole?: number[][]; friction?: number | null; force_cap_n?: number | null;
+}
+// The largest force of a hand on a link of what is moved, in the link's axes, anywhere on place +- slide.
+export interface Load { tool: string; link: string; place: number[]; force_n: number[]; slide: number[] | null }
 // Of the robot or what the task moves: a body, or with null every body of the link; of the scene: a piece.
 export interface BodyRef { owner: "robot" | "scene" | "mechanism"; link: string | null; body: string | null }
 export interface Allowance { first: BodyRef; second: BodyRef; depth: number }
@@ -17,7 +23,13 @@ export interface Target {
   centre?: number[]; axis?: number[]; radius?: number; tolerance_m?: number;
 }
 export interface Span { start: number; end: number }
-export interface Phase extends Span { name: string; contacts?: Contact[]; allowances?: Allowance[]; targets?: Target[] }
+// Where the centre of mass may be, and forces at places that hold the robot, one row per frame from a frame on.
+export interface Region extends Span {
+  polygon: number[][]; margin_m: number | null; places: number[][]; frame: number; forces: Float32Array;
+}
+export interface Phase extends Span {
+  name: string; contacts?: Contact[]; allowances?: Allowance[]; targets?: Target[]; loads?: Load[]; regions: Region[];
+}
 export interface Support extends Span { polygon: number[][]; margin_m?: number; zmp: Float64Array }
 export interface Gap extends Span { names: string[] }
 // Where a motion that was never planned should have ended, and what the robot is in there.
@@ -40,15 +52,16 @@ interface Payload {
   times: Packed; links: string[]; positions: Quantized; rotations: Packed;
   bodies: { name: string; link: string; hull: PackedHull }[];
   pieces: PackedNamedHull[];
-  movables: { name: string; joint: string; origin: number[]; axis: number[]; bodies: PackedNamedHull[]; angles: Packed }[];
-  waypoints: number[]; phases: Phase[]; support: (Omit<Support, "zmp"> & { zmp: Packed })[]; com: Packed; clearance: Packed; cloud: Quantized;
+  movables: (MovedJoint & { bodies: PackedNamedHull[]; angles: Packed })[];
+  phases: (Omit<Phase, "regions"> & { regions: (Omit<Region, "forces"> & { forces: Packed })[] })[];
+  waypoints: number[]; support: (Omit<Support, "zmp"> & { zmp: Packed })[]; com: Packed; clearance: Packed; cloud: Quantized;
 }
 
 export interface Result extends Omit<
-  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "support" | "com" | "clearance" | "cloud"
+  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "phases" | "support" | "com" | "clearance" | "cloud"
 > {
   times: Float32Array; positions: Float32Array; rotations: Int16Array; bodies: Body[]; pieces: NamedHull[];
-  movables: Movable[]; support: Support[]; com: Float32Array; clearance: Float32Array; cloud: Float32Array;
+  movables: Movable[]; phases: Phase[]; support: Support[]; com: Float32Array; clearance: Float32Array; cloud: Float32Array;
 }
 
 export function bytesOf(packed: Packed): ArrayBuffer {
@@ -86,6 +99,9 @@ export function readPayload(): Result {
     pieces: payload.pieces.map(namedHull),
     movables: payload.movables.map((movable) => ({
       ...movable, bodies: movable.bodies.map(namedHull), angles: floats(movable.angles),
+    })),
+    phases: payload.phases.map((phase) => ({
+      ...phase, regions: phase.regions.map((region) => ({ ...region, forces: floats(region.forces) })),
     })),
     com: floats(payload.com),
     support: payload.support.map((support) => ({ ...support, zmp: new Float64Array(bytesOf(support.zmp)) })),

@@ -2,6 +2,9 @@
 import { Group } from "three";
 import { Colours } from "./theme";
 
+// What a layer's colour means, and its scale, while it shows something.
+export interface Legend { colour: string; text: string }
+
 export interface Layer {
   readonly name: string;   // as in the URL's layers=...
   readonly label: string;  // as in the panel
@@ -11,4 +14,5 @@ export interface Layer {
   update?(t: number): void;
   recolour(colours: Colours): void;
   xray?(on: boolean): void;
+  legend?(): Legend | undefined;
 }

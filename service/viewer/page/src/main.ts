@@ -58,12 +58,13 @@ function pointer(app: App): void {
   });
 }
 
-// #t=1.5&camera=front&layers=robot,pieces&theme=dark&check=0&xray=1&panel=0&play=1
+// #t=1.5&camera=front&layers=robot,pieces&theme=dark&check=0&xray=1&panel=0&bars=0&play=1
 function followHash(app: App): void {
   const wanted = new URLSearchParams(location.hash.slice(1));
   const theme = wanted.get("theme");
   if (theme === "dark" || theme === "light") app.setTheme(theme);
   if (wanted.get("panel")) document.body.classList.toggle("wide", wanted.get("panel") === "0");
+  if (wanted.get("bars")) document.body.classList.toggle("bare", wanted.get("bars") === "0");
   const layers = wanted.get("layers")?.split(",");
   if (layers) for (const layer of app.layers) app.setLayer(layer, layers.includes(layer.name));
   for (const name of wanted.get("without")?.split(",") ?? []) {

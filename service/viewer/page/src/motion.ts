@@ -1,4 +1,4 @@
-// Link poses at any time: linear in position, along the shorter arc in rotation.
+// Poses of the links of the robot and of what is moved, at any time: linear in position, along the shorter arc in rotation.
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { Result, frameAt } from "./data";
 

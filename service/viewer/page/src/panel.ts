@@ -1,5 +1,5 @@
 // The side panel: what stands in the way, the checks with their figures, the current phase, layers, notes.
-import { Allowance, BodyRef, Check, Phase, Result } from "./data";
+import { Allowance, BodyRef, Check, Contact, Phase, Result } from "./data";
 import { button, el, figure, instant, seconds, title, words } from "./dom";
 import { Layer } from "./layer";
 import { Standing, standingOf } from "./standing";
@@ -31,6 +31,15 @@ const MARKS = { ok: "✓", unsure: "?", fail: "✕" };
 const OF_A_PHASE = [["balance", "COM inside", "m"], ["zmp", "ZMP inside", "m"], ["torque", "largest torque", "1"]] as const;
 function named(ref: BodyRef): string {
   return ref.body ?? ref.link ?? "";
+}
+
+// l_foot (friction 0.6, to 900 N)
+function planted({ link, friction, force_cap_n }: Contact): string {
+  const said = [
+    typeof friction === "number" ? `friction ${figure(friction, null)}` : "",
+    typeof force_cap_n === "number" ? `to ${figure(force_cap_n, "N")}` : "",
+  ].filter(Boolean);
+  return said.length > 0 ? `${link} (${said.join(", ")})` : link;
 }
 
 // One line for all bodies of a link that may be touched alike: l_hook ↔ valve/rim/0 … valve/rim/19 (20), to 30 mm.
@@ -152,8 +161,11 @@ export class Panel {
     this.shown = phase;
     if (!phase) return this.phase.replaceChildren();
     const rows: [string, string][] = [["phase", words(phase.name)]];
-    const contacts = (phase.contacts ?? []).map((contact) => contact.link);
+    const contacts = (phase.contacts ?? []).map(planted);
     if (contacts.length > 0) rows.push(["planted", contacts.join(", ")]);
+    for (const { tool, link, force_n } of phase.loads ?? []) {
+      rows.push(["load", `${tool} on ${link}, up to ${figure(Math.hypot(...force_n), "N")}`]);
+    }
     const targets = (phase.targets ?? []).map((target) => [target.frame, target.kind].filter(Boolean).join(" on "));
     if (targets.length > 0) rows.push(["target", [...new Set(targets)].join(", ")]);
     for (const [kind, name, unit] of OF_A_PHASE) {

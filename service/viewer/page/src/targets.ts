@@ -1,10 +1,9 @@
-// What the hands are asked to reach, and where the feet stay.
+// What the hands are asked to reach.
 import {
-  BufferGeometry, ConeGeometry, CylinderGeometry, DoubleSide, Group, Material, Mesh, MeshBasicMaterial, Quaternion, SphereGeometry,
-  TorusGeometry, Vector2, Vector3,
+  BufferGeometry, ConeGeometry, CylinderGeometry, Group, Material, Mesh, MeshBasicMaterial, Quaternion, SphereGeometry, TorusGeometry,
+  Vector3,
 } from "three";
-import { Contact, Phase, Result, Target } from "./data";
-import { convexRing, filledPolygon, ribbon } from "./geometry";
+import { Phase, Result, Target } from "./data";
 import { Layer } from "./layer";
 import { Label } from "./labels";
 import { Colours } from "./theme";
@@ -34,7 +33,7 @@ export class Targets implements Layer {
   constructor(result: Result) {
     const seen = new Map<string, Phase[]>();
     // The goal of a motion that was never planned stands all the time.
-    const goal: Phase = { name: "goal", start: -Infinity, end: Infinity, targets: result.obstruction?.targets ?? [] };
+    const goal: Phase = { name: "goal", start: -Infinity, end: Infinity, targets: result.obstruction?.targets ?? [], regions: [] };
     for (const phase of [...result.phases, goal]) {
       for (const target of phase.targets ?? []) {
         const same = seen.get(JSON.stringify(target));
@@ -109,62 +108,4 @@ export class Targets implements Layer {
     this.ring.color.set(colours.target);
     this.tolerance.color.set(colours.target);
   }
-}
-
-export class Contacts implements Layer {
-  readonly name = "contacts";
-  readonly label = "Contacts";
-  readonly key = "k";
-  readonly group = new Group();
-  private readonly fill = new MeshBasicMaterial({ transparent: true, opacity: 0.3, side: DoubleSide, depthWrite: false });
-  private readonly border = new MeshBasicMaterial({ transparent: true, opacity: 0.9, side: DoubleSide, depthWrite: false });
-  private readonly marks: { group: Group; phases: Phase[] }[] = [];
-
-  constructor(result: Result) {
-    const seen = new Map<string, Phase[]>();
-    for (const phase of result.phases) {
-      for (const contact of phase.contacts ?? []) {
-        const key = JSON.stringify(contact);
-        const same = seen.get(key);
-        if (same) { same.push(phase); continue; }
-        seen.set(key, [phase]);
-        this.marks.push({ group: this.mark(contact), phases: seen.get(key)! });
-      }
-    }
-    for (const { group } of this.marks) this.group.add(group);
-  }
-
-  get count(): number { return this.marks.length; }
-
-  private mark(contact: Contact): Group {
-    const group = new Group();
-    const sole = convexRing(contact.sole ?? []);
-    if (sole.length < 3) return group;
-    // A sole need not be level: its own heights are kept, only lifted off the floor.
-    const geometry = filledPolygon(sole, 0);
-    sole.forEach((corner, i) => geometry.getAttribute("position").setZ(i, corner[2] + 0.002));
-    const height = sole.reduce((sum, corner) => sum + corner[2], 0) / sole.length;
-    const isLevel = sole.every((corner) => Math.abs(corner[2] - height) < 5e-3);
-    const parts: [BufferGeometry, Material][] = [[geometry, this.fill]];
-    if (isLevel) parts.push([ribbon(sole.map(([x, y]) => new Vector2(x, y)), height + 0.004, 0.008, true, false), this.border]);
-    for (const [part, material] of parts) {
-      const mesh = new Mesh(part, material);
-      mesh.renderOrder = 6;
-      group.add(mesh);
-    }
-    return group;
-  }
-
-  update(t: number): void {
-    for (const { group, phases } of this.marks) {
-      group.visible = phases.some((phase) => t >= phase.start - 1e-6 && t <= phase.end + 1e-6);
-    }
-  }
-
-  recolour(colours: Colours): void {
-    this.fill.color.set(colours.contact);
-    this.border.color.set(colours.contact);
-  }
-
-  xray(on: boolean): void { this.fill.depthTest = this.border.depthTest = !on; }
 }

@@ -1,6 +1,6 @@
 // The world: floor with grid, convex pieces, the point cloud, and what the task moves.
 import {
-  AlwaysStencilFunc, BufferAttribute, BufferGeometry, Color, EqualStencilFunc, Group,
+  AlwaysStencilFunc, Box3, BufferAttribute, BufferGeometry, Color, EqualStencilFunc, Group,
   LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, NotEqualStencilFunc, PlaneGeometry, Points,
   ShaderMaterial, ShadowMaterial, Vector3,
 } from "three";
@@ -9,6 +9,7 @@ import { words } from "./dom";
 import { edgeGeometry, hullGeometry } from "./geometry";
 import { Label } from "./labels";
 import { Layer } from "./layer";
+import { Motion } from "./motion";
 import { Colours } from "./theme";
 
 const FLOOR_FRAGMENT = `
@@ -200,19 +201,27 @@ export class Cloud implements Layer {
   recolour(colours: Colours): void { (this.material.uniforms.colour.value as Color).set(colours.cloud); }
 }
 
-// The lowest place the turning bodies reach: their label hangs there, clear of them.
-function lowest(movable: Movable): Vector3 {
-  const origin = new Vector3().fromArray(movable.origin);
+// Where the label of what is moved stands: below a wheel or lever, clear of it however it turns; on a leaf or slide, with it.
+function labelPlace(movable: Movable, parent: Movable | undefined): { place: Vector3; hangs: boolean } {
   const axis = new Vector3().fromArray(movable.axis).normalize();
+  const box = new Box3();
   const p = new Vector3();
   let radius = 0;
   for (const { hull } of movable.bodies) {
     for (let i = 0; i < hull.vertices.length; i += 3) {
-      radius = Math.max(radius, p.fromArray(hull.vertices, i).sub(origin).cross(axis).length());
+      box.expandByPoint(p.fromArray(hull.vertices, i));
+      radius = Math.max(radius, p.cross(axis).length());
     }
   }
   const down = new Vector3(0, 0, -1).projectOnPlane(axis);
-  return down.length() > 1e-3 ? origin.addScaledVector(down.normalize(), radius) : origin;
+  if (movable.type === "revolute" && down.length() > 0.5) return { place: down.normalize().multiplyScalar(radius), hangs: true };
+  if (box.isEmpty()) return { place: new Vector3(), hangs: true };
+  const middle = box.getCenter(new Vector3());
+  if (movable.type === "revolute") return { place: middle.setZ(box.max.z), hangs: false };
+  // The hand works far from the hinge: the label keeps to the other end.
+  const ends = [[box.min.x, box.min.y], [box.max.x, box.max.y]].map(([x, y]) => new Vector3(x, y, box.min.z));
+  const hinge = new Vector3().fromArray(parent?.origin ?? movable.origin).sub(new Vector3().fromArray(movable.origin));
+  return { place: ends.sort((a, b) => a.distanceTo(hinge) - b.distanceTo(hinge))[0], hangs: false };
 }
 
 export class Movables implements Layer {
@@ -223,43 +232,56 @@ export class Movables implements Layer {
   readonly solids: { name: string; mesh: Mesh }[] = [];
   private readonly material = new MeshStandardMaterial({ flatShading: true, roughness: 0.45, metalness: 0.15 });
   private readonly hub = new MeshStandardMaterial({ flatShading: true, roughness: 0.5, metalness: 0.2 });
+  private readonly edges = new LineBasicMaterial({ transparent: true, opacity: 0.7, vertexColors: true });
   readonly labels: Label[] = [];
-  private readonly turning: { group: Group; movable: Movable }[] = [];
+  private readonly moving: { group: Group; movable: Movable; label: Label; place: Vector3; hangs: boolean }[] = [];
 
-  constructor(private readonly result: Result) {
+  constructor(private readonly result: Result, private readonly motion: Motion) {
     for (const movable of result.movables) {
-      const origin = new Vector3().fromArray(movable.origin);
       const group = new Group();
-      group.position.copy(origin);
+      group.position.fromArray(movable.origin);
       for (const body of movable.bodies) {
         const mesh = new Mesh(hullGeometry(body.hull), body.kind === "hub" ? this.hub : this.material);
-        mesh.position.copy(origin).negate();
         mesh.castShadow = true;
         mesh.receiveShadow = true;
         this.solids.push({ name: body.name, mesh });
         group.add(mesh);
       }
-      this.labels.push({ at: lowest(movable), text: movable.name, kind: "spot", isOn: true });
-      this.turning.push({ group, movable });
+      group.add(new LineSegments(edgeGeometry(movable.bodies.map((body) => body.hull)), this.edges));
+      const label: Label = { at: new Vector3(), text: movable.name, kind: "spot", isOn: true };
+      const parent = result.movables.find(({ name }) => name === movable.parent);
+      this.labels.push(label);
+      this.moving.push({ group, movable, label, ...labelPlace(movable, parent) });
       this.group.add(group);
     }
+    for (const { group, label, place } of this.moving) label.at.copy(place).add(group.position);
   }
 
   get count(): number { return this.result.movables.length; }
 
   update(t: number): void {
-    for (const [i, { group, movable }] of this.turning.entries()) {
-      if (movable.angles.length === 0) continue;
-      const [angle] = rowAt(this.result.times, movable.angles, 1, t);
-      group.quaternion.setFromAxisAngle(new Vector3().fromArray(movable.axis).normalize(), angle);
-      const turned = ((angle - movable.angles[0]) * 180) / Math.PI;
-      this.labels[i].text = `${words(movable.name)} ${turned.toFixed(0)}°`;
-      this.labels[i].isOn = this.group.visible;
+    for (const { group, movable, label, place, hangs } of this.moving) {
+      label.isOn = this.group.visible;
+      const link = this.motion.links.indexOf(movable.name);
+      if (link < 0 || movable.angles.length === 0) continue;
+      this.motion.pose(link, t, group.position, group.quaternion);
+      label.at.copy(place);
+      if (!hangs) label.at.applyQuaternion(group.quaternion);
+      label.at.add(group.position);
+      const [value] = rowAt(this.result.times, movable.angles, 1, t);
+      const by = value - movable.angles[0];
+      label.text = `${words(movable.name)} ${moved(movable, by)}`;
+      // A handle at rest says nothing that its door does not.
+      label.isOn &&= movable.parent === null || Math.abs(by) > (movable.type === "prismatic" ? 5e-4 : 9e-3);
     }
   }
 
   recolour(colours: Colours): void {
     this.material.color.set(colours.movable);
     this.hub.color.set(colours.movable).multiplyScalar(0.6);
+    this.edges.color.set(colours.edge);
   }
 }
+
+const moved = (movable: Movable, by: number): string =>
+  (movable.type === "prismatic" ? `${(1000 * by).toFixed(0)} mm` : `${((by * 180) / Math.PI).toFixed(0)}°`).replace(/^-0(?=\D)/, "0");

@@ -1,0 +1,522 @@
+"""Where to stand for a task with a mechanism: a search over places of the feet, scored by quick checks of poses.
+
+The robot stands in the posture of its start, feet and base moved together in the plane. Candidates of a coarse grid
+are ranked by geometry alone: distances between shoulders and the places that the hands hold, feet clear of the leaf.
+The best are checked by poses, and finer steps about the best of these are checked again. The effort is counted, so that
+equal seeds give equal results where the time limit is not reached.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from costs.allowance import BodyRef
+from costs.robot import RobotModel, with_mechanism
+from costs.scene import ConvexPiece, Scene
+from costs.stopping import Stopped, stops_when
+from scopt import Settings
+from service.body.monitor import Interrupted, Monitor, OnProgress
+from service.body.phases import PhaseSolver
+from service.body.whole_body import Aims, WholeBody
+from service.demands.hands import Hand
+from service.demands.wheel import make_wheel, make_wheel_mechanism
+from service.errors import RequestError
+from service.request.schema import PlanRequest
+from service.setup.checks import check_start, find_soles
+from service.setup.prepare import PlanSetup, prepare
+from service.start.standing import FLOOR_KIND, place_bodies
+from service.tasks import door_task, valve_task
+from service.tasks.stance_checks import (
+    DoorStance,
+    Outcome,
+    StanceTask,
+    ValveStance,
+    find_shoulder,
+    measure_arm,
+)
+
+if TYPE_CHECKING:
+    from perception import Perceived
+
+LIMIT_S = 20.0
+RADIUS_M = 1.0  # of the places searched about the start
+GRID_M, GRID_YAW = 0.12, np.deg2rad(20.0)  # of the coarse grid
+MOST_TURN = np.deg2rad(80.0)  # from facing what is held
+COARSE, ENOUGH_GOOD = 8, 5  # most places of the grid that are checked by poses, and how many of them have to do
+COARSE_APART = 2.0  # between them, in steps of the grid
+FINE, FINE_ROUNDS, FINE_PARENTS = 3, 2, 2  # places that are checked about the best, and rounds
+IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is held
+MOST_REACH = 1.12  # the same at most: the trunk leans
+LEAST_REACH_M = 0.25
+TURN_COST = 0.03  # per squared angle between facing and what is held [1/rad^2]
+BODY_RADIUS_M = 0.25  # about the base, clear of pieces and leaf before anything else is checked
+ENOUGH_BALANCE_M, ENOUGH_REACH_M, ENOUGH_CLEARANCE_M = 0.05, 0.2, 0.1  # reserves that count no further
+SCORE_SHARES = (0.7, 0.12, 0.1, 0.08)  # of angle, balance, reach and clearance
+
+
+@dataclass(frozen=True)
+class StanceCandidate:
+    """A place to stand, with its score.
+
+    Attributes:
+        base: (3,) x, y [m] and yaw [rad] of the base in the world.
+        start: (n,) configuration of the robot there.
+        soles: (C, 3) corners of each planted link's sole in the world [m].
+        score: 0 to 1; 0 for a place that is refused.
+        outcome: how far the task gets; None for a place that is refused.
+        clearance_m: of the robot at rest from scene and mechanism, at most 0.1 more than the request's margin [m].
+        refused: sentences; empty for a place to stand at.
+    """
+
+    base: Float[np.ndarray, "3"]
+    start: Float[np.ndarray, "n"]
+    soles: dict[str, Float[np.ndarray, "C 3"]]
+    score: float
+    outcome: Outcome | None
+    clearance_m: float
+    refused: tuple[str, ...] = ()
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """Position of the base, as in ``start.base`` of a request [m]."""
+        x, y, z = (round(float(value), 4) for value in self.start[:3])
+        return x, y, z
+
+    @property
+    def quaternion_wxyz(self) -> tuple[float, float, float, float]:
+        """Orientation of the base, as in ``start.base`` of a request."""
+        w, x, y, z = Rotation.from_euler("ZYX", self.start[3:6]).as_quat(scalar_first=True).round(6).tolist()
+        return w, x, y, z
+
+
+@dataclass(frozen=True)
+class StanceSearch:
+    """The result of a search for a stance.
+
+    Attributes:
+        setup: the request's robot and scene.
+        task: what is to be done.
+        candidates: that were checked, the best first; refused ones last.
+        notes: about mechanism and search.
+        n_ranked: places that were ranked by geometry.
+        is_complete: whether the search ended before its time limit.
+        seconds: wall time.
+    """
+
+    setup: PlanSetup
+    task: StanceTask | None
+    candidates: tuple[StanceCandidate, ...]
+    notes: tuple[str, ...]
+    n_ranked: int
+    is_complete: bool
+    seconds: float
+
+    @property
+    def best(self) -> StanceCandidate | None:
+        """The best place to stand; None if nothing can be moved from any."""
+        return next((candidate for candidate in self.candidates if candidate.score > 0.0), None)
+
+
+def find_stance(
+    request: PlanRequest,
+    limit_s: float = LIMIT_S,
+    radius_m: float = RADIUS_M,
+    on_progress: OnProgress | None = None,
+    should_stop: Callable[[], bool] | None = None,
+    robot: RobotModel | None = None,
+    see: Callable[..., Perceived] | None = None,
+) -> StanceSearch:
+    """Search for places to stand from which a request's door or valve can be moved farthest.
+
+    Nothing is planned: a place with the highest score has poses at the handle, on the leaf or at the rim, and the
+    motions between them may still not exist.
+
+    Args:
+        request: with ``task.door`` or ``task.valve``; its start is where the search begins.
+        limit_s: wall time for the whole search, perception included.
+        radius_m: of the places searched about the start.
+        on_progress: called with the name of the current step and the fraction that is done.
+        should_stop: polled often; once it returns True the search ends with what it has.
+        robot: the request's robot if it is loaded already.
+        see: ``perception.perceive``, or a function that caches its results.
+
+    Raises:
+        RequestError: another task, a robot with a fixed base or without hands, or a problem of the request.
+    """
+    task = request.task
+    if task is None or (task.door is None and task.valve is None):
+        raise RequestError(
+            "request: a place to stand is searched for tasks with a mechanism; expected task.door or task.valve"
+        )
+    monitor = Monitor(limit_s, should_stop, on_progress)
+    setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, checks_start=False)
+    if not setup.robot.is_floating:
+        raise RequestError(
+            f"robot: the base of {setup.robot.name} is fixed and plants no feet; expected a robot that stands"
+        )
+    candidates: list[StanceCandidate] = []
+    n_ranked, is_complete = 0, False
+    found: tuple[StanceTask, tuple[str, ...]] | str = "the scan was not read in time"
+    if not setup.is_stopped:
+        found = _find_task(setup)
+    if isinstance(found, str):
+        return StanceSearch(setup, None, (), (found,), 0, not setup.is_stopped, time.perf_counter() - monitor.started)
+    sought, notes = found
+    try:
+        with stops_when(monitor.is_over):
+            grid = _Grid(setup, sought, radius_m)
+            ranked = grid.rank(request.options.seed)
+            n_ranked = len(ranked)
+            _search(_Examiner(setup, sought, monitor), grid, ranked, candidates)
+            is_complete = True
+    except (Interrupted, Stopped):
+        pass
+    if not n_ranked and is_complete:
+        notes = (*notes, f"no place within {radius_m:g} m of the start has what is held within the arms' reach")
+    ordered = sorted(candidates, key=lambda candidate: (bool(candidate.refused), -candidate.score))
+    seconds = time.perf_counter() - monitor.started
+    return StanceSearch(setup, sought, tuple(ordered), notes, n_ranked, is_complete, seconds)
+
+
+def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
+    """Return what the request's task moves, with notes about it; a sentence where it is not found."""
+    task, options = setup.request.task, setup.request.options
+    aims = Aims(options.margin_m, options.balance_margin_m)
+    body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
+    if task is not None and task.door is not None:
+        found = door_task.find_door(setup, task.door)
+        if isinstance(found, str):
+            return found
+        door, note = found
+        hands = door_task.choose_hands(body, task.door, door)
+        target = float(np.deg2rad(task.door.open_deg))
+        if door.geometry.ajar >= target:
+            raise RequestError(
+                f"task.door.open_deg: {task.door.open_deg:g}; the leaf is open by "
+                f"{np.rad2deg(door.geometry.ajar):.0f} deg already; expected more"
+            )
+        near = tuple(
+            (BodyRef.of_link(link), BodyRef("mechanism", joint.link), door_task.HANDLE_MARGIN)
+            for hand in hands
+            for link in (hand.hook, hand.link)
+            for joint in door.mechanism.joints
+        )
+        return DoorStance.of(setup.robot, door, hands, target, near), (note,)
+    if task is None or task.valve is None:
+        raise RequestError("request: expected task.door or task.valve")
+    valve = valve_task.find_valve(setup, task.valve)
+    if isinstance(valve, str):
+        return valve
+    hooks = tuple(valve_task.choose_hands(body, task.valve, valve))
+    wheel = make_wheel(valve)
+    mechanism = make_wheel_mechanism(wheel)
+    near = tuple(
+        (BodyRef.of_link(hand.hook), BodyRef("mechanism", mechanism.joints[0].link), valve_task.HOOK_MARGIN)
+        for hand in hooks
+    )
+    note = f"valve at {np.round(valve.centre, 3).tolist()}, rim radius {valve.rim_radius:.3f} m"
+    turn = float(np.deg2rad(task.valve.turn_deg))
+    return ValveStance(wheel, hooks, task.valve.mode, turn, task.valve.torque_nm, near, mechanism), (note,)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Places about the start, ranked by geometry.
+
+    Attributes:
+        setup: the prepared request.
+        task: what is to be done.
+        radius_m: of the places about the start.
+    """
+
+    setup: PlanSetup
+    task: StanceTask
+    radius_m: float
+
+    def rank(self, seed: int) -> Float[np.ndarray, "N 3"]:
+        """Return the places of a grid, its origin drawn by the seed, the most promising first (x, y, yaw)."""
+        rng = np.random.default_rng(seed)
+        steps = np.arange(-self.radius_m, self.radius_m + 1e-9, GRID_M)
+        shift = rng.uniform(-0.5, 0.5, 2) * GRID_M
+        x, y = np.meshgrid(steps + shift[0], steps + shift[1], indexing="ij")
+        near = np.hypot(x, y) <= self.radius_m
+        places = np.stack([x[near], y[near]], axis=1) + self.setup.start[:2]
+        yaws = np.arange(-MOST_TURN, MOST_TURN + 1e-9, GRID_YAW)
+        held = np.concatenate([points for way in self.task.list_ways() for _, points in way])
+        facing = np.arctan2(*(held.mean(axis=0)[:2] - places).T[::-1])
+        poses = np.column_stack(
+            [np.repeat(places, len(yaws), axis=0), (facing[:, None] + yaws[None]).ravel()],
+        )
+        poses = np.concatenate([[self.setup.start[[0, 1, 3]]], poses])
+        cost = self.cost(poses)
+        order = np.argsort(cost, kind="stable")
+        return np.asarray(poses[order[: int(np.isfinite(cost).sum())]])
+
+    def refine(self, parents: Sequence[Float[np.ndarray, "3"]], share: float) -> Float[np.ndarray, "N 3"]:
+        """Return the neighbours of places at a share of the grid's steps."""
+        offsets = np.array([[dx, dy, 0.0] for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy])
+        offsets = np.concatenate([offsets, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]]) * [GRID_M, GRID_M, GRID_YAW] * share
+        poses = np.concatenate([parent + offsets for parent in parents])
+        cost = self.cost(poses)
+        order = np.argsort(cost, kind="stable")
+        return np.asarray(poses[order[: int(np.isfinite(cost).sum())]])
+
+    def cost(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
+        """Return how far the hands' places are from a comfortable distance; infinite where that cannot do."""
+        cost = np.full(len(poses), np.inf)
+        for way in self.task.list_ways():
+            cost = np.minimum(cost, sum(self._cost_of_hand(poses, hand, points) for hand, points in way))
+        cost[self._is_in_the_way(poses)] = np.inf
+        return cost
+
+    def _cost_of_hand(
+        self, poses: Float[np.ndarray, "N 3"], hand: Hand, points: Float[np.ndarray, "P 3"]
+    ) -> Float[np.ndarray, "N"]:
+        """Return the cost of reaching for points with one hand."""
+        start = self.setup.start
+        robot = self.setup.robot
+        arm = measure_arm(robot, hand, hand.tool)
+        shoulder = _turn(find_shoulder(robot, start, hand) - start[:3] * [1.0, 1.0, 0.0], -start[3])
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        at = np.stack(
+            [
+                poses[:, 0] + cos * shoulder[0] - sin * shoulder[1],
+                poses[:, 1] + sin * shoulder[0] + cos * shoulder[1],
+                np.full(len(poses), shoulder[2]),
+            ],
+            axis=1,
+        )
+        offset = points[None] - at[:, None]
+        distance = np.linalg.norm(offset, axis=2)
+        ahead = offset[:, :, 0] * cos[:, None] + offset[:, :, 1] * sin[:, None]
+        cost = ((distance / arm - IDEAL_REACH) ** 2).mean(axis=1)
+        cost += 0.05 * np.clip(0.2 - ahead, 0.0, None).mean(axis=1) + TURN_COST * self._turn_from(poses, points) ** 2
+        cost[(distance > MOST_REACH * arm).any(axis=1) | (distance < LEAST_REACH_M).any(axis=1)] = np.inf
+        return np.asarray(cost)
+
+    def _turn_from(self, poses: Float[np.ndarray, "N 3"], points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "N"]:
+        """Return the angle between where the robot faces and the middle of points [rad]."""
+        towards = np.arctan2(*(points.mean(axis=0)[:2] - poses[:, :2]).T[::-1])
+        return np.asarray((poses[:, 2] - towards + np.pi) % (2.0 * np.pi) - np.pi)
+
+    def _is_in_the_way(self, poses: Float[np.ndarray, "N 3"]) -> np.ndarray:
+        """Return (N,) whether the robot stands in a piece, or where the leaf moves."""
+        start = self.setup.start
+        blocked = np.zeros(len(poses), dtype=bool)
+        for low, high in _list_boxes(self.setup.scene):
+            gap = np.maximum(np.maximum(low - poses[:, :2], poses[:, :2] - high), 0.0)
+            blocked |= np.hypot(*gap.T) < BODY_RADIUS_M - 0.1
+        if not isinstance(self.task, DoorStance):
+            return blocked
+        door = self.task.door.geometry
+        soles = np.concatenate(list(self.setup.soles.values()))[:, :2] - start[:2]
+        soles = soles @ _rotation(-start[3]).T
+        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        corners = np.stack(
+            [
+                poses[:, :1] + cos * soles[None, :, 0] - sin * soles[None, :, 1],
+                poses[:, 1:2] + sin * soles[None, :, 0] + cos * soles[None, :, 1],
+            ],
+            axis=2,
+        )
+        offset = corners - door.hinge[:2]
+        out, along = offset @ door.normal[:2], offset @ door.along[:2]
+        base_out = (poses[:, :2] - door.hinge[:2]) @ door.normal[:2]
+        blocked |= base_out < door.face + BODY_RADIUS_M
+        blocked |= ((out < door.face + 0.02) & (np.abs(along) < door.width + 0.1)).any(axis=1)
+        if not self.task.door.is_push:
+            angle = np.arctan2(out, along)
+            swept = (np.hypot(out, along) < door.width + 0.03) & (angle > -0.1) & (angle < self.task.target + 0.1)
+            blocked |= swept.any(axis=1)
+        return blocked
+
+
+@dataclass(frozen=True)
+class _Examiner:
+    """Checks of single places."""
+
+    setup: PlanSetup
+    task: StanceTask
+    monitor: Monitor
+
+    @cached_property
+    def robot(self) -> RobotModel:
+        """The robot with the mechanism."""
+        return with_mechanism(self.setup.robot, self.task.mechanism.joints)
+
+    @cached_property
+    def at_rest(self) -> list[tuple[str, Float[np.ndarray, "V 3"]]]:
+        """Vertices of each link at rest that is not planted, as in the base's frame turned upright [m]."""
+        start = self.setup.start
+        placed = [(body.link, points) for body, points in place_bodies(self.setup.robot, start)]
+        turn = _rotation(-start[3])
+        return [
+            (link, np.column_stack([(points[:, :2] - start[:2]) @ turn.T, points[:, 2]]))
+            for link, points in placed
+            if link not in self.setup.soles
+        ]
+
+    @cached_property
+    def solids(self) -> list[tuple[str, Float[np.ndarray, "2 3"], Float[np.ndarray, "F 4"]]]:
+        """Name, box and outward planes of each piece and of each part of the mechanism at rest."""
+        shapes = [(piece.name, piece.vertices) for piece in self.setup.scene.pieces if piece.kind != FLOOR_KIND]
+        q = np.concatenate([self.setup.start, self.task.mechanism.start])
+        moved = self.robot.mechanism_links
+        shapes += [(body.name, points) for body, points in place_bodies(self.robot, q) if body.link in moved]
+        return [
+            (name, np.stack([points.min(axis=0), points.max(axis=0)]), ConvexHull(points).equations)
+            for name, points in shapes
+        ]
+
+    def find_overlap(self, pose: Float[np.ndarray, "3"]) -> str | None:
+        """Return a sentence where a vertex of the robot at rest is in a piece or in the mechanism; quickly."""
+        turn, margin = _rotation(pose[2]), self.setup.request.options.margin_m
+        links = [
+            (link, np.column_stack([points[:, :2] @ turn.T + pose[:2], points[:, 2]])) for link, points in self.at_rest
+        ]
+        boxes = np.array([[points.min(axis=0), points.max(axis=0)] for _, points in links])
+        for name, (low, high), planes in self.solids:
+            meets = np.all((boxes[:, 0] <= high + margin) & (boxes[:, 1] >= low - margin), axis=1)
+            for at in np.flatnonzero(meets).tolist():
+                link, points = links[at]
+                if np.any(np.all(points @ planes[:, :3].T + planes[:, 3] < margin, axis=1)):
+                    return f"start is in collision: {link} is in or within {1e3 * margin:.0f} mm of {name}"
+        return None
+
+    def list_starts(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N n"]:
+        """Return the start configuration at each place."""
+        starts = np.tile(self.setup.start, (len(poses), 1))
+        starts[:, [0, 1, 3]] = poses
+        return starts
+
+    def examine(self, pose: Float[np.ndarray, "3"]) -> StanceCandidate:
+        """Return a place with its score, or why it is refused."""
+        setup, options = self.setup, self.setup.request.options
+        (start,) = self.list_starts(pose[None])
+        soles = find_soles(setup.robot, start, setup.request, None)
+
+        def refuse(*lines: str) -> StanceCandidate:
+            return StanceCandidate(pose, start, soles, 0.0, None, 0.0, lines)
+
+        overlap = self.find_overlap(pose)
+        if overlap is not None:
+            return refuse(overlap)
+        try:
+            check = check_start(setup.robot, start, setup.scene, soles, setup.request, None)
+        except RequestError as error:
+            return refuse(*error.problems)
+        if check.overlaps or check.unresolved:
+            return refuse(*check.notes, *check.unresolved)
+        aims = Aims(options.margin_m, options.balance_margin_m)
+        plain = WholeBody.standing(setup.robot, setup.scene, start, tuple(soles), aims)
+        joints = self.task.mechanism
+        body = replace(plain.with_robot(self.robot, np.concatenate([start, joints.start])), releases=joints.releases)
+        inside = tuple(door_task.find_collisions(body))
+        if inside:
+            return refuse(*inside)
+        clearance = self._measure_clearance(body)
+        if clearance < options.margin_m:
+            return refuse(f"only {1e3 * clearance:.0f} mm from the surroundings at rest")
+        met = tuple(self.task.find_in_the_way(replace(body, scene=Scene(()))))
+        if met:
+            return refuse(*met)
+        solver = PhaseSolver(body, self.monitor, Settings(qp=options.qp), self.task.near, options.starts, options.seed)
+        outcome = self.task.try_stance(solver)
+        return StanceCandidate(pose, start, soles, self._score(outcome, clearance), outcome, clearance)
+
+    def _score(self, outcome: Outcome, clearance: float) -> float:
+        """Return the weighted mean of angle, balance, reach and clearance, each from 0 to 1."""
+        options = self.setup.request.options
+        whole = abs(self.task.target - float(self.task.mechanism.start[0]))
+        parts = (
+            outcome.reached / whole,
+            (outcome.balance_m - options.balance_margin_m) / ENOUGH_BALANCE_M,
+            outcome.reach_m / ENOUGH_REACH_M,
+            (clearance - options.margin_m) / ENOUGH_CLEARANCE_M,
+        )
+        share = np.clip(parts, 0.0, 1.0)
+        if outcome.reached <= 0.0:
+            return 0.0
+        return float(np.array(SCORE_SHARES) @ share)
+
+    def _measure_clearance(self, body: WholeBody) -> float:
+        """Return the least distance of the robot from pieces and mechanism, as far as the checker sees [m]."""
+        seeing = replace(body, sight=ENOUGH_CLEARANCE_M)
+        contacts = seeing.make_checker()(body.engine(body.nominal[None]))
+        bodies, moved = body.robot.bodies, body.robot.mechanism_links
+        floors = [piece.kind == FLOOR_KIND for piece in body.scene.pieces]
+        least = body.aims.margin + ENOUGH_CLEARANCE_M
+        for row in range(len(contacts)):
+            first, other = bodies[contacts.body[row]].link in moved, int(contacts.other[row])
+            counts = first != (bodies[other].link in moved) if contacts.is_self[row] else not (first or floors[other])
+            if counts:
+                least = min(least, float(contacts.distance[row]))
+        return least
+
+
+def _search(
+    examiner: _Examiner, grid: _Grid, ranked: Float[np.ndarray, "N 3"], candidates: list[StanceCandidate]
+) -> None:
+    """Check the most promising places, then finer steps about the best; what was checked is added in place."""
+    monitor = examiner.monitor
+    total = ENOUGH_GOOD + FINE * FINE_ROUNDS
+
+    def examine(poses: Float[np.ndarray, "N 3"], most: int, apart: float, enough: int) -> None:
+        """Check places that are apart from those before, until enough of them do or most were checked by poses."""
+        checked = good = 0
+        for pose in poses:
+            if checked >= most or good >= enough:
+                return
+            if any(_is_near(pose, known.base, apart if known.outcome is not None else 0.99) for known in candidates):
+                continue
+            monitor.check()
+            monitor.report("places to stand", min(sum(not c.refused for c in candidates) / total, 1.0))
+            candidate = examiner.examine(pose)
+            candidates.append(candidate)
+            checked += not candidate.refused
+            good += candidate.score > 0.0
+
+    examine(ranked, COARSE, COARSE_APART, ENOUGH_GOOD)
+    if not any(candidate.score > 0.0 for candidate in candidates):
+        examine(ranked, COARSE // 2, 0.99, 1)
+    for level in range(1, FINE_ROUNDS + 1):
+        good = sorted((c for c in candidates if c.score > 0.0), key=lambda c: -c.score)[:FINE_PARENTS]
+        if good:
+            examine(grid.refine([c.base for c in good], 0.5**level), FINE, 0.9 * 0.5**level, FINE)
+
+
+def _is_near(pose: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], share: float) -> bool:
+    """Return whether two places are less than a share of the grid's steps apart."""
+    turn = (pose[2] - other[2] + np.pi) % (2.0 * np.pi) - np.pi
+    return bool(np.hypot(*(pose - other)[:2]) < share * GRID_M and abs(turn) < share * GRID_YAW)
+
+
+def _list_boxes(scene: Scene) -> list[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]]:
+    """Return the outlines of the pieces at the height of a body, as boxes seen from above."""
+
+    def is_high(piece: ConvexPiece) -> bool:
+        heights = piece.vertices[:, 2]
+        return piece.kind != FLOOR_KIND and heights.max() > 0.2 and heights.min() < 1.6
+
+    return [
+        (piece.vertices[:, :2].min(axis=0), piece.vertices[:, :2].max(axis=0))
+        for piece in scene.pieces
+        if is_high(piece)
+    ]
+
+
+def _rotation(angle: float) -> Float[np.ndarray, "2 2"]:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def _turn(point: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
+    return np.array([*(_rotation(angle) @ point[:2]), point[2]])

@@ -1,0 +1,428 @@
+"""Quick checks of one stance for a task with a mechanism: how far a hand moves it, and with which reserves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.allowance import BodyRef
+from costs.kinematics import locate_frame, locate_links
+from costs.robot import Mechanism, RobotModel
+from costs.static_region import StaticRegionError
+from service.body.loaded_regions import plan_regions
+from service.body.phases import PhaseSolver
+from service.body.whole_body import WholeBody
+from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.door_demand import measure_peg
+from service.demands.hands import HANDS, Hand
+from service.demands.phase_spec import PhaseSpec
+from service.demands.wheel import Wheel
+from service.tasks.door import HAND_ROOM, LEAST_FIRST, PUSH_ALONG, PUSH_UP
+from service.tasks.door_sweep import find_blocked_opening
+from service.tasks.sequence import PhaseSequence
+from service.tasks.valve import Mode, ValveTurn
+
+DOOR_STEP = np.deg2rad(10.0)  # between the angles that are tried
+WHEEL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the turn at which a pose is tried
+MOST_PUSHES = 4  # places on the leaf that are tried, the nearest to a shoulder first
+MOST_GAPS = 2  # of a wheel, the nearest first
+
+
+@dataclass(frozen=True)
+class HeldPose:
+    """A pose that exists from a stance.
+
+    Attributes:
+        name: of its phase.
+        q: (n,) configuration.
+        balance_m: how far the centre of mass is inside the region where the feet hold the hand's load.
+        reach_m: by how much the arm could be longer stretched.
+    """
+
+    name: str
+    q: Float[np.ndarray, "n"]
+    balance_m: float
+    reach_m: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How far a task gets from a stance, as far as single poses show.
+
+    Attributes:
+        reached: of the mechanism's joint, from its start [rad].
+        poses: that exist, in the order of the motion.
+        hold: hand and hold, in words.
+        missing: the first pose that was not found, in words; empty where the task is done.
+    """
+
+    reached: float
+    poses: tuple[HeldPose, ...]
+    hold: str
+    missing: str
+
+    @property
+    def balance_m(self) -> float:
+        """Least reserve of balance [m]."""
+        return min((pose.balance_m for pose in self.poses), default=0.0)
+
+    @property
+    def reach_m(self) -> float:
+        """Least reserve of reach [m]."""
+        return min((pose.reach_m for pose in self.poses), default=0.0)
+
+
+class StanceTask(Protocol):
+    """A task with a mechanism, as the search for a stance sees it."""
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The mechanism."""
+
+    @property
+    def hands(self) -> tuple[Hand, ...]:
+        """Hands that may be used."""
+
+    @property
+    def target(self) -> float:
+        """Value of the mechanism's first joint at the end [rad]."""
+
+    @property
+    def near(self) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+        """Required clearances of pairs that come near each other [m]."""
+
+    def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
+        """Return the ways to do the task: for each the hands, and the places in the world that each holds [m]."""
+
+    def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
+        """Yield a sentence for each link that the mechanism would meet as the robot stands."""
+
+    def try_stance(self, solver: PhaseSolver) -> Outcome:
+        """Return how far the task gets from the stance of the solver's body."""
+
+
+@dataclass(frozen=True)
+class DoorStance:
+    """A door to open.
+
+    Attributes:
+        door: leaf, handle and loads.
+        hands: that may be used.
+        target: opening angle at the end [rad].
+        near: required clearances between hands and door [m].
+        pegs: length of each hand's free rod [m].
+    """
+
+    door: Door
+    hands: tuple[Hand, ...]
+    target: float
+    near: tuple[tuple[BodyRef, BodyRef, float], ...]
+    pegs: tuple[float, ...]
+
+    @staticmethod
+    def of(
+        robot: RobotModel,
+        door: Door,
+        hands: tuple[Hand, ...],
+        target: float,
+        near: tuple[tuple[BodyRef, BodyRef, float], ...],
+    ) -> DoorStance:
+        """Return the task of a robot."""
+        return DoorStance(door, hands, target, near, tuple(measure_peg(robot, hand) for hand in hands))
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """Leaf and handle."""
+        return self.door.mechanism
+
+    @property
+    def start(self) -> float:
+        """Opening angle at the start [rad]."""
+        return self.door.geometry.ajar
+
+    def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
+        """Return the ways: at the handle alone, and at the handle first and on the leaf at the end."""
+        ways: list[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...]] = []
+        early = min(self.start + 2.0 * DOOR_STEP, self.target)
+        for hand, choice in self._list_choices():
+            at_handle = choice.first > self.start
+            if at_handle:
+                held = self._find_anchor(choice)
+                ways.append(((hand, self._place(held, (self.start, 0.5 * (self.start + self.target), self.target))),))
+            for push in self._list_pushes(self.target):
+                pushed = self._find_anchor(replace(choice, first=early if at_handle else self.start, push=push))
+                values = (early, self.target) if self.door.is_push else (self.target,)
+                on_leaf = (push.hand, self._place(pushed, values))
+                first = ((hand, self._place(self._find_anchor(choice), (self.start, early))),) if at_handle else ()
+                ways.append((*first, on_leaf))
+        return tuple(ways)
+
+    def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
+        """Yield a sentence for the planted link and the link of a leg that the leaf would meet."""
+        for met in find_blocked_opening(body, self.door, self.target):
+            yield met.describe(self.target)
+
+    def try_stance(self, solver: PhaseSolver) -> Outcome:
+        """Return the largest angle to which the leaf opens at the handle, or pushed on from there."""
+        best = Outcome(0.0, (), "", "pose at the handle")
+        for hand, choice in self._list_choices():
+            outcome = self._try_choice(_PoseFinder(solver, self.mechanism), hand, choice)
+            if outcome.reached > best.reached or not best.hold:
+                best = outcome
+            if not outcome.missing:
+                break
+        return best
+
+    def _try_choice(self, finder: _PoseFinder, hand: Hand, choice: DoorChoice) -> Outcome:
+        poses: list[HeldPose] = []
+        reached, hold = self.start, f"{hand.side} hand"
+        if choice.first > self.start:
+            hold += " at the handle"
+            specs = make_door_phases(self.door, choice)
+            anchor = next(spec for spec in specs if spec.is_anchor)
+            for spec in (specs[1], anchor):  # the line to the handle begins in free space
+                pose = finder.find(spec, poses)
+                if pose is None:
+                    return Outcome(0.0, tuple(poses), hold, f"{spec.step or spec.name}: no pose")
+                poses.append(pose)
+            for angle in self._list_angles(self.start):
+                pose = finder.find(replace(anchor, first=self._at(angle)), poses)
+                if pose is not None:
+                    poses.append(pose)
+                    reached = max(reached, angle)
+                if (pose is None) == (angle < self.target):
+                    break
+            if reached >= self.target:
+                return Outcome(self.target - self.start, tuple(poses), hold, "")
+            if reached < self.start + LEAST_FIRST - 1e-6:
+                return Outcome(0.0, tuple(poses), hold, "no pose with the leaf open and the hand at the handle")
+            choice = replace(choice, first=reached)
+        pushes = self._list_pushes(self.target)
+        room = self.door.geometry.width * np.sin(reached)
+        missing = f"no pose with the hand at the handle beyond {np.rad2deg(reached):.0f} deg"
+        if not self.door.is_push and room < HAND_ROOM:
+            return Outcome(reached - self.start, tuple(poses), hold, f"{missing}, and no room behind the leaf")
+        body = finder.solver.body
+        shoulders = {push.hand.side: find_shoulder(body.robot, body.nominal, push.hand) for push in pushes}
+
+        def distance(push: Push) -> float:
+            spec = self._find_anchor(replace(choice, push=push))
+            place = self._place(spec, (0.5 * (reached + self.target),))[0]
+            return abs(float(np.linalg.norm(place - shoulders[push.hand.side])) - 0.6)
+
+        for push in sorted(pushes, key=distance)[:MOST_PUSHES]:
+            spec = self._find_anchor(replace(choice, push=push))
+            first = finder.find(spec, poses)
+            last = None if first is None else finder.find(replace(spec, first=spec.last), [*poses, first])
+            if first is not None and last is not None:
+                words = f"{push.hand.side} hand on the leaf"
+                hold = words if choice.first <= self.start else f"{hold} to {np.rad2deg(reached):.0f} deg, then {words}"
+                return Outcome(self.target - self.start, (*poses, first, last), hold, "")
+        return Outcome(reached - self.start, tuple(poses), hold, f"{missing}, nor on the leaf")
+
+    def _list_choices(self) -> list[tuple[Hand, DoorChoice]]:
+        """Return one hold of the handle per hand and sense; of the leaf alone where it is ajar."""
+        door, handle = self.door, self.door.handle
+        choices: list[tuple[Hand, DoorChoice]] = []
+        for hand, peg in zip(self.hands, self.pegs, strict=True):
+            if door.is_push and not door.is_latched:
+                choices.append((hand, DoorChoice(hand, peg, 0.0, 1.0, self.start)))
+            elif handle is None or handle.kind == "knob":
+                continue
+            elif handle.kind == "lever":
+                grip = max(handle.length - GRIP_FROM_END, LEAST_GRIP)
+                choices.append((hand, DoorChoice(hand, peg, grip, 1.0, self.target)))
+            elif handle.kind == "push_bar":
+                grip = 0.3 * handle.length * float(np.sign(handle.direction @ door.geometry.along))
+                choices.append((hand, DoorChoice(hand, peg, grip, 1.0, self.target)))
+            else:
+                choices += [(hand, DoorChoice(hand, peg, 0.0, sense, self.target)) for sense in (1.0, -1.0)]
+        return choices
+
+    def _list_pushes(self, last: float) -> list[Push]:
+        geometry = self.door.geometry
+        return [
+            Push(hand, share * geometry.width, up - float(geometry.hinge[2]), last)
+            for hand in self.hands
+            for share in PUSH_ALONG
+            for up in PUSH_UP[:2]
+        ]
+
+    def _list_angles(self, start: float) -> list[float]:
+        """Return the opening angles to try, the target first, then from the smallest on [rad]."""
+        between = np.arange(start + 2.0 * DOOR_STEP, self.target - 0.5 * DOOR_STEP, 2.0 * DOOR_STEP)
+        return [self.target, start + LEAST_FIRST, *between.tolist()]
+
+    def _find_anchor(self, choice: DoorChoice) -> PhaseSpec:
+        """Return the phase in which the choice's last hold opens the leaf."""
+        return next(spec for spec in reversed(make_door_phases(self.door, choice)) if spec.is_anchor)
+
+    def _at(self, angle: float) -> Float[np.ndarray, "k"]:
+        """Return the mechanism's joints with the leaf open by an angle and the handle pressed."""
+        values = self.mechanism.start.copy()
+        if len(values) > 1 and self.door.is_latched:
+            values[1] = max(self.door.pressed, float(values[1]))
+        values[0] = angle
+        return values
+
+    def _place(self, spec: PhaseSpec, angles: Sequence[float]) -> Float[np.ndarray, "P 3"]:
+        return place_on_joint(self.mechanism, spec, angles)
+
+
+@dataclass(frozen=True)
+class ValveStance:
+    """A wheel to turn.
+
+    Attributes:
+        wheel: the wheel.
+        hands: that may be used.
+        mode, turn, torque_nm: as in the request [rad, N m].
+        near: required clearances between hooks and wheel [m].
+        mechanism: the wheel as a mechanism.
+    """
+
+    wheel: Wheel
+    hands: tuple[Hand, ...]
+    mode: Mode
+    turn: float
+    torque_nm: float
+    near: tuple[tuple[BodyRef, BodyRef, float], ...]
+    mechanism: Mechanism
+
+    @property
+    def target(self) -> float:
+        """Angle to turn by [rad]."""
+        return self.turn
+
+    def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
+        """Return the ways: either hand, all round the rim."""
+        rim = np.array([self.wheel.rim_point(angle) for angle in np.linspace(0.0, 2.0 * np.pi, 4, endpoint=False)])
+        return tuple(((hand, rim),) for hand in self.hands)
+
+    def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
+        """Yield nothing: a wheel turns in its place."""
+        yield from ()
+
+    def try_stance(self, solver: PhaseSolver) -> Outcome:
+        """Return the largest part of the turn along which poses exist, with the better hand and gap."""
+        best = Outcome(0.0, (), "", "pose at the wheel")
+        finder = _PoseFinder(solver, self.mechanism)
+        for hand in self.hands:
+            tool = locate_links(solver.body.engine, solver.body.nominal, [hand.tool])[hand.tool][:3, 3]
+
+            def distance(angle: float, tool: Float[np.ndarray, "3"] = tool) -> float:
+                return float(np.linalg.norm(self.wheel.rim_point(angle) - tool))
+
+            for entry in sorted(self.wheel.gaps, key=distance)[:MOST_GAPS]:
+                outcome = self._try_gap(finder, hand, entry)
+                if outcome.reached > best.reached or not best.hold:
+                    best = outcome
+                if not outcome.missing:
+                    return outcome
+        return best
+
+    def _try_gap(self, finder: _PoseFinder, hand: Hand, entry: float) -> Outcome:
+        hold = f"{hand.side} hand in {self.mode} mode"
+        turn = ValveTurn(finder.solver, self.wheel, hand, self.mode, self.turn, entry, self.torque_nm)
+        poses: list[HeldPose] = []
+        reached = 0.0
+        for spec in turn.list_phases():
+            if spec.hand is None or spec.hand.leaves:
+                continue
+            shares = WHEEL_SHARES if spec.is_anchor else (0.0,)
+            for share in shares:
+                value = spec.first + share * (spec.last - spec.first)
+                tried = replace(spec, first=value, fixed=spec.fixed if share == 0.0 else {})
+                pose = finder.find(tried, poses)
+                if pose is None:
+                    where = f"{np.rad2deg(abs(float(value[0]))):.0f} deg of the turn"
+                    return Outcome(reached, tuple(poses), hold, f"no pose at {where}")
+                poses.append(pose)
+                reached = max(reached, abs(float(value[0])))
+        return Outcome(reached, tuple(poses), hold, "")
+
+
+@dataclass(frozen=True)
+class _PoseFinder:
+    """Finds single poses of a body, with little effort."""
+
+    solver: PhaseSolver
+    mechanism: Mechanism
+
+    def find(self, spec: PhaseSpec, before: Sequence[HeldPose]) -> HeldPose | None:
+        """Return the phase's first pose, guessed from the poses before; None if it was not found."""
+        sequence = PhaseSequence(self.solver, self.mechanism, (spec,))
+        guesses = [pose.q for pose in before[-1:]]
+        try:
+            solved = sequence.try_pose(spec.name, spec, guesses)
+            if not solved.is_feasible:
+                return None
+            q = solved.x[0]
+            return HeldPose(spec.name, q, self._measure_balance(spec, q), self._measure_reach(spec, q))
+        except StaticRegionError:
+            return None
+
+    def _measure_balance(self, spec: PhaseSpec, q: Float[np.ndarray, "n"]) -> float:
+        """Return how far the centre of mass is inside the region that holds the phase's loads [m]."""
+        body = self.solver.body
+        model = body.robot.model
+        data = model.createData()
+        pin.centerOfMass(model, data, q)
+        com = data.com[0][None, :2]
+        if spec.loads and body.polygon is not None:
+            contacts = [foot.contact for foot in body.planted]
+            (region, *_) = plan_regions(body.robot, contacts, spec.loads, spec.first[None], body.nominal)
+            return float(region.region.polygon.margin(com)[0]) - region.shift_m
+        return float("inf") if body.polygon is None else float(body.polygon.margin(com)[0])
+
+    def _measure_reach(self, spec: PhaseSpec, q: Float[np.ndarray, "n"]) -> float:
+        """Return by how much the arm could be longer stretched [m]."""
+        hand = spec.hand
+        if hand is None:
+            return float("inf")
+        robot = self.solver.body.robot
+        used = next(known for known in HANDS.values() if hand.tool in (known.tool, known.peg, known.stub))
+        shoulder = find_shoulder(robot, q, used)
+        tool = locate_links(self.solver.body.engine, q, [hand.tool])[hand.tool][:3, 3]
+        return measure_arm(robot, used, hand.tool) - float(np.linalg.norm(tool - shoulder))
+
+
+def place_on_joint(mechanism: Mechanism, spec: PhaseSpec, values: Sequence[float]) -> Float[np.ndarray, "P 3"]:
+    """Return a hold's places in the world at values of the mechanism's first joint, which is revolute [m]."""
+    joint = mechanism.joints[0]
+    if spec.hand is None:
+        raise ValueError(f"no hand holds anything in phase '{spec.name}'")
+    axis = joint.axis / np.linalg.norm(joint.axis)
+    return np.array([joint.origin + Rotation.from_rotvec(value * axis).apply(spec.hand.place) for value in values])
+
+
+def list_arm_joints(robot: RobotModel, hand: Hand) -> list[int]:
+    """Return the joints between the trunk and a hand, the shoulder's first: those that no other limb hangs on."""
+    model = robot.model
+    chain: list[int] = []
+    joint = locate_frame(robot, hand.tool)[0]
+    while joint > 0 and (not chain or len(model.children[joint]) == 1):
+        chain.insert(0, joint)
+        joint = int(model.parents[joint])
+    return chain
+
+
+def find_shoulder(robot: RobotModel, q: Float[np.ndarray, "n"], hand: Hand) -> Float[np.ndarray, "3"]:
+    """Return (3,) the place of a hand's shoulder in the world [m]."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    return np.array(data.oMi[list_arm_joints(robot, hand)[0]].translation)
+
+
+def measure_arm(robot: RobotModel, hand: Hand, frame: str) -> float:
+    """Return the length of the chain from the shoulder to a frame of the hand [m]; the arm is never longer."""
+    inner = [robot.model.jointPlacements[joint].translation for joint in list_arm_joints(robot, hand)[1:]]
+    _, pose_joint_frame = locate_frame(robot, frame)
+    return float(sum(np.linalg.norm(step) for step in (*inner, pose_joint_frame[:3, 3])))
