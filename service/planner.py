@@ -39,6 +39,7 @@ from service.verify import Motion, Status, verify
 
 if TYPE_CHECKING:
     from perception import Perceived
+    from service.setup.world import Surroundings
 
 MAX_REPAIRS = 3
 GRACE_S = 0.2  # allowed after the time limit to make the motion of the best attempt
@@ -58,6 +59,7 @@ def plan(
     terms: Terms | None = None,
     on_iteration: OnIteration | None = None,
     see: Callable[..., Perceived] | None = None,
+    around: Surroundings | None = None,
 ) -> PlanResult:
     """Plan, time and certify the motion that a request describes.
 
@@ -69,6 +71,7 @@ def plan(
         terms: the caller's own costs and constraints for every phase; the certificate does not cover them.
         on_iteration: called after every trial step of the optimiser.
         see: ``perception.perceive``, or a function that caches its results (a server's).
+        around: what the request's scan shows, if it is known already (from an earlier plan's result).
 
     Returns:
         The verdict with the best motion found. A plan that fails is a result, not an error.
@@ -80,7 +83,7 @@ def plan(
     check_task_has_planner(request)
     with _single_blas_thread():
         monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
-        setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see)
+        setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, around)
         monitor.timings.update(setup.timings)
         attempt = Attempt()
         try:

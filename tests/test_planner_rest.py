@@ -16,15 +16,18 @@ from given_doors import door_request
 from typer.testing import CliRunner
 
 from service.cli.app import app
+from service.demands.valve_demand import turn_back
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.replay.resume import hash_plan, make_rest_request
+from service.replay.resume import hash_plan, make_rest_request, read_recorded_scan
 from service.request.file import parse_request, to_json
+from service.request.resume import ResumeRequest
 from service.request.schema import PlanRequest
 from service.result.folder import read_result
 from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
+from service.scan.scene_file import wheel_from_circle
 from service.wire.hashes import hash_certificate
 from service.wire.requests import request_from_message, request_to_message
 
@@ -105,7 +108,13 @@ def test_a_hand_that_is_away_reaches_for_the_handle_first(opened: Path, tmp_path
     assert result.verdict is Verdict.CERTIFIED, result.explanation
 
 
-@pytest.mark.parametrize(("phase", "first"), [("turn", "turn"), ("retract", "retract"), ("insert", "reach")])
+def test_the_rest_of_a_line_begins_where_the_hand_is(opened: Path, tmp_path: Path) -> None:
+    result = plan(_rest(opened, "retract", _state(opened, "retract", 0.5), tmp_path))
+    assert [phase.name for phase in result.phases] == ["retract"]
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+
+
+@pytest.mark.parametrize(("phase", "first"), [("turn", "turn"), ("insert", "insert")])
 def test_a_valve_is_turned_on(phase: str, first: str, turned: Path, tmp_path: Path) -> None:
     state = _state(turned, phase, 0.4)
     result = plan(_rest(turned, phase, state, tmp_path))
@@ -121,7 +130,7 @@ def test_the_rest_can_be_planned_again_itself(turned: Path, tmp_path: Path) -> N
     request = _rest(first, "turn", _state(first, "turn", 0.5), tmp_path)
     assert request.resume is not None
     assert request.resume.plan == hash_plan(read_result(first)) != hash_plan(read_result(turned))
-    assert plan(request).verdict is Verdict.CERTIFIED
+    assert request.resume.stroke == _rest(turned, "turn", _state(turned, "turn", 0.3), tmp_path).resume.stroke
 
 
 def test_the_motion_to_a_goal_starts_anew(tmp_path: Path) -> None:
@@ -136,11 +145,37 @@ def test_the_motion_to_a_goal_starts_anew(tmp_path: Path) -> None:
         _rest(reached, "turn", _state(reached, "reach", 0.5), tmp_path)
 
 
-def test_the_cited_hash_is_the_one_that_a_server_tells(turned: Path) -> None:
-    result = plan(parse_request(VALVE))
+def test_the_earlier_scan_is_not_read_again(tmp_path: Path) -> None:
+    corners = [[x, y, z] for x in (1.9, 2.0) for y in (-0.1, 0.1) for z in (0.0, 1.0)]
+    scene = tmp_path / "scene.json"
+    scene.write_text(
+        json.dumps({"format": "scopt-scene/1", "pieces": [{"name": "post", "kind": "obstacle", "vertices": corners}]})
+    )
+    request = {"robot": {"name": "atlas"}, "goal": {"joints": {"l_arm_elx": 1.2}}, "scene": {"file": str(scene)}}
+    reached = _write(plan(parse_request(request)), tmp_path)
+    scene.unlink()
+    rest = _rest(reached, "reach", _state(reached, "reach", 0.5), tmp_path)
+    around = read_recorded_scan(reached, rest)
+    assert around is not None
+    assert [piece.name for piece in around.pieces if piece.kind == "obstacle"] == ["post"]
+    result = plan(rest, around=around)
+    assert result.verdict is Verdict.CERTIFIED
+    assert "post" in [piece.name for piece in result.scene.pieces]
+
+
+def test_a_new_scan_shows_the_spokes_turned() -> None:
+    valve = replace(wheel_from_circle(np.zeros(3), np.array([-1.0, 0.0, 0.0]), 0.14, 0.01), spoke_angles=(0.5, 2.5))
+    resume = ResumeRequest(phase="turn", plan="sha256:" + 64 * "0", mechanism={"valve_turn": 0.4})
+    assert turn_back(valve, resume) is valve
+    again = turn_back(valve, replace(resume, is_rescanned=True))
+    assert again.spoke_angles == pytest.approx((0.1, 2.1))
+
+
+def test_the_cited_hash_is_the_one_that_a_server_tells(tmp_path: Path) -> None:
+    result = plan(parse_request({"robot": {"name": "atlas"}, "goal": {"joints": {"l_arm_elx": 1.2}}}))
     assert result.certificate is not None
-    written = write_result(result, turned.parent / "again").folder
-    assert hash_plan(read_result(written)) == "sha256:" + hash_certificate(result.certificate.to_json().encode())
+    told = hash_certificate(result.certificate.to_json().encode())
+    assert hash_plan(read_result(_write(result, tmp_path))) == f"sha256:{told}"
 
 
 def test_a_message_says_the_same(opened: Path, tmp_path: Path) -> None:

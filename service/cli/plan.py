@@ -75,6 +75,8 @@ def plan_command(
         report("read request", 0.0)
         from service.request.file import load_request, replace_cloud
 
+        around = None
+
         if trajopt:
             from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
@@ -82,9 +84,10 @@ def plan_command(
             files = TrajoptFiles(robot, srdf, package_root, floating, scene, start, limit_s)
             plan_request = load_trajopt_request(request, files)
         elif from_phase is not None and state is not None:
-            from service.replay.resume import make_rest_request
+            from service.replay.resume import make_rest_request, read_recorded_scan
 
             plan_request = make_rest_request(request, from_phase, state, cloud)
+            around = read_recorded_scan(request, plan_request) if cloud is None else None
         else:
             plan_request = load_request(request)
         if cloud is not None and from_phase is None:
@@ -96,7 +99,7 @@ def plan_command(
 
         check_folder(folder)
         use_all_cores()
-        result = plan(plan_request, on_progress=report, should_stop=should_stop)
+        result = plan(plan_request, on_progress=report, should_stop=should_stop, around=around)
         report("write result", 1.0)
         written = write_result(result, folder)
     summary = summary_json(result)

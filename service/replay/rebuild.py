@@ -97,7 +97,7 @@ def rebuild_demands(
     start, _, program = resolve_start(robot, request)
     feet = list_planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
-    surroundings = Surroundings(_select_scanned(request, record.scene), record.valves, doors=record.doors)
+    surroundings = Surroundings(select_scanned(request, record.scene), record.valves, doors=record.doors)
     scene_from = request_from
     if is_read:
         surroundings = _read_scan(request, robot, start, feet, clouds)
@@ -158,7 +158,7 @@ def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request
     return record.robot, "the robot in this folder"
 
 
-def _select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
+def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
     """Return the pieces of a recorded scene that come from its scan."""
     if not has_scan(request):
         return ()

@@ -11,16 +11,18 @@ from typing import Any
 import orjson
 
 from costs.robot import BASE_NAMES, RobotModel
-from service.demands import TaskDemand
+from service.demands import TaskDemand, has_scan
 from service.demands.door_demand import DoorDemand, keep_door_choice
-from service.demands.valve_demand import ValveDemand
+from service.demands.valve_demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
-from service.replay.rebuild import Record, rebuild_demands
+from service.replay.rebuild import Record, rebuild_demands, select_scanned
 from service.replay.replay import read_record, read_request, read_valves
 from service.request.file import load_section, replace_cloud, request_hash
 from service.request.resume import ResumeRequest
+from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest, StartRequest, StateRequest
 from service.result.folder import read_result, result_path
+from service.setup.world import Surroundings
 from service.verify import Motion
 
 
@@ -71,6 +73,25 @@ def make_rest_request(path: Path, phase: str, state_file: Path, cloud: Path | No
         resume=resume,
     )
     return rest if cloud is None else replace_cloud(rest, cloud)
+
+
+def read_recorded_scan(path: Path, request: PlanRequest) -> Surroundings | None:
+    """Return what the scan of an earlier plan showed; None where its request has no scan.
+
+    The scan itself shows the robot where the earlier plan began, and is not read again.
+
+    Raises:
+        RequestError: a mesh of the request is matched with the scan.
+    """
+    if not has_scan(request):
+        return None
+    if any(isinstance(obstacle, MeshRequest) and obstacle.match for obstacle in request.scene.obstacles):
+        raise RequestError("scene.obstacles: a mesh is matched with the scan; give a new one with --cloud")
+    data, folder = read_result(path), result_path(path).parent
+    _, motion = read_record(data, folder)
+    earlier = read_request(data, folder).resume
+    valves = tuple(turn_back(valve, earlier) for valve in read_valves(data))
+    return Surroundings(select_scanned(request, motion.scene), valves)
 
 
 def _make_resume(

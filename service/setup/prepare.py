@@ -79,6 +79,7 @@ def prepare(
     robot: RobotModel | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     see: Callable[..., Perceived] | None = None,
+    around: Surroundings | None = None,
     *,
     checks_start: bool = True,
 ) -> PlanSetup:
@@ -90,6 +91,7 @@ def prepare(
         robot: the request's robot if it is already loaded.
         should_stop: polled while the scene is made; once it returns True, the result ``is_stopped``.
         see: ``perception.perceive``, or a function that caches its results.
+        around: what the request's scan shows, if it is known already.
         checks_start: whether to refuse a start in collision or out of balance.
 
     Raises:
@@ -117,7 +119,8 @@ def prepare(
         with stops_when(should_stop):
             poll()
             with _timed(timings, "perceive"):
-                around = read_surroundings(request, robot, start, soles, see)
+                if around is None:
+                    around = read_surroundings(request, robot, start, soles, see)
             with _timed(timings, "build_scene"):
                 obstacles, obstacle_notes = build_obstacles(request, around.matches)
     except Stopped:
