@@ -3,7 +3,8 @@
 ``python -m benchmarks.tasks [--count N] [--doors N] [--valves N] [--angles 30 60] [--seed S] [--long] [--out FILE]``
 
 ``--count N`` plans N doors and N // 2 valves.  ``--long`` adds random places near each door: the share of the largest
-angle that a plan reaches within 60 s of processor time.  Processor time is of one call of the planner, certificate included.
+angle that a plan reaches within 60 s of processor time.  Processor time is of one call of the planner, with the
+certificate.
 """
 
 from __future__ import annotations
