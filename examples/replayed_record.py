@@ -134,7 +134,8 @@ def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
         turn, place = _rotation(one["quaternion_wxyz"]), np.array(one["position"])
         pose = np.vstack([np.column_stack([turn, place]), [0, 0, 0, 1]])
         sole = (np.array(one["sole"]) - place) @ turn
-        yield from ("contact", one["link"], pose, sole, np.array(one["tolerance_m"]), np.array(one["knot_tolerance_m"]))
+        yield from ("contact", one["link"], pose, sole)
+        yield from (np.array(one[key]) for key in ("tolerance_m", "knot_tolerance_m", "friction", "force_cap_n"))
     if phase["support"] is not None:
         support = phase["support"]
         yield from ("support", *(np.array(support[key]) for key in ("polygon", "margin_m", "height")))
@@ -143,6 +144,7 @@ def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
     for one in phase["loads"]:
         slide = none if one["slide"] is None else np.array(one["slide"])
         yield from ("load", one["tool"], one["link"], np.array(one["place"]), np.array(one["force_n"]), slide)
+        yield np.array(one["drift_m"])
 
 
 def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:

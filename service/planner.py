@@ -30,7 +30,7 @@ from service.body.whole_body import Aims, WholeBody
 from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
 from service.motion.timing import TimingSettings
-from service.request.schema import Options, PlanRequest, check_task_has_planner
+from service.request.schema import PlanRequest, check_task_has_planner
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup, prepare
@@ -92,7 +92,7 @@ def plan(
                     _explain(attempt, solver)
         except (Interrupted, Stopped) as interruption:
             status = interruption.status if isinstance(interruption, Interrupted) else monitor.stop_reason()
-            _record_interruption(attempt, status, request.options, monitor)
+            _record_interruption(attempt, status, request, monitor)
         return attempt.to_result(setup, monitor)
 
 
@@ -110,20 +110,20 @@ def _search(setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> bool:
     for task in plan_task(setup, solver):
         attempt.begin(task)
         if task.phases:
-            _certify(task, setup.request.options, solver.monitor, attempt)
+            _certify(task, setup.request, solver.monitor, attempt)
         if attempt.is_final(task):
             return True
     return False
 
 
-def _certify(task: TaskPlan, options: Options, monitor: Monitor, attempt: Attempt) -> None:
+def _certify(task: TaskPlan, request: PlanRequest, monitor: Monitor, attempt: Attempt) -> None:
     """Make the task's motion, verify it, and repair it where a check fails."""
     repaired: TaskPlan | None = task
     for _ in range(MAX_REPAIRS + 1):
         if repaired is None:
             return
         with monitor.step("curve and timing", 0.75):
-            motion = _make_motion(repaired, options)
+            motion = _make_motion(repaired, request)
         attempt.unverified = repaired, motion
         with monitor.step("certificate", 0.85):
             certificate = verify(motion)
@@ -133,9 +133,11 @@ def _certify(task: TaskPlan, options: Options, monitor: Monitor, attempt: Attemp
         repaired = repair_plan(repaired, motion, certificate, monitor)
 
 
-def _make_motion(task: TaskPlan, options: Options) -> Motion:
+def _make_motion(task: TaskPlan, request: PlanRequest) -> Motion:
+    options, resume = request.options, request.resume
     timing = TimingSettings(options.velocity_scale, options.acceleration_scale) if options.timed else None
-    return make_motion(task, timing)
+    motion = make_motion(task, timing)
+    return motion if resume is None else replace(motion, continues=resume.plan)
 
 
 def _explain(attempt: Attempt, solver: PhaseSolver) -> None:
@@ -156,14 +158,14 @@ def _explain(attempt: Attempt, solver: PhaseSolver) -> None:
         attempt.explain(conflict)
 
 
-def _record_interruption(attempt: Attempt, status: SolveStatus, options: Options, monitor: Monitor) -> None:
+def _record_interruption(attempt: Attempt, status: SolveStatus, request: PlanRequest, monitor: Monitor) -> None:
     """Set the verdict of an interrupted plan; when time is up, return the best motion without a certificate."""
     verdict, text = VERDICT_OF_INTERRUPT[status]
     step = next(reversed(monitor.timings), "set-up")
-    attempt.interrupt(verdict, text.format(limit=options.time_limit_s, step=step))
+    attempt.interrupt(verdict, text.format(limit=request.options.time_limit_s, step=step))
     if verdict is Verdict.TIME_LIMIT:
         with suppress(Stopped), stops_when(lambda: monitor.remaining_s() < -GRACE_S):
-            attempt.take_unverified(lambda task: _make_motion(task, options))
+            attempt.take_unverified(lambda task: _make_motion(task, request))
 
 
 @contextmanager

@@ -91,7 +91,8 @@ def test_every_joint_figure_is_the_tables(shared_data: Path) -> None:
             assert float(element.find("limit").get(key)) == float(row[key]), (row["joint"], key)
         for key in ("damping", "friction"):
             assert float(element.find("dynamics").get(key)) == float(row[key])
-    assert sorted(joints) == ["l_hook_joint", "l_tool_joint", "r_hook_joint", "r_tool_joint"]
+    own = ("hook", "peg", "stub", "tool")
+    assert sorted(joints) == [f"{side}_{part}_joint" for side in "lr" for part in own]
 
 
 def test_every_link_figure_is_the_tables(shared_data: Path) -> None:
@@ -107,7 +108,7 @@ def test_every_link_figure_is_the_tables(shared_data: Path) -> None:
         assert _floats(origin.get("rpy")) == [float(row[f"com_{key}"]) for key in ("roll", "pitch", "yaw")]
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
             assert float(inertial.find("inertia").get(key)) == float(row[key]), (row["link"], key)
-    assert sorted(links) == ["l_hook", "l_tool", "r_hook", "r_tool"]
+    assert sorted(links) == [f"{side}_{part}" for side in "lr" for part in ("hook", "peg", "stub", "tool")]
     assert all(links[name].find("inertial") is None for name in links)
 
 

@@ -1,8 +1,8 @@
 """Render one film strip per task: pictures of the viewer page at even times, side by side in a PNG.
 
-Plans a valve turn from the shipped scan, a door that is pushed open and a reach; or takes result folders.
+Plans a valve turn and a door from the shipped scans, a given door with a push bar and a reach; or takes result folders.
 
-    python tools/gallery.py                           # out/gallery/valve.png, door.png, reach.png
+    python tools/gallery.py                           # out/gallery/valve.png, door.png, push_bar.png, reach.png
     python tools/gallery.py out/valve --frames 8      # out/gallery/valve.png of a result folder
 """
 
@@ -37,7 +37,7 @@ FRAME = (520, 680)
 BAR = 34
 """Height of a line of text [px]."""
 
-DOOR = {
+PUSH_BAR = {
     "robot": {"name": "atlas"},
     "start": {"posture": "reach_ready"},
     "scene": {
@@ -94,7 +94,8 @@ def plan_tasks(scratch: Path) -> Iterator[tuple[str, Path]]:
     """Plan one request per task; yield its name and result folder."""
     requests = {
         "valve": load_request(ROOT / "examples" / "requests" / "valve.yaml"),
-        "door": parse_request(DOOR),
+        "door": load_request(ROOT / "examples" / "requests" / "door.yaml"),
+        "push_bar": parse_request(PUSH_BAR),
         "reach": load_request(ROOT / "examples" / "requests" / "pose_goal.yaml"),
     }
     for name, request in requests.items():

@@ -9,9 +9,9 @@ from __future__ import annotations
 import enum
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ from benchmarks.attack import bases, judges
 from benchmarks.attack.outcome import Answer, Attack
 from costs.robot import RobotError, RobotModel, load_robot
 from service.result.motion_json import motion_from_json, motion_json
+from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
+from service.result.result_json import add_reports
 from service.verify import Motion, VerifyError, verify
 from service.verify.hashes import link_vertices
 
@@ -126,20 +128,25 @@ class Folder:
         ]
         self.data["ignored_pairs"] = sorted(list(pair) for pair in robot.ignored_pairs)
         motion = motion_from_json(self.data, robot)
-        fresh = verify(motion).to_dict()
+        certificate = verify(motion)
+        fresh = certificate.to_dict()
         self.data["robot"]["sha256"] = fresh["robot_sha256"]
         if is_remade:
-            self._remake(motion, robot, fresh)
+            self._remake(motion, robot, fresh, report_phases(motion, certificate))
         elif self.data.get("certificate"):
             self.certificate.update({key: value for key, value in fresh.items() if key.endswith("_sha256")})
 
-    def _remake(self, motion: Motion, robot: RobotModel, certificate: dict[str, Any]) -> None:
+    def _remake(
+        self, motion: Motion, robot: RobotModel, certificate: dict[str, Any], reports: Sequence[PhaseReport]
+    ) -> None:
         certificate["status"] = "CERTIFIED"
         for check in certificate["checks"]:
             check["ok"] = True
         claims = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "checks", "exempt")
         self.data.update({key: certificate[key] for key in claims if key in certificate})
         self.data.update(motion_json(motion, robot), certificate=certificate, verdict="CERTIFIED", explanation=[])
+        claimed = [replace(report, status=PhaseStatus.CERTIFIED) for report in reports]
+        self.data["phases"] = add_reports(self.data["phases"], claimed)
         trajectory = self.data["trajectory"]
         header = ",".join(("time", *trajectory["joint_names"]))
         rows = np.column_stack([trajectory["times"], np.array(trajectory["positions"])])

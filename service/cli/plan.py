@@ -20,10 +20,23 @@ ResultPath = Annotated[Path, typer.Argument(help="Result folder or its result.js
 
 @command(has_verdict=True)
 def plan_command(
-    request: Annotated[Path, typer.Argument(help="Request file (YAML or JSON).", metavar="REQUEST")],
+    request: Annotated[
+        Path,
+        typer.Argument(help="Request file (YAML or JSON); with --from-phase an earlier result.", metavar="REQUEST"),
+    ],
     cloud: Annotated[Path | None, typer.Option(help="Point cloud instead of the request's scene.cloud.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Result folder; by default out/NAME of the request.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Result folder; by default out/NAME of the request.")
+    ] = None,
     as_json: Json = False,
+    from_phase: Annotated[
+        str | None,
+        typer.Option(help="Plan the rest of a task: from this phase on. REQUEST is the result folder of the plan."),
+    ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(help="File with the robot's state, for --from-phase: joints, base, mechanism, contacts."),
+    ] = None,
     trajopt: Annotated[bool, typer.Option("--trajopt", help="REQUEST is a TrajOpt problem (docs/trajopt.md).")] = False,
     robot: Annotated[str | None, typer.Option(help="Bundled robot or URDF of a TrajOpt problem.")] = None,
     srdf: Annotated[Path | None, typer.Option(help="SRDF of that URDF; manip may name its groups.")] = None,
@@ -42,8 +55,14 @@ def plan_command(
 
     With --trajopt, REQUEST is a TrajOpt problem (JSON). Its robot comes with --robot or basic_info.robot, its scene
     with --scene or --cloud. It starts at --start, else at the first row of a given_traj, else at the robot's posture.
+
+    With --from-phase, REQUEST is the result of an earlier plan. The new motion starts at --state and keeps the earlier
+    plan's choices; --cloud gives a new scan.
     """
-    folder = out if out is not None else Path("out") / request.stem
+    if (from_phase is None) != (state is None):
+        raise typer.BadParameter("--from-phase and --state come together")
+    name = request.stem if from_phase is None else f"{(request.parent if request.is_file() else request).name}-rest"
+    folder = out if out is not None else Path("out") / name
     if not trajopt and any(
         value is not None for value in (robot, srdf, package_root, floating, scene, start, time_limit)
     ):
@@ -62,9 +81,13 @@ def plan_command(
             limit_s = TrajoptFiles.time_limit_s if time_limit is None else time_limit
             files = TrajoptFiles(robot, srdf, package_root, floating, scene, start, limit_s)
             plan_request = load_trajopt_request(request, files)
+        elif from_phase is not None and state is not None:
+            from service.replay.resume import make_rest_request
+
+            plan_request = make_rest_request(request, from_phase, state, cloud)
         else:
             plan_request = load_request(request)
-        if cloud is not None:
+        if cloud is not None and from_phase is None:
             plan_request = replace_cloud(plan_request, cloud)
         from service.planner import plan
         from service.result.folder import check_folder

@@ -17,8 +17,11 @@ from perception.detect.door.model import choose_opening
 from service.demands.door import LEAST_GRIP, Door, DoorChoice, Push, hold_handle, make_door_phases
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import PhaseSpec
+from service.demands.resume import ResumedDemand, check_travel, start_mechanism
+from service.errors import RequestError
 from service.request.door import DoorRequest, HandleRequest
 from service.request.names import LEAF_JOINT
+from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
 from service.verify import JointTarget, Motion, Phase, RelativePoseTarget
 
 SAME_PLACE_M = 1e-6
@@ -144,10 +147,15 @@ class DoorDemand:
 
     def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
         """Return the phases with the record's choices, and a sentence for each that the task forbids."""
+        choice, problems = self.read_choice(recorded)
+        return (() if choice is None else make_door_phases(self.door, choice)), problems
+
+    def read_choice(self, recorded: Motion) -> tuple[DoorChoice | None, tuple[str, ...]]:
+        """Return the record's choice, and a sentence for each part of it that the task forbids."""
         phases = {phase.name: phase for phase in recorded.phases}
         opened, pushed = phases.get("open"), phases.get("push 2", phases.get("push"))
         if opened is None and pushed is None:
-            return (), ("no phase opens the door",)
+            return None, ("no phase opens the door",)
         last = _read_leaf_angle(pushed if pushed is not None else opened)
         problems = []
         target = float(np.deg2rad(self.request.open_deg))
@@ -155,18 +163,18 @@ class DoorDemand:
             problems.append(f"the leaf is not opened to the {self.request.open_deg:g} deg of the request")
         push = None if pushed is None else self._read_push(pushed)
         if isinstance(push, str):
-            return (), (*problems, push)
+            return None, (*problems, push)
         choice: DoorChoice | str
         if opened is None:
             if push is None:
-                return (), (*problems, "no phase opens the door")
+                return None, (*problems, "no phase opens the door")
             peg = measure_peg(self.robot, push.hand)
             choice = DoorChoice(push.hand, peg, 0.0, 1.0, self.door.geometry.ajar, push, self.request.stays)
         else:
             choice = self._read_hold(opened, push)
         if isinstance(choice, str):
-            return (), (*problems, choice)
-        return make_door_phases(self.door, choice), tuple(problems)
+            return None, (*problems, choice)
+        return choice, tuple(problems)
 
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence where the figures of a result name another angle than the request."""
@@ -213,6 +221,71 @@ class DoorDemand:
                             return f"the hand is {grip:.3f} m along the handle, beyond what the task permits"
                         return replace(centred, grip=grip, stays=self.request.stays)
         return f"no hand that the task permits holds the handle in phase '{phase.name}'"
+
+
+def keep_door_choice(choice: DoorChoice) -> dict[str, HandleChoice | LeafChoice]:
+    """Return the sections ``handle`` and ``leaf`` of ``resume`` for a plan's choice."""
+    push, hand = choice.push, choice.hand
+    kept: dict[str, HandleChoice | LeafChoice] = {
+        "handle": HandleChoice(hand.side, choice.grip, choice.first, choice.sense > 0.0)
+    }
+    if push is not None:
+        kept["leaf"] = LeafChoice(push.hand.side, push.along, push.up, push.last)
+    return kept
+
+
+def read_kept_choice(door: Door, request: DoorRequest, resume: ResumeRequest, robot: RobotModel) -> DoorChoice:
+    """Return the choice of an earlier plan that the rest of it keeps.
+
+    Raises:
+        RequestError: the request has none, or the task forbids it.
+    """
+    handle, leaf = resume.handle, resume.leaf
+    if handle is None:
+        raise RequestError("resume.handle: is missing; a door is opened as the earlier plan chose to")
+    target = float(np.deg2rad(request.open_deg))
+    last = handle.until_rad if leaf is None else leaf.until_rad
+    problems = []
+    for field, kept in (("handle", handle), ("leaf", leaf)):
+        if kept is not None and request.hand not in ("auto", kept.hand):
+            problems.append(f"resume.{field}.hand: {kept.hand}; task.door.hand permits {request.hand}")
+    if abs(last - target) > 1e-6:
+        field = "handle" if leaf is None else "leaf"
+        problems.append(
+            f"resume.{field}.until_rad: {last:.6g} opens the leaf by {np.rad2deg(last):.1f} deg; "
+            f"expected the {request.open_deg:g} deg of the task"
+        )
+    size = door.geometry
+    if leaf is not None and not (0.0 < leaf.along_m < size.width and 0.0 < leaf.up_m < size.height):
+        problems.append("resume.leaf: the place is not on the leaf")
+    bar = door.handle
+    is_held = handle.until_rad > size.ajar
+    if is_held and (bar is None or bar.kind == "knob"):
+        problems.append("resume.handle: the door has no handle that can be held")
+    elif is_held and bar is not None:
+        low, high = (LEAST_GRIP, bar.length) if bar.kind == "lever" else (-0.5 * bar.length, 0.5 * bar.length)
+        if not low - SAME_PLACE_M <= handle.grip_m <= high + SAME_PLACE_M:
+            problems.append(f"resume.handle.grip_m: {handle.grip_m:.3f}; expected {low:.3f} to {high:.3f}")
+    if problems:
+        raise RequestError(problems)
+    hands = {hand.side: hand for hand in HANDS.values()}
+    push = None if leaf is None else Push(hands[leaf.hand], leaf.along_m, leaf.up_m, leaf.until_rad)
+    hand = hands[handle.hand]
+    sense = 1.0 if handle.is_towards_hinge else -1.0
+    return DoorChoice(hand, measure_peg(robot, hand), handle.grip_m, sense, handle.until_rad, push, request.stays)
+
+
+def resume_door(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: int = 14) -> ResumedDemand:
+    """Return what the rest of a door task demands.
+
+    Raises:
+        RequestError: its phase, mechanism or choices do not fit the task.
+    """
+    choice = read_kept_choice(demand.door, demand.request, resume, demand.robot)
+    specs = make_door_phases(demand.door, choice, reach_waypoints)
+    mechanism = start_mechanism(demand.mechanism, resume.mechanism)
+    check_travel(mechanism, specs, resume.phase)
+    return ResumedDemand(mechanism, specs, resume.phase, demand.compare_figures)
 
 
 def _list_holds(phase: Phase, tool: str, link: str) -> list[RelativePoseTarget]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 PEG_RADIUS = 0.009  # [m]
 
@@ -20,7 +21,7 @@ class Hand:
         peg_radius: half the rod's thickness [m].
     """
 
-    side: str
+    side: Literal["left", "right"]
     link: str
     hook: str
     tool: str

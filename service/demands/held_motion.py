@@ -101,6 +101,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     releases = () if demands.task is None else demands.task.mechanism.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
+    continues = None if demands.request.resume is None else demands.request.resume.plan
+    if recorded.continues != continues:
+        differences.append("the plan that the motion continues is not the request's")
     motion = replace(
         recorded,
         robot=robot,
@@ -109,6 +112,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         mechanism_links=robot.mechanism_links,
         waived=waived,
         releases=releases,
+        continues=continues,
     )
     return HeldMotion(motion, tuple(differences))
 

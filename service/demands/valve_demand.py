@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -12,9 +13,16 @@ from jaxtyping import Float
 from costs.robot import Mechanism
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import PhaseSpec
+from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.demands.wheel import HAND_AXIS, Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.errors import RequestError
+from service.request.names import VALVE_JOINT
+from service.request.resume import ResumeRequest, StrokeChoice
 from service.request.schema import ValveRequest
 from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget
+
+if TYPE_CHECKING:
+    from perception import ValveDetection
 
 TURN = "turn"
 SAME_PLACE_M = 1e-6
@@ -57,6 +65,14 @@ class ValveDemand:
             specs += make_stroke_phases(self.wheel, hand, entry, turn, suffix, grasp, self.request.torque_nm)
         return tuple(specs), tuple(problems)
 
+    def read_stroke(self, recorded: Motion) -> StrokeChoice | str:
+        """Return hand, gap and number of strokes of a recorded turn, or a sentence why there are none."""
+        turns = [phase for phase in recorded.phases if phase.name.split(" ")[0] == TURN]
+        if not turns:
+            return "no phase turns the valve"
+        choice = self._read_choice(turns[0])
+        return choice if isinstance(choice, str) else StrokeChoice(choice[0].side, choice[1], len(turns))
+
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence where the figures of a result name another angle than the request."""
         turned = figures.get("turned_deg")
@@ -85,6 +101,57 @@ class ValveDemand:
                     return hands[0], entry, Grasp(hold.rotation)
                 return f"the hand does not turn with the wheel in phase '{phase.name}', as a grasp has it"
         return f"the hook is in no gap of the valve in phase '{phase.name}'"
+
+
+def read_kept_stroke(request: ValveRequest, resume: ResumeRequest) -> tuple[Hand, StrokeChoice]:
+    """Return the hand and the choice of an earlier plan that the rest of it keeps.
+
+    Raises:
+        RequestError: the request has none, or the task forbids it.
+    """
+    stroke = resume.stroke
+    if stroke is None:
+        raise RequestError("resume.stroke: is missing; a valve is turned as the earlier plan chose to")
+    if request.hand not in ("auto", stroke.hand):
+        raise RequestError(f"resume.stroke.hand: {stroke.hand}; task.valve.hand permits {request.hand}")
+    return next(hand for hand in HANDS.values() if hand.side == stroke.hand), stroke
+
+
+def turn_back(valve: ValveDetection, resume: ResumeRequest | None) -> ValveDetection:
+    """Return a detected valve with its spokes as the earlier plan found them."""
+    if resume is None or not resume.is_rescanned:
+        return valve
+    turned = resume.mechanism.get(VALVE_JOINT, 0.0)
+    return replace(valve, spoke_angles=tuple(angle - turned for angle in valve.spoke_angles))
+
+
+def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
+    """Return what the rest of a valve task demands.
+
+    Raises:
+        RequestError: its phase, mechanism or choices do not fit the task.
+    """
+    hand, stroke = read_kept_stroke(demand.request, resume)
+    turn, count = float(np.deg2rad(demand.request.turn_deg)), stroke.strokes
+    edges = np.linspace(0.0, turn, count + 1).tolist()
+    grasp = None if demand.request.mode == "hook" else Grasp()
+    specs = tuple(
+        spec
+        for k, ends in enumerate(pairwise(edges))
+        for spec in make_stroke_phases(
+            demand.wheel, hand, stroke.gap_rad, ends, "" if count == 1 else f" {k + 1}", grasp
+        )
+    )
+    mechanism = start_mechanism(demand.mechanism, resume.mechanism)
+    check_travel(mechanism, specs, resume.phase)
+    rest = float(np.rad2deg(turn - mechanism.start[0]))
+
+    def compare(figures: Mapping[str, Any]) -> Iterator[str]:
+        turned = figures.get("turned_deg")
+        if not isinstance(turned, float | int) or abs(turned - rest) > TURNED_ROUNDING_DEG:
+            yield f"figures.turned_deg is {turned}, the rest of the turn is {rest:.1f}"
+
+    return ResumedDemand(mechanism, specs, resume.phase, compare)
 
 
 def _is_near(place: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:

@@ -60,6 +60,8 @@ def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: 
     for name, value in computed.items():
         if recorded[name] != value:
             yield f"{name} of the recorded certificate does not fit these files"
+    if recorded.get("continues_sha256") != motion.continues:
+        yield "the recorded certificate continues another plan than the motion"
     if data["robot"]["sha256"] != computed["robot_sha256"]:
         yield "robot.sha256 does not fit the robot's file"
     canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))

@@ -21,8 +21,8 @@ from service.demands import (
     has_scan,
     list_planted_feet,
 )
-from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door
-from service.demands.valve_demand import ValveDemand
+from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door
+from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
 from service.request.file import replace_clouds
@@ -134,7 +134,8 @@ def _rebuild_task(
         geometry = choose_door(task.door, surroundings.doors, base)
         if isinstance(geometry, str):
             raise RequestError(f"task.door: {geometry}")
-        return DoorDemand(make_door(task.door, geometry), task.door, robot)
+        opening = DoorDemand(make_door(task.door, geometry), task.door, robot)
+        return opening if request.resume is None else resume_door(opening, request.resume)
     if task.valve is None:
         return None
     from service.tasks.valve_task import read_given_valve
@@ -142,7 +143,8 @@ def _rebuild_task(
     valve = read_given_valve(task.valve) or next(iter(surroundings.valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    return ValveDemand(make_wheel(valve), task.valve)
+    turning = ValveDemand(make_wheel(turn_back(valve, request.resume)), task.valve)
+    return turning if request.resume is None else resume_valve(turning, request.resume)
 
 
 def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request_from: str) -> tuple[RobotModel, str]:

@@ -50,7 +50,7 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     started = time.perf_counter()
     data = read_result(path)
     folder = result_path(path).parent
-    robot, recorded = _read_record(data, folder)
+    robot, recorded = read_record(data, folder)
     is_claimed = data["verdict"] == Status.CERTIFIED.value
     if is_claimed and data.get("certificate") is None:
         raise ResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
@@ -91,9 +91,9 @@ def _read_demands(
     data: dict[str, Any], folder: Path, record: Record, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
     """Return the demands of the user's or the recorded request, and their sources."""
-    request = _read_request(data, folder) if given is None else load_request(given)
+    request = read_request(data, folder) if given is None else load_request(given)
     with _explain_defects(folder):
-        record = replace(record, valves=_read_valves(data), doors=_read_doors(data))
+        record = replace(record, valves=read_valves(data), doors=read_doors(data))
     try:
         return rebuild_demands(request, record, given, clouds)
     except RequestError as error:
@@ -125,7 +125,7 @@ def _compare_phases(data: dict[str, Any], reports: Sequence[PhaseReport]) -> Ite
         yield "the verdict is CERTIFIED, and not_planned lists phases"
 
 
-def _read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
+def read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
     """Read the valves of ``detections``."""
     hits = [hit for hit in data["detections"] if hit["kind"] == "valve"]
     if not hits:
@@ -138,7 +138,7 @@ def _read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
     return tuple(ValveDetection(**{**a, **b, **c}) for a, b, c in zip(plain, tuples, vectors, strict=True))
 
 
-def _read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
+def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
     """Read the doors of ``detections``."""
     doors = []
     for hit in data["detections"]:
@@ -152,7 +152,8 @@ def _read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
     return tuple(doors)
 
 
-def _read_request(data: dict[str, Any], folder: Path) -> PlanRequest:
+def read_request(data: dict[str, Any], folder: Path) -> PlanRequest:
+    """Return the request of a parsed ``result.json`` (ResultError where it cannot be used)."""
     try:
         return parse_request(data.get("request"), folder)
     except RequestError as error:
@@ -166,10 +167,10 @@ def read_motion(data: dict[str, Any], folder: Path) -> Motion:
     Raises:
         ResultError: there is no motion, or the data contradict each other.
     """
-    return _read_record(data, folder)[1]
+    return read_record(data, folder)[1]
 
 
-def _read_record(data: dict[str, Any], folder: Path) -> tuple[RobotModel, Motion]:
+def read_record(data: dict[str, Any], folder: Path) -> tuple[RobotModel, Motion]:
     """Return the robot of a result's folder, without the joints that the task moves, and the motion."""
     if data.get("curve") is None:
         raise ResultError(f"{folder}: the result has no motion to verify; its verdict is {shown(data.get('verdict'))}")

@@ -33,6 +33,7 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.resume import Hash, ResumeRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 UNPLANNED = {"egress": "getting out of vehicles"}
@@ -113,6 +114,27 @@ class PoseGoalRequest(Section):
     def __post_init__(self) -> None:
         if self.free_axis != "none" and self.quaternion_wxyz is None:
             raise PydanticCustomError("pose", "free_axis needs a quaternion_wxyz whose axis it frees")
+
+
+@dataclass(config=SECTION)
+class StateRequest(Section):
+    """State of a robot and of the mechanism it moves.
+
+    Attributes:
+        joints: position of every joint by name; or ``joint_names`` and ``positions``.
+        base: pose of a floating base.
+        mechanism: value of each joint of the task's mechanism [rad, m].
+        contacts: planted links; by default those of the earlier plan.
+        plan: hash of the plan that was executed, if known; another one is refused.
+    """
+
+    joints: Joints = field(default_factory=dict)
+    joint_names: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
+    positions: Annotated[tuple[Number, ...], at_most(MAX_JOINTS)] = ()
+    base: PoseRequest | None = None
+    mechanism: Joints = field(default_factory=dict)
+    contacts: Annotated[tuple[Name, ...], at_most(8)] | None = None
+    plan: Hash | None = None
 
 
 @dataclass(config=SECTION)
@@ -277,7 +299,8 @@ AttachedRequest = Annotated[AttachedBox | AttachedSphere | AttachedCylinder, Fie
 class PlanRequest(Section):
     """A request: a robot, its start, its surroundings, and a goal or a task.
 
-    ``keep`` lists relative poses to keep along the whole motion to a goal, ``attached`` the carried bodies.
+    ``keep`` lists relative poses to keep along the whole motion to a goal, ``attached`` the carried bodies;
+    ``resume`` plans the rest of a task again from the start.
     Paths are relative to ``folder``, which is not part of the request's JSON or hash.
     """
 
@@ -289,12 +312,15 @@ class PlanRequest(Section):
     keep: Annotated[tuple[KeepRequest, ...], at_most(8)] = ()
     attached: Annotated[tuple[AttachedRequest, ...], at_most(20)] = ()
     options: Options = field(default_factory=Options)
+    resume: ResumeRequest | None = None
     folder: Annotated[Path, Field(exclude=True)] = field(default=Path(), compare=False)
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("goal", "task"))
         if self.task is not None and self.keep:
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
+        if self.resume is not None and self.task is not None and self.task.trajopt is not None:
+            raise PydanticCustomError("request", "resume belongs to a goal or a task; a TrajOpt problem has no phases")
 
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""

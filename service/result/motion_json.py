@@ -41,6 +41,7 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "waived": sorted(motion.waived or ()),
         "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "releases": [asdict(release) for release in motion.releases],
+        "continues": motion.continues,
         "support_polygons": [
             {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
             for phase, zmp_of_phase in zip(standing, zmp_of_phases, strict=True)
@@ -71,6 +72,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         mechanism_links=robot.mechanism_links,
         waived=frozenset(str(name) for name in data.get("waived", ())),
         releases=tuple(_read_release(release) for release in data.get("releases", ())),
+        continues=data.get("continues"),
     )
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK
+from service.body.held_load import find_held_share
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
@@ -238,4 +240,18 @@ class DoorOpening:
             largest = float(samples[:, 1].max())
             is_bar = self.door.handle is not None and self.door.handle.kind == "push_bar"
             figures["pressed_m" if is_bar else "lever_deg"] = largest if is_bar else float(np.rad2deg(largest))
-        return figures
+        return figures | self._measure_loads(motion)
+
+    def _measure_loads(self, motion: Motion) -> dict[str, float]:
+        """Return the torques and the force up to which the motion could hold [N m, N]."""
+        door = self.door
+        is_bar = door.handle is not None and door.handle.kind == "push_bar"
+        stated = {
+            "holds_hinge_nm": (LEAF_LINK, door.hinge_nm),
+            "holds_push_bar_n" if is_bar else "holds_lever_nm": (
+                HANDLE_LINK,
+                door.push_bar_n if is_bar else door.lever_nm,
+            ),
+        }
+        shares = {name: (find_held_share(motion, {link}), load) for name, (link, load) in stated.items() if load > 0.0}
+        return {name: share * load for name, (share, load) in shares.items() if share is not None}

@@ -12,14 +12,15 @@ from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.door import Door
-from service.demands.door_demand import choose_door, make_door
+from service.demands.door import FREE_BEYOND, Door
+from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door
 from service.demands.hands import HANDS, Hand
 from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door import DoorOpening
 from service.tasks.door_sweep import find_blocked_opening
+from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 
 REACH_WAYPOINTS = 14
@@ -39,7 +40,7 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
             f"task.door.open_deg: {request.open_deg:g}; the leaf is open by {np.rad2deg(door.geometry.ajar):.0f} deg "
             "already; expected more"
         )
-    if door.handle is not None and door.handle.kind == "knob" and not (door.is_push and not door.is_latched):
+    if door.handle is not None and door.handle.kind == "knob" and door.geometry.ajar < FREE_BEYOND:
         return TaskPlan(solver.body, (), ("the door has a knob; no hand of this robot can turn a knob",))
     hands = choose_hands(solver.body, request, door)
     near = tuple(
@@ -48,6 +49,13 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
         for link in (hand.hook, hand.link)
         for joint in door.mechanism.joints
     )
+    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    if setup.request.resume is not None:
+        rest = resume_door(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
+        solver = replace(add_mechanism(solver, rest.mechanism), overrides=near)
+        opening = DoorOpening(solver, door, hands, target, request.stays, waypoints)
+        plan = plan_rest(solver, rest, rest.specs, opening.measure)
+        return replace(plan, notes=(note, *plan.notes))
     solver = replace(add_mechanism(solver, door.mechanism), overrides=near)
     collisions = tuple(find_collisions(solver.body))
     if collisions:
@@ -60,7 +68,6 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
         advice = () if is_piece else (STANCE_ADVICE,)
         return TaskPlan(solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)
     notes = (note, *(met.describe(target) for met in blocked))
-    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
     advice = () if plan.is_feasible else (STANCE_ADVICE,)
     return replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))

@@ -51,11 +51,13 @@ class PhaseSequence:
         solver: of the body augmented by the mechanism.
         mechanism: whose joints are the last coordinates.
         specs: the phases.
+        is_held: whether they begin with the hand at its place: the first phases are then solved forwards.
     """
 
     solver: PhaseSolver
     mechanism: Mechanism
     specs: tuple[PhaseSpec, ...]
+    is_held: bool = False
 
     def __post_init__(self) -> None:
         find_moves(self.specs)
@@ -63,7 +65,14 @@ class PhaseSequence:
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan all phases from configuration ``at``; return those that were solved, and the step that was not."""
         phases: tuple[PlannedPhase, ...] = ()
-        for group in split_groups(self.specs):
+        specs, stuck = self.specs, None
+        if self.is_held:
+            n_held = next((k for k, spec in enumerate(specs) if k > 0 and spec.hand is None), len(specs))
+            phases, stuck = self._plan_forwards(specs[:n_held], at)
+            if stuck is not None:
+                return phases, replace(stuck, order=tuple(spec.name for spec in specs))
+            specs, at = specs[n_held:], phases[-1].q[-1]
+        for group in split_groups(specs) if specs else ():
             planned, stuck = self._plan_group(group, at)
             phases += planned
             if stuck is not None:
@@ -76,6 +85,39 @@ class PhaseSequence:
         compiler = _Compiler(self.solver, self.mechanism)
         guesses = [*guesses, *compiler.list_guesses(self.solver.body.nominal)][:QUICK_GUESSES]
         return compiler.solve_pose(step, spec, guesses, QUICK_EFFORT)
+
+    def _plan_forwards(
+        self, specs: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
+    ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
+        """Plan phases with a held hand in the order of execution; a free one before them brings the hand to its place.
+
+        A rigid hand keeps the turn about its axis that it has when it begins.
+        """
+        compiler, monitor = _Compiler(self.solver, self.mechanism), self.solver.monitor
+        phases: list[PlannedPhase] = []
+        if specs[0].hand is None:
+            free, *specs = specs
+            step = f"pose for '{specs[0].name}'"
+            first = specs[0].with_rotation(compiler.find_rotation(specs[0], at))
+            with monitor.step(step, 0.1):
+                pose = compiler.solve_pose(step, replace(first, fixed={}), [at])
+            if not pose.is_feasible:
+                return _stop_at(free.name, step, pose, np.stack([at, pose.x[0]]))
+            with monitor.step(free.name, 0.3):
+                taken = compiler.solve_free(free, at, pose.x[0])
+            phases.append(compiler.finish(free, taken))
+            if not taken.is_feasible:
+                return tuple(phases), Stuck(free.name, taken)
+            at = pose.x[0]
+        for spec in specs:
+            held = spec.with_rotation(compiler.find_rotation(spec, at))
+            with monitor.step(spec.name, 0.5):
+                solved = compiler.solve_held(held, at)
+            phases.append(compiler.finish(held, solved))
+            if not solved.is_feasible:
+                return tuple(phases), Stuck(spec.name, solved)
+            at = solved.x[-1]
+        return tuple(phases), None
 
     def _plan_group(
         self, group: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
@@ -215,7 +257,7 @@ class _Compiler:
             start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
         starts = [start]
-        if is_anchor and spec.aims_at_end:
+        if spec.aims_at_end and not is_backwards:
             guesses = [np.concatenate([q[: self.columns[0]], spec.last])]
             end = self.solve_pose(spec.name, replace(spec, first=spec.last), guesses, QUICK_EFFORT)
             if end.is_feasible:

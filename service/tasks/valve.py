@@ -17,12 +17,14 @@ from jaxtyping import Float
 from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
+from service.body.held_load import find_held_share
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import LIMIT_RESERVE
 from service.demands.hands import Hand
 from service.demands.phase_spec import PhaseSpec
 from service.demands.wheel import REACH_WAYPOINTS, Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.request.names import VALVE_LINK
 from service.tasks.sequence import PhaseSequence, find_turn_joint
 from service.verify import Motion
 
@@ -64,7 +66,7 @@ class ValveTurn:
         sequence = PhaseSequence(self.solver, make_wheel_mechanism(self.wheel), self.list_phases())
         phases, stuck = sequence.plan(body.nominal)
         note = f"{self.hand.side} hand in {self.mode} mode, inserted at {np.rad2deg(self.entry):.0f} deg of the rim"
-        return TaskPlan(body, phases, stuck=stuck, measure=self._measure, notes=() if stuck else (note,))
+        return TaskPlan(body, phases, stuck=stuck, measure=self.measure, notes=() if stuck else (note,))
 
     def list_phases(self) -> tuple[PhaseSpec, ...]:
         """Return the phases of as few equal strokes as the wrist's range allows; of a single one in hook mode."""
@@ -93,7 +95,7 @@ class ValveTurn:
         name = self.robot.joint_names[column]
         return Grasp(fixed={name: float(lower if rises else upper)}, rates={name: -sense})
 
-    def _measure(self, motion: Motion) -> Mapping[str, float]:
+    def measure(self, motion: Motion) -> Mapping[str, float]:
         """Measure the tool's angle of travel about the valve's axis on the executed curve."""
         total = 0.0
         joint, pose_joint_tool = locate_frame(motion.robot, self.hand.tool)
@@ -106,4 +108,6 @@ class ValveTurn:
                 offset = positions - self.wheel.centre
                 angle = np.unwrap(np.arctan2(offset @ second, offset @ first))
                 total += float(angle[-1] - angle[0])
-        return {"turned_deg": float(np.rad2deg(total))}
+        figures = {"turned_deg": float(np.rad2deg(total))}
+        share = find_held_share(motion, {VALVE_LINK}) if self.torque_nm > 0.0 else None
+        return figures if share is None else figures | {"holds_torque_nm": share * self.torque_nm}

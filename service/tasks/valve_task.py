@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.allowance import BodyRef
 from costs.kinematics import locate_links
+from costs.robot import Mechanism
 from costs.scene import Scene
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from perception import ValveDetection, has_clear_spokes
@@ -21,6 +22,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import HANDS, Hand
+from service.demands.valve_demand import ValveDemand, read_kept_stroke, resume_valve, turn_back
 from service.demands.wheel import (
     HAND_AXIS,
     HOOK_ROOM,
@@ -33,9 +35,11 @@ from service.demands.wheel import (
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.request.names import VALVE_LINK
+from service.request.resume import ResumeRequest
 from service.request.schema import ValveRequest
 from service.scan.scene_file import wheel_from_circle
 from service.setup.prepare import PlanSetup
+from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 from service.tasks.valve import ValveTurn
 
@@ -55,13 +59,17 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
     valve = find_valve(setup, request)
     if isinstance(valve, str):
         return TaskPlan(solver.body, (), (valve,))
+    valve = turn_back(valve, setup.request.resume)
     hands = choose_hands(solver.body, request, valve)
     farthest = valve.rim_radius + RIM_TOLERANCE
     reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, farthest) for hand in hands]
     if all(reasons):
         return TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
     wheel = _make_wheel(solver.body, valve, hands[0])
-    plan = _plan_turn(solver, wheel, hands, request, setup.request.options.waypoints or REACH_WAYPOINTS)
+    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    if setup.request.resume is not None:
+        return _plan_rest(solver, wheel, request, setup.request.resume, waypoints)
+    plan = _plan_turn(solver, wheel, hands, request, waypoints)
     note = (
         f"valve at {np.round(valve.centre, 3).tolist()}, axis {np.round(valve.axis, 3).tolist()}, "
         f"rim radius {valve.rim_radius:.3f} m, confidence {valve.confidence:.2f}"
@@ -137,10 +145,7 @@ def _plan_turn(
     Raises:
         RequestError: a link of the robot is in the wheel at the start.
     """
-    solver = replace(
-        add_mechanism(solver, make_wheel_mechanism(wheel)),
-        overrides=tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands),
-    )
+    solver = _add_wheel(solver, make_wheel_mechanism(wheel), hands)
     collisions = tuple(_find_collisions(solver.body))
     if collisions:
         raise RequestError(collisions)
@@ -155,6 +160,27 @@ def _plan_turn(
     if best is None:
         raise ValueError("a wheel needs a gap and the robot a hand")
     return best
+
+
+def _add_wheel(solver: PhaseSolver, mechanism: Mechanism, hands: Sequence[Hand]) -> PhaseSolver:
+    """Return the solver of the robot with the wheel, which hooks may come near."""
+    overrides = tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands)
+    return replace(add_mechanism(solver, mechanism), overrides=overrides)
+
+
+def _plan_rest(
+    solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, reach_waypoints: int
+) -> TaskPlan:
+    """Plan the rest of a turn with the hand, the gap and the grasps of the earlier plan."""
+    rest = resume_valve(ValveDemand(wheel, request), resume)
+    hand, stroke = read_kept_stroke(request, resume)
+    solver = _add_wheel(solver, rest.mechanism, [hand])
+    turn = np.deg2rad(request.turn_deg)
+    turning = ValveTurn(solver, wheel, hand, request.mode, turn, stroke.gap_rad, reach_waypoints)
+    specs = turning.list_phases()
+    if [spec.name for spec in specs] != [spec.name for spec in rest.specs]:
+        raise RequestError(f"resume.stroke.strokes: {stroke.strokes}; this robot turns the wheel in another number")
+    return plan_rest(solver, rest, specs, turning.measure)
 
 
 def _find_collisions(body: WholeBody) -> Iterator[str]:

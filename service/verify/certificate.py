@@ -250,6 +250,7 @@ class Certificate:
         notes: what the verdict rests on besides proof.
         gaps: intervals on which the clearance proof leaves a pair open; empty in a certified motion.
         coverage: links, pairs and joints that were checked, and those that were not.
+        continues_sha256: hash of the certificate of the plan that the motion continues, or None.
     """
 
     status: Status
@@ -266,6 +267,7 @@ class Certificate:
     notes: tuple[str, ...] = field(default=())
     gaps: Gaps = field(default_factory=Gaps)
     coverage: Coverage = field(default_factory=Coverage)
+    continues_sha256: str | None = None
 
     def failed(self) -> tuple[Check, ...]:
         """Return the checks that do not hold."""
@@ -314,6 +316,7 @@ class Certificate:
             tuple(data["notes"]),
             gaps=_gaps(data.get("gaps") or {}),
             coverage=Coverage.from_dict(data["coverage"]) if "coverage" in data else Coverage(),
+            continues_sha256=data.get("continues_sha256"),
         )
 
 

@@ -272,6 +272,7 @@ class Motion:
         waived: checks that the request waives: ``timing``, ``balance``; all others are required. None where the
             request is unknown: checks that were not made are then listed in the coverage and nothing more.
         releases: rules of the mechanism's latches.
+        continues: hash of the certificate of the plan whose task this motion continues, or None.
     """
 
     robot: RobotModel
@@ -283,3 +284,4 @@ class Motion:
     mechanism_links: frozenset[str] = field(default_factory=frozenset)
     waived: frozenset[str] | None = None
     releases: tuple[Release, ...] = ()
+    continues: str | None = None

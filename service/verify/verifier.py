@@ -76,6 +76,7 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
         _notes(prepared, coverage),
         gaps=clearance.gaps,
         coverage=coverage,
+        continues_sha256=motion.continues,
     )
 
 

@@ -138,23 +138,29 @@ def fit_bar(rays: NearRays, start: Bar) -> Bar:
     return best if best.axis[0] >= 0.0 else replace(best, ends=best.ends[::-1])
 
 
-def _search(rays: NearRays, start: Bar) -> Bar:
-    """Return the bar of greatest likelihood near ``start``, by simplex search."""
+def fit_ball(rays: NearRays, start: Bar) -> Bar:
+    """Return the likeliest bar without length, searched from the middle of ``start``."""
+    return _search(rays, replace(start, ends=np.stack([start.middle, start.middle])), is_ball=True)
+
+
+def _search(rays: NearRays, start: Bar, *, is_ball: bool = False) -> Bar:
+    """Return the bar of greatest likelihood near ``start``, by simplex search; of a ball both ends move alike."""
     bare = _bare(rays)
     to_face = -rays.start[:, 2] / rays.direction[:, 2]
     n_rays = max(len(bare), 1)
+    n_shifts = 4 if is_ball else 6
 
-    def cost(shift: Float[np.ndarray, "6"]) -> float:
+    def cost(shift: Float[np.ndarray, "S"]) -> float:
         poll()
         bar, beyond = _shifted(start, shift)
         return float((np.sum(_misfits(rays, bar, to_face) - bare) + _PER_LENGTH * bar.length) / n_rays + beyond)
 
     found = minimize(
         cost,
-        np.zeros(6),
+        np.zeros(n_shifts),
         method="Nelder-Mead",
         options={
-            "initial_simplex": np.concatenate([np.zeros((1, 6)), np.eye(6)]),
+            "initial_simplex": np.concatenate([np.zeros((1, n_shifts)), np.eye(n_shifts)]),
             "maxfev": _MOST_STEPS,
             "xatol": 0.02,
             "fatol": 1e-5,
@@ -164,12 +170,16 @@ def _search(rays: NearRays, start: Bar) -> Bar:
     return Bar(bar.ends, bar.out, bar.radius, float(found.fun))
 
 
-def _shifted(start: Bar, shift: Float[np.ndarray, "6"]) -> tuple[Bar, float]:
-    """Return the bar after a step in units of ``_SCALE``, and how far its standoff and radius exceed their limits."""
-    out, radius = start.out + _SCALE * shift[4], start.radius + 0.5 * _SCALE * shift[5]
+def _shifted(start: Bar, shift: Float[np.ndarray, "S"]) -> tuple[Bar, float]:
+    """Return the bar after a step in units of ``_SCALE``, and how far its standoff and radius exceed their limits.
+
+    Args:
+        shift: of both ends, or of both alike, then of standoff and radius.
+    """
+    out, radius = start.out + _SCALE * shift[-2], start.radius + 0.5 * _SCALE * shift[-1]
     within = float(np.clip(out, *_OUTS)), float(np.clip(radius, *_RADII))
     beyond = 100.0 * (abs(out - within[0]) + abs(radius - within[1]))
-    return Bar(start.ends + _SCALE * shift[:4].reshape(2, 2), *within, 0.0), beyond
+    return Bar(start.ends + _SCALE * shift[:-2].reshape(-1, 2), *within, 0.0), beyond
 
 
 def _bare(rays: NearRays) -> Float[np.ndarray, "K"]:

@@ -36,6 +36,7 @@ _OCCLUDED = 0.3
 _SQUARE = (np.radians(70.0), np.radians(85.0))
 _HINT_TRUST = 0.7
 _SHOWN = 2000
+_FARTHEST_NOISE, _NOISE = 5.0, (0.03, 0.06)  # of a leaf's points, in standard deviations and as limits [m]
 _ENOUGH = 60_000
 
 
@@ -236,7 +237,8 @@ def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
     step = max(1, len(leaf.points) // _SHOWN)
     opens, certainty = judge_opening(leaf, frame, (hinge_at, free_at), rays, ground)
-    model = DoorModel(shut_leaf(leaf, frame, handle, pose, sizes, opens, ground))
+    noise = float(np.clip(_FARTHEST_NOISE * leaf.rms, *_NOISE))
+    model = DoorModel(shut_leaf(leaf, frame, handle, pose, sizes, opens, ground), noise)
     residuals |= {"opens_share": certainty, "hinge_share": float(candidate.knows_hinge)}
     residuals["thickness_share"] = 0.0
     return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step], model)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.door.bar import Bar, NearRays, fit_bar, rate_extensions
+from perception.detect.door.bar import Bar, NearRays, fit_ball, fit_bar, rate_extensions
 from perception.detect.door.bump import JAMB, Bump, DoorFace, find_bumps, rays_towards
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import Upright
@@ -148,6 +148,9 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
     is_long = bar.length > _LEAST_BAR * bar.radius
     is_lever = bool(is_long and bar.length > 0.065 and bar.tilt < _STEEPEST_LEVER)
     is_pull = bool(is_long and bar.length > 0.12 and bar.tilt > _FLATTEST_PULL)
+    if not is_lever and not is_pull:
+        # The neck of a knob makes it look long from aside.
+        bar = fit_ball(near, bar)
     half = 0.5 * bar.axis_length * np.abs(bar.axis) + bar.radius
     inside = bar.reached_by(near)[0] < -0.3 * bar.radius
     met = near.out > 0.5 * bar.out

@@ -22,13 +22,18 @@ _ABOUT_HANDLE = 0.03
 
 @dataclass(frozen=True)
 class DoorModel:
-    """Detected door."""
+    """Detected door.
+
+    Attributes:
+        noise: distance from the leaf at which points may still be its own [m].
+    """
 
     geometry: DoorGeometry
+    noise: float = _NOISE
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
         """Return (N,) points on leaf and handle where they were seen; no part of a door stays in the scene."""
-        return door_points(self.geometry, points), ()
+        return door_points(self.geometry, points, self.noise), ()
 
     def see_past(
         self, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], /
@@ -37,7 +42,7 @@ class DoorModel:
 
         Otherwise a wall whose face is flush with the leaf would continue through the doorway.
         """
-        own = door_points(self.geometry, ends)
+        own = door_points(self.geometry, ends, self.noise)
         begin, end = np.broadcast_to(starts, ends.shape)[own], ends[own]
         share = np.ones(len(end))
         for geometry in (self.geometry, replace(self.geometry, ajar=0.0)):
@@ -70,13 +75,16 @@ def choose_opening(geometry: DoorGeometry, opens: Opens) -> DoorGeometry:
     return replace(geometry, hinge=hinge, face=face, opens=opens)
 
 
-def door_points(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-    """Return (N,) points within the noise of leaf and handle, in the pose in which the leaf was seen."""
+def door_points(
+    geometry: DoorGeometry, points: Float[np.ndarray, "N 3"], noise: float = _NOISE
+) -> Bool[np.ndarray, "N"]:
+    """Return (N,) points within ``noise`` of leaf and handle, in the pose in which the leaf was seen [m]."""
     x, out, up = _in_leaf(geometry, points).T
     back = geometry.face - geometry.thickness
-    # Points beside the leaf are its frame.
-    own = (x > -_BESIDE) & (x < geometry.width + _BESIDE) & (up < geometry.height + _BESIDE)
-    own &= (out > back - _NOISE) & (out < geometry.face + _NOISE)
+    # Points beside the leaf are its frame, which may stand out of it.
+    beside = np.where(out > geometry.face + _BESIDE, 0.0, _BESIDE)
+    own = (x > -beside) & (x < geometry.width + beside) & (up < geometry.height + beside)
+    own &= (out > back - noise) & (out < geometry.face + noise)
     handle = geometry.handle
     if handle is None:
         return np.asarray(own)

@@ -316,6 +316,7 @@ class Doorway:
         width: width of the leaf, varied by 3 cm [m].
         distance: distance of the doorway's centre, varied by 8 cm [m].
         turned_deg: rotation of the wall about z, from normal to the robot's view, varied by 3 degrees.
+        lever_turn_deg: angle by which the levers are turned down.
         corridor: half the width of the corridor around the robot [m]; None: no side walls.
     """
 
@@ -327,6 +328,7 @@ class Doorway:
     distance: float = 0.85
     turned_deg: float = 0.0
     corridor: float | None = None
+    lever_turn_deg: float = 0.0
 
     def make(self, name: str, seed: int) -> SimulatedScene:
         """See :class:`Recipe`."""
@@ -339,7 +341,8 @@ class Doorway:
         hinge = middle - 0.5 * width * np.array([np.cos(along), np.sin(along)])
         ajar = np.radians(self.ajar_deg + rng.uniform(-4.0, 4.0)) if self.ajar_deg else 0.0
         place = ((hinge[0], hinge[1]), along, self.hinge_on, self.side, ajar, width)
-        door = Door(*place, furniture=self.furniture, handle_z=rng.uniform(0.95, 1.1))
+        height, lever_turn = rng.uniform(0.95, 1.1), float(np.radians(self.lever_turn_deg))
+        door = Door(*place, furniture=self.furniture, handle_z=height, lever_turn=lever_turn)
         parts = [door.build(), floor(), things(box((3.5, -4.0, 0.0), (3.6, 4.0, 2.6)))]
         if self.corridor is not None:
             parts.append(side_walls(self.corridor, middle[0] - 0.1))
@@ -360,6 +363,8 @@ SCENES: Mapping[str, Recipe] = {
     "door_right_bar": Doorway("right", "push", furniture="bar"),
     "door_left_bar_ajar": Doorway("left", "push", 15.0, "bar", width=1.0),
     "door_right_knob": Doorway("right", furniture="knob", width=0.82),
+    "door_left_pull": Doorway("left", furniture="pull"),
+    "door_right_lever_turned": Doorway("right", lever_turn_deg=25.0),
     "door_oblique": Doorway("left", distance=1.1, turned_deg=25.0),
     "door_oblique_ajar": Doorway("right", "push", 12.0, distance=1.1, turned_deg=-30.0),
     "door_corridor": Doorway("left", distance=1.2, corridor=0.8, width=0.85),

@@ -147,7 +147,7 @@ QP_SOLVER_CLARABEL: QpSolver
 QP_SOLVER_CVXPY: QpSolver
 
 class MotionRequest(_message.Message):
-    __slots__ = ("robot", "start", "scene", "goal", "task", "keep", "attached", "options")
+    __slots__ = ("robot", "start", "scene", "goal", "task", "keep", "attached", "options", "resume")
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     START_FIELD_NUMBER: _ClassVar[int]
     SCENE_FIELD_NUMBER: _ClassVar[int]
@@ -156,6 +156,7 @@ class MotionRequest(_message.Message):
     KEEP_FIELD_NUMBER: _ClassVar[int]
     ATTACHED_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    RESUME_FIELD_NUMBER: _ClassVar[int]
     robot: Robot
     start: Start
     scene: SceneSpec
@@ -164,7 +165,8 @@ class MotionRequest(_message.Message):
     keep: _containers.RepeatedCompositeFieldContainer[Keep]
     attached: _containers.RepeatedCompositeFieldContainer[Attached]
     options: Options
-    def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ...) -> None: ...
+    resume: Resume
+    def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
     __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m")
@@ -515,3 +517,62 @@ class Options(_message.Message):
     timed: bool
     escape: bool
     def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ...) -> None: ...
+
+class Resume(_message.Message):
+    __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf")
+    class MechanismEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    PLAN_FIELD_NUMBER: _ClassVar[int]
+    MECHANISM_FIELD_NUMBER: _ClassVar[int]
+    IS_RESCANNED_FIELD_NUMBER: _ClassVar[int]
+    STROKE_FIELD_NUMBER: _ClassVar[int]
+    HANDLE_FIELD_NUMBER: _ClassVar[int]
+    LEAF_FIELD_NUMBER: _ClassVar[int]
+    phase: str
+    plan: str
+    mechanism: _containers.ScalarMap[str, float]
+    is_rescanned: bool
+    stroke: StrokeChoice
+    handle: HandleChoice
+    leaf: LeafChoice
+    def __init__(self, phase: _Optional[str] = ..., plan: _Optional[str] = ..., mechanism: _Optional[_Mapping[str, float]] = ..., is_rescanned: bool = ..., stroke: _Optional[_Union[StrokeChoice, _Mapping]] = ..., handle: _Optional[_Union[HandleChoice, _Mapping]] = ..., leaf: _Optional[_Union[LeafChoice, _Mapping]] = ...) -> None: ...
+
+class StrokeChoice(_message.Message):
+    __slots__ = ("hand", "gap_rad", "strokes")
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    GAP_RAD_FIELD_NUMBER: _ClassVar[int]
+    STROKES_FIELD_NUMBER: _ClassVar[int]
+    hand: Hand
+    gap_rad: float
+    strokes: int
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., gap_rad: _Optional[float] = ..., strokes: _Optional[int] = ...) -> None: ...
+
+class HandleChoice(_message.Message):
+    __slots__ = ("hand", "grip_m", "until_rad", "is_towards_hinge")
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    GRIP_M_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_RAD_FIELD_NUMBER: _ClassVar[int]
+    IS_TOWARDS_HINGE_FIELD_NUMBER: _ClassVar[int]
+    hand: Hand
+    grip_m: float
+    until_rad: float
+    is_towards_hinge: bool
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., grip_m: _Optional[float] = ..., until_rad: _Optional[float] = ..., is_towards_hinge: bool = ...) -> None: ...
+
+class LeafChoice(_message.Message):
+    __slots__ = ("hand", "along_m", "up_m", "until_rad")
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    ALONG_M_FIELD_NUMBER: _ClassVar[int]
+    UP_M_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_RAD_FIELD_NUMBER: _ClassVar[int]
+    hand: Hand
+    along_m: float
+    up_m: float
+    until_rad: float
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., along_m: _Optional[float] = ..., up_m: _Optional[float] = ..., until_rad: _Optional[float] = ...) -> None: ...

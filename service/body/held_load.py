@@ -1,0 +1,68 @@
+"""How much more than the stated loads a motion could carry, until the ground or a joint no longer holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.optimize import linprog
+
+from costs.contact import GRAVITY, WorldContacts
+from service.verify import Motion, Phase
+from service.verify.forces.dynamics import compute_forces
+from service.verify.forces.hand_loads import list_load_cases
+from service.verify.forces.loaded_balance import find_sole_normals, place_sole_corners
+from service.verify.timeline import find_times
+
+N_SAMPLES = 9  # per phase
+MOST = 20.0  # times the stated load
+
+
+def find_held_share(motion: Motion, links: Collection[str]) -> float | None:
+    """Return the largest multiple of the loads on some links that every sampled pose still carries; None without loads.
+
+    Torques grow in proportion to the load, and contact forces inside the friction pyramids have to balance it. It is an
+    estimate at samples, not part of the certificate.
+    """
+    shares = [_find_share(motion, phase) for phase in motion.phases if any(load.link in links for load in phase.loads)]
+    return min(shares, default=None)
+
+
+def _find_share(motion: Motion, phase: Phase) -> float:
+    s = np.linspace(phase.first, phase.last, N_SAMPLES)
+    share = MOST
+    if motion.law is not None:
+        dynamics = compute_forces(motion, motion.law, phase, find_times(motion.law, s))
+        limited = np.flatnonzero(np.isfinite(motion.robot.effort) & (motion.robot.effort > 0.0))
+        free, full = dynamics.torque[0][:, limited], dynamics.torque[-1][:, limited]
+        rise, effort = full - free, motion.robot.effort[limited]
+        with np.errstate(divide="ignore"):
+            room = np.where(rise >= 0.0, effort - free, effort + free) / np.abs(rise)
+        share = min(share, float(np.maximum(room, 0.0).min(initial=MOST)))
+    if phase.support is not None and phase.contacts:
+        q = motion.curve(s)
+        wrenches = list_load_cases(motion.robot, q, phase.loads)[-1].wrench
+        share = min([share, *(_find_held(motion, phase, row, w) for row, w in zip(q, wrenches, strict=True))])
+    return share
+
+
+def _find_held(motion: Motion, phase: Phase, q: Float[np.ndarray, "n"], wrench: Float[np.ndarray, "6"]) -> float:
+    """Return the largest multiple of a wrench that the ground's forces balance together with the weight."""
+    model = motion.robot.model
+    corners = place_sole_corners(phase.contacts)
+    frictions = np.concatenate([np.full(len(c.sole), c.friction) for c in phase.contacts])
+    caps = np.concatenate([np.full(len(c.sole), c.force_cap_n) for c in phase.contacts])
+    edges = WorldContacts(corners, find_sole_normals(phase.contacts), frictions, caps).list_pyramid_edges()
+    columns = [
+        np.concatenate([edge, np.cross(at, edge)]) for at, fan in zip(corners, edges, strict=True) for edge in fan
+    ]
+    weight = np.array([0.0, 0.0, -GRAVITY * float(pin.computeTotalMass(model))])
+    com = pin.centerOfMass(model, model.createData(), q)
+    rest = np.concatenate([weight, np.cross(com, weight)])
+    balance = np.column_stack([*columns, wrench])
+    cost = np.append(np.zeros(len(columns)), -1.0)
+    bounds = [(0.0, None)] * len(columns) + [(0.0, MOST)]
+    solved = linprog(cost, A_eq=balance, b_eq=-rest, bounds=bounds, method="highs")
+    return 0.0 if solved.x is None else float(solved.x[-1])

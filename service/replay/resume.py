@@ -1,0 +1,120 @@
+"""Request for the rest of an earlier plan: from one of its phases on, starting at the robot's state."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from costs.robot import BASE_NAMES, RobotModel
+from service.demands import TaskDemand
+from service.demands.door_demand import DoorDemand, keep_door_choice
+from service.demands.valve_demand import ValveDemand
+from service.errors import RequestError, ResultError, shown
+from service.replay.rebuild import Record, rebuild_demands
+from service.replay.replay import read_record, read_request, read_valves
+from service.request.file import load_section, replace_cloud, request_hash
+from service.request.resume import ResumeRequest
+from service.request.schema import PlanRequest, StartRequest, StateRequest
+from service.result.folder import read_result, result_path
+from service.verify import Motion
+
+
+def hash_plan(data: Mapping[str, Any]) -> str:
+    """Return the hash of the certificate of a parsed ``result.json``, as ``resume.plan`` cites it."""
+    return "sha256:" + hashlib.sha256(orjson.dumps(data["certificate"])).hexdigest()
+
+
+def make_rest_request(path: Path, phase: str, state_file: Path, cloud: Path | None = None) -> PlanRequest:
+    """Return the request that plans the rest of an earlier plan from the robot's state.
+
+    Args:
+        path: result folder of the earlier plan, or its ``result.json``.
+        phase: name of the phase to begin with.
+        state_file: file with a ``StateRequest``.
+        cloud: new scan, which shows the scene as it is now.
+
+    Raises:
+        ResultError: the earlier plan cannot be read or continued.
+        RequestError: one line per problem of the state.
+    """
+    data = read_result(path)
+    folder = result_path(path).parent
+    if data.get("certificate") is None or not data["phases"]:
+        raise ResultError(
+            f"{folder}: the plan has no certified motion to continue; plan its request from the new state"
+        )
+    request = read_request(data, folder)
+    if data["request_hash"] != request_hash(request):
+        raise ResultError(
+            f"{folder}: request_hash does not fit the request; the result was changed after it was written"
+        )
+    state = load_section(StateRequest, state_file)
+    plan = hash_plan(data)
+    if state.plan is not None and state.plan != plan:
+        raise RequestError(f"{state_file.name}: plan: {shown(state.plan)} is not the plan in {folder}, which is {plan}")
+    robot, motion = read_record(data, folder)
+    resume = _make_resume(data, folder, request, robot, motion)
+    resume = replace(resume, phase=phase, plan=plan, mechanism=state.mechanism, is_rescanned=cloud is not None)
+    names = [*(entry["name"] for entry in data["phases"]), *data["not_planned"]]
+    if request.goal is not None and phase not in names:
+        raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(names)}")
+    feet = request.options.feet if state.contacts is None else state.contacts
+    rest = replace(
+        request,
+        start=_read_start(robot, state, state_file.name),
+        options=replace(request.options, feet=feet),
+        resume=resume,
+    )
+    return rest if cloud is None else replace_cloud(rest, cloud)
+
+
+def _make_resume(
+    data: dict[str, Any], folder: Path, request: PlanRequest, robot: RobotModel, motion: Motion
+) -> ResumeRequest:
+    """Return a section with the choices of the earlier plan; those that it kept itself are kept on."""
+    if request.resume is not None:
+        return request.resume
+    empty = ResumeRequest(phase="-", plan="sha256:" + 64 * "0")
+    if request.goal is not None:
+        return empty
+    demands, _ = rebuild_demands(request, Record(robot, motion.scene, read_valves(data)), None, ())
+    kept = _keep_choices(demands.task, motion)
+    if isinstance(kept, str):
+        raise ResultError(f"{folder}: {kept}; only the rest of a complete plan can be planned again")
+    return replace(empty, **kept)
+
+
+def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | str:
+    """Return the sections of ``resume`` that keep a motion's choices, or a sentence why it has none."""
+    if isinstance(task, DoorDemand):
+        choice, problems = task.read_choice(motion)
+        return "; ".join(problems) if choice is None or problems else dict(keep_door_choice(choice))
+    if isinstance(task, ValveDemand):
+        stroke = task.read_stroke(motion)
+        return stroke if isinstance(stroke, str) else {"stroke": stroke}
+    return "its task has no phases"
+
+
+def _read_start(robot: RobotModel, state: StateRequest, file: str) -> StartRequest:
+    """Return the start at a state, which names every joint.
+
+    Raises:
+        RequestError: one line for missing joints or a missing base.
+    """
+    given = {*state.joints, *state.joint_names}
+    own = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+    missing = [name for name in own if name not in given]
+    problems = []
+    if missing:
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        problems.append(f"{file}: joints: {', '.join(missing[:3])}{more} missing; expected every joint of {robot.name}")
+    if robot.is_floating and state.base is None:
+        problems.append(f"{file}: base: is missing; expected position and quaternion_wxyz")
+    if problems:
+        raise RequestError(problems)
+    return StartRequest(joints=state.joints, joint_names=state.joint_names, positions=state.positions, base=state.base)

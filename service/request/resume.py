@@ -1,0 +1,94 @@
+"""Section of a request that plans the rest of a task again from one of its phases on."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import field
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, StrictInt, StrictStr
+from pydantic.dataclasses import dataclass
+from pydantic_core import PydanticCustomError
+
+from service.request.fields import SECTION, Joints, Name, Number, Section
+
+
+def _check_hash(text: str) -> str:
+    if re.fullmatch("sha256:[0-9a-f]{64}", text) is None:
+        raise PydanticCustomError("hash", "a hash is needed: sha256: and 64 hexadecimal digits")
+    return text
+
+
+Hash = Annotated[StrictStr, Field(max_length=200), AfterValidator(_check_hash)]
+Angle = Annotated[Number, Field(ge=-10.0, le=10.0)]
+
+
+@dataclass(config=SECTION)
+class StrokeChoice(Section):
+    """How the earlier plan turns a wheel.
+
+    Attributes:
+        hand: the hand.
+        gap_rad: angle of the gap that the hook is in, in the wheel.
+        strokes: number of grasps of the whole turn.
+    """
+
+    hand: Literal["left", "right"]
+    gap_rad: Angle
+    strokes: Annotated[StrictInt, Field(ge=1, le=100)] = 1
+
+
+@dataclass(config=SECTION)
+class HandleChoice(Section):
+    """How the earlier plan holds the handle of a door.
+
+    Attributes:
+        hand: the hand.
+        grip_m: place of the hand along the bar, from the spindle or the bar's middle.
+        until_rad: opening angle of the leaf at which the hand lets go.
+        is_towards_hinge: of a pull handle, whether the peg points to the hinge.
+    """
+
+    hand: Literal["left", "right"]
+    grip_m: Number
+    until_rad: Angle
+    is_towards_hinge: bool = True
+
+
+@dataclass(config=SECTION)
+class LeafChoice(Section):
+    """How the earlier plan pushes the leaf of a door.
+
+    Attributes:
+        hand: the hand.
+        along_m, up_m: place on the leaf from the hinge axis and from its lower edge.
+        until_rad: opening angle of the leaf at the end.
+    """
+
+    hand: Literal["left", "right"]
+    along_m: Number
+    up_m: Number
+    until_rad: Angle
+
+
+@dataclass(config=SECTION)
+class ResumeRequest(Section):
+    """The rest of a task, planned again from one of its phases on; the request's start is the robot's state.
+
+    Attributes:
+        phase: name of the phase.
+        plan: hash of the earlier plan's certificate.
+        mechanism: value of each joint of the task's mechanism at the start [rad, m].
+        is_rescanned: whether the request's scan shows the mechanism as it is at the start, not as the earlier plan
+            found it.
+        stroke: how the earlier plan turns a wheel.
+        handle, leaf: how the earlier plan opens a door.
+    """
+
+    phase: Name
+    plan: Hash
+    mechanism: Joints = field(default_factory=dict)
+    is_rescanned: bool = False
+    stroke: StrokeChoice | None = None
+    handle: HandleChoice | None = None
+    leaf: LeafChoice | None = None

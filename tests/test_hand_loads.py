@@ -1,0 +1,130 @@
+"""Wrenches of hand loads from the mechanism's coordinates, and the regions that a planner finds for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from tiny_robots import atlas
+
+from costs.curve import Curve
+from costs.robot import MechanismJoint, RobotModel, with_mechanism
+from costs.scene import Scene
+from service.body.loaded_regions import plan_regions
+from service.body.whole_body import Aims, WholeBody
+from service.verify import HandLoad, Motion, VerifyError
+from service.verify.forces.equilibrium import RecordedRegion, prove_equilibrium
+from service.verify.forces.hand_loads import bound_coordinate, list_load_cases, list_load_wrenches
+from service.verify.forces.loaded_balance import find_sole_normals, place_sole_corners
+
+UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
+HINGE, SPINDLE = np.array([0.8, -0.45, 0.0]), np.array([0.74, 0.35, 1.0])
+BOX = np.array([[x, y, z] for x in (0.0, 0.02) for y in (0.0, 0.1) for z in (0.0, 0.02)])
+
+
+@cache
+def with_door() -> RobotModel:
+    """Atlas and a leaf that carries a lever, their angles the last two coordinates."""
+    leaf = MechanismJoint("opening", "leaf", HINGE, -UP, {"leaf/slab": HINGE + BOX}, lower=-0.1, upper=2.0)
+    lever = MechanismJoint("turning", "lever", SPINDLE, OUT, {"lever/bar": SPINDLE + BOX}, parent="leaf", lower=-1.0)
+    return with_mechanism(atlas(), [leaf, lever])
+
+
+def motion_of(values: np.ndarray) -> Motion:
+    """The robot stands still while the mechanism passes values at equal steps."""
+    robot = with_door()
+    q = np.tile(np.append(atlas().postures["stand"], [0.0, 0.0]), (len(values), 1))
+    q[:, -2:] = values
+    knots = np.arange(float(len(values)))
+    return Motion(robot, Scene(), Curve(knots, q, np.gradient(q, axis=0)), None, ())
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_a_coordinate_is_bounded_exactly(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    curve = Curve(np.array([0.0, 1.0, 2.5, 3.0]), rng.normal(size=(4, 2)), 3.0 * rng.normal(size=(4, 2)))
+    first, last = np.sort(rng.uniform(0.0, 3.0, 2))
+    low, high = bound_coordinate(curve, 1, first, last)
+    dense = curve(np.linspace(first, last, 4001))[:, 1]
+    assert low <= dense.min() + 1e-12
+    assert dense.max() <= high + 1e-12
+    assert high - dense.max() < 1e-4
+    assert dense.min() - low < 1e-4
+
+
+@given(
+    first=st.floats(0.0, 0.6), turn=st.floats(0.05, 0.9), share=st.floats(0.0, 1.0), sizes=st.tuples(
+        st.floats(0.0, 1.0), st.floats(0.0, 1.0)
+    ), lever=st.floats(0.0, 0.6),
+)  # fmt: skip
+@settings(max_examples=30, deadline=None)
+def test_every_load_on_a_stretch_is_in_the_hull_of_its_corners(
+    first: float, turn: float, share: float, sizes: tuple[float, float], lever: float
+) -> None:
+    push = HandLoad(
+        "l_tool", "leaf", np.array([-0.05, 0.8, 1.0]), np.array([40.0, 5.0, 0.0]), np.array([0.0, 0.1, 0.0])
+    )
+    press = HandLoad("l_tool", "lever", np.array([0.0, -0.1, 0.01]), np.array([0.0, -1.0, -20.0]))
+    values = np.array([[first, lever], [first + turn, lever]])
+    motion = motion_of(values)
+    corners = list_load_wrenches(motion, (push, press), 0.0, 1.0)
+    q = motion.curve(np.array([share]))
+    moved = replace(push, place=push.place + (2.0 * share - 1.0) * push.slide)
+    cases = list_load_cases(motion.robot, q, (moved, press))
+    wrench = sizes[0] * cases[2].wrench[0] + sizes[1] * cases[1].wrench[0]
+    assert _distance(wrench, corners) < 1e-6
+
+
+def test_two_joints_that_move_at_once_cannot_be_followed() -> None:
+    load = HandLoad("l_tool", "lever", np.zeros(3), np.array([0.0, 0.0, -20.0]))
+    with pytest.raises(VerifyError, match="opening, turning move at once"):
+        list_load_wrenches(motion_of(np.array([[0.0, 0.0], [0.3, 0.3]])), (load,), 0.0, 1.0)
+
+
+def test_a_load_by_hand() -> None:
+    """A push of 50 N on a shut leaf: the robot feels the opposite at that place."""
+    load = HandLoad("l_tool", "leaf", np.array([0.0, 0.8, 1.0]), np.array([50.0, 0.0, 0.0]))
+    wrenches = list_load_wrenches(motion_of(np.zeros((2, 2))), (load,), 0.0, 1.0)
+    place, force = HINGE + load.place, np.array([-50.0, 0.0, 0.0])
+    np.testing.assert_allclose(wrenches[np.abs(wrenches).sum(axis=1).argmax()], [*force, *np.cross(place, force)])
+    assert (np.abs(wrenches).sum(axis=1) == 0.0).any()
+
+
+def test_the_planners_regions_are_proven_by_the_verifier_for_the_loads_of_the_motion() -> None:
+    robot = with_door()
+    body = WholeBody.standing(
+        robot, Scene(), np.append(atlas().postures["stand"], [0.0, 0.0]), ("l_foot", "r_foot"), Aims()
+    )
+    contacts = tuple(foot.contact for foot in body.planted)
+    load = HandLoad("l_tool", "leaf", np.array([-0.05, 0.8, 1.0]), np.array([40.0, 0.0, 0.0]))
+    values = np.linspace([0.0, 0.0], [1.2, 0.0], 9)
+    motion = motion_of(values)
+    mass = float(pin.computeTotalMass(robot.model))
+    corners = place_sole_corners(contacts)
+    friction, cap = np.full(len(corners), contacts[0].friction), np.full(len(corners), contacts[0].force_cap_n)
+    regions = plan_regions(robot, contacts, (load,), values, body.nominal)
+    assert [region.first for region in regions][1:] == [region.last for region in regions][:-1]
+    for planned in regions:
+        region = planned.region
+        recorded = RecordedRegion(
+            corners, find_sole_normals(contacts), friction, cap, region.wrenches, region.vertices, region.witnesses
+        )
+        loads = list_load_wrenches(motion, (load,), float(planned.first), float(planned.last))
+        assert prove_equilibrium(recorded, mass, loads, drift_m=7e-3).is_proven
+        assert not prove_equilibrium(recorded, mass, 1.3 * loads, drift_m=7e-3).is_proven
+
+
+def _distance(wrench: np.ndarray, corners: np.ndarray) -> float:
+    """Distance (largest component) of a wrench from the hull of corners."""
+    n = len(corners)
+    rows = np.block([[corners.T, -np.ones((6, 1))], [-corners.T, -np.ones((6, 1))]])
+    total = np.append(np.ones(n), 0.0)[None]
+    solved = linprog(np.append(np.zeros(n), 1.0), rows, np.concatenate([wrench, -wrench]), total, [1.0], method="highs")
+    return float(solved.fun)

@@ -1,0 +1,105 @@
+"""Phases as data: what they promise, how they are grouped, and the phases of valves and doors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from given_doors import door_request
+from scipy.spatial.transform import Rotation
+
+from service.demands.door import Door, DoorChoice, make_door_phases
+from service.demands.door_demand import make_door, read_given_door
+from service.demands.hands import HANDS
+from service.demands.phase_spec import HandMotion, PhaseSpec, find_moves, make_hand_targets
+from service.request.file import parse_request
+from service.tasks.sequence import shrink, split_groups
+from service.verify import JointTarget
+
+SHUT, OPEN = np.array([0.0]), np.array([0.5])
+HAND = HandMotion("l_tool", "leaf", np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -1.0]))
+
+
+def given(**arguments) -> Door:
+    """A given door in front of a robot at the origin."""
+    task = parse_request(door_request(**arguments)).task
+    geometry = read_given_door(task.door, np.zeros(3))
+    return make_door(task.door, geometry)
+
+
+def test_groups_begin_with_their_free_phase_and_have_one_anchor() -> None:
+    reach, hold = PhaseSpec("reach", SHUT, SHUT), PhaseSpec("hold", SHUT, OPEN, HAND, is_anchor=True)
+    line = PhaseSpec("line", OPEN, OPEN, replace(HAND, offset=np.ones(3), leaves=True))
+    again = replace(hold, name="hold 2", first=OPEN)
+    groups = list(split_groups([reach, hold, line, replace(reach, first=OPEN, last=OPEN), again]))
+    assert [[spec.name for spec in group] for group in groups] == [["reach", "hold", "line"], ["reach", "hold 2"]]
+    with pytest.raises(ValueError, match="one anchor among the phases reach, line"):
+        list(split_groups([reach, line]))
+
+
+def test_a_mechanism_that_jumps_between_phases_is_refused() -> None:
+    with pytest.raises(ValueError, match="jumps between the phases 'reach' and 'hold'"):
+        find_moves([PhaseSpec("reach", SHUT, SHUT), PhaseSpec("hold", OPEN, OPEN, HAND)])
+
+
+def test_a_line_ends_at_its_place_or_leaves_it() -> None:
+    line = replace(HAND, offset=np.array([0.0, 0.0, 0.4]))
+    np.testing.assert_allclose(line.places(3)[:, 2], [0.7, 0.5, 0.3])
+    np.testing.assert_allclose(replace(line, leaves=True).places(3)[:, 2], [0.3, 0.5, 0.7])
+
+
+def test_the_promised_axis_is_the_hands_z_axis() -> None:
+    (target,) = make_hand_targets(HAND)
+    np.testing.assert_allclose(target.rotation @ [0.0, 0.0, 1.0], HAND.axis, atol=1e-12)
+    place, lean = make_hand_targets(replace(HAND, axis_link="frame"))
+    assert (place.reference, lean.reference) == ("leaf", "frame")
+    assert place.rotation_tolerance_rad == pytest.approx(np.pi)
+
+
+def test_the_waypoints_leave_some_of_each_allowance_to_the_curve() -> None:
+    touches = make_door_phases(given(), DoorChoice(HANDS["left"], 0.065, 0.1, 1.0, 0.5))[1].touches
+    assert {touch.depth for touch in touches} == {6e-3}
+    assert all(touch.depth == pytest.approx(3e-3) for touch in shrink(touches))
+
+
+@pytest.mark.parametrize("opens", ["push", "pull"])
+def test_positive_angles_open_the_leaf_and_turn_the_lever_down(opens: str) -> None:
+    door = given(opens=opens)
+    leaf, lever = door.mechanism.joints
+    edge = door.geometry.width * door.geometry.along
+    moved = Rotation.from_rotvec(0.1 * leaf.axis).apply(edge) - edge
+    assert np.sign(moved @ door.geometry.normal) == (-1.0 if opens == "push" else 1.0)
+    end = door.handle.length * door.handle.direction
+    assert (Rotation.from_rotvec(0.1 * lever.axis).apply(end) - end)[2] < 0.0
+    assert lever.parent == leaf.link
+
+
+@pytest.mark.parametrize("opens", ["push", "pull"])
+def test_the_phases_of_a_latched_door_release_before_they_open(opens: str) -> None:
+    door = given(opens=opens)
+    phases = make_door_phases(door, DoorChoice(HANDS["left"], 0.065, 0.1, 1.0, 0.5))
+    find_moves(phases)
+    assert [phase.name for phase in phases] == [
+        "reach", "approach", "turn the handle", "open", "let the handle go", "retract",
+    ]  # fmt: skip
+    opening = phases[3]
+    assert opening.first[1] >= door.release
+    assert opening.last[1] >= door.release
+    assert opening.moving == (0,)
+    assert JointTarget("door_opening", 0.5, 1e-3, 7.0) in opening.targets(door.mechanism, 7.0)
+    moment = sum(
+        float(np.cross(load.place, load.force) @ door.geometry.hinge_axis)
+        for load in opening.loads
+        if load.link == "door/leaf"
+    )
+    assert moment == pytest.approx(door.hinge_nm)
+
+
+def test_the_hand_meets_the_leaf_where_it_was_at_the_handle() -> None:
+    """The hold on the leaf during the opening is where the hold on the lever ends."""
+    door = given()
+    phases = make_door_phases(door, DoorChoice(HANDS["left"], 0.065, 0.1, 1.0, 0.5))
+    press, opening = phases[2].hand, phases[3].hand
+    turned = Rotation.from_rotvec(phases[2].last[1] * door.spindle_axis).apply(press.place)
+    np.testing.assert_allclose(door.handle.centre + turned, door.geometry.hinge + opening.place, atol=1e-12)
