@@ -3,7 +3,8 @@
 ``python -m benchmarks.tasks [--count N] [--doors N] [--valves N] [--angles 30 60] [--seed S] [--long] [--out FILE]``
 
 ``--count N`` plans N doors and N // 2 valves.  ``--long`` adds random places near each door: the share of the largest
-angle that a plan reaches within 60 s of processor time.  Processor time is of one call of the planner, certificate included.
+angle that a plan reaches within 60 s of processor time.  Processor time is of one call of the planner, with the
+certificate.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from service.tasks.stance import StanceSearch, find_stance
 
 ANGLES = (30.0, 60.0)  # [deg]
 STANCE_LIMIT_S = 120.0  # wall time, so that a busy machine does not decide
-PLAN_LIMIT_S = 240.0
+PLAN_LIMIT_S = 900.0  # wall time, so that a busy machine does not decide
 LONG_CPU_S = 60.0  # an angle reached later does not count
 N_RANDOM = 2  # places near each door
 RANDOM_M, RANDOM_YAW = 0.35, np.deg2rad(30.0)

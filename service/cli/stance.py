@@ -72,9 +72,10 @@ def stance_command(
         print_table(stdout, header, rows[:MOST_ROWS])
         for note in summary["notes"]:
             stdout.print(f"note: {note}", markup=False, soft_wrap=True)
-        refused = [candidate["refused"][0] for candidate in summary["candidates"] if candidate["refused"]]
-        if best is None and refused:
-            stdout.print(f"no place to stand; for example: {refused[0]}", markup=False, soft_wrap=True)
+        if best is None and summary["candidates"]:
+            first = summary["candidates"][0]
+            reason = first["refused"][0] if first["refused"] else first["missing"]
+            stdout.print(f"no place to stand was found; for example: {reason}", markup=False, soft_wrap=True)
         print_line(stdout, "picture", picture)
         print_line(stdout, "scores", data)
         if write is not None and best is not None:
