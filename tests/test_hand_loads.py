@@ -117,8 +117,8 @@ def test_the_planners_regions_are_proven_by_the_verifier_for_the_loads_of_the_mo
             corners, find_sole_normals(contacts), friction, cap, region.wrenches, region.vertices, region.witnesses
         )
         loads = list_load_wrenches(motion, (load,), float(planned.first), float(planned.last))
-        assert prove_equilibrium(recorded, mass, loads, drift_m=7e-3).is_proven
-        assert not prove_equilibrium(recorded, mass, 1.3 * loads, drift_m=7e-3).is_proven
+        assert prove_equilibrium(recorded, mass, loads, drift_m=0.021).is_proven
+        assert not prove_equilibrium(recorded, mass, 1.3 * loads, drift_m=0.021).is_proven
 
 
 def _distance(wrench: np.ndarray, corners: np.ndarray) -> float:

@@ -4,7 +4,8 @@ Read in this order:
 
 - ``motion``: the input, a motion with what its phases promise; ``validation`` rejects a malformed one
 - ``verifier``: the sequence of checks, and how to add one
-- ``limits``, ``stance_checks``, ``target_checks``, ``ground``, ``dynamics``, ``mechanism_checks``: the checks
+- ``limits``, ``stance_checks``, ``target_checks``, ``ground``, ``mechanism_checks``: the checks
+- ``forces``: equilibrium under the loads of hands, and inverse dynamics
 - ``clearance``: the checks of all pairs that may meet
 - ``coverage``: what was checked, what was left out, and which checks a motion requires
 - ``certificate``: the output as data; ``hashes`` ties it to its robot, scene and promises

@@ -15,7 +15,8 @@ from costs.scene import Scene
 
 FEET_FRICTION = 0.6
 FEET_CAP_N = 5000.0  # at each corner of a sole [N]
-HAND_DRIFT_M = 6e-3  # from the place of a load to where the hand really presses [m]
+# From the place of a load to where the hand really presses: the tolerance of its place, its lean and its thickness [m].
+HAND_DRIFT_M = 0.02
 
 
 class VerifyError(ValueError):
