@@ -83,7 +83,7 @@ def plan(
     check_task_has_planner(request)
     with _single_blas_thread():
         monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
-        setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, around)
+        setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, around=around)
         monitor.timings.update(setup.timings)
         attempt = Attempt()
         try:

@@ -223,15 +223,25 @@ class DoorDemand:
         return f"no hand that the task permits holds the handle in phase '{phase.name}'"
 
 
-def keep_door_choice(choice: DoorChoice) -> dict[str, HandleChoice | LeafChoice]:
+def keep_door_choice(choice: DoorChoice, door: Door) -> dict[str, HandleChoice | LeafChoice]:
     """Return the sections ``handle`` and ``leaf`` of ``resume`` for a plan's choice."""
     push, hand = choice.push, choice.hand
     kept: dict[str, HandleChoice | LeafChoice] = {
-        "handle": HandleChoice(hand.side, choice.grip, choice.first, choice.sense > 0.0)
+        "handle": HandleChoice(
+            hand.side, choice.grip, choice.first, choice.sense > 0.0, door.geometry.ajar, door.geometry.handle_turn
+        )
     }
     if push is not None:
         kept["leaf"] = LeafChoice(push.hand.side, push.along, push.up, push.last)
     return kept
+
+
+def set_back(door: Door, resume: ResumeRequest | None) -> Door:
+    """Return the door as the earlier plan found it; a new scan shows it as it is now."""
+    if resume is None or resume.handle is None:
+        return door
+    kept = resume.handle
+    return replace(door, geometry=replace(door.geometry, ajar=kept.ajar_rad, handle_turn=kept.turned_rad))
 
 
 def read_kept_choice(door: Door, request: DoorRequest, resume: ResumeRequest, robot: RobotModel) -> DoorChoice:

@@ -139,7 +139,7 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
         spec
         for k, ends in enumerate(pairwise(edges))
         for spec in make_stroke_phases(
-            demand.wheel, hand, stroke.gap_rad, ends, "" if count == 1 else f" {k + 1}", grasp
+            demand.wheel, hand, stroke.gap_rad, ends, "" if count == 1 else f" {k + 1}", grasp, demand.request.torque_nm
         )
     )
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)

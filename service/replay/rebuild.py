@@ -21,7 +21,7 @@ from service.demands import (
     has_scan,
     list_planted_feet,
 )
-from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door
+from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
@@ -134,7 +134,8 @@ def _rebuild_task(
         geometry = choose_door(task.door, surroundings.doors, base)
         if isinstance(geometry, str):
             raise RequestError(f"task.door: {geometry}")
-        opening = DoorDemand(make_door(task.door, geometry), task.door, robot)
+        door = set_back(make_door(task.door, geometry), request.resume)
+        opening = DoorDemand(door, task.door, robot)
         return opening if request.resume is None else resume_door(opening, request.resume)
     if task.valve is None:
         return None

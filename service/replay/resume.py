@@ -16,7 +16,7 @@ from service.demands.door_demand import DoorDemand, keep_door_choice
 from service.demands.valve_demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.rebuild import Record, rebuild_demands, select_scanned
-from service.replay.replay import read_record, read_request, read_valves
+from service.replay.replay import read_doors, read_record, read_request, read_valves
 from service.request.file import load_section, replace_cloud, request_hash
 from service.request.resume import ResumeRequest
 from service.request.scene import MeshRequest
@@ -91,7 +91,7 @@ def read_recorded_scan(path: Path, request: PlanRequest) -> Surroundings | None:
     _, motion = read_record(data, folder)
     earlier = read_request(data, folder).resume
     valves = tuple(turn_back(valve, earlier) for valve in read_valves(data))
-    return Surroundings(select_scanned(request, motion.scene), valves)
+    return Surroundings(select_scanned(request, motion.scene), valves, doors=read_doors(data))
 
 
 def _make_resume(
@@ -103,7 +103,7 @@ def _make_resume(
     empty = ResumeRequest(phase="-", plan="sha256:" + 64 * "0")
     if request.goal is not None:
         return empty
-    demands, _ = rebuild_demands(request, Record(robot, motion.scene, read_valves(data)), None, ())
+    demands, _ = rebuild_demands(request, Record(robot, motion.scene, read_valves(data), read_doors(data)), None, ())
     kept = _keep_choices(demands.task, motion)
     if isinstance(kept, str):
         raise ResultError(f"{folder}: {kept}; only the rest of a complete plan can be planned again")
@@ -114,7 +114,7 @@ def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | s
     """Return the sections of ``resume`` that keep a motion's choices, or a sentence why it has none."""
     if isinstance(task, DoorDemand):
         choice, problems = task.read_choice(motion)
-        return "; ".join(problems) if choice is None or problems else dict(keep_door_choice(choice))
+        return "; ".join(problems) if choice is None or problems else dict(keep_door_choice(choice, task.door))
     if isinstance(task, ValveDemand):
         stroke = task.read_stroke(motion)
         return stroke if isinstance(stroke, str) else {"stroke": stroke}

@@ -47,12 +47,15 @@ class HandleChoice(Section):
         grip_m: place of the hand along the bar, from the spindle or the bar's middle.
         until_rad: opening angle of the leaf at which the hand lets go.
         is_towards_hinge: of a pull handle, whether the peg points to the hinge.
+        ajar_rad, turned_rad: opening angle of the leaf, and angle of a lever, where the earlier plan began.
     """
 
     hand: Literal["left", "right"]
     grip_m: Number
     until_rad: Angle
     is_towards_hinge: bool = True
+    ajar_rad: Angle = 0.0
+    turned_rad: Angle = 0.0
 
 
 @dataclass(config=SECTION)

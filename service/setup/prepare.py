@@ -79,8 +79,8 @@ def prepare(
     robot: RobotModel | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     see: Callable[..., Perceived] | None = None,
-    around: Surroundings | None = None,
     *,
+    around: Surroundings | None = None,
     checks_start: bool = True,
 ) -> PlanSetup:
     """Load the robot, read the scan, and check the request against robot and scan.

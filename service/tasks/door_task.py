@@ -13,7 +13,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door import FREE_BEYOND, Door
-from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door
+from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door, set_back
 from service.demands.hands import HANDS, Hand
 from service.errors import RequestError
 from service.request.door import DoorRequest
@@ -33,7 +33,7 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
     found = find_door(setup, request)
     if isinstance(found, str):
         return TaskPlan(solver.body, (), (found,))
-    door, note = found
+    door, note = set_back(found[0], setup.request.resume), found[1]
     target = float(np.deg2rad(request.open_deg))
     if door.geometry.ajar >= target:
         raise RequestError(

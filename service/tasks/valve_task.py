@@ -176,7 +176,7 @@ def _plan_rest(
     hand, stroke = read_kept_stroke(request, resume)
     solver = _add_wheel(solver, rest.mechanism, [hand])
     turn = np.deg2rad(request.turn_deg)
-    turning = ValveTurn(solver, wheel, hand, request.mode, turn, stroke.gap_rad, reach_waypoints)
+    turning = ValveTurn(solver, wheel, hand, request.mode, turn, stroke.gap_rad, request.torque_nm, reach_waypoints)
     specs = turning.list_phases()
     if [spec.name for spec in specs] != [spec.name for spec in rest.specs]:
         raise RequestError(f"resume.stroke.strokes: {stroke.strokes}; this robot turns the wheel in another number")

@@ -554,16 +554,20 @@ class StrokeChoice(_message.Message):
     def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., gap_rad: _Optional[float] = ..., strokes: _Optional[int] = ...) -> None: ...
 
 class HandleChoice(_message.Message):
-    __slots__ = ("hand", "grip_m", "until_rad", "is_towards_hinge")
+    __slots__ = ("hand", "grip_m", "until_rad", "is_towards_hinge", "ajar_rad", "turned_rad")
     HAND_FIELD_NUMBER: _ClassVar[int]
     GRIP_M_FIELD_NUMBER: _ClassVar[int]
     UNTIL_RAD_FIELD_NUMBER: _ClassVar[int]
     IS_TOWARDS_HINGE_FIELD_NUMBER: _ClassVar[int]
+    AJAR_RAD_FIELD_NUMBER: _ClassVar[int]
+    TURNED_RAD_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     grip_m: float
     until_rad: float
     is_towards_hinge: bool
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., grip_m: _Optional[float] = ..., until_rad: _Optional[float] = ..., is_towards_hinge: bool = ...) -> None: ...
+    ajar_rad: float
+    turned_rad: float
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., grip_m: _Optional[float] = ..., until_rad: _Optional[float] = ..., is_towards_hinge: bool = ..., ajar_rad: _Optional[float] = ..., turned_rad: _Optional[float] = ...) -> None: ...
 
 class LeafChoice(_message.Message):
     __slots__ = ("hand", "along_m", "up_m", "until_rad")
