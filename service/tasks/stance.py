@@ -157,6 +157,8 @@ def find_stance(
         raise RequestError(
             "request: a place to stand is searched for tasks with a mechanism; expected task.door or task.valve"
         )
+    if request.resume is not None:
+        raise RequestError("resume: the robot stands where the motion was interrupted; leave it out")
     monitor = Monitor(limit_s, should_stop, on_progress)
     setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, checks_start=False)
     if not setup.robot.is_floating:
@@ -199,17 +201,10 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
         door, note = found
         hands = door_task.choose_hands(body, task.door, door)
         target = float(np.deg2rad(task.door.open_deg))
-        if door.geometry.ajar >= target:
-            raise RequestError(
-                f"task.door.open_deg: {task.door.open_deg:g}; the leaf is open by "
-                f"{np.rad2deg(door.geometry.ajar):.0f} deg already; expected more"
-            )
-        near = tuple(
-            (BodyRef.of_link(link), BodyRef("mechanism", joint.link), door_task.HANDLE_MARGIN)
-            for hand in hands
-            for link in (hand.hook, hand.link)
-            for joint in door.mechanism.joints
-        )
+        shut = door_task.find_shut(task.door, door)
+        if shut is not None:
+            return shut
+        near = door_task.list_clearances(hands, door)
         return DoorStance.of(setup.robot, door, hands, target, near), (note,)
     if task is None or task.valve is None:
         raise RequestError("request: expected task.door or task.valve")
