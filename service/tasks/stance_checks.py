@@ -340,21 +340,25 @@ class ValveStance:
         hold = f"{hand.side} hand in {self.mode} mode"
         turn = ValveTurn(finder.solver, self.wheel, hand, self.mode, self.turn, entry, self.torque_nm)
         poses: list[HeldPose] = []
-        reached = 0.0
+        missing: list[str] = []
+        done = total = 0.0
         for spec in turn.list_phases():
             if spec.hand is None or spec.hand.leaves:
                 continue
-            shares = WHEEL_SHARES if spec.is_anchor else (0.0,)
-            for share in shares:
+            for share in WHEEL_SHARES if spec.is_anchor else (0.0,):
                 value = spec.first + share * (spec.last - spec.first)
-                tried = replace(spec, first=value, fixed=spec.fixed if share == 0.0 else {})
-                pose = finder.find(tried, poses)
+                weight = abs(float(spec.last[0] - spec.first[0])) / len(WHEEL_SHARES) if spec.is_anchor else 0.0
+                pose = finder.find(replace(spec, first=value, fixed=spec.fixed if share == 0.0 else {}), poses)
+                total += weight
                 if pose is None:
-                    where = f"{np.rad2deg(abs(float(value[0]))):.0f} deg of the turn"
-                    return Outcome(reached, tuple(poses), hold, f"no pose at {where}")
+                    missing.append(f"{np.rad2deg(abs(float(value[0]))):.0f} deg")
+                    if not spec.is_anchor or self.mode == "grasp":
+                        return Outcome(done, tuple(poses), hold, f"no pose at {missing[0]} of the turn")
+                    continue
                 poses.append(pose)
-                reached = max(reached, abs(float(value[0])))
-        return Outcome(reached, tuple(poses), hold, "")
+                done += weight
+        words = f"no pose at {', '.join(missing)} of the turn" if missing else ""
+        return Outcome(abs(self.turn) * (done / total), tuple(poses), hold, words)
 
 
 @dataclass(frozen=True)
