@@ -80,7 +80,7 @@ def test_json_has_a_base_that_a_request_accepts(search: StanceSearch) -> None:
     np.testing.assert_allclose(request.start.base.position, search.best.start[:3], atol=1e-4)
     first = data["candidates"][0]
     assert set(first) == {"base", "yaw_deg", "score", "refused", "parts", "hold", "missing"}
-    assert set(first["parts"]) == {"angle_deg", "asked_deg", "balance_m", "reach_m", "clearance_m"}
+    assert set(first["parts"]) == {"angle_deg", "asked_deg", "balance_m", "reach_m", "clearance_m", "torque_share"}
 
 
 def test_picture_is_svg_with_the_wall_the_leaf_and_the_soles(search: StanceSearch) -> None:

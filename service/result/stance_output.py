@@ -206,6 +206,7 @@ def _describe_candidate(search: StanceSearch, candidate: StanceCandidate) -> dic
             "balance_m": round(outcome.balance_m, 4),
             "reach_m": round(outcome.reach_m, 4),
             "clearance_m": round(candidate.clearance_m, 4),
+            "torque_share": round(outcome.torque_share, 3),
         }
         data["hold"], data["missing"] = outcome.hold, outcome.missing
     return data

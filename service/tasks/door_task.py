@@ -35,20 +35,11 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
         return TaskPlan(solver.body, (), (found,))
     door, note = set_back(found[0], setup.request.resume), found[1]
     target = float(np.deg2rad(request.open_deg))
-    if door.geometry.ajar >= target:
-        raise RequestError(
-            f"task.door.open_deg: {request.open_deg:g}; the leaf is open by {np.rad2deg(door.geometry.ajar):.0f} deg "
-            "already; expected more"
-        )
-    if door.handle is not None and door.handle.kind == "knob" and door.geometry.ajar < FREE_BEYOND:
-        return TaskPlan(solver.body, (), ("the door has a knob; no hand of this robot can turn a knob",))
+    shut = find_shut(request, door)
+    if shut is not None:
+        return TaskPlan(solver.body, (), (shut,))
     hands = choose_hands(solver.body, request, door)
-    near = tuple(
-        (BodyRef.of_link(link), BodyRef("mechanism", joint.link), HANDLE_MARGIN)
-        for hand in hands
-        for link in (hand.hook, hand.link)
-        for joint in door.mechanism.joints
-    )
+    near = list_clearances(hands, door)
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     if setup.request.resume is not None:
         rest = resume_door(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
@@ -71,6 +62,32 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
     plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
     advice = () if plan.is_feasible else (STANCE_ADVICE,)
     return replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))
+
+
+def find_shut(request: DoorRequest, door: Door) -> str | None:
+    """Return a sentence where no hand of a robot can open the door.
+
+    Raises:
+        RequestError: the leaf is open already.
+    """
+    if door.geometry.ajar >= np.deg2rad(request.open_deg):
+        raise RequestError(
+            f"task.door.open_deg: {request.open_deg:g}; the leaf is open by {np.rad2deg(door.geometry.ajar):.0f} deg "
+            "already; expected more"
+        )
+    if door.handle is not None and door.handle.kind == "knob" and door.geometry.ajar < FREE_BEYOND:
+        return "the door has a knob; no hand of this robot can turn a knob"
+    return None
+
+
+def list_clearances(hands: tuple[Hand, ...], door: Door) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+    """Return the required clearances between hands and the door that they hold [m]."""
+    return tuple(
+        (BodyRef.of_link(link), BodyRef("mechanism", joint.link), HANDLE_MARGIN)
+        for hand in hands
+        for link in (hand.hook, hand.link)
+        for joint in door.mechanism.joints
+    )
 
 
 def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:

@@ -51,9 +51,9 @@ LIMIT_S = 20.0
 RADIUS_M = 1.0  # of the places searched about the start
 GRID_M, GRID_YAW = 0.12, np.deg2rad(20.0)  # of the coarse grid
 MOST_TURN = np.deg2rad(80.0)  # from facing what is held
-COARSE, ENOUGH_GOOD = 8, 5  # most places of the grid that are checked by poses, and how many of them have to do
+COARSE, ENOUGH_GOOD = 8, 4  # most places of the grid that are checked by poses, and how many of them have to do
 COARSE_APART = 2.0  # between them, in steps of the grid
-FINE, FINE_ROUNDS, FINE_PARENTS = 3, 2, 2  # places that are checked about the best, and rounds
+FINE, FINE_ROUNDS, FINE_PARENTS = 2, 2, 2  # places that are checked about the best, and rounds
 IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is held
 MOST_REACH = 1.12  # the same at most: the trunk leans
 LEAST_REACH_M = 0.25
@@ -157,6 +157,8 @@ def find_stance(
         raise RequestError(
             "request: a place to stand is searched for tasks with a mechanism; expected task.door or task.valve"
         )
+    if request.resume is not None:
+        raise RequestError("resume: the robot stands where the motion was interrupted; leave it out")
     monitor = Monitor(limit_s, should_stop, on_progress)
     setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, checks_start=False)
     if not setup.robot.is_floating:
@@ -199,17 +201,10 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
         door, note = found
         hands = door_task.choose_hands(body, task.door, door)
         target = float(np.deg2rad(task.door.open_deg))
-        if door.geometry.ajar >= target:
-            raise RequestError(
-                f"task.door.open_deg: {task.door.open_deg:g}; the leaf is open by "
-                f"{np.rad2deg(door.geometry.ajar):.0f} deg already; expected more"
-            )
-        near = tuple(
-            (BodyRef.of_link(link), BodyRef("mechanism", joint.link), door_task.HANDLE_MARGIN)
-            for hand in hands
-            for link in (hand.hook, hand.link)
-            for joint in door.mechanism.joints
-        )
+        shut = door_task.find_shut(task.door, door)
+        if shut is not None:
+            return shut
+        near = door_task.list_clearances(hands, door)
         return DoorStance.of(setup.robot, door, hands, target, near), (note,)
     if task is None or task.valve is None:
         raise RequestError("request: expected task.door or task.valve")

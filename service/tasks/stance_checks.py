@@ -32,6 +32,7 @@ from service.tasks.valve import Mode, ValveTurn
 DOOR_STEP = np.deg2rad(10.0)  # between the angles that are tried
 WHEEL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the turn at which a pose is tried
 MOST_PUSHES = 4  # places on the leaf that are tried, the nearest to a shoulder first
+MOST_TORQUE = 0.95  # share of a joint's torque at rest
 MOST_GAPS = 2  # of a wheel, the nearest first
 
 
@@ -44,12 +45,14 @@ class HeldPose:
         q: (n,) configuration.
         balance_m: how far the centre of mass is inside the region where the feet hold the hand's load.
         reach_m: by how much the arm could be longer stretched.
+        torque_share: largest share of a joint's torque above the legs, at rest with the load or without it.
     """
 
     name: str
     q: Float[np.ndarray, "n"]
     balance_m: float
     reach_m: float
+    torque_share: float
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,11 @@ class Outcome:
     def reach_m(self) -> float:
         """Least reserve of reach [m]."""
         return min((pose.reach_m for pose in self.poses), default=0.0)
+
+    @property
+    def torque_share(self) -> float:
+        """Largest share of a joint's torque."""
+        return max((pose.torque_share for pose in self.poses), default=0.0)
 
 
 class StanceTask(Protocol):
@@ -332,21 +340,25 @@ class ValveStance:
         hold = f"{hand.side} hand in {self.mode} mode"
         turn = ValveTurn(finder.solver, self.wheel, hand, self.mode, self.turn, entry, self.torque_nm)
         poses: list[HeldPose] = []
-        reached = 0.0
+        missing: list[str] = []
+        done = total = 0.0
         for spec in turn.list_phases():
             if spec.hand is None or spec.hand.leaves:
                 continue
-            shares = WHEEL_SHARES if spec.is_anchor else (0.0,)
-            for share in shares:
+            for share in WHEEL_SHARES if spec.is_anchor else (0.0,):
                 value = spec.first + share * (spec.last - spec.first)
-                tried = replace(spec, first=value, fixed=spec.fixed if share == 0.0 else {})
-                pose = finder.find(tried, poses)
+                weight = abs(float(spec.last[0] - spec.first[0])) / len(WHEEL_SHARES) if spec.is_anchor else 0.0
+                pose = finder.find(replace(spec, first=value, fixed=spec.fixed if share == 0.0 else {}), poses)
+                total += weight
                 if pose is None:
-                    where = f"{np.rad2deg(abs(float(value[0]))):.0f} deg of the turn"
-                    return Outcome(reached, tuple(poses), hold, f"no pose at {where}")
+                    missing.append(f"{np.rad2deg(abs(float(value[0]))):.0f} deg")
+                    if not spec.is_anchor or self.mode == "grasp":
+                        return Outcome(done, tuple(poses), hold, f"no pose at {missing[0]} of the turn")
+                    continue
                 poses.append(pose)
-                reached = max(reached, abs(float(value[0])))
-        return Outcome(reached, tuple(poses), hold, "")
+                done += weight
+        words = f"no pose at {', '.join(missing)} of the turn" if missing else ""
+        return Outcome(abs(self.turn) * (done / total), tuple(poses), hold, words)
 
 
 @dataclass(frozen=True)
@@ -357,7 +369,7 @@ class _PoseFinder:
     mechanism: Mechanism
 
     def find(self, spec: PhaseSpec, before: Sequence[HeldPose]) -> HeldPose | None:
-        """Return the phase's first pose, guessed from the poses before; None if it was not found."""
+        """Return the first pose of a phase, guessed from those before; None if none that is strong enough was found."""
         sequence = PhaseSequence(self.solver, self.mechanism, (spec,))
         guesses = [pose.q for pose in before[-1:]]
         try:
@@ -365,7 +377,10 @@ class _PoseFinder:
             if not solved.is_feasible:
                 return None
             q = solved.x[0]
-            return HeldPose(spec.name, q, self._measure_balance(spec, q), self._measure_reach(spec, q))
+            torque = measure_torque(self.solver.body, spec, q)
+            if torque > MOST_TORQUE:
+                return None
+            return HeldPose(spec.name, q, self._measure_balance(spec, q), self._measure_reach(spec, q), torque)
         except StaticRegionError:
             return None
 
@@ -401,6 +416,33 @@ def place_on_joint(mechanism: Mechanism, spec: PhaseSpec, values: Sequence[float
         raise ValueError(f"no hand holds anything in phase '{spec.name}'")
     axis = joint.axis / np.linalg.norm(joint.axis)
     return np.array([joint.origin + Rotation.from_rotvec(value * axis).apply(spec.hand.place) for value in values])
+
+
+def measure_torque(body: WholeBody, spec: PhaseSpec, q: Float[np.ndarray, "n"]) -> float:
+    """Return the largest share of a joint's torque at rest, with a phase's loads or without them.
+
+    Joints of legs are left out: their torques depend on how the feet share the forces of the ground.
+    """
+    robot = body.robot
+    model, data = robot.model, robot.model.createData()
+    weight = np.array(pin.computeGeneralizedGravity(model, data, q))
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    held = np.zeros(model.nv)
+    for load in spec.loads:
+        link, tool = (data.oMf[model.getFrameId(frame)] for frame in (load.link, load.tool))
+        aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        jacobian = pin.getFrameJacobian(model, data, model.getFrameId(load.tool), aligned)
+        force = -link.rotation @ load.force
+        arm = link.act(load.place) - tool.translation
+        held += jacobian[:3].T @ force + jacobian[3:].T @ np.cross(arm, force)
+    torque = np.maximum(np.abs(weight), np.abs(weight - held))
+    for foot in body.planted:
+        for joint in list(model.supports[locate_frame(robot, foot.link)[0]])[1:]:
+            column = int(model.joints[joint].idx_v)
+            torque[column : column + int(model.joints[joint].nv)] = 0.0
+    limited = np.isfinite(robot.effort) & (robot.effort > 0.0)
+    return float((torque[limited] / robot.effort[limited]).max(initial=0.0))
 
 
 def list_arm_joints(robot: RobotModel, hand: Hand) -> list[int]:
