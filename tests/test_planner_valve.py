@@ -169,3 +169,9 @@ def test_valves_of_other_scans_are_turned(shared_data, scan):
 def test_a_start_inside_the_wheel_is_told_with_link_and_depth():
     with pytest.raises(RequestError, match=r"start is in collision: l_hook is 0\.00\d m inside valve/rim/\d+"):
         plan(request(given(centre=(0.59, 0.1, 1.17), radius=0.2, turn_deg=-90)))
+
+
+def test_a_wheel_too_hard_to_turn_says_that_the_ground_does_not_hold():
+    result = plan(request(given(torque_nm=200.0)))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert any("the ground does not hold the robot under the loads" in line for line in result.explanation)

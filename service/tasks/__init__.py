@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.errors import RequestError
@@ -40,13 +41,24 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     elif request.task is not None and request.task.valve is not None:
         from service.tasks.valve_task import plan_valve
 
-        plans = iter([plan_valve(setup, solver, request.task.valve)])
+        valve = request.task.valve
+        plans = _list_plans(solver, lambda: iter([plan_valve(setup, solver, valve)]))
     elif request.task is not None and request.task.door is not None:
         from service.tasks.door_task import plan_door
 
-        plans = iter([plan_door(setup, solver, request.task.door)])
+        door = request.task.door
+        plans = _list_plans(solver, lambda: plan_door(setup, solver, door))
     else:
         raise RequestError("request: expected a goal, task.valve, task.door or task.trajopt")
     for rest in plans:
         phases = (phase.for_body(rest.body) for phase in lead.phases)
         yield replace(rest, phases=(*phases, *rest.phases))
+
+
+def _list_plans(solver: PhaseSolver, plan: Callable[[], Iterator[TaskPlan]]) -> Iterator[TaskPlan]:
+    """Yield the plans of a task with a mechanism, or a sentence where the ground does not hold its loads."""
+    try:
+        yield from plan()
+    except StaticRegionError as error:
+        words = "the ground does not hold the robot under the loads of the task"
+        yield TaskPlan(solver.body, (), (f"{words} ({error}); smaller loads or a wider stance would help",))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from costs.static_region import StaticRegionError
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK
 from service.body.held_load import find_held_share
 from service.body.phases import PhaseSolver
@@ -20,6 +21,7 @@ from service.verify import Motion
 
 ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
 LEAST_FIRST = np.deg2rad(10.0)  # opening at the handle that is worth a regrasp
+MOST_EARLIER = 2  # plans that leave the handle earlier, where a plan could not be certified
 MOST_TRIES = 4  # of smaller angles at the handle
 HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
@@ -41,6 +43,7 @@ class DoorOpening:
         target: opening angle at the end [rad].
         stays: whether the hand stays on the leaf.
         reach_waypoints: of the phases that reach for the door.
+        most_at_handle: largest opening angle at which the hand is still at the handle [rad].
     """
 
     solver: PhaseSolver
@@ -49,20 +52,43 @@ class DoorOpening:
     target: float
     stays: bool
     reach_waypoints: int
+    most_at_handle: float = np.inf
+
+    def plans(self) -> Iterator[TaskPlan]:
+        """Yield the plan that opens the leaf farthest, then plans that leave the handle earlier."""
+        plan = self.plan()
+        yield plan
+        for _ in range(MOST_EARLIER):
+            opened = [phase.q[-1, -len(self.door.mechanism.joints)] for phase in plan.phases if phase.name == "open"]
+            if not plan.is_feasible or not opened or opened[0] - ANGLE_STEP < self.door.geometry.ajar + LEAST_FIRST:
+                return
+            plan = replace(self, most_at_handle=float(opened[0] - ANGLE_STEP)).plan()
+            yield plan
 
     def plan(self) -> TaskPlan:
-        """Return the plan that opens the leaf farthest."""
+        """Return the plan that opens the leaf farthest.
+
+        Raises:
+            StaticRegionError: wherever a hand could be, the ground does not hold the robot under the loads.
+        """
         best: TaskPlan | None = None
         best_angle = -1.0
+        unheld: StaticRegionError | None = None
         for hand in self.hands:
             for choice in self._choices(hand):
-                plan, angle = self._plan_choice(choice)
+                try:
+                    plan, angle = self._plan_choice(choice)
+                except (
+                    StaticRegionError
+                ) as error:  # the ground does not hold these loads; elsewhere they may be smaller
+                    unheld = error
+                    continue
                 if best is None or angle > best_angle or (angle == best_angle and len(plan.phases) > len(best.phases)):
                     best, best_angle = plan, angle
                 if plan.is_feasible:
                     return plan
         if best is None:
-            raise ValueError("a door needs a hand")
+            raise unheld or ValueError("a door needs a hand")
         return best
 
     def _choices(self, hand: Hand) -> Iterator[DoorChoice]:
@@ -118,7 +144,7 @@ class DoorOpening:
     def _open_at_handle(self, choice: DoorChoice) -> tuple[tuple[PlannedPhase, ...], Stuck | None, float]:
         """Open as far as the hand can stay at the handle; the angle is tried in steps of ten degrees."""
         start = self.door.geometry.ajar
-        angles = self._angles(start)
+        angles = [angle for angle in self._angles(start) if angle <= self.most_at_handle + 1e-6]
         farthest = self._find_farthest(angles, lambda angle: replace(choice, first=angle))
         if farthest is None:
             farthest = len(angles) - 1

@@ -28,8 +28,22 @@ STANCE_ADVICE = "the door may open farther from elsewhere: `scopt stance REQUEST
 HANDLE_MARGIN = 4e-3  # between a hand and the door that it holds [m]
 
 
-def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> TaskPlan:
-    """Plan to open the request's door."""
+def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Iterator[TaskPlan]:
+    """Yield plans to open the request's door; each further one stays at the handle for a smaller angle."""
+    begun = _begin(setup, solver, request)
+    if isinstance(begun, TaskPlan):
+        yield begun
+        return
+    opening, notes = begun
+    for plan in opening.plans():
+        advice = () if plan.is_feasible else (STANCE_ADVICE,)
+        yield replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))
+
+
+def _begin(
+    setup: PlanSetup, solver: PhaseSolver, request: DoorRequest
+) -> TaskPlan | tuple[DoorOpening, tuple[str, ...]]:
+    """Return what there is to open and notes about it, or the plan where there is nothing to search for."""
     found = find_door(setup, request)
     if isinstance(found, str):
         return TaskPlan(solver.body, (), (found,))
@@ -59,9 +73,7 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Ta
         advice = () if is_piece else (STANCE_ADVICE,)
         return TaskPlan(solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)
     notes = (note, *(met.describe(target) for met in blocked))
-    plan = DoorOpening(solver, door, hands, target, request.stays, waypoints).plan()
-    advice = () if plan.is_feasible else (STANCE_ADVICE,)
-    return replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))
+    return DoorOpening(solver, door, hands, target, request.stays, waypoints), notes
 
 
 def find_shut(request: DoorRequest, door: Door) -> str | None:
