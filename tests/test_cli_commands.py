@@ -37,7 +37,7 @@ def made() -> PlanResult:
 @pytest.fixture
 def planner(monkeypatch: pytest.MonkeyPatch, made: PlanResult) -> SimpleNamespace:
     """Replacement of ``service.planner`` whose ``plan`` can be set."""
-    stand_in = SimpleNamespace(plan=lambda request, on_progress, should_stop: made)
+    stand_in = SimpleNamespace(plan=lambda request, on_progress, should_stop, around=None: made)
     monkeypatch.setitem(sys.modules, "service.planner", stand_in)
     return stand_in
 
@@ -74,7 +74,7 @@ def test_a_certified_plan_ends_with_its_figures_and_files(
 def test_every_verdict_has_its_exit_code_one_object_and_a_folder(
     planner: SimpleNamespace, made: PlanResult, tmp_path: Path, verdict: Verdict
 ) -> None:
-    planner.plan = lambda request, on_progress, should_stop: replace(made, verdict=verdict)
+    planner.plan = lambda request, on_progress, should_stop, around=None: replace(made, verdict=verdict)
     result = _scopt("plan", REQUEST, "--out", tmp_path / "plan", "--json")
     assert result.exit_code == EXIT_CODES[verdict.value]
     data = _only_object(result)
@@ -108,12 +108,12 @@ def test_the_last_line_on_stdout_starts_with_the_verdict_whatever_happens(
     path.write_text("robot: {name: atlas}\ngoal: {posture: [red]}\n")
     assert _scopt("plan", path).stdout.splitlines()[-1].startswith("INVALID_REQUEST  wrong.yaml: goal.posture: a text")
     assert _scopt("verify", tmp_path).stdout.splitlines()[-1].startswith("INVALID_REQUEST  ")
-    planner.plan = lambda request, on_progress, should_stop: 1 // 0
+    planner.plan = lambda request, on_progress, should_stop, around=None: 1 // 0
     assert _scopt("plan", REQUEST).stdout.splitlines()[-1].startswith("INTERNAL_ERROR  internal error")
 
 
 def test_a_request_that_the_robot_refuses_is_invalid_too(planner: SimpleNamespace, tmp_path: Path) -> None:
-    def refuse(request: object, on_progress: object, should_stop: object) -> PlanResult:
+    def refuse(request: object, on_progress: object, should_stop: object, around: object = None) -> PlanResult:
         raise RequestError(["start is in collision: l_hand is 0.010 m inside crate", "second"])
 
     planner.plan = refuse
@@ -130,7 +130,7 @@ def test_a_missing_request_file_is_invalid_and_a_missing_argument_is_usage(plann
 
 
 def test_a_defect_is_one_line_and_exit_code_70(planner: SimpleNamespace, tmp_path: Path) -> None:
-    def broken(request: object, on_progress: object, should_stop: object) -> PlanResult:
+    def broken(request: object, on_progress: object, should_stop: object, around: object = None) -> PlanResult:
         raise ZeroDivisionError("division\nby zero")
 
     planner.plan = broken
@@ -154,7 +154,9 @@ def test_another_cloud_takes_the_place_of_the_requests(
 ) -> None:
     seen = []
 
-    def remember(request: Any, on_progress: Callable[[str, float], None], should_stop: object) -> PlanResult:
+    def remember(
+        request: Any, on_progress: Callable[[str, float], None], should_stop: object, around: object = None
+    ) -> PlanResult:
         seen.append(request.resolve(request.scene.cloud).resolve())
         on_progress("reach", 0.5)
         return made
@@ -247,7 +249,7 @@ sys.path.insert(0, {support!r})
 from small_plan import small_plan
 from service.result.result import Verdict
 made = small_plan()
-def plan(request, on_progress, should_stop):
+def plan(request, on_progress, should_stop, around=None):
     on_progress("waiting", 0.5)
     while {waits} or not should_stop():
         time.sleep(0.01)

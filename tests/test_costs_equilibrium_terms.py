@@ -14,7 +14,7 @@ from costs.collision import Contacts
 from costs.contact import Contact
 from costs.contact_points import ContactPoints, Load, measure_weight
 from costs.kinematics import KinematicsEngine, locate_links
-from costs.robot import with_revolute
+from costs.robot import MechanismJoint, with_mechanism
 from costs.state import LoadedState, MotionState
 from costs.terms import (
     ContactPlace,
@@ -65,11 +65,11 @@ def iterate(q, forces):
 
 def two_leaves():
     """A chain and a mechanism of two hinges, the second carried by the first."""
-    robot = with_revolute(
-        chain(SPATIAL), name="leaf_hinge", origin=np.array([0.5, 0.3, 0.1]), axis=np.array([0.2, 0.1, 1.0]),
+    robot = with_mechanism(chain(SPATIAL), [MechanismJoint(
+        name="leaf_hinge", origin=np.array([0.5, 0.3, 0.1]), axis=np.array([0.2, 0.1, 1.0]),
         bodies={"leaf/1": np.random.default_rng(0).normal(size=(8, 3))}, link="leaf",
         lower=-2.0, upper=2.0, velocity=1.0, acceleration=1.0,
-    )  # fmt: skip
+    )])  # fmt: skip
     model = robot.model.copy()
     place = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.2]))
     axis = np.array([0.0, 0.8, 0.6])
@@ -279,11 +279,11 @@ def test_a_ladder_against_a_smooth_wall_by_hand(angle):
 
 def test_a_pushed_wheel_by_hand():
     # 20 N along y at 0.5 m from an axis along z: 10 N m, of which 4 are the wheel's load.
-    robot = with_revolute(
-        chain(PLANAR), name="wheel_turn", origin=np.array([1.5, 0.0, 0.0]), axis=UP,
+    robot = with_mechanism(chain(PLANAR), [MechanismJoint(
+        name="wheel_turn", origin=np.array([1.5, 0.0, 0.0]), axis=UP,
         bodies={"wheel/rim": np.random.default_rng(0).normal(size=(8, 3))}, link="wheel",
         lower=-2.0, upper=2.0, velocity=1.0, acceleration=1.0,
-    )  # fmt: skip
+    )])  # fmt: skip
     points = ContactPoints.of(robot, [Contact("tip", np.zeros((1, 3)), UP[None], 0.5, 100.0, "wheel")])
     weight = measure_weight(robot)
     state = loaded_state(robot, 1)(iterate(np.zeros(3), np.array([0.0, -20.0, 3.0]) / weight))

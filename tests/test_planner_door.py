@@ -171,7 +171,7 @@ def test_a_leaf_that_is_open_already_is_refused() -> None:
         ({"opens": "auto"}, "opens is needed with a leaf that is given"),
         ({"leaf": None}, "handle is given without leaf"),
         ({"leaf": {"hinge": [0.7, 0.0, 0.0], "edge": [0.7, 0.1, 0.0]}}, "less than 0.2 m"),
-        ({"open_deg": 0.0}, "greater than 0"),
+        ({"open_deg": 0.0}, "more than 0 is needed"),
     ],
 )
 def test_requests_that_make_no_sense_are_refused(change: dict[str, Any], words: str) -> None:

@@ -58,8 +58,8 @@ def refused(request):
         ("l_hand", REACH, "a link of atlas"),
         ("l_tool", REACH, "a link of atlas"),
         ("utorso/1", REACH, "a body of atlas"),
-        ("valve", TURN, "the valve that the task turns, or a part of it"),
-        ("valve/rim/x", TURN, "the valve that the task turns, or a part of it"),
+        ("valve", TURN, "the valve that the task moves, or a part of it"),
+        ("valve/rim/x", TURN, "the valve that the task moves, or a part of it"),
     ],
 )
 def test_an_obstacle_that_has_the_name_of_something_else_is_refused_with_field_name_and_owner(name, does, owner):
@@ -76,7 +76,7 @@ def test_a_carried_body_is_a_link_whose_name_no_obstacle_has():
     beam = {"name": "beam", "link": "l_hand", "type": "box", "size": [0.05, 0.05, 0.3], "position": [0, 0, -0.3]}
     line = "scene.obstacles[0].name: 'beam' is a link of atlas; expected another name"
     assert refused(asked("beam", attached=[beam])) == (line,)
-    line = "attached[0].name: 'valve' is also the valve that the task turns, or a part of it; expected another name"
+    line = "attached[0].name: 'valve' is also the valve that the task moves, or a part of it; expected another name"
     assert refused(asked(does=TURN, attached=[{**beam, "name": "valve"}])) == (line,)
 
 
@@ -86,8 +86,8 @@ def test_a_robot_that_has_a_valve_of_its_own_turns_none(tmp_path):
     urdf.write_text(text)
     request = parse_request({"robot": {"urdf": str(urdf)}, **TURN})
     assert refused(request) == (
-        "robot: 'valve' is also the valve that the task turns, or a part of it; expected another name",
-        "robot: 'valve_turn' is also the joint of the valve that the task turns; rename it",
+        "robot: 'valve' is also the valve that the task moves, or a part of it; expected another name",
+        "robot: 'valve_turn' is also a joint of the valve that the task moves; rename it",
     )
 
 
