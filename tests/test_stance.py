@@ -104,6 +104,10 @@ def test_written_request_stands_at_the_best_place_and_finds_its_files(search: St
     assert written.start.base.position == pytest.approx(search.best.position)
 
 
+def test_the_requests_own_place_is_checked_first(search: StanceSearch) -> None:
+    assert any(np.allclose(candidate.base, 0.0) for candidate in search.candidates)
+
+
 def test_stance_for_a_goal_is_refused() -> None:
     request = parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "reach_ready"}})
     with pytest.raises(RequestError, match=r"expected task.door or task.valve"):

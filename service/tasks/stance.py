@@ -58,6 +58,7 @@ IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is hel
 MOST_REACH = 1.12  # the same at most: the trunk leans
 LEAST_REACH_M = 0.25
 TURN_COST = 0.03  # per squared angle between facing and what is held [1/rad^2]
+ASIDE_COST, LEAST_SIDEWAYS = 0.15, 0.3  # of standing beside a wheel's axis [1/rad^2]; unless it points up
 BODY_RADIUS_M = 0.25  # about the base, clear of pieces and leaf before anything else is checked
 ENOUGH_BALANCE_M, ENOUGH_REACH_M, ENOUGH_CLEARANCE_M = 0.05, 0.2, 0.1  # reserves that count no further
 SCORE_SHARES = (0.7, 0.12, 0.1, 0.08)  # of angle, balance, reach and clearance
@@ -270,8 +271,19 @@ class _Grid:
         cost = np.full(len(poses), np.inf)
         for way in self.task.list_ways():
             cost = np.minimum(cost, sum(self._cost_of_hand(poses, hand, points) for hand, points in way))
+        if isinstance(self.task, ValveStance):
+            cost = cost + ASIDE_COST * self._aside(poses, self.task.wheel.centre, self.task.wheel.axis) ** 2
         cost[self._is_in_the_way(poses)] = np.inf
         return cost
+
+    def _aside(
+        self, poses: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "N"]:
+        """Return the angle, seen from above, between a wheel's axis and where the robot stands [rad]."""
+        if np.hypot(*axis[:2]) < LEAST_SIDEWAYS:
+            return np.zeros(len(poses))
+        away = np.arctan2(*(poses[:, :2] - centre[:2]).T[::-1]) - np.arctan2(axis[1], axis[0])
+        return np.asarray((away + np.pi) % (2.0 * np.pi) - np.pi)
 
     def _cost_of_hand(
         self, poses: Float[np.ndarray, "N 3"], hand: Hand, points: Float[np.ndarray, "P 3"]
@@ -480,6 +492,8 @@ def _search(
             checked += not candidate.refused
             good += candidate.score > 0.0
 
+    start = examiner.setup.start[[0, 1, 3]][None]
+    examine(start, 1, 0.99, 1)  # the request's own place may do
     examine(ranked, COARSE, COARSE_APART, ENOUGH_GOOD)
     if not any(candidate.score > 0.0 for candidate in candidates):
         examine(ranked, COARSE // 2, 0.99, 1)
