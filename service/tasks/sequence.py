@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.allowance import Allowance
-from costs.kinematics import locate_links
+from costs.kinematics import locate_frame, locate_links
 from costs.robot import Mechanism, RobotModel, with_mechanism
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, NormWithin, WithinTolerance
@@ -420,8 +420,6 @@ def _stop_at(
 
 def find_turn_joint(robot: RobotModel, body: WholeBody, tool: str) -> tuple[int, float]:
     """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
-    from costs.kinematics import locate_frame
-
     joint, pose_joint_tool = locate_frame(robot, tool)
     column = int(robot.model.joints[joint].idx_v)
     kinematics = body.engine(np.zeros((1, robot.n)))
