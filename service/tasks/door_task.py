@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from costs.allowance import BodyRef
-from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door import FREE_BEYOND, Door
 from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door, set_back
-from service.demands.hands import HANDS, Hand
+from service.demands.hands import Hand
 from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door import DoorOpening
 from service.tasks.door_sweep import find_blocked_opening
+from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 
@@ -62,7 +62,7 @@ def _begin(
         plan = plan_rest(solver, rest, rest.specs, opening.measure)
         return replace(plan, notes=(note, *plan.notes))
     solver = replace(add_mechanism(solver, door.mechanism), overrides=near)
-    collisions = tuple(find_collisions(solver.body))
+    collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
         raise RequestError(collisions)
     blocked = find_blocked_opening(solver.body, door, target)
@@ -132,28 +132,9 @@ def choose_hands(body: WholeBody, request: DoorRequest, door: Door) -> tuple[Han
     Raises:
         RequestError: the robot has no such hand.
     """
-    known = [
-        hand
-        for hand in HANDS.values()
-        if all(body.robot.model.existFrame(frame) for frame in (hand.tool, hand.peg, hand.stub))
-    ]
-    if request.hand != "auto":
-        known = [hand for hand in known if hand.side == request.hand]
+    at = door.geometry.hinge + door.geometry.width * door.geometry.along if door.handle is None else door.handle.centre
+    known = list_hands(body, request.hand, at, ("tool", "peg", "stub"))
     if not known:
         frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
         raise RequestError(f"task.door.hand: robot '{body.robot.name}' has no {request.hand} hand ({frames})")
-    at = door.geometry.hinge + door.geometry.width * door.geometry.along if door.handle is None else door.handle.centre
-    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in known])
-    return tuple(sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - at))))
-
-
-def find_collisions(body: WholeBody) -> Iterator[str]:
-    """Yield a sentence for each link that is in the mechanism at the start."""
-    contacts = body.make_checker()(body.engine(body.nominal[None]))
-    bodies, moved = body.robot.bodies, body.robot.mechanism_links
-    for row in np.flatnonzero(contacts.is_self & (contacts.distance < 0.0)):
-        pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
-        if sum(member.link in moved for member in pair) == 1:
-            link, part = (member.name for member in sorted(pair, key=lambda member: member.link in moved))
-            depth = -float(contacts.distance[row])
-            yield f"start is in collision: {link} is {depth:.3f} m inside {part}; start farther away"
+    return known

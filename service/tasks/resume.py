@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
 from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
@@ -16,6 +15,7 @@ from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
 from service.demands.resume import Beginning, ResumedDemand, find_group, find_index, resume_phases
 from service.errors import RequestError
+from service.tasks.handling import find_collisions
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 
@@ -162,15 +162,3 @@ def measure_hand(body: WholeBody, hand: HandMotion) -> HandOff:
     wanted = hand.axis if hand.turns_with is None else poses[hand.turns_with][:3, :3] @ hand.axis
     lean = float(np.arccos(np.clip(poses[hand.tool][:3, :3] @ AXIS @ wanted, -1.0, 1.0)))
     return HandOff(float(np.linalg.norm(off)), max(lean - hand.tilt_rad, 0.0))
-
-
-def find_collisions(body: WholeBody, touches: Sequence[Allowance] = ()) -> Iterator[str]:
-    """Yield a sentence for each link that is deeper in the mechanism than it may be at the start."""
-    contacts = body.make_checker(touches)(body.engine(body.nominal[None]))
-    bodies, moved = body.robot.bodies, body.robot.mechanism_links
-    for row in np.flatnonzero(contacts.is_self & (contacts.distance < np.minimum(contacts.margin, 0.0))):
-        pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
-        if sum(member.link in moved for member in pair) == 1:
-            link, part = (member.name for member in sorted(pair, key=lambda member: member.link in moved))
-            depth = -float(contacts.distance[row])
-            yield f"start is in collision: {link} is {depth:.3f} m inside {part}"

@@ -19,7 +19,6 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from costs.allowance import BodyRef
 from costs.robot import RobotModel, with_mechanism
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import Stopped, stops_when
@@ -35,6 +34,7 @@ from service.setup.checks import check_start, find_soles
 from service.setup.prepare import PlanSetup, prepare
 from service.start.standing import FLOOR_KIND, place_bodies
 from service.tasks import door_task, valve_task
+from service.tasks.handling import FARTHER, find_collisions
 from service.tasks.stance_checks import (
     DoorStance,
     Outcome,
@@ -212,13 +212,10 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
     valve = valve_task.find_valve(setup, task.valve)
     if isinstance(valve, str):
         return valve
-    hooks = tuple(valve_task.choose_hands(body, task.valve, valve))
+    hooks = valve_task.choose_hands(body, task.valve, valve)
     wheel = make_wheel(valve)
     mechanism = make_wheel_mechanism(wheel)
-    near = tuple(
-        (BodyRef.of_link(hand.hook), BodyRef("mechanism", mechanism.joints[0].link), valve_task.HOOK_MARGIN)
-        for hand in hooks
-    )
+    near = valve_task.list_clearances(hooks)
     note = f"valve at {np.round(valve.centre, 3).tolist()}, rim radius {valve.rim_radius:.3f} m"
     turn = float(np.deg2rad(task.valve.turn_deg))
     return ValveStance(wheel, hooks, task.valve.mode, turn, task.valve.torque_nm, near, mechanism), (note,)
@@ -427,7 +424,7 @@ class _Examiner:
         plain = WholeBody.standing(setup.robot, setup.scene, start, tuple(soles), aims)
         joints = self.task.mechanism
         body = replace(plain.with_robot(self.robot, np.concatenate([start, joints.start])), releases=joints.releases)
-        inside = tuple(door_task.find_collisions(body))
+        inside = tuple(find_collisions(body, remedy=FARTHER))
         if inside:
             return refuse(*inside)
         clearance = self._measure_clearance(body)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -21,7 +21,7 @@ from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.hands import HANDS, Hand
+from service.demands.hands import Hand
 from service.demands.valve_demand import ValveDemand, read_kept_stroke, resume_valve, turn_back
 from service.demands.wheel import (
     HAND_AXIS,
@@ -39,6 +39,7 @@ from service.request.resume import ResumeRequest
 from service.request.schema import ValveRequest
 from service.scan.scene_file import wheel_from_circle
 from service.setup.prepare import PlanSetup
+from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 from service.tasks.valve import ValveTurn
@@ -116,17 +117,14 @@ def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
     return valves[0]
 
 
-def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> list[Hand]:
+def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> tuple[Hand, ...]:
     """Return the hands to try, the nearest to the valve first."""
-    known = [hand for hand in HANDS.values() if body.robot.model.existFrame(hand.tool)]
-    if request.hand != "auto":
-        known = [hand for hand in known if hand.side == request.hand]
+    known = list_hands(body, request.hand, valve.centre, ("tool",))
     if not known:
         raise RequestError(
             f"task.valve.hand: robot '{body.robot.name}' has no {request.hand} tool frame (l_tool, r_tool)"
         )
-    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in known])
-    return sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - valve.centre)))
+    return known
 
 
 def _make_wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
@@ -146,7 +144,7 @@ def _plan_turn(
         RequestError: a link of the robot is in the wheel at the start.
     """
     solver = _add_wheel(solver, make_wheel_mechanism(wheel), hands)
-    collisions = tuple(_find_collisions(solver.body))
+    collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
         raise RequestError(collisions)
     best: TaskPlan | None = None
@@ -164,8 +162,12 @@ def _plan_turn(
 
 def _add_wheel(solver: PhaseSolver, mechanism: Mechanism, hands: Sequence[Hand]) -> PhaseSolver:
     """Return the solver of the robot with the wheel, which hooks may come near."""
-    overrides = tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands)
-    return replace(add_mechanism(solver, mechanism), overrides=overrides)
+    return replace(add_mechanism(solver, mechanism), overrides=list_clearances(hands))
+
+
+def list_clearances(hands: Sequence[Hand]) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+    """Return the required clearances between hooks and the wheel that they reach into [m]."""
+    return tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands)
 
 
 def _plan_rest(
@@ -181,18 +183,6 @@ def _plan_rest(
     if [spec.name for spec in specs] != [spec.name for spec in rest.specs]:
         raise RequestError(f"resume.stroke.strokes: {stroke.strokes}; this robot turns the wheel in another number")
     return plan_rest(solver, rest, specs, turning.measure)
-
-
-def _find_collisions(body: WholeBody) -> Iterator[str]:
-    """Yield a sentence for each link that is in the wheel at the start."""
-    contacts = body.make_checker()(body.engine(body.nominal[None]))
-    bodies = body.robot.bodies
-    for row in np.flatnonzero(contacts.is_self & (contacts.distance < 0.0)):
-        pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
-        if any(member.link == VALVE_LINK for member in pair):
-            link, part = (member.name for member in sorted(pair, key=lambda member: member.link == VALVE_LINK))
-            depth = -float(contacts.distance[row])
-            yield f"start is in collision: {link} is {depth:.3f} m inside {part}; start farther away"
 
 
 def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:

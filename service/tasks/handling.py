@@ -1,0 +1,52 @@
+"""Hands and the mechanism that they handle, as they are at the start: which hands to try, and what is inside what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.kinematics import locate_links
+from service.body.whole_body import WholeBody
+from service.demands.hands import HANDS, Hand
+
+FARTHER = "; start farther away"  # what helps against a collision with the mechanism
+
+
+def list_hands(body: WholeBody, side: str, at: Float[np.ndarray, "3"], frames: Sequence[str]) -> tuple[Hand, ...]:
+    """Return the hands of a side that a robot has, the nearest to a place first.
+
+    Args:
+        body: at its start.
+        side: ``left``, ``right``, or ``auto`` for both.
+        at: (3,) what is to be held, in the world [m].
+        frames: names of the fields of ``Hand`` whose frames are needed.
+    """
+    model = body.robot.model
+    known = [
+        hand
+        for hand in HANDS.values()
+        if side in ("auto", hand.side) and all(model.existFrame(getattr(hand, frame)) for frame in frames)
+    ]
+    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in known])
+    return tuple(sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - at))))
+
+
+def find_collisions(body: WholeBody, touches: Sequence[Allowance] = (), remedy: str = "") -> Iterator[str]:
+    """Yield a sentence for each link that is deeper in the mechanism than it may be at the start.
+
+    Args:
+        body: augmented by the mechanism.
+        touches: pairs that may touch.
+        remedy: ends the sentences.
+    """
+    contacts = body.make_checker(touches)(body.engine(body.nominal[None]))
+    bodies, moved = body.robot.bodies, body.robot.mechanism_links
+    for row in np.flatnonzero(contacts.is_self & (contacts.distance < np.minimum(contacts.margin, 0.0))):
+        pair = [bodies[contacts.body[row]], bodies[contacts.other[row]]]
+        if sum(member.link in moved for member in pair) == 1:
+            link, part = (member.name for member in sorted(pair, key=lambda member: member.link in moved))
+            depth = -float(contacts.distance[row])
+            yield f"start is in collision: {link} is {depth:.3f} m inside {part}{remedy}"
