@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -61,6 +62,11 @@ class Door:
         return self.geometry.handle
 
     @property
+    def has_push_bar(self) -> bool:
+        """Whether the handle is a push bar."""
+        return self.handle is not None and self.handle.kind == "push_bar"
+
+    @property
     def is_push(self) -> bool:
         """Whether the leaf moves away from the robot."""
         return self.geometry.opens == "push"
@@ -74,10 +80,10 @@ class Door:
     @property
     def pressed(self) -> float:
         """Value of the handle's joint at which the leaf is opened [rad, m]."""
-        is_bar = self.handle is not None and self.handle.kind == "push_bar"
+        is_bar = self.has_push_bar
         return self.release + (PRESS_BEYOND if is_bar else float(BEYOND_RELEASE))
 
-    @property
+    @cached_property
     def mechanism(self) -> Mechanism:
         """Leaf and handle as a tree of joints, described with the leaf shut and the lever at rest."""
         geometry, handle = self.geometry, self.handle
@@ -99,7 +105,7 @@ class Door:
         ]
         if handle is None or HANDLE_LINK not in bodies:
             return Mechanism(DOOR, tuple(joints))
-        is_bar = handle.kind == "push_bar"
+        is_bar = self.has_push_bar
         joints.append(
             MechanismJoint(
                 HANDLE_JOINT,

@@ -22,7 +22,7 @@ from service.verify import Motion
 ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
 LEAST_FIRST = np.deg2rad(10.0)  # opening at the handle that is worth a regrasp
 MOST_EARLIER = 2  # plans that leave the handle earlier, where a plan could not be certified
-MOST_TRIES = 4  # of smaller angles at the handle
+MOST_TRIES = 3  # of smaller angles at the handle
 HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
 PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
@@ -78,9 +78,7 @@ class DoorOpening:
             for choice in self._choices(hand):
                 try:
                     plan, angle = self._plan_choice(choice)
-                except (
-                    StaticRegionError
-                ) as error:  # the ground does not hold these loads; elsewhere they may be smaller
+                except StaticRegionError as error:  # held elsewhere the loads may be smaller
                     unheld = error
                     continue
                 if best is None or angle > best_angle or (angle == best_angle and len(plan.phases) > len(best.phases)):
@@ -154,13 +152,7 @@ class DoorOpening:
             result = sequence.plan(self.solver.body.nominal)
             if result[1] is None:
                 return *result, angle
-            tried += 1
-            if tried >= MOST_TRIES or result[1].step not in (
-                "open",
-                "pose at the handle",
-                "let the handle go",
-                "retract",
-            ):
+            if tried >= MOST_TRIES or result[1].step not in SMALLER_MAY_HELP:
                 break
         return *result, start
 
@@ -203,9 +195,9 @@ class DoorOpening:
 
     def _plan_push(self, choice: DoorChoice, at: Float[np.ndarray, "n"]) -> tuple[PlannedPhase, ...] | None:
         """Plan the phases after the regrasp; None if they have no solution."""
-        specs = make_door_phases(self.door, choice, self.reach_waypoints)
+        sequence = self._sequence(choice)
         n_before = len(make_door_phases(self.door, replace(choice, push=None), self.reach_waypoints))
-        phases, stuck = replace(self._sequence(choice), specs=specs[n_before:]).plan(at)
+        phases, stuck = replace(sequence, specs=sequence.specs[n_before:]).plan(at)
         return None if stuck is not None else phases
 
     def _angles(self, start: float) -> list[float]:
@@ -233,9 +225,8 @@ class DoorOpening:
 
     def _solve_last_pose(self, choice: DoorChoice, guesses: tuple[Float[np.ndarray, "n"], ...]) -> Solved:
         """Solve for the pose at the end of the choice's last opening."""
-        specs = make_door_phases(self.door, choice, self.reach_waypoints)
-        spec = next(spec for spec in reversed(specs) if spec.is_anchor)
         sequence = self._sequence(choice)
+        spec = next(spec for spec in reversed(sequence.specs) if spec.is_anchor)
         with self.solver.monitor.step(HOW_FAR, 0.05):
             return sequence.try_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
 
@@ -264,14 +255,14 @@ class DoorOpening:
         figures = {"opening_deg": float(np.rad2deg(opening)), "free_width_m": float(free)}
         if k > 1:
             largest = float(samples[:, 1].max())
-            is_bar = self.door.handle is not None and self.door.handle.kind == "push_bar"
+            is_bar = self.door.has_push_bar
             figures["pressed_m" if is_bar else "lever_deg"] = largest if is_bar else float(np.rad2deg(largest))
         return figures | self._measure_loads(motion)
 
     def _measure_loads(self, motion: Motion) -> dict[str, float]:
         """Return the torques and the force up to which the motion could hold [N m, N]."""
         door = self.door
-        is_bar = door.handle is not None and door.handle.kind == "push_bar"
+        is_bar = door.has_push_bar
         stated = {
             "holds_hinge_nm": (LEAF_LINK, door.hinge_nm),
             "holds_push_bar_n" if is_bar else "holds_lever_nm": (

@@ -87,8 +87,11 @@ def find_shut(request: DoorRequest, door: Door) -> str | None:
             f"task.door.open_deg: {request.open_deg:g}; the leaf is open by {np.rad2deg(door.geometry.ajar):.0f} deg "
             "already; expected more"
         )
-    if door.handle is not None and door.handle.kind == "knob" and door.geometry.ajar < FREE_BEYOND:
+    has_knob = door.handle is not None and door.handle.kind == "knob"
+    if has_knob and (door.geometry.ajar < FREE_BEYOND or not door.is_push):
         return "the door has a knob; no hand of this robot can turn a knob"
+    if door.handle is None and not door.is_push:
+        return "the door opens towards the robot and has no handle to pull it by"
     return None
 
 

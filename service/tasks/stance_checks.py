@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -145,7 +144,7 @@ class DoorStance:
         """Return the task of a robot."""
         return DoorStance(door, hands, target, near, tuple(measure_peg(robot, hand) for hand in hands))
 
-    @cached_property
+    @property
     def mechanism(self) -> Mechanism:
         """Leaf and handle."""
         return self.door.mechanism
