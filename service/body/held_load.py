@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
@@ -13,21 +11,25 @@ from costs.contact import GRAVITY, WorldContacts
 from service.verify import Motion, Phase
 from service.verify.forces.dynamics import compute_forces
 from service.verify.forces.hand_loads import list_load_cases
-from service.verify.forces.loaded_balance import find_sole_normals, place_sole_corners
+from service.verify.forces.loaded_balance import Ground
 from service.verify.timeline import find_times
 
 N_SAMPLES = 9  # per phase
 MOST = 20.0  # times the stated load
 
 
-def find_held_share(motion: Motion, links: Collection[str]) -> float | None:
-    """Return the largest multiple of the loads on some links that every sampled pose still carries; None without loads.
+def find_held_shares(motion: Motion) -> dict[str, float]:
+    """Return for each link that carries a load the largest multiple of it that every sampled pose still carries.
 
     Torques grow in proportion to the load, and contact forces inside the friction pyramids have to balance it. It is an
     estimate at samples, not part of the certificate.
     """
-    shares = [_find_share(motion, phase) for phase in motion.phases if any(load.link in links for load in phase.loads)]
-    return min(shares, default=None)
+    shares: dict[str, float] = {}
+    for phase in motion.phases:
+        if phase.loads:
+            share = _find_share(motion, phase)
+            shares |= {load.link: min(share, shares.get(load.link, share)) for load in phase.loads}
+    return shares
 
 
 def _find_share(motion: Motion, phase: Phase) -> float:
@@ -51,12 +53,11 @@ def _find_share(motion: Motion, phase: Phase) -> float:
 def _find_held(motion: Motion, phase: Phase, q: Float[np.ndarray, "n"], wrench: Float[np.ndarray, "6"]) -> float:
     """Return the largest multiple of a wrench that the ground's forces balance together with the weight."""
     model = motion.robot.model
-    corners = place_sole_corners(phase.contacts)
-    frictions = np.concatenate([np.full(len(c.sole), c.friction) for c in phase.contacts])
-    caps = np.concatenate([np.full(len(c.sole), c.force_cap_n) for c in phase.contacts])
-    edges = WorldContacts(corners, find_sole_normals(phase.contacts), frictions, caps).list_pyramid_edges()
+    ground = WorldContacts(*Ground.under(phase.contacts))
     columns = [
-        np.concatenate([edge, np.cross(at, edge)]) for at, fan in zip(corners, edges, strict=True) for edge in fan
+        np.concatenate([edge, np.cross(at, edge)])
+        for at, fan in zip(ground.points, ground.list_pyramid_edges(), strict=True)
+        for edge in fan
     ]
     weight = np.array([0.0, 0.0, -GRAVITY * float(pin.computeTotalMass(model))])
     com = pin.centerOfMass(model, model.createData(), q)

@@ -16,7 +16,7 @@ from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
 from costs.static_region import StaticRegion, find_static_region
 from service.verify import HandLoad, PlantedContact
-from service.verify.forces.loaded_balance import find_sole_normals, find_sole_tilt, place_sole_corners
+from service.verify.forces.loaded_balance import Ground, find_sole_tilt
 
 LONGEST_STRETCH = np.deg2rad(45.0)  # of a revolute joint that one region covers
 STILL = 1e-9
@@ -58,10 +58,7 @@ def plan_regions(
         StaticRegionError: some load can be held nowhere.
     """
     mass = float(sum(inertia.mass for inertia in robot.model.inertias[1:]))
-    corners = place_sole_corners(tuple(contacts))
-    frictions = np.concatenate([np.full(len(c.sole), c.friction) for c in contacts])
-    caps = np.concatenate([np.full(len(c.sole), c.force_cap_n) for c in contacts])
-    ground = WorldContacts(corners, find_sole_normals(tuple(contacts)), frictions, caps)
+    ground = WorldContacts(*Ground.under(tuple(contacts)))
     feet_drift = max(contact.tolerance_m for contact in contacts)
     drift = feet_drift + max(load.drift_m for load in loads)
     tilt = find_sole_tilt(tuple(contacts))

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from costs.static_region import StaticRegionError
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK
-from service.body.held_load import find_held_share
+from service.body.held_load import find_held_shares
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
@@ -270,5 +270,5 @@ class DoorOpening:
                 door.push_bar_n if is_bar else door.lever_nm,
             ),
         }
-        shares = {name: (find_held_share(motion, {link}), load) for name, (link, load) in stated.items() if load > 0.0}
-        return {name: share * load for name, (share, load) in shares.items() if share is not None}
+        shares = find_held_shares(motion)
+        return {name: shares[link] * load for name, (link, load) in stated.items() if load > 0.0 and link in shares}

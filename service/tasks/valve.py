@@ -17,7 +17,7 @@ from jaxtyping import Float
 from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
-from service.body.held_load import find_held_share
+from service.body.held_load import find_held_shares
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import LIMIT_RESERVE
@@ -109,5 +109,5 @@ class ValveTurn:
                 angle = np.unwrap(np.arctan2(offset @ second, offset @ first))
                 total += float(angle[-1] - angle[0])
         figures = {"turned_deg": float(np.rad2deg(total))}
-        share = find_held_share(motion, {VALVE_LINK}) if self.torque_nm > 0.0 else None
+        share = find_held_shares(motion).get(VALVE_LINK) if self.torque_nm > 0.0 else None
         return figures if share is None else figures | {"holds_torque_nm": share * self.torque_nm}

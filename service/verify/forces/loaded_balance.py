@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -64,6 +65,30 @@ def check_loaded_balance(
     yield proof.check(name, worst, limit, "m", text, point, negate=True, failure=failure)
 
 
+class Ground(NamedTuple):
+    """Corners of all soles as contact points, in the order of the contacts.
+
+    Attributes:
+        points: (C, 3) in the world [m].
+        normals: (C, 3) upward unit normals of the soles' planes.
+        friction: (C,) coefficients.
+        caps: (C,) largest normal forces [N].
+    """
+
+    points: Float[np.ndarray, "C 3"]
+    normals: Float[np.ndarray, "C 3"]
+    friction: Float[np.ndarray, "C"]
+    caps: Float[np.ndarray, "C"]
+
+    @staticmethod
+    def under(contacts: tuple[PlantedContact, ...]) -> Ground:
+        """Return the ground under planted feet (VerifyError where the corners of a sole are on a line)."""
+        counts = np.array([len(contact.sole) for contact in contacts], dtype=int)
+        friction = np.repeat(np.array([contact.friction for contact in contacts], dtype=float), counts)
+        caps = np.repeat(np.array([contact.force_cap_n for contact in contacts], dtype=float), counts)
+        return Ground(place_sole_corners(contacts), find_sole_normals(contacts), friction, caps)
+
+
 def place_sole_corners(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
     """Return the corners of all soles in the world, in the order of the contacts [m]."""
     placed = [c.sole @ c.pose_world_link[:3, :3].T + c.pose_world_link[:3, 3] for c in contacts]
@@ -118,12 +143,7 @@ def _weigh(motion: Motion) -> float:
 def _prove(motion: Motion, phase: Phase, region: LoadedRegion, mass: float) -> tuple[EquilibriumProof, float]:
     """Prove one region; return also the part of the margin that drifting feet and hands take off [m]."""
     contacts = phase.contacts
-    points = place_sole_corners(contacts)
-    frictions = np.concatenate([np.full(len(c.sole), c.friction) for c in contacts]) if contacts else np.zeros(0)
-    caps = np.concatenate([np.full(len(c.sole), c.force_cap_n) for c in contacts]) if contacts else np.zeros(0)
-    recorded = RecordedRegion(
-        points, find_sole_normals(contacts), frictions, caps, region.wrenches, region.vertices, region.witnesses
-    )
+    recorded = RecordedRegion(*Ground.under(contacts), region.wrenches, region.vertices, region.witnesses)
     loads = list_load_wrenches(motion, phase.loads, region.first, region.last)
     feet_drift = max((contact.tolerance_m for contact in contacts), default=0.0)
     # The feet's horizontal forces are at least the hands', so their drift covers the yaw moment of the hands' drift.
