@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from costs.terms import AxisDirection, FramePose, NormWithin, WithinTolerance
 from scopt import Constraint, Residual, Sense
 from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion, plan_regions
-from service.body.phases import POSE_EFFORT, Bounds, PhaseSolver, path_via, posture_guesses, straight_path
+from service.body.phases import POSE_EFFORT, PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, find_moves, find_rotation_onto
@@ -264,31 +265,12 @@ class _Compiler:
                 straight = straight_path(q, end.x[0], count)
                 straight[:, self.columns] = values
                 starts = [straight, start]
-        free = np.setdiff1d(np.arange(count), list(fixed))
-        anchored = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()}
-
-        def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
-            lower[:, self.columns] = upper[:, self.columns] = values
-            if is_anchor:
-                for column, value in anchored.items():
-                    lower[0, column] = upper[0, column] = value
-
-        def solve(starts: Sequence[Float[np.ndarray, "T n"]], regions: tuple[PlannedRegion, ...]) -> Solved:
-            return self.solver.solve_trajectory(
-                spec.name,
-                starts,
-                fixed,
-                constraints=self._constraints(spec, free, count),
-                allowances=shrink(spec.touches),
-                bounds=narrow,
-                regions=regions,
-            )
-
+        pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
         regions = self.find_regions(spec, values)
         if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
-            unloaded = solve(starts, ())
+            unloaded = self._solve(spec, starts, fixed, values, (), pinned)
             starts = [unloaded.x, *starts] if unloaded.is_feasible else starts
-        return solve(starts, regions)
+        return self._solve(spec, starts, fixed, values, regions, pinned)
 
     def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""
@@ -297,49 +279,47 @@ class _Compiler:
         for _, guess in posture_guesses(self.solver.body)[1:]:
             guess[self.columns] = first[self.columns]
             starts.append(path_via(first, guess, last, count))
-        return self._solve_between(spec, starts)
+        return self.solve_between(spec, starts)
 
-    def _solve_between(self, spec: PhaseSpec, starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
-        first, last, count = starts[0][0], starts[0][-1], len(starts[0])
-        fixed = {0: first, count - 1: last}
-        return self.solver.solve_trajectory(
-            spec.name, starts, fixed, allowances=shrink(spec.touches), bounds=self._move(spec, count)
-        )
+    def solve_between(self, spec: PhaseSpec, starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
+        """Solve a phase between the ends of its starting trajectories, which may be denser than its specification."""
+        values, last = starts[0][:, self.columns], len(starts[0]) - 1
+        fixed = {0: starts[0][0], last: starts[0][last]}
+        return self._solve(spec, starts, fixed, values, self.find_regions(spec, values))
 
-    def _solve_held_again(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> Solved:
-        """Solve a phase with a held hand from a denser trajectory between the same ends."""
-        last = len(q) - 1
+    def _solve(
+        self,
+        spec: PhaseSpec,
+        starts: Sequence[Float[np.ndarray, "T n"]],
+        fixed: Mapping[int, Float[np.ndarray, "n"]],
+        values: Float[np.ndarray, "T k"],
+        regions: tuple[PlannedRegion, ...],
+        pinned: Mapping[int, float] = MappingProxyType({}),
+    ) -> Solved:
+        """Solve a phase with the mechanism's joints prescribed, and some coordinates pinned at the first waypoint."""
+        count = len(values)
+        free = np.setdiff1d(np.arange(count), list(fixed))
 
         def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
-            lower[:, self.columns] = upper[:, self.columns] = q[:, self.columns]
+            lower[:, self.columns] = upper[:, self.columns] = values
+            for column, value in pinned.items():
+                lower[0, column] = upper[0, column] = value
 
-        constraints = self._constraints(spec, np.arange(1, last), len(q))
-        regions = self.find_regions(spec, q[:, self.columns])
-        fixed = {0: q[0], last: q[last]}
         return self.solver.solve_trajectory(
             spec.name,
-            [q],
+            starts,
             fixed,
-            constraints=constraints,
+            constraints=self._constraints(spec, free, count),
             allowances=shrink(spec.touches),
             bounds=narrow,
             regions=regions,
         )
-
-    def _move(self, spec: PhaseSpec, count: int) -> Bounds:
-        def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
-            lower[:, self.columns] = upper[:, self.columns] = spec.values(count)
-
-        return narrow
 
     def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
         holds: tuple[Hold, ...] = ()
         if spec.hand is not None and not spec.hand.is_line:
             holds = (make_hold(self.robot, spec.hand),)
-
-        def solve_again(q: Float[np.ndarray, "T n"]) -> Solved:
-            return self._solve_between(spec, [q]) if spec.hand is None else self._solve_held_again(spec, q)
 
         return PlannedPhase(
             spec.name,
@@ -348,7 +328,7 @@ class _Compiler:
             holds,
             spec.touches,
             lambda at: spec.targets(self.mechanism, at),
-            resolve=None if spec.hand is not None and spec.hand.is_line else solve_again,
+            resolve=None if spec.hand is not None and spec.hand.is_line else lambda q: self.solve_between(spec, [q]),
             loads=spec.loads,
             regions=self.find_regions(spec, spec.values(spec.n_waypoints)),
             values=spec.values(spec.n_waypoints) if spec.loads else None,
