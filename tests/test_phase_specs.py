@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from service.demands.door import Door, DoorChoice, make_door_phases
 from service.demands.door_demand import make_door, read_given_door
 from service.demands.hands import HANDS
-from service.demands.phase_spec import HandMotion, PhaseSpec, find_moves, make_hand_targets
+from service.demands.phase_spec import HandMotion, PhaseSpec, check_moves, make_hand_targets
 from service.request.file import parse_request
 from service.tasks.sequence import shrink, split_groups
 from service.verify import JointTarget
@@ -40,7 +40,7 @@ def test_groups_begin_with_their_free_phase_and_have_one_anchor() -> None:
 
 def test_a_mechanism_that_jumps_between_phases_is_refused() -> None:
     with pytest.raises(ValueError, match="jumps between the phases 'reach' and 'hold'"):
-        find_moves([PhaseSpec("reach", SHUT, SHUT), PhaseSpec("hold", OPEN, OPEN, HAND)])
+        check_moves([PhaseSpec("reach", SHUT, SHUT), PhaseSpec("hold", OPEN, OPEN, HAND)])
 
 
 def test_a_line_ends_at_its_place_or_leaves_it() -> None:
@@ -79,7 +79,7 @@ def test_positive_angles_open_the_leaf_and_turn_the_lever_down(opens: str) -> No
 def test_the_phases_of_a_latched_door_release_before_they_open(opens: str) -> None:
     door = given(opens=opens)
     phases = make_door_phases(door, DoorChoice(HANDS["left"], 0.065, 0.1, 1.0, 0.5))
-    find_moves(phases)
+    check_moves(phases)
     assert [phase.name for phase in phases] == [
         "reach", "approach", "turn the handle", "open", "let the handle go", "retract",
     ]  # fmt: skip

@@ -161,8 +161,8 @@ def find_rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray
     return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + axis @ direction))
 
 
-def find_moves(phases: Sequence[PhaseSpec]) -> Float[np.ndarray, "F+1 k"]:
-    """Return the mechanism's joints at the borders of the phases [rad, m].
+def check_moves(phases: Sequence[PhaseSpec]) -> None:
+    """Refuse phases between which the mechanism jumps.
 
     Raises:
         ValueError: a phase does not begin where the one before ends.
@@ -170,4 +170,3 @@ def find_moves(phases: Sequence[PhaseSpec]) -> Float[np.ndarray, "F+1 k"]:
     for phase, after in pairwise(phases):
         if np.abs(phase.last - after.first).max(initial=0.0) > SAME_VALUE:
             raise ValueError(f"the mechanism jumps between the phases '{phase.name}' and '{after.name}'")
-    return np.stack([phases[0].first, *(phase.last for phase in phases)])

@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from costs.robot import Mechanism
 from service.demands.hands import HANDS, Hand
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase_spec import AXIS, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
-from service.demands.wheel import HAND_AXIS, Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.demands.wheel import Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
 from service.errors import RequestError
 from service.request.names import VALVE_JOINT
 from service.request.resume import ResumeRequest, StrokeChoice
@@ -97,7 +97,7 @@ class ValveDemand:
                     continue
                 if self.request.mode == "hook":
                     return hands[0], entry, None
-                if hold.free_axis is None and _is_near(hold.rotation @ HAND_AXIS, -wheel.axis):
+                if hold.free_axis is None and _is_near(hold.rotation @ AXIS, -wheel.axis):
                     return hands[0], entry, Grasp(hold.rotation)
                 return f"the hand does not turn with the wheel in phase '{phase.name}', as a grasp has it"
         return f"the hook is in no gap of the valve in phase '{phase.name}'"

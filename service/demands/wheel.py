@@ -12,7 +12,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.robot import Mechanism, MechanismJoint
 from service.demands.hands import Hand
-from service.demands.phase_spec import HandMotion, PhaseSpec
+from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
 from service.request.names import VALVE_JOINT, VALVE_LINK
 from service.verify import CircleTarget, HandLoad
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 WHEEL_SPEED = 1.0  # [rad/s]
 WHEEL_ACCELERATION = 2.0  # [rad/s^2]
-HAND_AXIS = np.array([0.0, 0.0, 1.0])  # in the tool frame
 RIM_TOLERANCE = 5e-3  # largest distance of the tool from its point of the rim [m]
 AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
 STANDOFF = 0.07  # of the tool from the wheel's plane before it is inserted, beyond the rim's tube [m]
@@ -134,7 +133,7 @@ def make_stroke_phases(
     )  # fmt: skip
     line = replace(held, offset=off, is_rigid=False, rotation=None)
     circle = CircleTarget(
-        hand.tool, wheel.centre, wheel.axis, wheel.radius, RIM_TOLERANCE, -HAND_AXIS, AXIS_TOLERANCE
+        hand.tool, wheel.centre, wheel.axis, wheel.radius, RIM_TOLERANCE, -AXIS, AXIS_TOLERANCE
     )  # fmt: skip
     count = max(int(np.ceil(abs(turn[1] - turn[0]) / TURN_STEP)) + 1, 3)
     wrist = grasp or Grasp()

@@ -27,7 +27,7 @@ from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.phases import POSE_EFFORT, PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
-from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, find_moves, find_rotation_onto
+from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, check_moves, find_rotation_onto
 
 QUICK_GUESSES = 2
 QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
@@ -61,7 +61,7 @@ class PhaseSequence:
     is_held: bool = False
 
     def __post_init__(self) -> None:
-        find_moves(self.specs)
+        check_moves(self.specs)
 
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan all phases from configuration ``at``; return those that were solved, and the step that was not."""
@@ -398,8 +398,9 @@ def _stop_at(
     return (PlannedPhase(name, q, False),), Stuck(step, result)
 
 
-def find_turn_joint(robot: RobotModel, body: WholeBody, tool: str) -> tuple[int, float]:
+def find_turn_joint(body: WholeBody, tool: str) -> tuple[int, float]:
     """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
+    robot = body.robot
     joint, pose_joint_tool = locate_frame(robot, tool)
     column = int(robot.model.joints[joint].idx_v)
     kinematics = body.engine(np.zeros((1, robot.n)))

@@ -72,7 +72,7 @@ class ValveTurn:
         """Return the phases of as few equal strokes as the wrist's range allows; of a single one in hook mode."""
         count, grasp = 1, None
         if self.mode == "grasp":
-            column, sense = find_turn_joint(self.robot, self.solver.body, self.hand.tool)
+            column, sense = find_turn_joint(self.solver.body, self.hand.tool)
             grasp = self._choose_grasp(column, sense)
             usable = self.robot.upper[column] - self.robot.lower[column] - 2.0 * WRIST_RESERVE
             count = int(np.ceil(abs(self.turn) / usable))

@@ -22,9 +22,9 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
+from service.demands.phase_spec import AXIS
 from service.demands.valve_demand import ValveDemand, read_kept_stroke, resume_valve, turn_back
 from service.demands.wheel import (
-    HAND_AXIS,
     HOOK_ROOM,
     REACH_WAYPOINTS,
     RIM_TOLERANCE,
@@ -211,7 +211,7 @@ def _is_reachable(solver: PhaseSolver, wheel: Wheel, hand: Hand, shift: Float[np
     targets = np.tile(np.eye(4), (len(ANGLES), 1, 1))
     targets[:, :3, 3] = [wheel.rim_point(angle) - shift for angle in ANGLES]
     position = FramePose(body.robot, hand.tool, waypoints, targets, POSITION)
-    direction = AxisDirection(body.robot, hand.tool, waypoints, HAND_AXIS, -wheel.axis)
+    direction = AxisDirection(body.robot, hand.tool, waypoints, AXIS, -wheel.axis)
     aim = ADVICE_AXIS_AIM
     result = solver.solve_trajectory(
         "stance",
