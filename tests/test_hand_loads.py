@@ -109,7 +109,7 @@ def test_the_planners_regions_are_proven_by_the_verifier_for_the_loads_of_the_mo
     mass = float(pin.computeTotalMass(robot.model))
     corners = place_sole_corners(contacts)
     friction, cap = np.full(len(corners), contacts[0].friction), np.full(len(corners), contacts[0].force_cap_n)
-    regions = plan_regions(robot, contacts, (load,), values, body.nominal)
+    regions = plan_regions(body.engine, contacts, (load,), values, body.nominal)
     assert [region.first for region in regions][1:] == [region.last for region in regions][:-1]
     for planned in regions:
         region = planned.region

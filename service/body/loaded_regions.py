@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.contact import GRAVITY, WorldContacts
+from costs.contact_points import measure_weight
 from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
@@ -39,7 +40,7 @@ class PlannedRegion:
 
 
 def plan_regions(
-    robot: RobotModel,
+    engine: KinematicsEngine,
     contacts: Sequence[PlantedContact],
     loads: tuple[HandLoad, ...],
     values: Float[np.ndarray, "T k"],
@@ -48,7 +49,7 @@ def plan_regions(
     """Return the regions of a phase in which at most one joint of the mechanism moves.
 
     Args:
-        robot: augmented by the mechanism, whose joints are the last ``k`` coordinates.
+        engine: of the robot augmented by the mechanism, whose joints are the last ``k`` coordinates.
         contacts: planted feet.
         loads: of the hands.
         values: mechanism at the waypoints [rad, m].
@@ -57,16 +58,16 @@ def plan_regions(
     Raises:
         StaticRegionError: some load can be held nowhere.
     """
-    mass = float(sum(inertia.mass for inertia in robot.model.inertias[1:]))
+    weight = measure_weight(engine.robot)
     ground = WorldContacts(*Ground.under(tuple(contacts)))
     feet_drift = max(contact.tolerance_m for contact in contacts)
     drift = feet_drift + max(load.drift_m for load in loads)
     tilt = find_sole_tilt(tuple(contacts))
-    hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in loads) / (mass * GRAVITY)
+    hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in loads) / weight
     regions = []
-    for first, last in _split_stretches(robot, values):
-        wrenches = _list_wrenches(robot, loads, values[[first, last]], q)
-        region = _find_region(_Question(ground, mass, wrenches, drift, tilt))
+    for first, last in _split_stretches(engine.robot, values):
+        wrenches = _list_wrenches(engine, loads, values[[first, last]], q)
+        region = _find_region(_Question(ground, weight / GRAVITY, wrenches, drift, tilt))
         regions.append(PlannedRegion(first, last, region, region.shift_m * feet_drift / drift + hands))
     return tuple(regions)
 
@@ -113,17 +114,16 @@ def _split_stretches(robot: RobotModel, values: Float[np.ndarray, "T k"]) -> lis
 
 
 def _list_wrenches(
-    robot: RobotModel, loads: tuple[HandLoad, ...], ends: Float[np.ndarray, "2 k"], q: Float[np.ndarray, "n"]
+    engine: KinematicsEngine, loads: tuple[HandLoad, ...], ends: Float[np.ndarray, "2 k"], q: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "W 6"]:
     """Return wrenches on the robot whose convex hull has those of all loads between two states of the mechanism."""
-    k = ends.shape[1]
+    robot, k = engine.robot, ends.shape[1]
     moving = int(np.abs(ends[1] - ends[0]).argmax())
     is_still = bool(np.abs(ends[1] - ends[0]).max() <= STILL)
     column = robot.n - k + moving
     at = q.copy()
     at[robot.n - k :] = ends[0]
     at[column] = ends[0][moving] if is_still else 0.0
-    engine = KinematicsEngine(robot)
     poses = locate_links(engine, at, [load.link for load in loads])
     kinematics = engine(at[None])
     joint = int(robot.model.getJointId(robot.joint_names[column]))

@@ -228,7 +228,7 @@ class WholeBody:
 
         def state(x: Float[np.ndarray, "T n"]) -> MotionState:
             kinematics = self.engine(x)
-            return MotionState(kinematics, checker(kinematics))
+            return MotionState(kinematics, self.adjust_contacts(checker(kinematics), n_waypoints))
 
         defaults: tuple[Cost[MotionState], ...] = ()
         if self.has_default_costs:
@@ -243,6 +243,10 @@ class WholeBody:
             lambda x: MotionState(self.engine.place(x), Contacts.none()),
             self._mobility(),
         )
+
+    def adjust_contacts(self, contacts: Contacts, n_waypoints: int) -> Contacts:
+        """Return the contacts of a trajectory as they enter its problem: by default as they are."""
+        return contacts
 
     def bounds(
         self, n_waypoints: int, fixed: Mapping[int, Float[np.ndarray, "n"]]

@@ -14,7 +14,7 @@ from costs.robot import Mechanism, MechanismJoint, Release
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from service.demands.hands import Hand
-from service.demands.phase_spec import HandMotion, PhaseSpec
+from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.request.names import DOOR, HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
 
@@ -29,7 +29,6 @@ LEAST_GRIP = 0.1  # of a lever from its spindle: 20 N for 2 N m [m]
 GRIP_FROM_END = 0.02  # [m]
 LINE_OUT, LINE_UP = 0.09, 0.04  # of the lines that lead to a handle and away from it [m]
 TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
-LINE_WAYPOINTS = 5
 HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(25.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
 PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
@@ -172,7 +171,7 @@ class DoorChoice:
     stays: bool = False
 
 
-def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = 14) -> tuple[PhaseSpec, ...]:
+def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = REACH_WAYPOINTS) -> tuple[PhaseSpec, ...]:
     """Return the phases of a plan: at the handle, and on the leaf after a regrasp."""
     phases: list[PhaseSpec] = []
     start = door.mechanism.start

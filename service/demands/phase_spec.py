@@ -18,6 +18,7 @@ from costs.robot import Mechanism
 from service.verify import HandLoad, JointTarget, RelativePoseTarget, Target
 
 AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
+REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
 SAME_VALUE = 1e-9  # of mechanism joints [rad, m]
 ANYWHERE = 100.0  # tolerance of a place that does not count [m]
 JOINT_TOLERANCE = 1e-3  # of a mechanism's joint at the end of a phase [rad, m]
@@ -103,7 +104,7 @@ class PhaseSpec:
     also: tuple[Target, ...] = ()
     is_anchor: bool = False
     step: str = ""
-    n_waypoints: int = 14
+    n_waypoints: int = REACH_WAYPOINTS
     fixed: Mapping[str, float] = field(default_factory=dict)
     aims_at_end: bool = False
     guess_rates: Mapping[str, float] = field(default_factory=dict)

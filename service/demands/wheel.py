@@ -12,7 +12,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.robot import Mechanism, MechanismJoint
 from service.demands.hands import Hand
-from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
+from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.request.names import VALVE_JOINT, VALVE_LINK
 from service.verify import CircleTarget, HandLoad
 
@@ -25,7 +25,6 @@ RIM_TOLERANCE = 5e-3  # largest distance of the tool from its point of the rim [
 AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
 STANDOFF = 0.07  # of the tool from the wheel's plane before it is inserted, beyond the rim's tube [m]
 TURN_STEP = np.deg2rad(20.0)  # between waypoints
-REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5
 TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
 HOOK_ROOM = 0.03  # from the rim's centre line inwards, free for the hook where spokes were not seen clearly [m]
 MIN_HUB = 0.01  # [m]

@@ -32,6 +32,38 @@ PULL_PLACES = (0.0, 0.08, -0.08)  # of the hand along a pull handle, from its mi
 BAR_SHARES = (0.3, 0.1, 0.4)  # of the hand along a push bar, from its middle towards the free edge
 
 
+def list_choices(
+    door: Door, hand: Hand, peg_m: float, target: float, stays: bool = False, most_grips: int | None = None
+) -> Iterator[DoorChoice]:
+    """Yield ways to hold a door's handle with a hand, the most promising first; the leaf alone where it is ajar.
+
+    Args:
+        door: leaf and handle.
+        hand: the hand.
+        peg_m: length of its free peg [m].
+        target: opening angle that the hand is to reach at the handle [rad].
+        stays: whether the hand stays on the leaf at the end.
+        most_grips: places along the handle; all that are worth a try by default.
+    """
+    handle = door.handle
+    if door.is_push and not door.is_latched:
+        yield DoorChoice(hand, peg_m, 0.0, 1.0, door.geometry.ajar, stays=stays)
+        return
+    if handle is None or handle.kind == "knob":
+        return
+    senses: tuple[float, ...] = (1.0,)
+    if handle.kind == "lever":
+        grips: tuple[float, ...] = (max(handle.length - GRIP_FROM_END, LEAST_GRIP),)
+    elif handle.kind == "push_bar":
+        towards_edge = float(np.sign(handle.direction @ door.geometry.along))
+        grips = tuple(share * handle.length * towards_edge for share in BAR_SHARES)
+    else:
+        grips, senses = PULL_PLACES, (1.0, -1.0)
+    for grip in grips[:most_grips]:
+        for sense in senses:
+            yield DoorChoice(hand, peg_m, grip, sense, target, stays=stays)
+
+
 @dataclass(frozen=True)
 class DoorOpening:
     """A door to open from one stance.
@@ -75,7 +107,8 @@ class DoorOpening:
         best_angle = -1.0
         unheld: StaticRegionError | None = None
         for hand in self.hands:
-            for choice in self._choices(hand):
+            peg = measure_peg(self.solver.body.robot, hand)
+            for choice in list_choices(self.door, hand, peg, self.target, self.stays):
                 try:
                     plan, angle = self._plan_choice(choice)
                 except StaticRegionError as error:  # held elsewhere the loads may be smaller
@@ -88,30 +121,6 @@ class DoorOpening:
         if best is None:
             raise unheld or ValueError("a door needs a hand")
         return best
-
-    def _choices(self, hand: Hand) -> Iterator[DoorChoice]:
-        """Yield ways to hold the handle with a hand, the most promising first; the leaf alone where it is ajar."""
-        door, start = self.door, self.door.geometry.ajar
-        peg = measure_peg(self.solver.body.robot, hand)
-        handle = door.handle
-        if door.is_push and not door.is_latched:
-            yield DoorChoice(hand, peg, 0.0, 1.0, start, stays=self.stays)
-            return
-        if handle is None:
-            return
-        if handle.kind == "lever":
-            yield DoorChoice(
-                hand, peg, max(handle.length - GRIP_FROM_END, LEAST_GRIP), 1.0, self.target, stays=self.stays
-            )
-        elif handle.kind == "push_bar":
-            towards_edge = float(np.sign(handle.direction @ door.geometry.along))
-            for share in BAR_SHARES:
-                grip = share * handle.length * towards_edge
-                yield DoorChoice(hand, peg, grip, 1.0, self.target, stays=self.stays)
-        else:
-            for grip in PULL_PLACES:
-                for sense in (1.0, -1.0):
-                    yield DoorChoice(hand, peg, grip, sense, self.target, stays=self.stays)
 
     def _plan_choice(self, choice: DoorChoice) -> tuple[TaskPlan, float]:
         """Plan with one hold of the handle, and a regrasp if that does not open the leaf far enough."""

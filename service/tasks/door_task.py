@@ -14,6 +14,7 @@ from service.body.whole_body import WholeBody
 from service.demands.door import FREE_BEYOND, Door
 from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door, set_back
 from service.demands.hands import Hand
+from service.demands.phase_spec import REACH_WAYPOINTS
 from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
@@ -23,7 +24,6 @@ from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 
-REACH_WAYPOINTS = 14
 STANCE_ADVICE = "the door may open farther from elsewhere: `scopt stance REQUEST` searches for a place to stand"
 HANDLE_MARGIN = 4e-3  # between a hand and the door that it holds [m]
 

@@ -11,10 +11,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
-from costs.state import MotionState
-from scopt import Constraint, Cost, Problem
-from service.body.loaded_regions import PlannedRegion
-from service.body.phases import PhaseSolver, change_contacts, straight_path
+from service.body.phases import PhaseSolver, straight_path
 from service.body.sampling import free_coordinates
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
@@ -66,22 +63,11 @@ class LeavingBody(WholeBody):
         own[overlaps_own] = whole.own[overlaps_own]
         return fitting.with_margins(replace(fitting.margins, world=world, own=own))
 
-    def make_problem(
-        self,
-        lower: Float[np.ndarray, "T n"],
-        upper: Float[np.ndarray, "T n"],
-        checker: SweptCollisionChecker,
-        costs: Sequence[Cost[MotionState]] = (),
-        constraints: Sequence[Constraint[MotionState]] = (),
-        balanced: Sequence[int] | None = None,
-        regions: Sequence[PlannedRegion] = (),
-    ) -> Problem[MotionState]:
-        """Return the usual problem, but with overlaps whose depth falls at least linearly over the intervals."""
-        problem = super().make_problem(lower, upper, checker, costs, constraints, balanced, regions)
-        return change_contacts(problem, lambda contacts: self._raise_margins(contacts, len(lower)))
+    def adjust_contacts(self, contacts: Contacts, n_waypoints: int) -> Contacts:
+        """Raise the margins of overlaps from minus their depth at the start to the usual ones on the last interval.
 
-    def _raise_margins(self, contacts: Contacts, n_waypoints: int) -> Contacts:
-        """Raise the margins of overlaps from minus their depth at the start to the usual ones on the last interval."""
+        Their depth then falls at least linearly over the intervals.
+        """
         if n_waypoints == 1:
             return contacts
         other = np.where(contacts.is_self, contacts.other, contacts.other + len(self.robot.bodies))

@@ -226,7 +226,7 @@ class _Compiler:
         if not spec.loads or body.polygon is None:
             return ()
         contacts = [foot.contact for foot in body.planted]
-        return plan_regions(self.robot, contacts, spec.loads, values, body.nominal)
+        return plan_regions(body.engine, contacts, spec.loads, values, body.nominal)
 
     def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
         """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""

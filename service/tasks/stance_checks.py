@@ -18,12 +18,12 @@ from costs.static_region import StaticRegionError
 from service.body.loaded_regions import plan_regions
 from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
-from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.door import Door, DoorChoice, Push, make_door_phases
 from service.demands.door_demand import measure_peg
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import PhaseSpec
 from service.demands.wheel import Wheel
-from service.tasks.door import HAND_ROOM, LEAST_FIRST, PUSH_ALONG, PUSH_UP
+from service.tasks.door import HAND_ROOM, LEAST_FIRST, PUSH_ALONG, PUSH_UP, list_choices
 from service.tasks.door_sweep import find_blocked_opening
 from service.tasks.sequence import PhaseSequence
 from service.tasks.valve import Mode, ValveTurn
@@ -236,22 +236,11 @@ class DoorStance:
 
     def _list_choices(self) -> list[tuple[Hand, DoorChoice]]:
         """Return one hold of the handle per hand and sense; of the leaf alone where it is ajar."""
-        door, handle = self.door, self.door.handle
-        choices: list[tuple[Hand, DoorChoice]] = []
-        for hand, peg in zip(self.hands, self.pegs, strict=True):
-            if door.is_push and not door.is_latched:
-                choices.append((hand, DoorChoice(hand, peg, 0.0, 1.0, self.start)))
-            elif handle is None or handle.kind == "knob":
-                continue
-            elif handle.kind == "lever":
-                grip = max(handle.length - GRIP_FROM_END, LEAST_GRIP)
-                choices.append((hand, DoorChoice(hand, peg, grip, 1.0, self.target)))
-            elif handle.kind == "push_bar":
-                grip = 0.3 * handle.length * float(np.sign(handle.direction @ door.geometry.along))
-                choices.append((hand, DoorChoice(hand, peg, grip, 1.0, self.target)))
-            else:
-                choices += [(hand, DoorChoice(hand, peg, 0.0, sense, self.target)) for sense in (1.0, -1.0)]
-        return choices
+        return [
+            (hand, choice)
+            for hand, peg in zip(self.hands, self.pegs, strict=True)
+            for choice in list_choices(self.door, hand, peg, self.target, most_grips=1)
+        ]
 
     def _list_pushes(self, last: float) -> list[Push]:
         geometry = self.door.geometry
@@ -392,7 +381,7 @@ class _PoseFinder:
         com = data.com[0][None, :2]
         if spec.loads and body.polygon is not None:
             contacts = [foot.contact for foot in body.planted]
-            (region, *_) = plan_regions(body.robot, contacts, spec.loads, spec.first[None], body.nominal)
+            (region, *_) = plan_regions(body.engine, contacts, spec.loads, spec.first[None], body.nominal)
             return float(region.region.polygon.margin(com)[0]) - region.shift_m
         return float("inf") if body.polygon is None else float(body.polygon.margin(com)[0])
 

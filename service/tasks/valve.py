@@ -22,8 +22,8 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import LIMIT_RESERVE
 from service.demands.hands import Hand
-from service.demands.phase_spec import PhaseSpec
-from service.demands.wheel import REACH_WAYPOINTS, Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
+from service.demands.wheel import Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
 from service.request.names import VALVE_LINK
 from service.tasks.sequence import PhaseSequence, find_turn_joint
 from service.verify import Motion

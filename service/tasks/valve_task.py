@@ -22,11 +22,10 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
-from service.demands.phase_spec import AXIS
+from service.demands.phase_spec import AXIS, REACH_WAYPOINTS
 from service.demands.valve_demand import ValveDemand, read_kept_stroke, resume_valve, turn_back
 from service.demands.wheel import (
     HOOK_ROOM,
-    REACH_WAYPOINTS,
     RIM_TOLERANCE,
     Wheel,
     make_wheel,
