@@ -62,6 +62,8 @@ class PlantedContact:
         knot_tolerance_m: greatest drift of a corner at the curve's knots.
         friction: coefficient of its sole on the ground.
         force_cap_n: largest normal force at each corner [N].
+        normal: (3,) unit, in the world: direction in which the surroundings push; None for a sole on level ground,
+            which pushes along the upward normal of the sole's plane.
     """
 
     link: str
@@ -71,6 +73,13 @@ class PlantedContact:
     knot_tolerance_m: float = 1e-4
     friction: float = FEET_FRICTION
     force_cap_n: float = FEET_CAP_N
+    normal: Float[np.ndarray, "3"] | None = None
+
+    @property
+    def points(self) -> Float[np.ndarray, "C 3"]:
+        """(C, 3) corners in the world [m]."""
+        pose = self.pose_world_link
+        return np.asarray(self.sole @ pose[:3, :3].T + pose[:3, 3])
 
 
 @dataclass(frozen=True)
