@@ -21,7 +21,7 @@ from service.body.whole_body import Aims, WholeBody
 from service.verify import HandLoad, Motion, VerifyError
 from service.verify.forces.equilibrium import RecordedRegion, prove_equilibrium
 from service.verify.forces.hand_loads import bound_coordinate, list_load_cases, list_load_wrenches
-from service.verify.forces.loaded_balance import find_sole_normals, place_sole_corners
+from service.verify.forces.loaded_balance import find_normals, place_contact_points
 
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
 HINGE, SPINDLE = np.array([0.8, -0.45, 0.0]), np.array([0.74, 0.35, 1.0])
@@ -102,19 +102,19 @@ def test_the_planners_regions_are_proven_by_the_verifier_for_the_loads_of_the_mo
     body = WholeBody.standing(
         robot, Scene(), np.append(atlas().postures["stand"], [0.0, 0.0]), ("l_foot", "r_foot"), Aims()
     )
-    contacts = tuple(foot.contact for foot in body.planted)
+    contacts = body.planted
     load = HandLoad("l_tool", "leaf", np.array([-0.05, 0.8, 1.0]), np.array([40.0, 0.0, 0.0]))
     values = np.linspace([0.0, 0.0], [1.2, 0.0], 9)
     motion = motion_of(values)
     mass = float(pin.computeTotalMass(robot.model))
-    corners = place_sole_corners(contacts)
+    corners = place_contact_points(contacts)
     friction, cap = np.full(len(corners), contacts[0].friction), np.full(len(corners), contacts[0].force_cap_n)
     regions = plan_regions(body.engine, contacts, (load,), values, body.nominal)
     assert [region.first for region in regions][1:] == [region.last for region in regions][:-1]
     for planned in regions:
         region = planned.region
         recorded = RecordedRegion(
-            corners, find_sole_normals(contacts), friction, cap, region.wrenches, region.vertices, region.witnesses
+            corners, find_normals(contacts), friction, cap, region.wrenches, region.vertices, region.witnesses
         )
         loads = list_load_wrenches(motion, (load,), float(planned.first), float(planned.last))
         assert prove_equilibrium(recorded, mass, loads, drift_m=0.021).is_proven

@@ -17,7 +17,7 @@ from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
 from costs.static_region import StaticRegion, find_static_region
 from service.verify import HandLoad, PlantedContact
-from service.verify.forces.loaded_balance import Ground, find_sole_tilt
+from service.verify.forces.loaded_balance import Ground, find_tilt
 
 LONGEST_STRETCH = np.deg2rad(45.0)  # of a revolute joint that one region covers
 STILL = 1e-9
@@ -62,7 +62,7 @@ def plan_regions(
     ground = WorldContacts(*Ground.under(tuple(contacts)))
     feet_drift = max(contact.tolerance_m for contact in contacts)
     drift = feet_drift + max(load.drift_m for load in loads)
-    tilt = find_sole_tilt(tuple(contacts))
+    tilt = find_tilt(tuple(contacts))
     hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in loads) / weight
     regions = []
     for first, last in _split_stretches(engine.robot, values):
@@ -70,6 +70,20 @@ def plan_regions(
         region = _find_region(_Question(ground, weight / GRAVITY, wrenches, drift, tilt))
         regions.append(PlannedRegion(first, last, region, region.shift_m * feet_drift / drift + hands))
     return tuple(regions)
+
+
+def plan_contact_region(robot: RobotModel, contacts: Sequence[PlantedContact]) -> PlannedRegion:
+    """Return where contacts alone hold the robot, without loads.
+
+    Raises:
+        StaticRegionError: they hold it nowhere.
+    """
+    weight = measure_weight(robot)
+    drift = max(contact.tolerance_m for contact in contacts)
+    points = WorldContacts(*Ground.under(tuple(contacts)))
+    question = _Question(points, weight / GRAVITY, np.zeros((1, 6)), drift, find_tilt(tuple(contacts)))
+    region = _find_region(question)
+    return PlannedRegion(0, 0, region, region.shift_m)
 
 
 @dataclass(frozen=True, eq=False)

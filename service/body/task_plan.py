@@ -45,6 +45,7 @@ class PlannedPhase:
         loads: forces that hands exert on the mechanism.
         regions: where the loaded feet hold the robot, by stretches of the waypoints that it was solved with.
         values: (T, k) of the mechanism's joints at those waypoints, its last coordinates.
+        body: the robot on this phase's contacts, where they are not those of the whole motion.
     """
 
     name: str
@@ -59,6 +60,7 @@ class PlannedPhase:
     loads: tuple[HandLoad, ...] = ()
     regions: tuple[PlannedRegion, ...] = ()
     values: Float[np.ndarray, "T k"] | None = None
+    body: WholeBody | None = None
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """Solve the phase from a denser trajectory between the same ends; None if it cannot be solved again."""

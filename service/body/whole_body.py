@@ -19,6 +19,7 @@ from costs.terms import (
     AxisDirection,
     CentreOfMassAt,
     CentreOfMassInPolygon,
+    ContactPlace,
     FramePose,
     Joined,
     JointDifference,
@@ -47,26 +48,6 @@ BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every l
 
 
 @dataclass(frozen=True)
-class PlantedLink:
-    """A link that does not move, with the contact corners of its sole in the link's frame [m]."""
-
-    link: str
-    pose_world_link: Float[np.ndarray, "4 4"]
-    sole: Float[np.ndarray, "C 3"]
-
-    @property
-    def contact(self) -> PlantedContact:
-        """The verifier's contact."""
-        return PlantedContact(self.link, self.pose_world_link, self.sole)
-
-    @property
-    def sole_in_world(self) -> Float[np.ndarray, "C 3"]:
-        """(C, 3) contact corners in the world [m]."""
-        pose = self.pose_world_link
-        return np.asarray(self.sole @ pose[:3, :3].T + pose[:3, 3])
-
-
-@dataclass(frozen=True)
 class Aims:
     """Margins of a plan: clearance, and distance of the centre of mass inside the support polygon [m]."""
 
@@ -83,19 +64,21 @@ class WholeBody:
         scene: of convex pieces.
         engine: kinematics of ``robot``.
         planted: links that do not move.
-        polygon: support polygon of the planted links; None for a fixed base.
+        polygon: support polygon of the planted links; None for a fixed base, and on contacts with a region.
         nominal: (n,) the posture to stay near.
         aims: margins.
         kept: relative poses that hold in every phase.
         has_default_costs: whether to move smoothly, upright and near the nominal posture.
         sight: distance beyond its margin at which a pair enters the problem [m].
         releases: rules of the latches of ``robot``'s mechanism.
+        touches: what the planted links may touch; by default floors.
+        region: where contacts that are not soles on level ground hold the robot.
     """
 
     robot: RobotModel
     scene: Scene
     engine: KinematicsEngine
-    planted: tuple[PlantedLink, ...]
+    planted: tuple[PlantedContact, ...]
     polygon: SupportPolygon | None
     nominal: Float[np.ndarray, "n"]
     aims: Aims
@@ -103,6 +86,8 @@ class WholeBody:
     has_default_costs: bool = True
     sight: float = 0.03
     releases: tuple[Release, ...] = ()
+    touches: tuple[Allowance, ...] | None = None
+    region: PlannedRegion | None = None
 
     @staticmethod
     def standing(
@@ -112,15 +97,21 @@ class WholeBody:
         engine = KinematicsEngine(robot)
         poses = locate_links(engine, q, feet)
         planted = tuple(
-            PlantedLink(link, pose, np.asarray((sole_corners(robot, q, link) - pose[:3, 3]) @ pose[:3, :3]))
+            PlantedContact(link, pose, np.asarray((sole_corners(robot, q, link) - pose[:3, 3]) @ pose[:3, :3]))
             for link, pose in poses.items()
         )
-        polygon = SupportPolygon.of_soles([foot.sole_in_world for foot in planted]) if planted else None
+        polygon = SupportPolygon.of_soles([foot.points for foot in planted]) if planted else None
         return WholeBody(robot, scene, engine, planted, polygon, q, aims)
 
     def with_robot(self, robot: RobotModel, nominal: Float[np.ndarray, "n"]) -> WholeBody:
         """Return the same stance of an augmented robot."""
         return replace(self, robot=robot, engine=KinematicsEngine(robot), nominal=nominal)
+
+    def on_contacts(
+        self, planted: Sequence[PlantedContact], touches: Sequence[Allowance], region: PlannedRegion
+    ) -> WholeBody:
+        """Return the robot on other contacts, which hold it in a region."""
+        return replace(self, planted=tuple(planted), touches=tuple(touches), region=region, polygon=None)
 
     def make_checker(
         self,
@@ -164,10 +155,25 @@ class WholeBody:
     def holds(self) -> tuple[Hold, ...]:
         """Return the holds of every phase: planted links and kept poses."""
         planted: list[Hold] = [
-            lambda waypoints, foot=foot: FramePose(self.robot, foot.link, waypoints, foot.pose_world_link)  # type: ignore[misc]
-            for foot in self.planted
+            lambda waypoints, contact=contact: self.keep_planted(contact, waypoints)  # type: ignore[misc]
+            for contact in self.planted
         ]
         return (*planted, *(hold for kept in self.kept for hold in kept.holds(self.robot)))
+
+    def keep_planted(
+        self, contact: PlantedContact, waypoints: Int[np.ndarray, "S"], by: Float[np.ndarray, "3"] | None = None
+    ) -> Residual[MotionState]:
+        """Return how far a contact is from its place, moved by an offset in the world if one is given [m, rad].
+
+        A link with fewer than three points in contact may turn about them.
+        """
+        shift = np.zeros(3) if by is None else by
+        if len(contact.sole) < 3:
+            places = contact.points + shift
+            return ContactPlace.at(self.robot, contact.link, contact.sole, waypoints, places)
+        pose = contact.pose_world_link.copy()
+        pose[:3, 3] += shift
+        return FramePose(self.robot, contact.link, waypoints, pose)
 
     def project_onto_holds(self, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
         """Return the nearest waypoints that keep the holds; the first is not moved."""
@@ -178,7 +184,9 @@ class WholeBody:
         return min([DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
-        """Return the allowances of planted links that rest on the floor."""
+        """Return the allowances of planted links: those of their contacts, by default with floors."""
+        if self.touches is not None:
+            return self.touches
         return make_standing_allowances([foot.link for foot in self.planted], self.scene)
 
     def make_problem(
@@ -205,7 +213,7 @@ class WholeBody:
         standing: list[Constraint[MotionState]] = [
             Constraint(
                 f"planted {foot.link}",
-                FramePose(self.robot, foot.link, everywhere, foot.pose_world_link),
+                self.keep_planted(foot, everywhere),
                 Sense.EQUAL_ZERO,
                 FOOT_TOLERANCE,
                 unit="m or rad",
@@ -213,13 +221,15 @@ class WholeBody:
             for foot in self.planted
         ]
         standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
-        if self.polygon is not None:
-            margin = self.aims.balance_margin + BALANCE_RESERVE
-            inside: Residual[MotionState] = CentreOfMassInPolygon(
-                self.polygon, everywhere if balanced is None else balanced, margin
-            )
-            if regions:
-                inside = Joined([_keep_in_region(planned, everywhere, margin) for planned in regions])
+        if self.region is not None and not regions:
+            regions = (replace(self.region, first=0, last=n_waypoints - 1),)
+        inside: Residual[MotionState] | None = None
+        margin = self.aims.balance_margin + BALANCE_RESERVE
+        if regions:
+            inside = Joined([_keep_in_region(planned, everywhere, margin) for planned in regions])
+        elif self.polygon is not None:
+            inside = CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)
+        if inside is not None:
             standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
         for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
             acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
@@ -301,9 +311,7 @@ class WholeBody:
 
     def _comfort(self, everywhere: np.ndarray, regions: Sequence[PlannedRegion]) -> tuple[Cost[MotionState], ...]:
         """Return a cost that keeps the centre of mass near the middle of where the feet hold it, for faster motions."""
-        if self.polygon is None:
-            return ()
-        middle: Residual[MotionState] = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+        middle: Residual[MotionState]
         if regions:
             middle = Joined(
                 [
@@ -311,6 +319,10 @@ class WholeBody:
                     for planned in regions
                 ]
             )
+        elif self.polygon is not None:
+            middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+        else:
+            return ()
         return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact
 from costs.robot import RobotModel
-from service.verify import PlantedContact
+from service.verify import PlantedContact, RelativePoseTarget
 from service.verify.ground import STANDING_DEPTH_M
 
 SAME_PLACE_M = 1e-9  # of contact points that are kept
@@ -202,3 +203,69 @@ def _make_frame(z: Float[np.ndarray, "3"], ahead: Float[np.ndarray, "3"]) -> Flo
     x = ahead - (ahead @ z) * z
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+PhaseKind = Literal["shift", "lift", "swing", "land", "finish"]
+LINE_TOLERANCE_M, LINE_TILT_RAD = 5e-3, float(np.deg2rad(5.0))  # of a link on its line along the normal
+
+
+@dataclass(frozen=True)
+class ContactPhase:
+    """Phase of a motion between two stances.
+
+    Attributes:
+        name: as the user sees it.
+        kind: ``shift`` moves the body over what stays, ``lift`` and ``land`` move what leaves or arrives straight along
+            its normal, ``swing`` is free, ``finish`` ends in a posture.
+        contacts: that carry the robot.
+        moving: that leave or arrive.
+    """
+
+    name: str
+    kind: PhaseKind
+    contacts: tuple[StanceContact, ...]
+    moving: tuple[StanceContact, ...] = ()
+
+    def list_allowances(self, robot: RobotModel) -> tuple[Allowance, ...]:
+        """Return what may touch: contacts and what is behind them, links on their lines included."""
+        return make_contact_allowances(robot, (*self.contacts, *self.moving))
+
+    def list_targets(self) -> tuple[RelativePoseTarget, ...]:
+        """Return the promises that what leaves or arrives stays on its line."""
+        targets = []
+        for contact in self.moving:
+            planted = contact.planted
+            if len(planted.sole) < 3:
+                continue
+            half = 0.5 * LINE_M * contact.surface.normal
+            pose = planted.pose_world_link
+            targets.append(
+                RelativePoseTarget(
+                    planted.link,
+                    None,
+                    pose[:3, 3] + half,
+                    pose[:3, :3],
+                    LINE_TOLERANCE_M,
+                    LINE_TILT_RAD,
+                    slide=half,
+                )
+            )
+        return tuple(targets)
+
+
+def list_contact_phases(stances: Sequence[ContactStance], *, has_finish: bool) -> tuple[ContactPhase, ...]:
+    """Return the phases that lead from the first stance through all others, and perhaps to a posture on the last."""
+    phases: list[ContactPhase] = []
+    for before, after in pairwise(stances):
+        kept = before.keep_common(after)
+        leaving = tuple(contact for contact in before.contacts if contact not in kept)
+        arriving = tuple(contact for contact in after.contacts if not contact.is_kept_in(before))
+        if leaving:
+            phases.append(ContactPhase(f"{after.name}: shift", "shift", before.contacts))
+            phases.append(ContactPhase(f"{after.name}: lift", "lift", kept, leaving))
+        if arriving:
+            phases.append(ContactPhase(f"{after.name}: swing", "swing", kept))
+            phases.append(ContactPhase(f"{after.name}: land", "land", kept, arriving))
+    if has_finish:
+        phases.append(ContactPhase("finish", "finish", stances[-1].contacts))
+    return tuple(phases)

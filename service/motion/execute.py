@@ -35,12 +35,12 @@ BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s,
 def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     """Make the sampled motion of a task's phases (at least one), without a time law if ``timing`` is None."""
     body = plan.body
-    spline = _fit_spline(body, plan.phases)
+    spline = _fit_spline(plan)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
     neighbours = make_neighbour_allowances(body.robot, body.scene, body.nominal)
     phases = tuple(
-        _make_phase(body, phase, neighbours, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
+        _make_phase(_find_body(plan, phase), phase, neighbours, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
         for phase, a, b in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True)
     )
     motion = Motion(
@@ -50,15 +50,16 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         phases=phases,
         mechanism_links=body.robot.mechanism_links,
         waived=list_waived_checks(
-            is_timed=timing is not None, is_balanced=body.polygon is not None or not body.robot.is_floating
+            is_timed=timing is not None,
+            is_balanced=not body.robot.is_floating or body.polygon is not None or body.region is not None,
         ),
         releases=body.releases,
     )
     if timing is None:
-        is_held = bool(body.holds()) or any(phase.holds for phase in plan.phases)
+        is_held = any(phase.holds or _find_body(plan, phase).holds() for phase in plan.phases)
         chord = HELD_CHORD_SHARE * body.drift() if is_held else CHORD_TOLERANCE
         return replace(motion, samples=_sample_path(spline.curve, chord))
-    planted = tuple(foot.link for foot in body.planted)
+    planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
     motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
@@ -67,10 +68,17 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     return replace(motion, law=law, samples=_sample_law(knots, law, _chord_steps(spline.curve, chord)))
 
 
-def _fit_spline(body: WholeBody, phases: Sequence[PlannedPhase]) -> Spline:
-    robot = body.robot
-    standing, drift = body.holds(), body.drift()
-    paths = [PhasePath(phase.name, phase.q, (*standing, *phase.holds), drift) for phase in phases]
+def _find_body(plan: TaskPlan, phase: PlannedPhase) -> WholeBody:
+    """Return the robot on the contacts of a phase."""
+    return plan.body if phase.body is None else phase.body
+
+
+def _fit_spline(plan: TaskPlan) -> Spline:
+    body, robot = plan.body, plan.body.robot
+    paths = [
+        PhasePath(phase.name, phase.q, (*_find_body(plan, phase).holds(), *phase.holds), body.drift())
+        for phase in plan.phases
+    ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
 
@@ -83,23 +91,27 @@ def _make_phase(
     margin = 0.0 if phase.is_settling else body.aims.balance_margin
     support = None
     if body.polygon is not None:
-        height = float(np.mean([foot.sole_in_world[:, 2].mean() for foot in body.planted]))
+        height = float(np.mean([foot.points[:, 2].mean() for foot in body.planted]))
         support = SupportPolygon(body.polygon.vertices, margin, height)
     return Phase(
         name=phase.name,
         first=first,
         last=last,
-        contacts=tuple(foot.contact for foot in body.planted),
+        contacts=body.planted,
         allowances=(*body.standing_allowances(), *phase.allowances, *neighbours),
         targets=(*phase.targets(last), *phase.at_waypoints(s), *(kept.target() for kept in body.kept)),
         support=support,
         loads=phase.loads,
-        regions=_place_regions(phase, s),
+        regions=_place_regions(phase, body, s),
+        region_margin_m=None if body.region is None else margin,
     )
 
 
-def _place_regions(phase: PlannedPhase, s: Float[np.ndarray, "T"]) -> tuple[LoadedRegion, ...]:
-    """Return the regions of a loaded phase at their path parameters; waypoints may have been added since."""
+def _place_regions(phase: PlannedPhase, body: WholeBody, s: Float[np.ndarray, "T"]) -> tuple[LoadedRegion, ...]:
+    """Return the regions of a phase at their path parameters; waypoints may have been added since."""
+    if body.region is not None:
+        region = body.region.region
+        return (LoadedRegion(float(s[0]), float(s[-1]), region.vertices, region.wrenches, region.witnesses),)
     if phase.values is None:
         return ()
     mechanism = phase.q[:, -phase.values.shape[1] :]

@@ -225,7 +225,7 @@ class _Compiler:
         body = self.solver.body
         if not spec.loads or body.polygon is None:
             return ()
-        contacts = [foot.contact for foot in body.planted]
+        contacts = list(body.planted)
         return plan_regions(body.engine, contacts, spec.loads, values, body.nominal)
 
     def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:

@@ -380,7 +380,7 @@ class _PoseFinder:
         pin.centerOfMass(model, data, q)
         com = data.com[0][None, :2]
         if spec.loads and body.polygon is not None:
-            contacts = [foot.contact for foot in body.planted]
+            contacts = list(body.planted)
             (region, *_) = plan_regions(body.engine, contacts, spec.loads, spec.first[None], body.nominal)
             return float(region.region.polygon.margin(com)[0]) - region.shift_m
         return float("inf") if body.polygon is None else float(body.polygon.margin(com)[0])

@@ -23,19 +23,33 @@ GROUND_TOLERANCE_M = 3e-3
 # Allowed depth of a planted link in the floor: this distance and the allowed drift of its sole [m].
 STANDING_DEPTH_M = GROUND_TOLERANCE_M + PlantedContact.tolerance_m
 _TOUCH_M = 1e-9
+_SAME_ANGLE = 1e-6  # [rad]
 _FEET_GROUP = "feet"
 
 
 def check_ground(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
-    """Check each link that stands in a phase: every corner of its sole is on a surface and on the link's shapes."""
+    """Check each link that stands in a phase: every corner of its sole is on a surface and on the link's shapes.
+
+    A contact with a normal is held to surfaces that it faces, whose normals are within its tilt.
+    """
     motion = prepared.motion
     for contact in find_standing_contacts(motion, phase):
-        pose = contact.pose_world_link
-        corners = contact.sole @ pose[:3, :3].T + pose[:3, 3]
-        gaps = find_ground_gaps(corners, motion.scene.pieces)
+        corners = contact.points
+        tilt = 0.0
+        if contact.normal is None:
+            gaps = find_ground_gaps(corners, motion.scene.pieces)
+        else:
+            gaps, tilt = find_surface_gaps(corners, contact.normal, motion.scene.pieces)
         worst = int(np.abs(gaps).argmax())
         value = float(abs(gaps[worst]))
-        text = f"{describe_gap(float(gaps[worst]), contact.link)} during {phase.name}"
+        surface = "the ground" if contact.normal is None else "the surface"
+        text = f"{describe_gap(float(gaps[worst]), contact.link, surface)} during {phase.name}"
+        if tilt > contact.tilt_rad + _SAME_ANGLE:
+            value = np.inf
+            text = (
+                f"the surface under {contact.link} leans {np.rad2deg(tilt):.1f} deg off its stated normal during "
+                f"{phase.name}, {np.rad2deg(contact.tilt_rad):.1f} deg are stated"
+            )
         off = outside_link(motion.robot, contact)
         if off > GROUND_TOLERANCE_M:
             value, text = off, f"a corner of the sole of {contact.link} is {1e3 * off:.1f} mm off the link's shapes"
@@ -53,15 +67,53 @@ def find_standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact
     if not motion.robot.is_floating:
         return ()
     feet = motion.robot.link_groups.get(_FEET_GROUP, ())
-    return tuple(contact for contact in phase.contacts if phase.support is not None or contact.link in feet)
+    is_balanced = phase.support is not None or phase.region_margin_m is not None
+    return tuple(contact for contact in phase.contacts if is_balanced or contact.link in feet)
 
 
-def describe_gap(gap: float, link: str) -> str:
+def describe_gap(gap: float, link: str, surface: str = "the ground") -> str:
     """Return ``the ground is 12.0 mm below the sole of l_foot``."""
+    if surface != "the ground":
+        if not np.isfinite(gap):
+            return f"no surface is behind a contact point of {link}"
+        return f"a contact point of {link} is {1e3 * abs(gap):.1f} mm {'off' if gap >= 0.0 else 'inside'} the surface"
     if not np.isfinite(gap):
         return f"nothing is below a corner of the sole of {link}"
     side = "below" if gap >= 0.0 else "above"
     return f"the ground is {1e3 * abs(gap):.1f} mm {side} the sole of {link}"
+
+
+def find_surface_gaps(
+    points: Float[np.ndarray, "C 3"], normal: Float[np.ndarray, "3"], pieces: Sequence[ConvexPiece]
+) -> tuple[Float[np.ndarray, "C"], float]:
+    """Return how far points are in front of the nearest surface along a normal, and how much the surfaces lean.
+
+    Returns:
+        Distances (C,), negative inside a piece and infinite without a surface [m]; and the largest angle between the
+        normal and those of the surfaces that the points are nearest to [rad].
+    """
+    gaps, lean = np.full(len(points), np.inf), np.zeros(len(points))
+    for piece in pieces:
+        planes = _planes(np.ascontiguousarray(piece.vertices, dtype=float).tobytes())
+        if not len(planes):
+            continue
+        facing = planes[:, :3] @ normal
+        beyond = -(points @ planes[:, :3].T + planes[:, 3])  # >= 0 behind each face
+        is_front, is_back = facing > 1e-9, facing < -1e-9
+        # A point moved by t along -normal is behind face f when t facing_f >= -beyond_f.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = -beyond / facing
+        enter = reach[:, is_front].max(axis=1, initial=-np.inf)
+        leave = reach[:, is_back].min(axis=1, initial=np.inf)
+        beside = np.abs(facing) <= 1e-9
+        is_hit = np.all(beyond[:, beside] >= -_TOUCH_M, axis=1) & (enter <= leave + _TOUCH_M) & np.isfinite(enter)
+        if not is_hit.any():
+            continue
+        face = np.flatnonzero(is_front)[reach[:, is_front].argmax(axis=1)]
+        angle = np.arccos(np.clip(facing[face], -1.0, 1.0))
+        nearer = is_hit & (np.abs(enter) < np.abs(gaps))
+        gaps, lean = np.where(nearer, enter, gaps), np.where(nearer, angle, lean)
+    return gaps, float(lean.max(initial=0.0))
 
 
 def find_ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]) -> Float[np.ndarray, "C"]:

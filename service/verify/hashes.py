@@ -46,6 +46,8 @@ def promises_hash(phases: Iterable[Phase], releases: Iterable[Release] = ()) -> 
             _add(digest, "contact", *_parts(contact))
         if phase.support is not None:
             _add(digest, "support", *_parts(phase.support))
+        if phase.region_margin_m is not None:
+            _add(digest, "region margin", np.array([phase.region_margin_m]))
         for target in phase.targets:
             _add(digest, type(target).__name__, *_parts(target))
         for load in phase.loads:

@@ -64,6 +64,7 @@ class PlantedContact:
         force_cap_n: largest normal force at each corner [N].
         normal: (3,) unit, in the world: direction in which the surroundings push; None for a sole on level ground,
             which pushes along the upward normal of the sole's plane.
+        tilt_rad: largest angle between ``normal`` and that of the surface at any of the points.
     """
 
     link: str
@@ -74,6 +75,7 @@ class PlantedContact:
     friction: float = FEET_FRICTION
     force_cap_n: float = FEET_CAP_N
     normal: Float[np.ndarray, "3"] | None = None
+    tilt_rad: float = 0.0
 
     @property
     def points(self) -> Float[np.ndarray, "C 3"]:
@@ -250,9 +252,12 @@ class Phase:
         contacts: links planted throughout.
         allowances: pairs that may touch; all others must keep clear.
         targets: poses, axes and joint values that the motion reaches or keeps.
-        support: region of the centre of mass and the ZMP, or None (fixed base).
+        support: region of the centre of mass and the ZMP, or None: for a fixed base, or with a region margin.
         loads: forces that hands exert on the mechanism.
-        regions: where the feet hold the robot under the loads, stretch by stretch; required with loads and a support.
+        regions: where the contacts hold the robot under the loads, stretch by stretch; required with loads and a
+            support, and with a region margin.
+        region_margin_m: how far inside its regions the centre of mass stays, in a phase whose contacts are not soles on
+            level ground; None elsewhere.
     """
 
     name: str
@@ -264,6 +269,7 @@ class Phase:
     support: SupportPolygon | None = None
     loads: tuple[HandLoad, ...] = ()
     regions: tuple[LoadedRegion, ...] = ()
+    region_margin_m: float | None = None
 
 
 @dataclass(frozen=True)

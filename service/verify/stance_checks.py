@@ -23,9 +23,11 @@ _SUPPORT_TOLERANCE_M = 1e-3
 def check_stance(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check balance, the support polygon and planted links of one phase."""
     proof = PhaseProof(prepared, phase, settings)
-    if phase.support is not None:
+    if phase.region_margin_m is not None:
+        yield from check_loaded_balance(prepared, phase, phase.region_margin_m, settings)
+    elif phase.support is not None:
         if phase.loads:
-            yield from check_loaded_balance(prepared, phase, phase.support, settings)
+            yield from check_loaded_balance(prepared, phase, phase.support.margin_m, settings)
         else:
             yield _balance_check(proof, phase.support)
         if phase.contacts:

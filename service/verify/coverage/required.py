@@ -57,11 +57,12 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
             continue
         names += [f"planted.{phase.name}.{contact.link}" for contact in phase.contacts]
         names += [f"ground.{phase.name}.{contact.link}" for contact in find_standing_contacts(motion, phase)]
-        if phase.support is None and _is_waived(motion, BALANCE):
+        if phase.support is None and phase.region_margin_m is None and _is_waived(motion, BALANCE):
             waived.append(f"balance in '{phase.name}'")
             continue
-        names += [f"balance.{phase.name}", *([f"zmp.{phase.name}"] if motion.law is not None else [])]
-        names += [f"equilibrium.{phase.name}"] if phase.loads else []
+        at_samples = "zmp" if phase.region_margin_m is None else "forces"
+        names += [f"balance.{phase.name}", *([f"{at_samples}.{phase.name}"] if motion.law is not None else [])]
+        names += [f"equilibrium.{phase.name}"] if phase.loads or phase.region_margin_m is not None else []
         names += [f"planted.{phase.name}"] if motion.waived is not None and not phase.contacts else []
     return RequiredChecks(tuple(names), tuple(waived))
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
 from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
+from service.verify.forces.contact_forces import ContactShare, Joints
 from service.verify.forces.hand_loads import list_load_cases
+from service.verify.forces.loaded_balance import GRAVITY, Ground
 from service.verify.frame_paths import find_mechanism_joints
 from service.verify.motion import Motion, Phase, SupportPolygon, VerifySettings
 from service.verify.polygons import describe_inside, outside_polygon
@@ -32,13 +34,15 @@ class Forces:
         wrench: (K, S, 6) force and moment about the world's origin that the ground exerts on the robot [N, Nm]; NaN in
             a phase that neither plants a link nor names a support.
         torque: (K, S, n) generalised forces; joints between planted feet and base with the ground's wrench shared at
-            least norm between the feet.
+            least norm between the feet, or under forces inside the cones of the contacts.
+        missing_n: (K, S) force that the contacts lack, in phases whose contacts are not soles on a level; 0 elsewhere.
     """
 
     times: Float[np.ndarray, "S"]
     path: Float[np.ndarray, "S"]
     wrench: Float[np.ndarray, "K S 6"]
     torque: Float[np.ndarray, "K S n"]
+    missing_n: Float[np.ndarray, "K S"]
 
     def zmp(self, height: float) -> Float[np.ndarray, "K S 2"]:
         """Return the zero moment point of the ground's forces on a horizontal plane [m]; NaN without vertical force."""
@@ -103,12 +107,69 @@ def compute_forces(
     cases = list_load_cases(motion.robot, q, phase.loads)
     ground = np.stack([wrench - case.wrench for case in cases])
     each = np.stack([torque] * len(cases))
-    for own, case, below in zip(each, cases, ground, strict=True):
-        if shares:
-            own -= _ground_torques(model, phase, below, jacobians)
+    missing = np.zeros(each.shape[:2])
+    for k, (own, case, below) in enumerate(zip(each, cases, ground, strict=True)):
         for joint, part in case.parts if torques else ():
             own -= _carried_torques(model, joint, part, jacobians)
-    return Forces(times, s, ground, each)
+        if shares and phase.region_margin_m is not None:
+            missing[k] = _share_in_cones(motion, phase, below, own, jacobians)
+        elif shares:
+            own -= _ground_torques(model, phase, below, jacobians)
+    return Forces(times, s, ground, each, missing)
+
+
+def _share_in_cones(
+    motion: Motion,
+    phase: Phase,
+    wrench: Float[np.ndarray, "S 6"],
+    torque: Float[np.ndarray, "S n"],
+    jacobians: Float[np.ndarray, "S 6 n"],
+) -> Float[np.ndarray, "S"]:
+    """Take the torques of contact forces off ``torque``; return the force that the contacts lack [N]."""
+    limited = find_limited_joints(motion)
+    joints = make_joints(motion, phase, torque, jacobians, limited)
+    held = make_contact_share(motion, phase).hold(wrench, joints)
+    torque -= np.einsum(
+        "skc,sc->sk", list_levers(motion.robot.model, phase, jacobians), held.forces.reshape(len(wrench), -1)
+    )
+    return held.missing_n
+
+
+def make_contact_share(motion: Motion, phase: Phase) -> ContactShare:
+    """Return the contacts of a phase as a whole that carries wrenches."""
+    apart = find_mechanism_joints(motion)
+    model: pin.Model = motion.robot.model
+    mass = float(sum(model.inertias[j].mass for j in range(1, model.njoints) if j not in apart))
+    return ContactShare(Ground.under(phase.contacts), mass * GRAVITY)
+
+
+def make_joints(
+    motion: Motion,
+    phase: Phase,
+    torque: Float[np.ndarray, "S n"],
+    jacobians: Float[np.ndarray, "S 6 n"],
+    limited: Int[np.ndarray, "k"],
+) -> Joints:
+    """Return the limited joints with the levers of a phase's contact points."""
+    levers = list_levers(motion.robot.model, phase, jacobians)
+    return Joints(torque[:, limited], levers[:, limited], motion.robot.effort[limited])
+
+
+def list_levers(model: pin.Model, phase: Phase, jacobians: Float[np.ndarray, "S 6 n"]) -> Float[np.ndarray, "S n 3C"]:
+    """Return the generalised forces of unit forces at a phase's contact points, in world axes."""
+    parts = []
+    for contact in phase.contacts:
+        joint = int(model.frames[model.getFrameId(contact.link)].parentJoint)
+        for point in contact.points:
+            for axis in np.eye(3):
+                wrench = np.tile(np.concatenate([axis, np.cross(point, axis)]), (len(jacobians), 1))
+                parts.append(_carried_torques(model, joint, wrench, jacobians))
+    return np.stack(parts, axis=2)
+
+
+def find_limited_joints(motion: Motion) -> Int[np.ndarray, "k"]:
+    """Return the coordinates with a torque limit."""
+    return np.flatnonzero(np.isfinite(motion.robot.effort) & (motion.robot.effort > 0.0))
 
 
 def _ground_torques(
@@ -152,7 +213,9 @@ def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySetti
         verb = "stays" if value >= 0.0 else "is"
         text = f"the ZMP {verb} {describe_inside(value)} the feet during {phase.name} ({len(times)} samples)"
         yield Check(f"zmp.{phase.name}", value >= 0.0, value, 0.0, "m", text, where, Basis.SAMPLES)
-    limited = np.flatnonzero(np.isfinite(motion.robot.effort) & (motion.robot.effort > 0.0))
+    if phase.region_margin_m is not None:
+        yield _forces_check(phase, dynamics)
+    limited = find_limited_joints(motion)
     if len(limited):
         ratio = dynamics.find_largest_torque()[:, limited] / motion.robot.effort[limited]
         row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
@@ -160,6 +223,18 @@ def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySetti
         where = Where(float(dynamics.path[row]), float(times[row]), None, (name,))
         text = f"{name} needs {100.0 * value:.0f} % of its torque during {phase.name} ({len(times)} samples)"
         yield Check(f"torque.{phase.name}", value <= 1.0, value, 1.0, "1", text, where, Basis.SAMPLES)
+
+
+def _forces_check(phase: Phase, dynamics: Forces) -> Check:
+    """Check that forces inside friction and caps make the wrench of the motion at all samples."""
+    missing = dynamics.missing_n.max(axis=0)
+    worst = int(missing.argmax())
+    value = float(missing[worst])
+    where = Where(float(dynamics.path[worst]), float(dynamics.times[worst]), None)
+    text = f"forces inside friction and caps carry the motion during {phase.name} ({len(missing)} samples)"
+    if value > 0.0:
+        text = f"the contacts lack {value:.1f} N to carry the motion during {phase.name}"
+    return Check(f"forces.{phase.name}", value <= 0.0, value, 0.0, "N", text, where, Basis.SAMPLES)
 
 
 def _share_map(positions: list[np.ndarray]) -> Float[np.ndarray, "6F 6"]:

@@ -19,7 +19,6 @@ from service.verify.motion import (
     Motion,
     Phase,
     PlantedContact,
-    SupportPolygon,
     VerifyError,
     VerifySettings,
 )
@@ -33,17 +32,17 @@ _BORDER = 1e-9  # rounding of path parameters
 
 
 def check_loaded_balance(
-    prepared: PreparedMotion, phase: Phase, support: SupportPolygon, settings: VerifySettings
+    prepared: PreparedMotion, phase: Phase, margin_m: float, settings: VerifySettings
 ) -> Iterator[Check]:
-    """Check that the ground holds the robot on the whole phase, under every load up to the largest.
+    """Check that the contacts hold the robot on the whole phase, under every load up to the largest.
 
     Each recorded region is proven by its witnesses, for the loads of its stretch and with contacts that drift and lean
-    within their tolerances; the centre of mass is inside it by the margin.
+    within their tolerances; the centre of mass is inside it by the margin [m].
     """
     gap = _find_gap(phase, prepared.edges)
     if gap is not None:
         where = Where(gap, find_time(prepared.motion.law, gap), None)
-        text = f"no region says where the ground holds the robot under its loads during {phase.name}"
+        text = f"no region says where the contacts hold the robot during {phase.name}"
         nan = float("nan")
         yield Check(f"equilibrium.{phase.name}", True, nan, 0.0, "1", text, where, Basis.UNPROVEN)
         return
@@ -51,26 +50,26 @@ def check_loaded_balance(
     proofs = [_prove(prepared.motion, phase, region, mass) for region in phase.regions]
     yield _equilibrium_check(prepared, phase, proofs)
     extremes = [
-        _bound_outside(prepared, phase, region, support.margin_m + shift, settings)
+        _bound_outside(prepared, phase, region, margin_m, shift, settings)
         for region, (_, shift) in zip(phase.regions, proofs, strict=True)
     ]
     # Each extreme is relative to the margin of its own stretch, so that stretches can be compared.
     worst = max(extremes, key=lambda extreme: (not extreme.is_proven, extreme.bound))
     proof = PhaseProof(prepared, phase, settings)
     point = MassPath(prepared, settings.rounding).at(np.array([worst.s]))[0]
-    place = f"the region that the loaded feet hold during {phase.name}"
+    place = f"the region that the {'loaded feet' if phase.loads else 'contacts'} hold during {phase.name}"
     text = f"the centre of mass stays {-1e3 * worst.bound:.1f} mm inside {place}"
     failure = f"the centre of mass is {describe_inside(-worst.sampled)} {place}"
-    name, limit = f"balance.{phase.name}", -support.margin_m
+    name, limit = f"balance.{phase.name}", -margin_m
     yield proof.check(name, worst, limit, "m", text, point, negate=True, failure=failure)
 
 
 class Ground(NamedTuple):
-    """Corners of all soles as contact points, in the order of the contacts.
+    """All contact points of a phase, in the order of its contacts.
 
     Attributes:
         points: (C, 3) in the world [m].
-        normals: (C, 3) upward unit normals of the soles' planes.
+        normals: (C, 3) unit vectors along which the surroundings push; of a sole on level ground up from its plane.
         friction: (C,) coefficients.
         caps: (C,) largest normal forces [N].
     """
@@ -82,40 +81,46 @@ class Ground(NamedTuple):
 
     @staticmethod
     def under(contacts: tuple[PlantedContact, ...]) -> Ground:
-        """Return the ground under planted feet (VerifyError where the corners of a sole are on a line)."""
+        """Return the contact points (VerifyError where the corners of a sole on level ground are on a line)."""
         counts = np.array([len(contact.sole) for contact in contacts], dtype=int)
         friction = np.repeat(np.array([contact.friction for contact in contacts], dtype=float), counts)
         caps = np.repeat(np.array([contact.force_cap_n for contact in contacts], dtype=float), counts)
-        return Ground(place_sole_corners(contacts), find_sole_normals(contacts), friction, caps)
+        return Ground(place_contact_points(contacts), find_normals(contacts), friction, caps)
 
 
-def place_sole_corners(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
-    """Return the corners of all soles in the world, in the order of the contacts [m]."""
-    placed = [c.sole @ c.pose_world_link[:3, :3].T + c.pose_world_link[:3, 3] for c in contacts]
-    return np.concatenate(placed) if placed else np.zeros((0, 3))
+def place_contact_points(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
+    """Return all contact points in the world, in the order of the contacts [m]."""
+    return np.concatenate([np.zeros((0, 3)), *(contact.points for contact in contacts)])
 
 
-def find_sole_normals(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
-    """Return at each corner the upward unit normal of its sole's plane, in the world.
+def find_normals(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
+    """Return at each contact point the unit normal of its surface, in the world.
 
     Raises:
-        VerifyError: the corners of a sole are on a line.
+        VerifyError: the corners of a sole on level ground are on a line.
     """
-    normals = []
+    normals = [np.zeros((0, 3))]
     for contact in contacts:
-        corners = contact.sole @ contact.pose_world_link[:3, :3].T
-        _, sizes, axes = np.linalg.svd(corners - corners.mean(axis=0))
-        if len(sizes) < 2 or sizes[1] < 1e-3:
-            raise VerifyError(f"the corners of the sole of {contact.link} are on a line")
-        normal = axes[2] if axes[2, 2] >= 0.0 else -axes[2]
-        normals.append(np.tile(normal, (len(corners), 1)))
-    return np.concatenate(normals) if normals else np.zeros((0, 3))
+        normal = contact.normal
+        if normal is None:
+            _, sizes, axes = np.linalg.svd(contact.points - contact.points.mean(axis=0))
+            if len(sizes) < 2 or sizes[1] < 1e-3:
+                raise VerifyError(f"the corners of the sole of {contact.link} are on a line")
+            normal = axes[2] if axes[2, 2] >= 0.0 else -axes[2]
+        normals.append(np.tile(normal, (len(contact.sole), 1)))
+    return np.concatenate(normals)
 
 
-def find_sole_tilt(contacts: tuple[PlantedContact, ...]) -> float:
-    """Return the largest angle by which a sole may lean while its corners drift within their tolerance [rad]."""
+def find_tilt(contacts: tuple[PlantedContact, ...]) -> float:
+    """Return the largest angle by which a normal may be off [rad].
+
+    A sole on level ground may lean while its corners drift within their tolerance; other contacts state it.
+    """
     tilts = [0.0]
     for contact in contacts:
+        if contact.normal is not None:
+            tilts.append(contact.tilt_rad)
+            continue
         flat = contact.sole - contact.sole.mean(axis=0)
         narrow = flat @ np.linalg.svd(flat)[2][1]
         tilts.append(float(np.arctan2(2.0 * contact.tolerance_m, np.ptp(narrow))))
@@ -147,9 +152,9 @@ def _prove(motion: Motion, phase: Phase, region: LoadedRegion, mass: float) -> t
     loads = list_load_wrenches(motion, phase.loads, region.first, region.last)
     feet_drift = max((contact.tolerance_m for contact in contacts), default=0.0)
     # The feet's horizontal forces are at least the hands', so their drift covers the yaw moment of the hands' drift.
-    hand_drift = max(load.drift_m for load in phase.loads)
+    hand_drift = max((load.drift_m for load in phase.loads), default=0.0)
     drift = feet_drift + hand_drift
-    tilt = find_sole_tilt(contacts)
+    tilt = find_tilt(contacts)
     proof = prove_equilibrium(recorded, mass, loads, GRAVITY, drift_m=drift, tilt_rad=tilt)
     hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in phase.loads) / (mass * GRAVITY)
     return proof, proof.shift_m * feet_drift / drift + hands if drift > 0.0 else 0.0
@@ -164,12 +169,18 @@ def _equilibrium_check(prepared: PreparedMotion, phase: Phase, proofs: list[tupl
         text = f"during {phase.name}: {proofs[refuted[0]][0].text}"
     else:
         count = sum(len(region.vertices) * len(region.wrenches) for region in phase.regions)
-        text = f"the ground's forces hold the robot under its loads during {phase.name} ({count} balances)"
+        holds = "the ground's forces hold the robot under its loads" if phase.loads else "contact forces hold the robot"
+        text = f"{holds} during {phase.name} ({count} balances)"
     return Check(f"equilibrium.{phase.name}", not refuted, worst, 1e-2, "N, Nm", text, where, Basis.PROOF)
 
 
 def _bound_outside(
-    prepared: PreparedMotion, phase: Phase, region: LoadedRegion, margin: float, settings: VerifySettings
+    prepared: PreparedMotion,
+    phase: Phase,
+    region: LoadedRegion,
+    margin_m: float,
+    shift_m: float,
+    settings: VerifySettings,
 ) -> Extreme:
     """Bound how far the centre of mass is outside a region on its stretch, less what drift takes off the margin [m]."""
     part = replace(phase, first=region.first, last=region.last)
@@ -179,7 +190,5 @@ def _bound_outside(
     def outside(s: np.ndarray) -> np.ndarray:
         return outside_polygon(region.vertices, path.at(s)[:, :2])
 
-    extreme = proof.bound_convex(outside, path.deviation, -margin, settings.resolution_m)
-    support_margin = 0.0 if phase.support is None else phase.support.margin_m
-    taken = margin - support_margin
-    return Extreme(extreme.bound + taken, extreme.sampled + taken, extreme.s, extreme.is_proven)
+    extreme = proof.bound_convex(outside, path.deviation, -(margin_m + shift_m), settings.resolution_m)
+    return Extreme(extreme.bound + shift_m, extreme.sampled + shift_m, extreme.s, extreme.is_proven)

@@ -1,0 +1,346 @@
+"""Motions between stances: weight shifted over the contacts that stay, links lifted, moved and set down."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance
+from costs.contact import Contact
+from costs.state import MotionState
+from costs.static_region import StaticRegionError
+from costs.terms import CentreOfMassInPolygon
+from scopt import Constraint, Sense
+from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
+from service.body.holds import project_onto_holds
+from service.body.loaded_regions import plan_contact_region
+from service.body.phases import PhaseSolver, path_via, posture_guesses, straight_path
+from service.body.sampling import Tree
+from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.body.whole_body import FOOT_TOLERANCE, WholeBody
+from service.demands.stance import BALANCE_RESERVE
+from service.demands.stances import (
+    LINE_M,
+    ContactPhase,
+    ContactStance,
+    StanceContact,
+    list_contact_phases,
+)
+
+SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
+TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
+REACH_AHEAD = 0.12  # that a stepping link is lifted in a first guess [m]
+DEPTH_RESERVE = 1e-3  # of an allowance, for the curve between waypoints [m]
+
+
+@dataclass(frozen=True)
+class PoseGuesses:
+    """Configurations that are known already, by name of the stance they lead to.
+
+    Attributes:
+        leave: in which the contacts that stay hold the robot alone, before the others leave.
+        arrive: the same when the new contacts are in their places.
+    """
+
+    leave: Mapping[str, Float[np.ndarray, "n"]]
+    arrive: Mapping[str, Float[np.ndarray, "n"]]
+
+
+class StuckError(Exception):
+    """A step has no solution; carries the sentences and the best attempt."""
+
+    def __init__(
+        self, step: str, reasons: Sequence[str], q: Float[np.ndarray, "n"], stuck: Stuck | None = None
+    ) -> None:
+        super().__init__("; ".join(reasons))
+        self.step, self.reasons, self.q, self.stuck = step, tuple(reasons), q, stuck
+
+
+def plan_contact_motion(
+    solver: PhaseSolver,
+    stances: Sequence[ContactStance],
+    finish: Float[np.ndarray, "n"] | None = None,
+    guesses: PoseGuesses | None = None,
+) -> TaskPlan:
+    """Plan the motion from the solver's nominal configuration, in the first stance, through all others.
+
+    Args:
+        solver: of the robot at its start.
+        stances: with every place fixed.
+        finish: posture to end in, on the last stance.
+        guesses: poses that are known already.
+    """
+    walker = _Walker(solver, PoseGuesses({}, {}) if guesses is None else guesses)
+    specs = list_contact_phases(stances, has_finish=finish is not None)
+    order = tuple(spec.name for spec in specs)
+    phases: list[PlannedPhase] = []
+    at = solver.body.nominal
+    first = walker.stand_on(stances[0].contacts) if stances else None
+    try:
+        for before, after in pairwise(stances):
+            own = [spec for spec in specs if spec.name.startswith(f"{after.name}: ")]
+            for phase in walker.change(own, before, after, at):
+                phases.append(phase)
+                at = phase.q[-1]
+        if finish is not None:
+            phases.append(walker.end_in(specs[-1], at, finish))
+    except StuckError as error:
+        stuck = None if error.stuck is None else replace(error.stuck, order=order)
+        attempt = PlannedPhase(error.step, np.stack([at, error.q]), False, body=first)
+        obstacle = () if stuck is not None else error.reasons
+        return TaskPlan(solver.body, (*phases, attempt), obstacle, stuck)
+    return TaskPlan(solver.body, tuple(phases))
+
+
+@dataclass(frozen=True)
+class _Walker:
+    """Plans the phases between two stances."""
+
+    solver: PhaseSolver
+    guesses: PoseGuesses
+
+    @property
+    def start(self) -> WholeBody:
+        return self.solver.body
+
+    def stand_on(self, contacts: Sequence[StanceContact], touching: Sequence[StanceContact] = ()) -> WholeBody:
+        """Return the robot on contacts, while others may touch.
+
+        Raises:
+            StuckError: the contacts hold it nowhere.
+        """
+        spec = ContactPhase("", "shift", tuple(contacts), tuple(touching))
+        touches = _shrink(spec.list_allowances(self.start.robot))
+        planted = tuple(contact.planted for contact in contacts)
+        try:
+            region = plan_contact_region(self.start.robot, planted)
+        except StaticRegionError as error:
+            names = ", ".join(contact.patch for contact in contacts)
+            raise StuckError(
+                f"stand on {names}", (f"{names} hold the robot nowhere: {error}",), self.start.nominal
+            ) from None
+        return self.start.on_contacts(planted, touches, region)
+
+    def change(
+        self,
+        specs: Sequence[ContactPhase],
+        before: ContactStance,
+        after: ContactStance,
+        at: Float[np.ndarray, "n"],
+    ) -> Sequence[PlannedPhase]:
+        """Return the phases from one stance to the next, which begin at a configuration."""
+        kept = before.keep_common(after)
+        leaving = tuple(contact for contact in before.contacts if contact not in kept)
+        arriving = tuple(contact for contact in after.contacts if not contact.is_kept_in(before))
+        by_kind = {spec.kind: spec for spec in specs}
+        monitor = self.solver.monitor
+        phases: list[PlannedPhase] = []
+        here = at
+        if leaving:
+            with monitor.step(f"{after.name}: pose on what stays", 0.2):
+                left = self._pose(
+                    f"{after.name}: pose on what stays", kept, leaving, self._guess(self.guesses.leave, after, at)
+                )
+            phases.append(self._move(by_kind["shift"], before.contacts, [straight_path(at, left, SHIFT_WAYPOINTS)]))
+            lifted = self._line(by_kind["lift"], kept, leaving, left, is_up=True)
+            phases.append(lifted)
+            here = lifted.q[-1]
+        if arriving:
+            with monitor.step(f"{after.name}: pose at the new places", 0.3):
+                made = self._pose(
+                    f"{after.name}: pose at the new places",
+                    kept,
+                    arriving,
+                    self._guess(self.guesses.arrive, after, here),
+                )
+            landing = self._line(by_kind["land"], kept, arriving, made, is_up=False)
+            phases.append(self._swing(by_kind["swing"], kept, here, landing.q[0]))
+            phases.append(landing)
+        return phases
+
+    def end_in(self, spec: ContactPhase, at: Float[np.ndarray, "n"], finish: Float[np.ndarray, "n"]) -> PlannedPhase:
+        """Return the phase that ends as near to a posture as the stance allows."""
+        body = replace(self.stand_on(spec.contacts), nominal=finish)
+        guess = finish.copy()
+        guess[:6] = at[:6]
+        with self.solver.monitor.step(spec.name, 0.6):
+            end = replace(self.solver, body=body).solve_pose(spec.name, [guess, at], ())
+        if not end.is_feasible:
+            raise StuckError(spec.name, (), end.x[0], Stuck(spec.name, end))
+        last = project_onto_holds(body.engine, end.x, body.holds())[0]
+        return self._move(spec, spec.contacts, [straight_path(at, last, SWING_WAYPOINTS)])
+
+    def _guess(
+        self, known: Mapping[str, Float[np.ndarray, "n"]], stance: ContactStance, at: Float[np.ndarray, "n"]
+    ) -> list[Float[np.ndarray, "n"]]:
+        """Return guesses for a pose: a known one, the present one, then the robot's postures."""
+        own = [known[stance.name]] if stance.name in known else []
+        postures = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
+        return [*own, at, *postures]
+
+    def _pose(
+        self,
+        step: str,
+        kept: tuple[StanceContact, ...],
+        placed: tuple[StanceContact, ...],
+        guesses: Sequence[Float[np.ndarray, "n"]],
+    ) -> Float[np.ndarray, "n"]:
+        """Return a configuration with all contacts in place, held by those kept alone.
+
+        Raises:
+            StuckError: there is none.
+        """
+        if not kept:
+            raise StuckError(step, (f"{step}: no contact stays where it is",), guesses[0])
+        body = self.stand_on(kept, placed)
+        region = body.region
+        assert region is not None
+        one = np.zeros(1, dtype=int)
+        margin = body.aims.balance_margin + BALANCE_RESERVE + region.shift_m
+        constraints: list[Constraint[MotionState]] = [
+            Constraint(
+                "balance",
+                CentreOfMassInPolygon(region.region.polygon, one, margin),
+                tolerance=0.5 * BALANCE_RESERVE,
+                unit="m",
+            )
+        ]
+        constraints += [
+            Constraint(
+                f"place of {contact.patch}",
+                body.keep_planted(contact.planted, one),
+                Sense.EQUAL_ZERO,
+                FOOT_TOLERANCE,
+                unit="m or rad",
+            )
+            for contact in placed
+        ]
+        contacts = [_as_contact(contact) for contact in kept]
+        normals = {k: contact.surface.normal for k, contact in enumerate(kept)}
+        limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
+        best: EquilibriumPose | None = None
+        for guess in guesses[:4]:
+            self.solver.monitor.check()
+            pose = solve_equilibrium_pose(
+                body, contacts, guess, limits, (), constraints, should_stop=self.solver.monitor.should_stop
+            )
+            if pose.is_feasible:
+                both = replace(body, planted=(*body.planted, *(contact.planted for contact in placed)))
+                return np.asarray(project_onto_holds(body.engine, pose.q[None], both.holds())[0])
+            if best is None or len(pose.violations) < len(best.violations):
+                best = pose
+        assert best is not None
+        raise StuckError(step, tuple(f"{step}: {line}" for line in best.violations), best.q)
+
+    def _line(
+        self,
+        spec: ContactPhase,
+        kept: tuple[StanceContact, ...],
+        moving: tuple[StanceContact, ...],
+        pose: Float[np.ndarray, "n"],
+        *,
+        is_up: bool,
+    ) -> PlannedPhase:
+        """Return the phase in which links leave their places, or arrive there, straight along their normals."""
+        body = self.stand_on(kept, moving)
+        at = 0 if is_up else LINE_WAYPOINTS - 1
+        constraints: list[Constraint[MotionState]] = []
+        for waypoint in range(LINE_WAYPOINTS):
+            if waypoint == at:
+                continue
+            share = abs(waypoint - at) / (LINE_WAYPOINTS - 1)
+            for contact in moving:
+                by = share * LINE_M * contact.surface.normal
+                residual = body.keep_planted(contact.planted, np.array([waypoint]), by)
+                constraints.append(
+                    Constraint(f"{contact.patch} on its line", residual, Sense.EQUAL_ZERO, 1e-4, unit="m or rad")
+                )
+        start = np.tile(pose, (LINE_WAYPOINTS, 1))
+        solver = replace(self.solver, body=body)
+        with solver.monitor.step(spec.name, 0.4):
+            solved = solver.solve_trajectory(spec.name, [start], {at: pose}, constraints=constraints)
+        return _finish(spec, body, solved)
+
+    def _swing(
+        self,
+        spec: ContactPhase,
+        kept: tuple[StanceContact, ...],
+        first: Float[np.ndarray, "n"],
+        last: Float[np.ndarray, "n"],
+    ) -> PlannedPhase:
+        """Return the free phase between two lines."""
+        body = self.stand_on(kept)
+        solver = replace(self.solver, body=replace(body, nominal=first))
+        starts = [straight_path(first, last, SWING_WAYPOINTS)]
+        starts += [path_via(first, guess, last, SWING_WAYPOINTS) for _, guess in posture_guesses(solver.body)[1:3]]
+        with solver.monitor.step(spec.name, 0.5):
+            solved = solver.solve_trajectory(spec.name, starts, {0: first, SWING_WAYPOINTS - 1: last})
+            if not solved.is_feasible:
+                for seed in range(2):
+                    corners = solver.sample_corners(first, last, Tree(seed=seed))
+                    if corners is None:
+                        continue
+                    again = solver.solve_trajectory(
+                        spec.name, [_resample(corners, 2 * SWING_WAYPOINTS)], {0: first, 2 * SWING_WAYPOINTS - 1: last}
+                    )
+                    if again.is_feasible:
+                        solved = again
+                        break
+        return _finish(spec, body, solved)
+
+    def _move(
+        self,
+        spec: ContactPhase,
+        contacts: tuple[StanceContact, ...],
+        starts: Sequence[Float[np.ndarray, "T n"]],
+    ) -> PlannedPhase:
+        """Return a phase between two configurations on contacts that stay."""
+        body = self.stand_on(contacts)
+        solver = replace(self.solver, body=body)
+        count = len(starts[0])
+        with solver.monitor.step(spec.name, 0.4):
+            solved = solver.solve_trajectory(spec.name, starts, {0: starts[0][0], count - 1: starts[0][-1]})
+        return _finish(spec, body, solved)
+
+
+def _finish(spec: ContactPhase, body: WholeBody, solved: Solved) -> PlannedPhase:
+    """Return a solved phase with its promises.
+
+    Raises:
+        StuckError: it is not solved.
+    """
+    if not solved.is_feasible:
+        raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved))
+    robot = body.robot
+    return PlannedPhase(
+        spec.name,
+        solved.x,
+        True,
+        targets=lambda at: spec.list_targets(),
+        body=replace(body, touches=spec.list_allowances(robot)),
+    )
+
+
+def _shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
+    """Return allowances for the waypoints, which leave some of their depth for the curve between them."""
+    return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in touches)
+
+
+def _as_contact(contact: StanceContact) -> Contact:
+    """Return a planted contact as one whose forces a pose has as variables."""
+    planted = contact.planted
+    normal = contact.surface.normal @ planted.pose_world_link[:3, :3]
+    return Contact(
+        planted.link, planted.sole, np.tile(normal, (len(planted.sole), 1)), planted.friction, planted.force_cap_n
+    )
+
+
+def _resample(corners: Float[np.ndarray, "K n"], count: int) -> Float[np.ndarray, "T n"]:
+    """Return equally spaced waypoints on a path through corners."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at = np.linspace(0.0, lengths[-1], count)
+    return np.stack([np.interp(at, lengths, column) for column in corners.T], axis=1)

@@ -1,0 +1,206 @@
+"""Contact forces at samples: forces inside friction cones and caps that make a given wrench, and torques under them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import linprog, nnls
+
+from costs.stopping import poll
+from service.verify.forces.loaded_balance import Ground
+
+# Wrench and cones may be missed by this share of the weight.
+TOLERANCE = 1e-5
+_EDGES = 8  # of the pyramid inside a friction cone, for the programs
+_EXACT = 1e3  # weight of the wrench against torques in a least-squares program
+_SMALL = 1e-2  # weight of the size of forces in it
+_PASSES = 2
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Torques of the joints before contact forces, and how these change them, at ``S`` samples.
+
+    Attributes:
+        torque: (S, k) of the limited joints without contact forces [Nm].
+        lever: (S, k, 3C) decrease of the torques per unit force at each contact point.
+        effort: (k,) limits [Nm].
+    """
+
+    torque: Float[np.ndarray, "S k"]
+    lever: Float[np.ndarray, "S k 3C"]
+    effort: Float[np.ndarray, "k"]
+
+    def measure_shares(self, forces: Float[np.ndarray, "S 3C"]) -> Float[np.ndarray, "S k"]:
+        """Return torques under contact forces relative to their limits."""
+        return np.asarray((self.torque - np.einsum("skc,sc->sk", self.lever, forces)) / self.effort)
+
+
+@dataclass(frozen=True)
+class ContactForces:
+    """Forces at ``S`` samples.
+
+    Attributes:
+        forces: (S, C, 3) of the surroundings on the robot [N].
+        missing_n: (S,) by how much wrench or cones are missed at least [N]; 0 where forces exist.
+        shares: (S, k) torques relative to their limits under these forces.
+    """
+
+    forces: Float[np.ndarray, "S C 3"]
+    missing_n: Float[np.ndarray, "S"]
+    shares: Float[np.ndarray, "S k"]
+
+
+class ContactShare:
+    """Distributes wrenches between the contacts of a phase, which do not move."""
+
+    def __init__(self, ground: Ground, weight: float) -> None:
+        """
+        Args:
+            ground: contact points in the world.
+            weight: of the robot [N].
+        """
+        self.ground, self.weight = ground, weight
+        count = len(ground.points)
+        self.middle = ground.points.mean(axis=0)
+        arms = ground.points - self.middle
+        zero = np.zeros(count)
+        x, y, z = arms.T
+        cross = np.stack(
+            [np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], axis=1
+        )  # (C, 3, 3): cross @ f = arm x f
+        self.grasp = np.concatenate([np.tile(np.eye(3), count), np.concatenate(list(cross), axis=1)], axis=0)
+        self.scale = np.repeat(np.minimum(ground.caps, weight), 3) / weight
+        scaled = self.grasp * self.scale
+        self._least = self.scale[:, None] * np.linalg.pinv(scaled)
+        self.edges = self._list_edges()
+
+    def _list_edges(self) -> Float[np.ndarray, "3C E"]:
+        """Return the edges of all pyramids as columns, each of unit normal force."""
+        ground = self.ground
+        columns = np.zeros((3 * len(ground.points), _EDGES * len(ground.points)))
+        angles = 2.0 * np.pi * np.arange(_EDGES) / _EDGES
+        for k, (normal, friction) in enumerate(zip(ground.normals, ground.friction, strict=True)):
+            side = np.eye(3)[int(np.abs(normal).argmin())]
+            u = np.cross(normal, side) / np.linalg.norm(np.cross(normal, side))
+            v = np.cross(normal, u)
+            edges = normal[:, None] + friction * (np.outer(u, np.cos(angles)) + np.outer(v, np.sin(angles)))
+            columns[3 * k : 3 * k + 3, _EDGES * k : _EDGES * (k + 1)] = edges
+        return columns
+
+    def about_middle(self, wrench: Float[np.ndarray, "S 6"]) -> Float[np.ndarray, "S 6"]:
+        """Return wrenches about the middle of the contact points, given about the world's origin."""
+        moment = wrench[:, 3:] - np.cross(self.middle, wrench[:, :3])
+        return np.concatenate([wrench[:, :3], moment], axis=1)
+
+    def hold(self, wrench: Float[np.ndarray, "S 6"], joints: Joints | None = None) -> ContactForces:
+        """Find forces for each wrench (about the world's origin) [N, Nm], with torques within limits where possible."""
+        wanted = self.about_middle(wrench)
+        forces = wanted @ self._least.T
+        missing, shares = self._judge(wanted, forces, joints)
+        limit = TOLERANCE * self.weight
+        rows = np.flatnonzero((missing > limit) | (shares > 1.0).any(axis=1))
+        for attempt in range(_PASSES):
+            for row in rows.tolist():
+                poll()
+                own = None if joints is None else Joints(joints.torque[[row]], joints.lever[[row]], joints.effort)
+                force = self._spread(wanted[row], own) if attempt == 0 else self._program(wanted[row], own)
+                if force is None:
+                    continue
+                miss, share = self._judge(wanted[[row]], force[None], own)
+                if (miss[0] > limit, max(share.max(initial=0.0), 1.0), miss[0]) < (
+                    missing[row] > limit,
+                    max(shares[row].max(initial=0.0), 1.0),
+                    missing[row],
+                ):
+                    forces[row], missing[row], shares[row] = force, miss[0], share[0]
+            rows = rows[(missing[rows] > limit) | (shares[rows] > 1.0).any(axis=1)]
+        missing = np.where(missing <= limit, 0.0, missing)
+        return ContactForces(forces.reshape(len(wrench), -1, 3), missing, shares)
+
+    def find_part(self, rest: Float[np.ndarray, "6"], more: Float[np.ndarray, "6"], joints: Joints | None) -> float:
+        """Return the largest x in [0, 1] for which forces hold ``rest + x more`` within torque limits; NaN if none do.
+
+        Args:
+            rest, more: about the world's origin [N, Nm].
+            joints: two samples: at rest, and the increase of torque by the motion.
+        """
+        wanted, slope = self.about_middle(np.stack([rest, more]))
+        n_edges = self.edges.shape[1]
+        lengths = np.concatenate([np.ones(3), np.full(3, 0.1)]) * self.weight
+        equal = np.column_stack([self.grasp @ self.edges, -slope / self.weight]) * self.weight / lengths[:, None]
+        rows, bounds = self._cap_rows(1)
+        if joints is not None:
+            lever = joints.lever[0] @ self.edges * self.weight / joints.effort[:, None]
+            own, rise = joints.torque / joints.effort
+            rows = np.concatenate([rows, np.column_stack([-lever, rise]), np.column_stack([lever, -rise])])
+            bounds = np.concatenate([bounds, 1.0 - own, 1.0 + own])
+        cost = np.zeros(n_edges + 1)
+        cost[-1] = -1.0
+        limits = [(0.0, None)] * n_edges + [(0.0, 1.0)]
+        found = linprog(cost, rows, bounds, equal, wanted / lengths, limits, method="highs")
+        return float("nan") if found.x is None else float(found.x[-1])
+
+    def _cap_rows(self, n_more: int) -> tuple[Float[np.ndarray, "C E+k"], Float[np.ndarray, "C"]]:
+        """Return the caps as rows of edge forces in units of the weight, with further columns of zeros."""
+        count = len(self.ground.points)
+        rows = np.zeros((count, _EDGES * count + n_more))
+        rows[:, : _EDGES * count] = np.repeat(np.eye(count), _EDGES, axis=1)
+        return rows, self.ground.caps / self.weight
+
+    def _judge(
+        self, wanted: Float[np.ndarray, "S 6"], forces: Float[np.ndarray, "S 3C"], joints: Joints | None
+    ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S k"]]:
+        """Return by how much wrench, cones and caps are missed [N], and sizes of torques relative to their limits."""
+        ground = self.ground
+        points = forces.reshape(len(forces), -1, 3)
+        normal = np.einsum("sck,ck->sc", points, ground.normals)
+        across = np.linalg.norm(points - normal[..., None] * ground.normals, axis=2)
+        cone = np.maximum(across - ground.friction * normal, -normal).max(axis=1)
+        cap = (normal - ground.caps).max(axis=1)
+        wrench = np.abs(forces @ self.grasp.T - wanted).max(axis=1)
+        missing = np.maximum(np.maximum(cone, cap), np.maximum(wrench, 0.0))
+        shares = np.zeros((len(forces), 0)) if joints is None else np.abs(joints.measure_shares(forces))
+        return missing, shares
+
+    def _spread(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"]:
+        """Return forces on the pyramids that make a wrench, small and with small torques, by least squares."""
+        per_edge = np.repeat(self.scale[::3], _EDGES)
+        edges = self.edges * per_edge
+        parts = [_EXACT * self.grasp @ edges, _SMALL * np.eye(edges.shape[1])]
+        target = [_EXACT * wanted / self.weight, np.zeros(edges.shape[1])]
+        if joints is not None:
+            parts.append(joints.lever[0] @ edges * self.weight / joints.effort[:, None])
+            target.append(joints.torque[0] / joints.effort)
+        try:
+            amount = np.asarray(nnls(np.concatenate(parts), np.concatenate(target))[0])
+        except RuntimeError:  # too many steps
+            return np.asarray(self._least @ wanted)
+        force = self.weight * edges @ amount
+        return np.asarray(force + self._least @ (wanted - self.grasp @ force))
+
+    def _program(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"] | None:
+        """Return forces with the least largest share of torque, by a linear program; None where there are none."""
+        n_edges = self.edges.shape[1]
+        lengths = np.concatenate([np.ones(3), np.full(3, 0.1)])
+        equal = np.column_stack([self.grasp @ self.edges, np.zeros(6)]) / lengths[:, None]
+        rows, bounds = self._cap_rows(1)
+        if joints is not None:
+            lever = joints.lever[0] @ self.edges * self.weight / joints.effort[:, None]
+            own, one = joints.torque[0] / joints.effort, np.ones((len(joints.effort), 1))
+            rows = np.concatenate([rows, np.hstack([-lever, -one]), np.hstack([lever, -one])])
+            bounds = np.concatenate([bounds, -own, own])
+        cost = np.zeros(n_edges + 1)
+        cost[-1] = 1.0
+        found = linprog(cost, rows, bounds, equal, wanted / self.weight / lengths, (0.0, None), method="highs")
+        if found.x is None:
+            return None
+        force = self.weight * self.edges @ found.x[:-1]
+        return np.asarray(force + self._least @ (wanted - self.grasp @ force))
+
+
+def is_held(forces: ContactForces) -> Bool[np.ndarray, "S"]:
+    """Return at which samples forces exist and no torque is beyond its limit."""
+    return np.asarray((forces.missing_n <= 0.0) & (forces.shares <= 1.0).all(axis=1))
