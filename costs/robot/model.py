@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from costs.contact import Contact
 from costs.primitive import Primitive
 
 BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
@@ -74,6 +75,7 @@ class RobotModel:
         source: the files it came from.
         ignored_reasons: reason for each of ``ignored_pairs``: ``srdf (its reason)``, ``adjacent``, ``derived`` (they
             overlap in nearly all poses), ``same joint``; for users only, no check relies on it.
+        contacts: patches by name that may carry force, on the surfaces of the bodies (``costs.robot.contact_patches``).
     """
 
     name: str
@@ -94,6 +96,7 @@ class RobotModel:
     mechanism_links: frozenset[str]
     source: RobotSource
     ignored_reasons: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    contacts: Mapping[str, Contact] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
