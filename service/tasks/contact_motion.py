@@ -281,7 +281,7 @@ class _Walker:
             solved = solver.solve_trajectory(spec.name, starts, {0: first, SWING_WAYPOINTS - 1: last})
             if not solved.is_feasible:
                 for seed in range(2):
-                    corners = solver.sample_corners(first, last, Tree(seed=seed))
+                    corners = solver.sample_corners(first, last, Tree(seed, 1500))
                     if corners is None:
                         continue
                     again = solver.solve_trajectory(
