@@ -19,7 +19,15 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
-from service.verify.forces.dynamics import compute_forces, list_sample_times
+from service.verify.forces.contact_forces import Joints, is_held
+from service.verify.forces.dynamics import (
+    compute_forces,
+    compute_inverse_dynamics,
+    find_limited_joints,
+    list_sample_times,
+    make_contact_share,
+    make_joints,
+)
 from service.verify.limits import measure_timed_peaks
 from service.verify.motion import Motion, Phase, SupportPolygon
 
@@ -27,6 +35,9 @@ from service.verify.motion import Motion, Phase, SupportPolygon
 _SHORTEST_KNOT_TIME = 0.01
 # Least number of grid cells from rest to rest; points within the first and last of them, as shares of their length.
 _CELLS_PER_STRETCH = 100
+# Samples of a stretch whose contact forces decide its slowdown, and the least part of the motion's forces that counts.
+_TRIED, _LEAST_PART = 12, 1e-3
+_RESERVE = 0.98  # of the torque limits that the slowed motion may use
 _NEAR_REST = np.array([0.01, 0.03, 0.1, 0.3])
 
 
@@ -228,12 +239,46 @@ def _compute_slowdown(
         start, end = max(first, phase.first), min(last, phase.last)
         if end <= start:
             continue
+        if phase.region_margin_m is not None:
+            needed = max(needed, _compute_cone_slowdown(motion, law, phase, start, end, time_step_s))
+            continue
         moving, resting = _compare_with_rest(timed, law, phase, start, end, time_step_s, reserve_m)
         curable = (moving > 0.0) & (resting < -1e-6)
         if np.any(curable):
             needed = max(needed, float(np.max((moving[curable] - resting[curable]) / -resting[curable])))
     # A little more than the affine estimate.
     return float(np.sqrt(needed) * (1.01 if needed > 1.0 else 1.0))
+
+
+def _compute_cone_slowdown(
+    motion: Motion, law: TimeLaw, phase: Phase, first: float, last: float, time_step_s: float
+) -> float:
+    """Return the square of the factor by which a stretch must be slowed until contact forces inside cones carry it.
+
+    Forces and torques are those at rest plus a part that falls with the square of the speed, so that the largest part
+    that the contacts carry decides.
+    """
+    times = list_sample_times(motion, law, first, last, time_step_s)
+    s, speed, gain = law.at(times)
+    q, slope, bend = motion.curve(s), motion.curve(s, 1), motion.curve(s, 2)
+    v, a = slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2
+    moving = compute_inverse_dynamics(motion, q, v, a)
+    limited, share = find_limited_joints(motion), make_contact_share(motion, phase)
+    joints = make_joints(motion, phase, moving.torque, moving.jacobians, limited)
+    held = share.hold(moving.wrench, joints)
+    beyond = np.flatnonzero(~is_held(held))
+    if not len(beyond):
+        return 1.0
+    worst = beyond[np.lexsort((held.shares[beyond].max(axis=1, initial=0.0), held.missing_n[beyond]))[::-1]][:_TRIED]
+    still = compute_inverse_dynamics(motion, q[worst], 0.0 * v[worst], 0.0 * a[worst], has_jacobians=False)
+    parts = []
+    for k, row in enumerate(worst.tolist()):
+        poll()
+        rest, more = still.torque[k, limited], moving.torque[row, limited] - still.torque[k, limited]
+        both = Joints(np.stack([rest, more]) / _RESERVE, joints.lever[[row]] / _RESERVE, joints.effort)
+        parts.append(share.find_part(still.wrench[k], moving.wrench[row] - still.wrench[k], both))
+    curable = [part for part in parts if part > _LEAST_PART]
+    return 1.0 / min(curable) if curable else 1.0
 
 
 def _compare_with_rest(

@@ -17,6 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from service.errors import UnplannedTaskError, shown
 from service.request.contact_patch import ContactPatchRequest
+from service.request.contacts import ContactsRequest
 from service.request.door import DoorRequest
 from service.request.fields import (
     MAX_JOINTS,
@@ -198,11 +199,12 @@ class TaskRequest(Section):
 
     valve: ValveRequest | None = None
     door: DoorRequest | None = None
+    contacts: ContactsRequest | None = None
     egress: EgressRequest | None = None
     trajopt: PlainData | None = None
 
     def __post_init__(self) -> None:
-        require_exactly_one(self, ("valve", "door", "egress", "trajopt"))
+        require_exactly_one(self, ("valve", "door", "contacts", "egress", "trajopt"))
 
 
 @dataclass(config=SECTION)
@@ -336,5 +338,5 @@ def check_task_has_planner(request: PlanRequest) -> None:
         if request.task is not None and getattr(request.task, name) is not None:
             raise UnplannedTaskError(
                 f"task.{name}: there is no planner for {words} yet; "
-                "task.valve, task.door, task.trajopt and goals are planned"
+                "task.valve, task.door, task.contacts, task.trajopt and goals are planned"
             )

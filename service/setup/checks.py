@@ -12,6 +12,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands import list_planted_feet
+from service.demands.stances import ContactStance
 from service.errors import RequestError, would_do
 from service.request.schema import PlanRequest
 from service.start.configuration import find_limit_violations, find_unknown_joints
@@ -22,6 +23,7 @@ from service.start.overlaps import (
     find_overlaps_and_unresolved,
 )
 from service.start.standing import FEET_GROUP, FLOOR_KIND, find_ground_problems, find_standing_problems, sole_corners
+from service.verify.ground import STANDING_DEPTH_M
 
 if TYPE_CHECKING:
     from service.trajopt import Program
@@ -110,12 +112,17 @@ def check_start(
     soles: Mapping[str, np.ndarray],
     request: PlanRequest,
     program: Program | None,
+    stance: ContactStance | None = None,
 ) -> StartCheck:
     """Check that the robot is balanced and collision-free at its start, or may escape from the collision.
+
+    A robot that stands on given contacts may touch what is behind them; the planner finds out whether they hold it.
 
     Raises:
         RequestError: the start is out of balance, or in collision without permission or possibility to escape.
     """
+    if stance is not None:
+        return _check_stance_start(robot, start, scene, stance)
     is_balanced = program is None or program.is_balanced
     feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
     grounded = dict(find_ground_problems(scene.pieces, feet)) if robot.is_floating else {}
@@ -148,6 +155,25 @@ def check_start(
         return StartCheck((), too_near, ())
     left = (*(f"start is in collision: {overlap}" for overlap in inside), *too_near)
     return StartCheck(overlaps, (), tuple(f"{line}; the first phase leaves it" for line in left))
+
+
+def _check_stance_start(
+    robot: RobotModel, start: Float[np.ndarray, "n"], scene: Scene, stance: ContactStance
+) -> StartCheck:
+    """Check a start on given contacts for collisions.
+
+    Raises:
+        RequestError: one line per pair in collision.
+    """
+    touching = {(contact.planted.link, piece) for contact in stance.contacts for piece in contact.surface.pieces}
+    planted = tuple(link for link, _ in touching)
+    inside, near = (
+        [o for o in overlaps if (o.link, o.other) not in touching or o.depth > STANDING_DEPTH_M]
+        for overlaps in find_overlaps_and_unresolved(robot, start, scene, planted)
+    )
+    if inside:
+        raise RequestError([f"start is in collision: {overlap}" for overlap in inside])
+    return StartCheck((), tuple(f"the start is too near to plan from: {overlap.nearness}" for overlap in near), ())
 
 
 def _find_unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> list[str]:

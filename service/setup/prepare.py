@@ -16,6 +16,8 @@ from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.holds import KeptPose, make_kept_poses
 from service.demands import compose_scene
+from service.demands.contact_task import make_stances
+from service.demands.stances import ContactStance
 from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
@@ -51,6 +53,7 @@ class PlanSetup:
         notes: assumptions and warnings for the user.
         timings: seconds by step.
         is_stopped: whether preparation was stopped before the scene was complete; the scene is then empty.
+        stances: of a task that changes contacts, that of the start first.
     """
 
     request: PlanRequest
@@ -66,6 +69,7 @@ class PlanSetup:
     timings: Mapping[str, float]
     is_stopped: bool = False
     unresolved: tuple[str, ...] = ()
+    stances: tuple[ContactStance, ...] = ()
 
     @property
     def contacts(self) -> tuple[str, ...]:
@@ -130,10 +134,12 @@ def prepare(
         )
     pieces, moved = move_floor_to_soles(around.pieces, soles)
     scene, renamed = compose_scene(request, robot, start, pieces, obstacles)
+    stances = _read_stances(request, robot, scene, start)
     announce("check start")
     with _timed(timings, "check_start"):
         nothing_checked = StartCheck((), (), ())
-        check = check_start(robot, start, scene, soles, request, program) if checks_start else nothing_checked
+        first = stances[0] if stances else None
+        check = check_start(robot, start, scene, soles, request, program, first) if checks_start else nothing_checked
     return PlanSetup(
         request,
         robot,
@@ -147,7 +153,17 @@ def prepare(
         (*notes, *check.notes, *obstacle_notes, *around.notes, *moved, *renamed),
         timings,
         unresolved=check.unresolved,
+        stances=stances,
     )
+
+
+def _read_stances(
+    request: PlanRequest, robot: RobotModel, scene: Scene, start: Float[np.ndarray, "n"]
+) -> tuple[ContactStance, ...]:
+    """Return the stances of a task that changes contacts; none for any other."""
+    if request.task is None or request.task.contacts is None:
+        return ()
+    return make_stances(request.task.contacts, robot, scene, start)
 
 
 def resolve_start(

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import numpy as np
+from jaxtyping import Float
+
 from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
-from service.errors import RequestError
+from service.errors import RequestError, would_do
 from service.setup.prepare import PlanSetup
 from service.tasks.leave_start import leave_start
 from service.tasks.reach import plan_reach
@@ -31,6 +34,11 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
 
         yield from plan_program(solver, setup.program)
         return
+    if request.task is not None and request.task.contacts is not None:
+        from service.tasks.contact_motion import plan_contact_motion
+
+        yield plan_contact_motion(solver, setup.stances, _find_finish(setup, request.task.contacts.finish))
+        return
     lead = leave_start(solver, setup.overlaps)
     if lead.stuck is not None:
         yield lead
@@ -49,10 +57,20 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         door = request.task.door
         plans = _list_plans(solver, lambda: plan_door(setup, solver, door))
     else:
-        raise RequestError("request: expected a goal, task.valve, task.door or task.trajopt")
+        raise RequestError("request: expected a goal, task.valve, task.door, task.contacts or task.trajopt")
     for rest in plans:
         phases = (phase.for_body(rest.body) for phase in lead.phases)
         yield replace(rest, phases=(*phases, *rest.phases))
+
+
+def _find_finish(setup: PlanSetup, posture: str | None) -> Float[np.ndarray, "n"] | None:
+    """Return the configuration of a named posture (RequestError where the robot has none of that name)."""
+    if posture is None:
+        return None
+    if posture not in setup.robot.postures:
+        known = would_do(posture, sorted(setup.robot.postures)) or "no postures"
+        raise RequestError(f"task.contacts.finish: unknown posture {posture!r}; {setup.robot.name} has {known}")
+    return setup.robot.postures[posture]
 
 
 def _list_plans(solver: PhaseSolver, plan: Callable[[], Iterator[TaskPlan]]) -> Iterator[TaskPlan]:

@@ -11,9 +11,8 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.contact import Contact
-from costs.state import MotionState
 from costs.static_region import StaticRegionError
-from costs.terms import CentreOfMassInPolygon
+from costs.terms import Joined
 from scopt import Constraint, Sense
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
@@ -22,7 +21,6 @@ from service.body.phases import PhaseSolver, path_via, posture_guesses, straight
 from service.body.sampling import Tree
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import FOOT_TOLERANCE, WholeBody
-from service.demands.stance import BALANCE_RESERVE
 from service.demands.stances import (
     LINE_M,
     ContactPhase,
@@ -33,7 +31,7 @@ from service.demands.stances import (
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
 TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
-REACH_AHEAD = 0.12  # that a stepping link is lifted in a first guess [m]
+LINE_TOLERANCE = 1e-4  # of a link on its line, at the waypoints [m, rad]
 DEPTH_RESERVE = 1e-3  # of an allowance, for the curve between waypoints [m]
 
 
@@ -197,19 +195,8 @@ class _Walker:
         if not kept:
             raise StuckError(step, (f"{step}: no contact stays where it is",), guesses[0])
         body = self.stand_on(kept, placed)
-        region = body.region
-        assert region is not None
         one = np.zeros(1, dtype=int)
-        margin = body.aims.balance_margin + BALANCE_RESERVE + region.shift_m
-        constraints: list[Constraint[MotionState]] = [
-            Constraint(
-                "balance",
-                CentreOfMassInPolygon(region.region.polygon, one, margin),
-                tolerance=0.5 * BALANCE_RESERVE,
-                unit="m",
-            )
-        ]
-        constraints += [
+        constraints = [
             Constraint(
                 f"place of {contact.patch}",
                 body.keep_planted(contact.planted, one),
@@ -248,17 +235,22 @@ class _Walker:
         """Return the phase in which links leave their places, or arrive there, straight along their normals."""
         body = self.stand_on(kept, moving)
         at = 0 if is_up else LINE_WAYPOINTS - 1
-        constraints: list[Constraint[MotionState]] = []
-        for waypoint in range(LINE_WAYPOINTS):
-            if waypoint == at:
-                continue
-            share = abs(waypoint - at) / (LINE_WAYPOINTS - 1)
-            for contact in moving:
-                by = share * LINE_M * contact.surface.normal
-                residual = body.keep_planted(contact.planted, np.array([waypoint]), by)
-                constraints.append(
-                    Constraint(f"{contact.patch} on its line", residual, Sense.EQUAL_ZERO, 1e-4, unit="m or rad")
-                )
+        shares = {k: abs(k - at) / (LINE_WAYPOINTS - 1) for k in range(LINE_WAYPOINTS) if k != at}
+        constraints = [
+            Constraint(
+                f"{contact.patch} on its line",
+                Joined(
+                    [
+                        body.keep_planted(contact.planted, np.array([k]), share * LINE_M * contact.surface.normal)
+                        for k, share in shares.items()
+                    ]
+                ),
+                Sense.EQUAL_ZERO,
+                LINE_TOLERANCE,
+                unit="m or rad",
+            )
+            for contact in moving
+        ]
         start = np.tile(pose, (LINE_WAYPOINTS, 1))
         solver = replace(self.solver, body=body)
         with solver.monitor.step(spec.name, 0.4):

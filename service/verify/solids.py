@@ -20,6 +20,10 @@ from costs.stopping import poll
 _SCANNED = 32
 # A flat set is thinned out to this many extreme points: all of them are neighbours of each other.
 _FLAT = 128
+# Where two faces touch within rounding coal gives up and returns the lowest number there is: it is asked again with the
+# mover nudged by far less than any tolerance [m].
+_ABSURD = 1e6
+_NUDGES = 1e-8 * np.array([[0.0, 0.0, 0.0], [0.61, -0.48, 0.63], [-0.43, 0.71, -0.56], [0.37, 0.52, -0.77]])
 # Vertex sets kept: a robot's bodies and the pieces of some scenes.
 _KEPT = 2048
 
@@ -179,8 +183,12 @@ class DistanceQuery:
         result, request, identity = self._result, self._request, self._identity
         for row, (mover, turned, moved, holder) in enumerate(zip(movers, rotation, translation, holders, strict=True)):
             poll()
-            result.clear()
-            distance[row] = coal.distance(mover, coal.Transform3s(turned, moved), holder, identity, request, result)
+            for nudge in _NUDGES:
+                result.clear()
+                pose = coal.Transform3s(turned, moved + nudge)
+                distance[row] = coal.distance(mover, pose, holder, identity, request, result)
+                if distance[row] > -_ABSURD:
+                    break
             direction[row] = result.normal
         length = np.sqrt((direction * direction).sum(axis=1))
         length[~((length > 0.5) & (length < 2.0))] = np.nan

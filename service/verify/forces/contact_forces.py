@@ -118,7 +118,7 @@ class ContactShare:
                     forces[row], missing[row], shares[row] = force, miss[0], share[0]
             rows = rows[(missing[rows] > limit) | (shares[rows] > 1.0).any(axis=1)]
         missing = np.where(missing <= limit, 0.0, missing)
-        return ContactForces(forces.reshape(len(wrench), -1, 3), missing, shares)
+        return ContactForces(forces.reshape(len(wrench), len(self.ground.points), 3), missing, shares)
 
     def find_part(self, rest: Float[np.ndarray, "6"], more: Float[np.ndarray, "6"], joints: Joints | None) -> float:
         """Return the largest x in [0, 1] for which forces hold ``rest + x more`` within torque limits; NaN if none do.
@@ -155,7 +155,7 @@ class ContactShare:
     ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S k"]]:
         """Return by how much wrench, cones and caps are missed [N], and sizes of torques relative to their limits."""
         ground = self.ground
-        points = forces.reshape(len(forces), -1, 3)
+        points = forces.reshape(len(forces), len(ground.points), 3)
         normal = np.einsum("sck,ck->sc", points, ground.normals)
         across = np.linalg.norm(points - normal[..., None] * ground.normals, axis=2)
         cone = np.maximum(across - ground.friction * normal, -normal).max(axis=1)

@@ -85,25 +85,11 @@ def compute_forces(
     q, slope, bend = curve(s), curve(s, 1), curve(s, 2)
     v = slope * speed[:, None]
     a = slope * gain[:, None] + bend * speed[:, None] ** 2
-    data = model.createData()
-    apart = find_mechanism_joints(motion)
-    roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
     stands = bool(phase.contacts) or phase.support is not None
     shares = torques and bool(phase.contacts)
-    torque = np.empty((len(times), model.nv))
-    wrench = np.zeros((len(times), 6)) if stands else np.full((len(times), 6), np.nan)
-    pulls = torques and bool(phase.loads)
-    jacobians = np.empty((len(times) if shares or pulls else 0, 6, model.nv))
-    for k in range(len(times)):
-        poll()
-        if shares or pulls:
-            jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nv)
-        torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
-        if not stands:
-            continue
-        for joint in roots:
-            # The parent of a root is the world, so its placement in its parent is the one in the world.
-            wrench[k] += data.liMi[joint].act(data.f[joint]).vector
+    inverse = compute_inverse_dynamics(motion, q, v, a, has_jacobians=shares or (torques and bool(phase.loads)))
+    torque, jacobians = inverse.torque, inverse.jacobians
+    wrench = inverse.wrench if stands else np.full((len(times), 6), np.nan)
     cases = list_load_cases(motion.robot, q, phase.loads)
     ground = np.stack([wrench - case.wrench for case in cases])
     each = np.stack([torque] * len(cases))
@@ -116,6 +102,47 @@ def compute_forces(
         elif shares:
             own -= _ground_torques(model, phase, below, jacobians)
     return Forces(times, s, ground, each, missing)
+
+
+@dataclass(frozen=True)
+class InverseDynamics:
+    """Forces that a motion needs at ``S`` samples, before anything is known of contacts.
+
+    Attributes:
+        torque: (S, n) generalised forces of all coordinates.
+        wrench: (S, 6) on the robot, about the world's origin [N, Nm].
+        jacobians: (S, 6, n) of all joints, about the world's origin; (0, 6, n) where nobody needs them.
+    """
+
+    torque: Float[np.ndarray, "S n"]
+    wrench: Float[np.ndarray, "S 6"]
+    jacobians: Float[np.ndarray, "S 6 n"]
+
+
+def compute_inverse_dynamics(
+    motion: Motion,
+    q: Float[np.ndarray, "S n"],
+    v: Float[np.ndarray, "S n"],
+    a: Float[np.ndarray, "S n"],
+    *,
+    has_jacobians: bool = True,
+) -> InverseDynamics:
+    """Return the forces of a motion at given states."""
+    model: pin.Model = motion.robot.model
+    data = model.createData()
+    apart = find_mechanism_joints(motion)
+    roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
+    torque, wrench = np.empty((len(q), model.nv)), np.zeros((len(q), 6))
+    jacobians = np.empty((len(q) if has_jacobians else 0, 6, model.nv))
+    for k in range(len(q)):
+        poll()
+        if has_jacobians:
+            jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nv)
+        torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
+        for joint in roots:
+            # The parent of a root is the world, so its placement in its parent is the one in the world.
+            wrench[k] += data.liMi[joint].act(data.f[joint]).vector
+    return InverseDynamics(torque, wrench, jacobians)
 
 
 def _share_in_cones(

@@ -283,16 +283,85 @@ class PoseGoal(_message.Message):
     def __init__(self, link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
 
 class Task(_message.Message):
-    __slots__ = ("valve", "door", "egress", "trajopt")
+    __slots__ = ("valve", "door", "egress", "trajopt", "contacts")
     VALVE_FIELD_NUMBER: _ClassVar[int]
     DOOR_FIELD_NUMBER: _ClassVar[int]
     EGRESS_FIELD_NUMBER: _ClassVar[int]
     TRAJOPT_FIELD_NUMBER: _ClassVar[int]
+    CONTACTS_FIELD_NUMBER: _ClassVar[int]
     valve: Valve
     door: Door
     egress: Egress
     trajopt: _struct_pb2.Struct
-    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
+    contacts: Contacts
+    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ...) -> None: ...
+
+class Contacts(_message.Message):
+    __slots__ = ("surfaces", "start", "stances", "finish")
+    class SurfacesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: Surface
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[Surface, _Mapping]] = ...) -> None: ...
+    class StartEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    SURFACES_FIELD_NUMBER: _ClassVar[int]
+    START_FIELD_NUMBER: _ClassVar[int]
+    STANCES_FIELD_NUMBER: _ClassVar[int]
+    FINISH_FIELD_NUMBER: _ClassVar[int]
+    surfaces: _containers.MessageMap[str, Surface]
+    start: _containers.ScalarMap[str, str]
+    stances: _containers.RepeatedCompositeFieldContainer[ContactStance]
+    finish: str
+    def __init__(self, surfaces: _Optional[_Mapping[str, Surface]] = ..., start: _Optional[_Mapping[str, str]] = ..., stances: _Optional[_Iterable[_Union[ContactStance, _Mapping]]] = ..., finish: _Optional[str] = ...) -> None: ...
+
+class Surface(_message.Message):
+    __slots__ = ("piece", "normal", "corners", "pieces", "friction")
+    PIECE_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    CORNERS_FIELD_NUMBER: _ClassVar[int]
+    PIECES_FIELD_NUMBER: _ClassVar[int]
+    FRICTION_FIELD_NUMBER: _ClassVar[int]
+    piece: str
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    corners: _containers.RepeatedCompositeFieldContainer[Point]
+    pieces: _containers.RepeatedScalarFieldContainer[str]
+    friction: float
+    def __init__(self, piece: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., corners: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., pieces: _Optional[_Iterable[str]] = ..., friction: _Optional[float] = ...) -> None: ...
+
+class ContactStance(_message.Message):
+    __slots__ = ("name", "make", "release")
+    class MakeEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: ContactPlace
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[ContactPlace, _Mapping]] = ...) -> None: ...
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    MAKE_FIELD_NUMBER: _ClassVar[int]
+    RELEASE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    make: _containers.MessageMap[str, ContactPlace]
+    release: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class ContactPlace(_message.Message):
+    __slots__ = ("surface", "at", "yaw_deg")
+    SURFACE_FIELD_NUMBER: _ClassVar[int]
+    AT_FIELD_NUMBER: _ClassVar[int]
+    YAW_DEG_FIELD_NUMBER: _ClassVar[int]
+    surface: str
+    at: _containers.RepeatedScalarFieldContainer[float]
+    yaw_deg: float
+    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
 
 class Valve(_message.Message):
     __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm")
