@@ -6,7 +6,7 @@ promises are listed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
 from service.demands.recorded_task import RecordedTask, TaskDemand
 from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
+from service.demands.stances import ContactPhase, ContactStance, list_contact_phases
 from service.demands.targets import make_goal_targets, make_kept_target
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
@@ -42,6 +43,7 @@ class Demands:
         scene: all pieces, floors included.
         program: demands of the request's TrajOpt problem, or None.
         task: demands of a task that moves a mechanism, or None.
+        stances: of a task that changes contacts, that of the start first.
     """
 
     request: PlanRequest
@@ -50,6 +52,7 @@ class Demands:
     scene: Scene
     program: ProgramDemand | None = None
     task: TaskDemand | None = None
+    stances: tuple[ContactStance, ...] = ()
 
     @property
     def feet(self) -> tuple[str, ...]:
@@ -94,7 +97,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         differences += compare_phase(phase, own, is_program=demands.program is not None)
     waived = list_waived_checks(
         is_timed=demands.request.options.timed,
-        is_balanced=promises.stance.hull is not None or not demands.robot.is_floating,
+        is_balanced=promises.stance.hull is not None or bool(demands.stances) or not demands.robot.is_floating,
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
@@ -129,6 +132,7 @@ class _Promises:
         everywhere: targets of all phases.
         task: phases of a task that moves a mechanism, or None.
         neighbours: allowances of the mechanism and what is near it at the start.
+        changes: phases of a task that changes contacts.
     """
 
     stance: Stance
@@ -138,12 +142,13 @@ class _Promises:
     everywhere: tuple[Target, ...]
     task: RecordedTask | None
     neighbours: tuple[Allowance, ...]
+    changes: tuple[ContactPhase, ...] = ()
 
 
 def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
     request, robot, start, feet = demands.request, demands.robot, demands.start, demands.feet
     is_balanced = demands.program is None or demands.program.is_balanced
-    stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
+    stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced and not demands.stances)
     leaves = request.options.escape and demands.program is None
     inside = find_hull_overlaps(robot, start, demands.scene, feet) if leaves else []
     targets: tuple[Target, ...] = ()
@@ -159,6 +164,10 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         lines = task.problems
         at_start = np.concatenate([start, demands.task.mechanism.start])
         neighbours = make_neighbour_allowances(augmented, demands.scene, at_start)
+    changes = tuple[ContactPhase, ...]()
+    if demands.stances and request.task is not None and request.task.contacts is not None:
+        changes = list_contact_phases(demands.stances, has_finish=request.task.contacts.finish is not None)
+        lines = tuple(_compare_names([phase.name for phase in recorded.phases], [spec.name for spec in changes]))
     return _Promises(
         stance,
         make_standing_allowances(feet, demands.scene),
@@ -167,12 +176,20 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         tuple(make_kept_target(robot, start, keep) for keep in request.keep),
         task,
         neighbours,
+        changes,
     ), lines
+
+
+def _compare_names(recorded: Sequence[str], wanted: Sequence[str]) -> Iterator[str]:
+    if recorded != wanted:
+        yield f"the phases are {', '.join(recorded)}; the task has {', '.join(wanted)}"
 
 
 def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises) -> Phase:
     """Return one phase with the promises of the request."""
     phase = recorded.phases[index]
+    if promises.changes:
+        return _rebuild_change(demands, phase, promises.changes[min(index, len(promises.changes) - 1)])
     first = recorded.curve(np.array([phase.first]))[0, : demands.robot.n]
     escape = promises.escape if phase.name == ESCAPE and index == 0 else ()
     targets = promises.last if index == len(recorded.phases) - 1 else ()
@@ -193,6 +210,20 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         support=promises.stance.support(phase.name, first),
         loads=loads,
         regions=phase.regions,  # evidence, which the verifier proves
+    )
+
+
+def _rebuild_change(demands: Demands, phase: Phase, change: ContactPhase) -> Phase:
+    """Return one phase of a task that changes contacts with the promises of the request."""
+    return Phase(
+        name=phase.name,
+        first=phase.first,
+        last=phase.last,
+        contacts=tuple(contact.planted for contact in change.contacts),
+        allowances=change.list_allowances(demands.robot),
+        targets=change.list_targets(),
+        regions=phase.regions,  # evidence, which the verifier proves
+        region_margin_m=demands.request.options.balance_margin_m,
     )
 
 
@@ -231,7 +262,8 @@ def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
 
 def compare_phase(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str]:
     """Yield a sentence for each promise of a recorded phase that is not the request's."""
-    for name in ("contacts", "allowances", "support", "loads", *(() if is_program else ("targets",))):
+    names = ("contacts", "allowances", "support", "loads", "region_margin_m")
+    for name in (*names, *(() if is_program else ("targets",))):
         if not _same(getattr(recorded, name), getattr(own, name)):
             yield f"{name} of phase '{recorded.name}' are not those of the request"
 

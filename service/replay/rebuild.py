@@ -21,6 +21,7 @@ from service.demands import (
     has_scan,
     list_planted_feet,
 )
+from service.demands.contact_task import make_stances
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
@@ -107,9 +108,10 @@ def rebuild_demands(
     obstacles, are_recorded = _rebuild_obstacles(request, record.scene, surroundings, given is not None)
     scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
-    demands = Demands(
-        request, robot, start, scene, _get_program(program, robot), _rebuild_task(request, robot, start, surroundings)
-    )
+    task = _rebuild_task(request, robot, start, surroundings)
+    changing = None if request.task is None else request.task.contacts
+    stances = () if changing is None else make_stances(changing, robot, scene, start)
+    demands = Demands(request, robot, start, scene, _get_program(program, robot), task, stances)
     without = () if demands.program is None else demands.program.unproven
     return demands, Grounds(request_from, scene_from, robot_from, without)
 

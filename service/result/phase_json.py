@@ -45,6 +45,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "support": None if phase.support is None else _write_support(phase.support),
         "loads": [_write_load(load) for load in phase.loads],
         "regions": [_write_region(region, s) for region in phase.regions],
+        "region_margin_m": phase.region_margin_m,
     }
 
 
@@ -67,6 +68,7 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         else SupportPolygon(np.array(support["polygon"]), float(support["margin_m"]), float(support["height"])),
         loads=tuple(_read_load(load) for load in data["loads"]),
         regions=tuple(_read_region(region, s) for region in data["regions"]),
+        region_margin_m=None if data["region_margin_m"] is None else float(data["region_margin_m"]),
     )
 
 
@@ -96,6 +98,8 @@ def _write_contact(contact: PlantedContact) -> dict[str, Any]:
         "knot_tolerance_m": contact.knot_tolerance_m,
         "friction": contact.friction,
         "force_cap_n": contact.force_cap_n,
+        "normal": None if contact.normal is None else contact.normal.tolist(),
+        "tilt_rad": contact.tilt_rad,
     }
 
 
@@ -105,7 +109,11 @@ def _read_contact(data: Mapping[str, Any]) -> PlantedContact:
     pose[:3, 3] = data["position"]
     sole = (np.array(data["sole"]) - pose[:3, 3]) @ pose[:3, :3]
     numbers = (float(data[key]) for key in ("tolerance_m", "knot_tolerance_m", "friction", "force_cap_n"))
-    return PlantedContact(data["link"], pose, sole, *numbers)
+    normal = None if data["normal"] is None else np.array(data["normal"], dtype=float)
+    tolerance, knot_tolerance, friction, cap = numbers
+    return PlantedContact(
+        data["link"], pose, sole, tolerance, knot_tolerance, friction, cap, normal, float(data["tilt_rad"])
+    )
 
 
 def _write_support(support: SupportPolygon) -> dict[str, Any]:
