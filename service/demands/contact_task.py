@@ -27,6 +27,7 @@ from service.verify.ground import GROUND_TOLERANCE_M, find_surface_gaps
 
 FLOOR = "floor"
 FLAT_M = 1e-3  # height of what belongs to one side of a piece
+STRIP_M = 4e-3  # width of the surface on a piece's edge
 TILT_ROUNDING = 1e-4  # of a contact's tilt [rad]
 START_PATCHES = ("left_foot", "right_foot")
 
@@ -121,9 +122,11 @@ def _order_corners(
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "3"]] | None:
     """Return the hull of points in their plane, counter-clockwise about its normal; None where they have none."""
     middle = points.mean(axis=0)
-    if len(points) < 3:
+    if len(points) < 2:
         return None
     _, sizes, axes = np.linalg.svd(points - middle)
+    if sizes[0] > FLAT_M and (len(points) == 2 or sizes[1] < FLAT_M):
+        return _make_strip(points, axes[0], direction)
     if sizes[1] < FLAT_M or (len(sizes) > 2 and sizes[2] > FLAT_M * np.sqrt(len(points))):
         return None
     normal = axes[2] if axes[2] @ direction >= 0.0 else -axes[2]
@@ -135,6 +138,21 @@ def _order_corners(
     except QhullError:
         return None
     return middle + flat[around, :1] * u + flat[around, 1:] * v, normal
+
+
+def _make_strip(
+    points: Float[np.ndarray, "N 3"], along: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "3"]] | None:
+    """Return corners and normal of a narrow strip on the edge of a piece, as on a rail that is round."""
+    normal = direction - (direction @ along) * along
+    if np.linalg.norm(normal) < 0.5:
+        return None
+    normal /= np.linalg.norm(normal)
+    side = np.cross(normal, along)
+    reach = points @ along
+    first, last = points[int(reach.argmin())], points[int(reach.argmax())]
+    half = 0.5 * STRIP_M * side
+    return np.stack([first - half, last - half, last + half, first + half]), normal
 
 
 def _start_contacts(

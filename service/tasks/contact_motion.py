@@ -269,6 +269,7 @@ class _Walker:
         solver = replace(self.solver, body=replace(body, nominal=first))
         starts = [straight_path(first, last, SWING_WAYPOINTS)]
         starts += [path_via(first, guess, last, SWING_WAYPOINTS) for _, guess in posture_guesses(solver.body)[1:3]]
+        starts = [_keep_contacts(body, start) for start in starts]
         with solver.monitor.step(spec.name, 0.5):
             solved = solver.solve_trajectory(spec.name, starts, {0: first, SWING_WAYPOINTS - 1: last})
             if not solved.is_feasible:
@@ -294,9 +295,17 @@ class _Walker:
         body = self.stand_on(contacts)
         solver = replace(self.solver, body=body)
         count = len(starts[0])
+        starts = [_keep_contacts(body, start) for start in starts]
         with solver.monitor.step(spec.name, 0.4):
             solved = solver.solve_trajectory(spec.name, starts, {0: starts[0][0], count - 1: starts[0][-1]})
         return _finish(spec, body, solved)
+
+
+def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
+    """Return a path between two configurations with all others moved onto the contacts that stay."""
+    inner = project_onto_holds(body.engine, path[1:-1], body.holds())
+    inner = np.clip(inner, body.robot.lower, body.robot.upper)
+    return np.concatenate([path[:1], inner, path[-1:]])
 
 
 def _finish(spec: ContactPhase, body: WholeBody, solved: Solved) -> PlannedPhase:
