@@ -22,6 +22,7 @@ from costs.robot import RobotModel
 from service.verify import PlantedContact, RelativePoseTarget
 from service.verify.ground import STANDING_DEPTH_M
 
+TURNING_DEPTH_M = 6e-3  # of a link that may turn about one or two contact points
 SAME_PLACE_M = 1e-9  # of contact points that are kept
 LINE_M = 0.02  # of a link that leaves a surface or arrives there, straight along the surface's normal
 
@@ -177,10 +178,15 @@ def find_link_pose(
 def make_contact_allowances(robot: RobotModel, contacts: Sequence[StanceContact]) -> tuple[Allowance, ...]:
     """Return the allowances of links in contact with the pieces behind their surfaces."""
     return tuple(
-        Allowance(BodyRef.of_link(contact.planted.link), BodyRef.of_piece(piece), STANDING_DEPTH_M)
+        Allowance(BodyRef.of_link(contact.planted.link), BodyRef.of_piece(piece), _find_depth(contact))
         for contact in contacts
         for piece in contact.surface.pieces
     )
+
+
+def _find_depth(contact: StanceContact) -> float:
+    """Return how deep a link may be in what it touches: deeper where it may turn about its points [m]."""
+    return STANDING_DEPTH_M if len(contact.planted.sole) >= 3 else TURNING_DEPTH_M
 
 
 def find_unjoined(stances: Sequence[ContactStance]) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance
 from costs.contact import Contact
 from costs.static_region import StaticRegionError
-from costs.terms import Joined
+from costs.terms import AxisDirection, Joined, NormWithin
 from scopt import Constraint, Sense
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
@@ -32,7 +32,8 @@ from service.demands.stances import (
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
 TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
 LINE_TOLERANCE = 1e-4  # of a link on its line, at the waypoints [m, rad]
-DEPTH_RESERVE = 1e-3  # of an allowance, for the curve between waypoints [m]
+MOST_LEAN = float(np.deg2rad(8.0))  # of a patch that may turn about its points, off its surface
+DEPTH_RESERVE = 2e-3  # of an allowance, for the curve between waypoints [m]
 
 
 @dataclass(frozen=True)
@@ -206,6 +207,26 @@ class _Walker:
             )
             for contact in placed
         ]
+        constraints += [
+            Constraint(
+                f"side of {contact.patch}",
+                NormWithin(
+                    AxisDirection(
+                        body.robot,
+                        contact.planted.link,
+                        one,
+                        body.robot.contacts[contact.patch].normals.mean(axis=0),
+                        contact.surface.normal,
+                    ),
+                    2,
+                    MOST_LEAN,
+                ),
+                tolerance=0.1 * MOST_LEAN,
+                unit="rad",
+            )
+            for contact in (*kept, *placed)
+            if len(contact.planted.sole) < 3
+        ]
         contacts = [_as_contact(contact) for contact in kept]
         normals = {k: contact.surface.normal for k, contact in enumerate(kept)}
         limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
@@ -283,7 +304,7 @@ class _Walker:
                     if again.is_feasible:
                         solved = again
                         break
-        return _finish(spec, body, solved)
+        return _finish(spec, body, solved, _solve_between(solver, spec.name))
 
     def _move(
         self,
@@ -298,7 +319,7 @@ class _Walker:
         starts = [_keep_contacts(body, start) for start in starts]
         with solver.monitor.step(spec.name, 0.4):
             solved = solver.solve_trajectory(spec.name, starts, {0: starts[0][0], count - 1: starts[0][-1]})
-        return _finish(spec, body, solved)
+        return _finish(spec, body, solved, _solve_between(solver, spec.name))
 
 
 def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
@@ -308,7 +329,17 @@ def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.
     return np.concatenate([path[:1], inner, path[-1:]])
 
 
-def _finish(spec: ContactPhase, body: WholeBody, solved: Solved) -> PlannedPhase:
+def _solve_between(solver: PhaseSolver, name: str) -> Callable[[Float[np.ndarray, "T n"]], Solved]:
+    """Return a function that solves a phase again from a denser trajectory, between its ends."""
+    return lambda q: solver.solve_trajectory(name, [q], {0: q[0], len(q) - 1: q[-1]})
+
+
+def _finish(
+    spec: ContactPhase,
+    body: WholeBody,
+    solved: Solved,
+    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None,
+) -> PlannedPhase:
     """Return a solved phase with its promises.
 
     Raises:
@@ -322,6 +353,7 @@ def _finish(spec: ContactPhase, body: WholeBody, solved: Solved) -> PlannedPhase
         solved.x,
         True,
         targets=lambda at: spec.list_targets(),
+        resolve=resolve,
         body=replace(body, touches=spec.list_allowances(robot)),
     )
 
