@@ -125,11 +125,13 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: 
         raise TimingError("an untimed motion cannot be slowed")
     law = motion.law
     rests = np.flatnonzero(law.speed <= 1e-12)
+    stretches = list(pairwise(rests))
     for _ in range(4):
         poll()
         factor = np.ones(len(law.times) - 1)
-        for a, b in pairwise(rests):
+        for a, b in stretches:
             factor[a:b] = _compute_slowdown(motion, law, float(law.path[a]), float(law.path[b]), time_step_s, reserve_m)
+        stretches = [(a, b) for a, b in stretches if factor[a] > 1.0]
         if np.all(factor <= 1.0):
             break
         law = _stretch_law(law, factor)

@@ -142,7 +142,7 @@ class _Walker:
         if leaving:
             with monitor.step(f"{after.name}: pose on what stays", 0.2):
                 left = self._pose(
-                    f"{after.name}: pose on what stays", kept, leaving, self._guess(self.guesses.leave, after, at)
+                    f"{after.name}: pose on what stays", kept, leaving, at, self._guess(self.guesses.leave, after, at)
                 )
             phases.append(self._move(by_kind["shift"], before.contacts, [straight_path(at, left, SHIFT_WAYPOINTS)]))
             lifted = self._line(by_kind["lift"], kept, leaving, left, is_up=True)
@@ -154,6 +154,7 @@ class _Walker:
                     f"{after.name}: pose at the new places",
                     kept,
                     arriving,
+                    here,
                     self._guess(self.guesses.arrive, after, here),
                 )
             landing = self._line(by_kind["land"], kept, arriving, made, is_up=False)
@@ -186,6 +187,7 @@ class _Walker:
         step: str,
         kept: tuple[StanceContact, ...],
         placed: tuple[StanceContact, ...],
+        at: Float[np.ndarray, "n"],
         guesses: Sequence[Float[np.ndarray, "n"]],
     ) -> Float[np.ndarray, "n"]:
         """Return a configuration with all contacts in place, held by those kept alone.
@@ -195,7 +197,7 @@ class _Walker:
         """
         if not kept:
             raise StuckError(step, (f"{step}: no contact stays where it is",), guesses[0])
-        body = self.stand_on(kept, placed)
+        body = replace(self.stand_on(kept, placed), nominal=at)
         one = np.zeros(1, dtype=int)
         constraints = [
             Constraint(

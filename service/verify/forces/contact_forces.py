@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog, nnls
 
 from costs.stopping import poll
@@ -16,7 +16,7 @@ TOLERANCE = 1e-5
 _EDGES = 8  # of the pyramid inside a friction cone, for the programs
 _EXACT = 1e3  # weight of the wrench against torques in a least-squares program
 _SMALL = 1e-2  # weight of the size of forces in it
-_PASSES = 2
+_REFERENCES = 12  # samples whose forces are tried for all others
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,10 @@ class Joints:
     torque: Float[np.ndarray, "S k"]
     lever: Float[np.ndarray, "S k 3C"]
     effort: Float[np.ndarray, "k"]
+
+    def take(self, rows: Int[np.ndarray, "R"]) -> Joints:
+        """Return some of the samples."""
+        return Joints(self.torque[rows], self.lever[rows], self.effort)
 
     def measure_shares(self, forces: Float[np.ndarray, "S 3C"]) -> Float[np.ndarray, "S k"]:
         """Return torques under contact forces relative to their limits."""
@@ -101,22 +105,38 @@ class ContactShare:
         forces = wanted @ self._least.T
         missing, shares = self._judge(wanted, forces, joints)
         limit = TOLERANCE * self.weight
-        rows = np.flatnonzero((missing > limit) | (shares > 1.0).any(axis=1))
-        for attempt in range(_PASSES):
-            for row in rows.tolist():
+
+        def find_open() -> Int[np.ndarray, "R"]:
+            return np.flatnonzero((missing > limit) | (shares > 1.0).any(axis=1))
+
+        def keep_better(rows: Int[np.ndarray, "R"], better: Float[np.ndarray, "R 3C"]) -> None:
+            miss, share = self._judge(wanted[rows], better, None if joints is None else joints.take(rows))
+            was = np.maximum(missing[rows], limit) + self.weight * np.maximum(
+                shares[rows].max(axis=1, initial=0.0), 1.0
+            )
+            now = np.maximum(miss, limit) + self.weight * np.maximum(share.max(axis=1, initial=0.0), 1.0)
+            taken = now < was
+            forces[rows[taken]], missing[rows[taken]], shares[rows[taken]] = better[taken], miss[taken], share[taken]
+
+        # Wrenches change little from sample to sample: forces found for one of them, corrected, hold its neighbours.
+        rows = find_open()
+        for _ in range(_REFERENCES):
+            if not len(rows):
+                break
+            poll()
+            middle = int(rows[len(rows) // 2])
+            own = None if joints is None else joints.take(np.array([middle]))
+            force = self._spread(wanted[middle], own)
+            keep_better(rows, force + (wanted[rows] - wanted[middle]) @ self._least.T)
+            rows = find_open()
+            rows = rows[rows != middle]
+        for solve in (self._spread, self._program):
+            for row in find_open().tolist():
                 poll()
-                own = None if joints is None else Joints(joints.torque[[row]], joints.lever[[row]], joints.effort)
-                force = self._spread(wanted[row], own) if attempt == 0 else self._program(wanted[row], own)
-                if force is None:
-                    continue
-                miss, share = self._judge(wanted[[row]], force[None], own)
-                if (miss[0] > limit, max(share.max(initial=0.0), 1.0), miss[0]) < (
-                    missing[row] > limit,
-                    max(shares[row].max(initial=0.0), 1.0),
-                    missing[row],
-                ):
-                    forces[row], missing[row], shares[row] = force, miss[0], share[0]
-            rows = rows[(missing[rows] > limit) | (shares[rows] > 1.0).any(axis=1)]
+                one = np.array([row])
+                found = solve(wanted[row], None if joints is None else joints.take(one))
+                if found is not None:
+                    keep_better(one, found[None])
         missing = np.where(missing <= limit, 0.0, missing)
         return ContactForces(forces.reshape(len(wrench), len(self.ground.points), 3), missing, shares)
 
