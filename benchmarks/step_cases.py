@@ -23,6 +23,7 @@ from service.setup.world import build_obstacles
 Data = dict[str, Any]
 SOLE_MIDDLE_M = 0.0425  # of Atlas's sole ahead of its ankle
 HALF_STANCE_M = 0.11
+SEATED_MARGIN_M = 5e-3  # clearance of a solved start
 
 
 def make_stones(seed: int) -> Data:
@@ -117,7 +118,7 @@ def make_chair(seed: int, robot: RobotModel) -> Data:
         "scene": {
             "floor": True,
             "obstacles": [
-                {"name": "seat", "type": "box", "size": [0.3, 0.1, height], "position": [-0.08, 0.0, 0.5 * height]}
+                {"name": "seat", "type": "box", "size": [0.3, 0.08, height], "position": [-0.08, 0.0, 0.5 * height]}
             ],
         },
         "task": {
@@ -171,7 +172,7 @@ def sit_down(
     for name, (surface, place) in places.items():
         pose = find_link_pose(robot.contacts[name], surfaces[surface], np.array(place), 0.0)
         contacts.append(place_patch(robot.contacts[name], name, surfaces[surface], pose))
-    aims = Aims(request.options.margin_m, request.options.balance_margin_m)
+    aims = Aims(SEATED_MARGIN_M, request.options.balance_margin_m)
     body = WholeBody.standing(robot, scene, guess, (), aims)
     one = np.zeros(1, dtype=int)
     constraints = [

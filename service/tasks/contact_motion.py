@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.allowance import Allowance
 from costs.contact import Contact
+from costs.robot import BASE_NAMES
+from costs.state import MotionState
 from costs.static_region import StaticRegionError
 from costs.terms import AxisDirection, Joined, NormWithin
 from scopt import Constraint, Sense
@@ -32,7 +34,11 @@ from service.demands.stances import (
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
 TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
 LINE_TOLERANCE = 1e-4  # of a link on its line, at the waypoints [m, rad]
-MOST_LEAN = float(np.deg2rad(8.0))  # of a patch that may turn about its points, off its surface
+MOST_LEAN = float(np.deg2rad(12.0))  # of a patch that may turn about its points, off its surface
+MORE_LEAN = float(np.deg2rad(3.0))  # the same between poses
+N_TREES, TREE_CHECKS = 2, 1500  # of sampled starts of a swing
+N_TRIES = 3  # of a change of contacts, from other guesses
+SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
 DEPTH_RESERVE = 2e-3  # of an allowance, for the curve between waypoints [m]
 
 
@@ -73,7 +79,7 @@ def plan_contact_motion(
         finish: posture to end in, on the last stance.
         guesses: poses that are known already.
     """
-    walker = _Walker(solver, PoseGuesses({}, {}) if guesses is None else guesses)
+    walker = _Walker(solver, PoseGuesses({}, {}) if guesses is None else guesses, np.zeros(solver.body.robot.n))
     specs = list_contact_phases(stances, has_finish=finish is not None)
     order = tuple(spec.name for spec in specs)
     phases: list[PlannedPhase] = []
@@ -82,7 +88,7 @@ def plan_contact_motion(
     try:
         for before, after in pairwise(stances):
             own = [spec for spec in specs if spec.name.startswith(f"{after.name}: ")]
-            for phase in walker.change(own, before, after, at):
+            for phase in walker.try_change(own, before, after, at):
                 phases.append(phase)
                 at = phase.q[-1]
         if finish is not None:
@@ -101,6 +107,7 @@ class _Walker:
 
     solver: PhaseSolver
     guesses: PoseGuesses
+    noise: Float[np.ndarray, "n"]
 
     @property
     def start(self) -> WholeBody:
@@ -124,6 +131,30 @@ class _Walker:
             ) from None
         return self.start.on_contacts(planted, touches, region)
 
+    def try_change(
+        self,
+        specs: Sequence[ContactPhase],
+        before: ContactStance,
+        after: ContactStance,
+        at: Float[np.ndarray, "n"],
+    ) -> Sequence[PlannedPhase]:
+        """Return the phases from one stance to the next, perhaps from random guesses of the poses.
+
+        Raises:
+            StuckError: of the first try, where none succeeds.
+        """
+        first: StuckError | None = None
+        rng = np.random.default_rng(self.solver.seed)
+        for k in range(min(N_TRIES, self.solver.most_starts)):
+            noise = np.zeros(len(at)) if k == 0 else SPREAD * rng.normal(size=len(at))
+            noise[: len(BASE_NAMES)] = 0.0
+            try:
+                return replace(self, noise=noise).change(specs, before, after, at)
+            except StuckError as error:
+                first = first or error
+        assert first is not None
+        raise first
+
     def change(
         self,
         specs: Sequence[ContactPhase],
@@ -144,7 +175,7 @@ class _Walker:
                 left = self._pose(
                     f"{after.name}: pose on what stays", kept, leaving, at, self._guess(self.guesses.leave, after, at)
                 )
-            phases.append(self._move(by_kind["shift"], before.contacts, [straight_path(at, left, SHIFT_WAYPOINTS)]))
+            phases.append(self._move(by_kind["shift"], at, left, SHIFT_WAYPOINTS))
             lifted = self._line(by_kind["lift"], kept, leaving, left, is_up=True)
             phases.append(lifted)
             here = lifted.q[-1]
@@ -172,7 +203,7 @@ class _Walker:
         if not end.is_feasible:
             raise StuckError(spec.name, (), end.x[0], Stuck(spec.name, end))
         last = project_onto_holds(body.engine, end.x, body.holds())[0]
-        return self._move(spec, spec.contacts, [straight_path(at, last, SWING_WAYPOINTS)])
+        return self._move(spec, at, last, SWING_WAYPOINTS)
 
     def _guess(
         self, known: Mapping[str, Float[np.ndarray, "n"]], stance: ContactStance, at: Float[np.ndarray, "n"]
@@ -180,7 +211,8 @@ class _Walker:
         """Return guesses for a pose: a known one, the present one, then the robot's postures."""
         own = [known[stance.name]] if stance.name in known else []
         postures = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
-        return [*own, at, *postures]
+        near = np.clip(at + self.noise, self.start.robot.lower, self.start.robot.upper)
+        return [*own, near, *postures]
 
     def _pose(
         self,
@@ -209,26 +241,7 @@ class _Walker:
             )
             for contact in placed
         ]
-        constraints += [
-            Constraint(
-                f"side of {contact.patch}",
-                NormWithin(
-                    AxisDirection(
-                        body.robot,
-                        contact.planted.link,
-                        one,
-                        body.robot.contacts[contact.patch].normals.mean(axis=0),
-                        contact.surface.normal,
-                    ),
-                    2,
-                    MOST_LEAN,
-                ),
-                tolerance=0.1 * MOST_LEAN,
-                unit="rad",
-            )
-            for contact in (*kept, *placed)
-            if len(contact.planted.sole) < 3
-        ]
+        constraints += _keep_sides(body, (*kept, *placed), one)
         contacts = [_as_contact(contact) for contact in kept]
         normals = {k: contact.surface.normal for k, contact in enumerate(kept)}
         limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
@@ -277,6 +290,8 @@ class _Walker:
         start = np.tile(pose, (LINE_WAYPOINTS, 1))
         solver = replace(self.solver, body=body)
         with solver.monitor.step(spec.name, 0.4):
+            inner = np.array(sorted(shares))
+            constraints += _keep_sides(body, kept, inner, MORE_LEAN)
             solved = solver.solve_trajectory(spec.name, [start], {at: pose}, constraints=constraints)
         return _finish(spec, body, solved)
 
@@ -289,39 +304,69 @@ class _Walker:
     ) -> PlannedPhase:
         """Return the free phase between two lines."""
         body = self.stand_on(kept)
-        solver = replace(self.solver, body=replace(body, nominal=first))
+        guide = replace(body, nominal=first)
         starts = [straight_path(first, last, SWING_WAYPOINTS)]
-        starts += [path_via(first, guess, last, SWING_WAYPOINTS) for _, guess in posture_guesses(solver.body)[1:3]]
-        starts = [_keep_contacts(body, start) for start in starts]
-        with solver.monitor.step(spec.name, 0.5):
-            solved = solver.solve_trajectory(spec.name, starts, {0: first, SWING_WAYPOINTS - 1: last})
-            if not solved.is_feasible:
-                for seed in range(2):
-                    corners = solver.sample_corners(first, last, Tree(seed, 1500))
-                    if corners is None:
-                        continue
-                    again = solver.solve_trajectory(
-                        spec.name, [_resample(corners, 2 * SWING_WAYPOINTS)], {0: first, 2 * SWING_WAYPOINTS - 1: last}
-                    )
-                    if again.is_feasible:
-                        solved = again
-                        break
-        return _finish(spec, body, solved, _solve_between(solver, spec.name))
+        starts += [path_via(first, guess, last, SWING_WAYPOINTS) for _, guess in posture_guesses(guide)[1:3]]
+        solve = self._solve_between(spec, body)
+        with self.solver.monitor.step(spec.name, 0.5):
+            solved = solve([_keep_contacts(body, start) for start in starts])
+            for seed in range(N_TREES):
+                if solved.is_feasible:
+                    break
+                corners = replace(self.solver, body=guide).sample_corners(first, last, Tree(seed, TREE_CHECKS))
+                if corners is not None:
+                    around = solve([_resample(corners, 2 * SWING_WAYPOINTS)])
+                    solved = around if around.is_feasible else solved
+        return _finish(spec, body, solved, lambda q: solve([q]))
 
     def _move(
-        self,
-        spec: ContactPhase,
-        contacts: tuple[StanceContact, ...],
-        starts: Sequence[Float[np.ndarray, "T n"]],
+        self, spec: ContactPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
     ) -> PlannedPhase:
         """Return a phase between two configurations on contacts that stay."""
-        body = self.stand_on(contacts)
+        body = self.stand_on(spec.contacts)
+        solve = self._solve_between(spec, body)
+        with self.solver.monitor.step(spec.name, 0.4):
+            solved = solve([_keep_contacts(body, straight_path(first, last, n_waypoints))])
+        return _finish(spec, body, solved, lambda q: solve([q]))
+
+    def _solve_between(
+        self, spec: ContactPhase, body: WholeBody
+    ) -> Callable[[Sequence[Float[np.ndarray, "T n"]]], Solved]:
+        """Return a function that solves a phase between the ends of trajectories to start from."""
         solver = replace(self.solver, body=body)
-        count = len(starts[0])
-        starts = [_keep_contacts(body, start) for start in starts]
-        with solver.monitor.step(spec.name, 0.4):
-            solved = solver.solve_trajectory(spec.name, starts, {0: starts[0][0], count - 1: starts[0][-1]})
-        return _finish(spec, body, solved, _solve_between(solver, spec.name))
+
+        def solve(starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
+            last = len(starts[0]) - 1
+            sides = _keep_sides(body, spec.contacts, np.arange(1, last), MORE_LEAN)
+            return solver.solve_trajectory(spec.name, starts, {0: starts[0][0], last: starts[0][-1]}, constraints=sides)
+
+        return solve
+
+
+def _keep_sides(
+    body: WholeBody, contacts: Sequence[StanceContact], waypoints: Int[np.ndarray, "S"], more: float = 0.0
+) -> list[Constraint[MotionState]]:
+    """Return constraints that links which may turn about their contact points keep their patches on the surfaces."""
+    return [
+        Constraint(
+            f"side of {contact.patch}",
+            NormWithin(
+                AxisDirection(
+                    body.robot,
+                    contact.planted.link,
+                    waypoints,
+                    body.robot.contacts[contact.patch].normals.mean(axis=0),
+                    contact.surface.normal,
+                ),
+                2,
+                MOST_LEAN + more,
+            ),
+            tolerance=0.1 * MOST_LEAN,
+            unit="rad",
+        )
+        for contact in contacts
+        if len(contact.planted.sole) < 3
+    ]
 
 
 def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
@@ -329,11 +374,6 @@ def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.
     inner = project_onto_holds(body.engine, path[1:-1], body.holds())
     inner = np.clip(inner, body.robot.lower, body.robot.upper)
     return np.concatenate([path[:1], inner, path[-1:]])
-
-
-def _solve_between(solver: PhaseSolver, name: str) -> Callable[[Float[np.ndarray, "T n"]], Solved]:
-    """Return a function that solves a phase again from a denser trajectory, between its ends."""
-    return lambda q: solver.solve_trajectory(name, [q], {0: q[0], len(q) - 1: q[-1]})
 
 
 def _finish(

@@ -106,6 +106,14 @@ class CoalSolid:
         return centre, float(np.linalg.norm(self.vertices - centre, axis=1).max())
 
     @cached_property
+    def normals(self) -> Float[np.ndarray, "F 3"]:
+        """Outward unit normals of the hull's faces, in the frame of the joint; none for a flat hull."""
+        try:
+            return np.unique(np.round(ConvexHull(self.vertices).equations[:, :3], 12), axis=0)
+        except QhullError:
+            return np.zeros((0, 3))
+
+    @cached_property
     def convex(self) -> coal.Convex:
         """Convex of coal."""
         return make_coal_convex(self.vertices)
