@@ -76,6 +76,7 @@ def build_robot(
         mechanism_links=frozenset(),
         source=RobotSource(format_urdf(urdf), srdf_source, files),
         ignored_reasons=reasons,
+        contacts={},
     )
 
 

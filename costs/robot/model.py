@@ -75,7 +75,7 @@ class RobotModel:
         source: the files it came from.
         ignored_reasons: reason for each of ``ignored_pairs``: ``srdf (its reason)``, ``adjacent``, ``derived`` (they
             overlap in nearly all poses), ``same joint``; for users only, no check relies on it.
-        contacts: patches that may carry force, by name.
+        contacts: patches by name that may carry force, on the surfaces of the bodies (``costs.robot.contact_patches``).
     """
 
     name: str

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from costs.contact import Contact
 from costs.names import would_do
-from costs.robot.atlas import load_atlas
+from costs.robot.atlas import load_atlas, load_contacts
 from costs.robot.errors import RobotError
 from costs.robot.load import Root, load_files
 from costs.robot.model import RobotModel
@@ -17,6 +18,17 @@ _BUNDLED = {"atlas": "Atlas v5: 30 joints, floating base, 158.6 kg, a hook on ea
 def bundled_robots() -> Mapping[str, str]:
     """Return the description of each robot that ships with the package, by name."""
     return dict(_BUNDLED)
+
+
+def bundled_contacts(name: str) -> Mapping[str, Contact]:
+    """Return the contact patches by name of a bundled robot, without loading the robot.
+
+    Raises:
+        RobotError: no such robot.
+    """
+    if name not in _BUNDLED:
+        raise RobotError(f"unknown robot '{name}'; expected {would_do(name, _BUNDLED)}")
+    return load_contacts()
 
 
 def load_robot(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import Annotated
@@ -157,11 +158,41 @@ def view_command(result: ResultPath) -> None:
 
 @command()
 def robots_command(as_json: Json = False) -> None:
-    """List the robots that ship with scopt."""
-    from costs.robot import bundled_robots
+    """List the robots that ship with scopt, and the patches of theirs that may carry force."""
+    from costs.robot import PATCH_DEFAULTS, bundled_contacts, bundled_robots
 
-    robots = bundled_robots()
+    robots, out = bundled_robots(), consoles()[0]
+    contacts = {name: bundled_contacts(name) for name in robots}
     if as_json:
-        print_json({"robots": [{"name": name, "description": text} for name, text in robots.items()]})
-    else:
-        print_table(consoles()[0], ("robot", "description"), list(robots.items()))
+        listed = [
+            {
+                "name": name,
+                "description": text,
+                "contacts": {
+                    patch: {
+                        "link": contact.link,
+                        "points": contact.points.tolist(),
+                        "normal": contact.normals[0].tolist(),
+                        "friction": contact.friction,
+                        "force_cap_n": contact.force_cap_n,
+                    }
+                    for patch, contact in contacts[name].items()
+                },
+            }
+            for name, text in robots.items()
+        ]
+        kinds = {kind: dataclasses.asdict(default) for kind, default in PATCH_DEFAULTS.items()}
+        print_json({"robots": listed, "contact_defaults": kinds})
+        return
+    print_table(out, ("robot", "description"), list(robots.items()))
+    columns = ("contact patch", "robot", "link", "points", "friction", "force cap per point")
+    rows = [
+        (patch, name, contact.link, str(len(contact.points)), f"{contact.friction:g}", f"{contact.force_cap_n:g} N")
+        for name in robots
+        for patch, contact in contacts[name].items()
+    ]
+    out.print()
+    print_table(out, columns, rows)
+    out.print()
+    kinds_rows = [(kind, f"{d.friction:g}", f"{d.force_cap_n:g} N") for kind, d in PATCH_DEFAULTS.items()]
+    print_table(out, ("kind of a patch in a request", "friction", "force cap per point"), kinds_rows)

@@ -30,7 +30,7 @@ from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
 from service.setup.prepare import resolve_start
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
-from service.start.robot import attach_bodies, load_requested_robot
+from service.start.robot import add_contact_patches, attach_bodies, load_requested_robot
 from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request
     missing = [attached.name for attached in request.attached if attached.name not in links]
     if missing:
         raise RequestError(f"attached: the robot in this folder does not carry {', '.join(missing)}")
-    return record.robot, "the robot in this folder"
+    return add_contact_patches(record.robot, request), "the robot in this folder"
 
 
 def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:

@@ -16,6 +16,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import UnplannedTaskError, shown
+from service.request.contact_patch import ContactPatchRequest
 from service.request.door import DoorRequest
 from service.request.fields import (
     MAX_JOINTS,
@@ -44,7 +45,8 @@ class RobotRequest(Section):
     """Robot: bundled (``name``), or read from ``urdf`` (with ``srdf``, ``package_dirs``).
 
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
-    distance of the bundled robot's hook from the hand's origin.
+    distance of the bundled robot's hook from the hand's origin. ``contacts`` are patches by name that may carry force,
+    besides those of a bundled robot or in their place.
     """
 
     name: Label | None = None
@@ -53,6 +55,7 @@ class RobotRequest(Section):
     package_dirs: Annotated[tuple[FilePath, ...], at_most(20)] = ()
     root: Literal["floating", "fixed"] | None = None
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
+    contacts: Annotated[dict[Label, ContactPatchRequest], at_most(100)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.kinematics import locate_frame
-from costs.robot import AttachedBody, RobotError, RobotModel, load_robot, with_attached
+from costs.robot import AttachedBody, PatchData, RobotError, RobotModel, load_robot, with_attached, with_contacts
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
 
@@ -19,20 +20,35 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
     """Load the bundled robot or the URDF of a request.
 
     Raises:
-        RequestError: a file is missing or cannot be used.
+        RequestError: a file is missing or cannot be used, or a contact patch is not on the robot's surface.
     """
     robot = request.robot
     try:
         if robot.urdf is None:
-            return load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m)
-        return load_robot(
-            urdf=_find_file(request, robot.urdf, "robot.urdf"),
-            srdf=None if robot.srdf is None else _find_file(request, robot.srdf, "robot.srdf"),
-            package_dirs=[request.resolve(folder) for folder in robot.package_dirs],
-            root=robot.root,
-        )
+            loaded = load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m)
+        else:
+            loaded = load_robot(
+                urdf=_find_file(request, robot.urdf, "robot.urdf"),
+                srdf=None if robot.srdf is None else _find_file(request, robot.srdf, "robot.srdf"),
+                package_dirs=[request.resolve(folder) for folder in robot.package_dirs],
+                root=robot.root,
+            )
     except RobotError as error:
         raise RequestError(f"robot: {error}") from None
+    return add_contact_patches(loaded, request)
+
+
+def add_contact_patches(robot: RobotModel, request: PlanRequest) -> RobotModel:
+    """Return the robot with the contact patches of a request, which add to its own or override them.
+
+    Raises:
+        RequestError: one line that names the patch and the point or field.
+    """
+    try:
+        patches = {name: PatchData(**dataclasses.asdict(patch)) for name, patch in request.robot.contacts.items()}
+        return with_contacts(robot, patches)
+    except RobotError as error:
+        raise RequestError(f"robot.contacts.{error}") from None
 
 
 def _find_file(request: PlanRequest, path: str, field: str) -> Path:

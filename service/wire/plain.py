@@ -118,7 +118,7 @@ def _map_value(field: FieldDescriptor) -> FieldDescriptor:
 
 def _value_to_plain(field: FieldDescriptor, value: Any) -> Any:
     if _is_map(field):
-        return dict(value)
+        return {key: _entry_to_plain(_map_value(field), entry) for key, entry in value.items()}
     if field.is_repeated:
         return [_entry_to_plain(field, entry) for entry in value]
     return _entry_to_plain(field, value)
@@ -150,9 +150,12 @@ def _field_for(message: Message, data: Any) -> FieldDescriptor | None:
 
 def _fill_field(message: Message, field: FieldDescriptor, value: Any, path: str) -> None:
     if _is_map(field):
-        mapping = getattr(message, field.name)
+        mapping, kind = getattr(message, field.name), _map_value(field)
         for key, entry in value.items():
-            mapping[key] = _to_scalar(_map_value(field), entry, f"{path}.{key}")
+            if kind.message_type is not None:
+                fill(mapping[key], entry, f"{path}.{key}")
+            else:
+                mapping[key] = _to_scalar(kind, entry, f"{path}.{key}")
     elif field.is_repeated:
         _fill_repeated(getattr(message, field.name), field, value, path)
     elif field.message_type is not None:

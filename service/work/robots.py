@@ -7,6 +7,8 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from pathlib import Path
 
+from pydantic import TypeAdapter
+
 from costs.robot import RobotModel
 from service.request.schema import PlanRequest, RobotRequest
 from service.start.robot import load_requested_robot
@@ -26,7 +28,7 @@ class RobotCache:
 
     def __init__(self, max_robots: int = MAX_ROBOTS) -> None:
         self._max_robots = max_robots
-        self._loaded: OrderedDict[tuple[RobotRequest, Path], tuple[tuple[Stamp, ...], RobotModel]] = OrderedDict()
+        self._loaded: OrderedDict[tuple[str, Path], tuple[tuple[Stamp, ...], RobotModel]] = OrderedDict()
 
     def get(self, request: PlanRequest) -> RobotModel:
         """Return the robot of a request.
@@ -34,7 +36,7 @@ class RobotCache:
         Raises:
             RequestError: it cannot be loaded.
         """
-        key = (request.robot, request.folder)
+        key = (TypeAdapter(RobotRequest).dump_json(request.robot).decode(), request.folder)
         known = self._loaded.get(key)
         if known is None or known[0] != _read_stamps(path for path, _, _ in known[0]):
             # Stamps of before and after, so that a file that changes meanwhile is read again next time.

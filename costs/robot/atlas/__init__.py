@@ -10,8 +10,11 @@ the feet.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
+from costs.contact import Contact
 from costs.robot.atlas.description import DEFAULT_TOOL_DISTANCE, FOLDER, format_urdf
+from costs.robot.contact_patches import read_patches
 from costs.robot.load import Root, build_robot
 from costs.robot.model import RobotModel
 from costs.robot.xmlfile import read_xml_text
@@ -25,4 +28,10 @@ def load_atlas(root: Root, tool_distance_m: float | None, locked_joints: Mapping
     else:
         text = format_urdf(tool_distance_m)
     roots = (FOLDER.parent,)
-    return build_robot(text, read_xml_text(srdf), roots, root, locked_joints, str(urdf), str(srdf))
+    robot = build_robot(text, read_xml_text(srdf), roots, root, locked_joints, str(urdf), str(srdf))
+    return replace(robot, contacts=load_contacts())
+
+
+def load_contacts() -> dict[str, Contact]:
+    """Return the bundled Atlas's contact patches by name."""
+    return read_patches(FOLDER / "contacts.yaml")

@@ -8,6 +8,13 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class PatchKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    PATCH_KIND_UNSPECIFIED: _ClassVar[PatchKind]
+    PATCH_KIND_FOOT: _ClassVar[PatchKind]
+    PATCH_KIND_TRUNK: _ClassVar[PatchKind]
+    PATCH_KIND_ARM: _ClassVar[PatchKind]
+
 class RootJoint(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     ROOT_JOINT_UNSPECIFIED: _ClassVar[RootJoint]
@@ -94,6 +101,10 @@ class QpSolver(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     QP_SOLVER_PIQP: _ClassVar[QpSolver]
     QP_SOLVER_CLARABEL: _ClassVar[QpSolver]
     QP_SOLVER_CVXPY: _ClassVar[QpSolver]
+PATCH_KIND_UNSPECIFIED: PatchKind
+PATCH_KIND_FOOT: PatchKind
+PATCH_KIND_TRUNK: PatchKind
+PATCH_KIND_ARM: PatchKind
 ROOT_JOINT_UNSPECIFIED: RootJoint
 ROOT_JOINT_FLOATING: RootJoint
 ROOT_JOINT_FIXED: RootJoint
@@ -169,20 +180,45 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts")
+    class ContactsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: ContactPatch
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[ContactPatch, _Mapping]] = ...) -> None: ...
     NAME_FIELD_NUMBER: _ClassVar[int]
     URDF_FIELD_NUMBER: _ClassVar[int]
     SRDF_FIELD_NUMBER: _ClassVar[int]
     PACKAGE_DIRS_FIELD_NUMBER: _ClassVar[int]
     ROOT_FIELD_NUMBER: _ClassVar[int]
     TOOL_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    CONTACTS_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
     package_dirs: _containers.RepeatedScalarFieldContainer[str]
     root: RootJoint
     tool_distance_m: float
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ...) -> None: ...
+    contacts: _containers.MessageMap[str, ContactPatch]
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ...) -> None: ...
+
+class ContactPatch(_message.Message):
+    __slots__ = ("link", "points", "normal", "kind", "friction", "force_cap_n")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    FRICTION_FIELD_NUMBER: _ClassVar[int]
+    FORCE_CAP_N_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    points: _containers.RepeatedCompositeFieldContainer[Point]
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    kind: PatchKind
+    friction: float
+    force_cap_n: float
+    def __init__(self, link: _Optional[str] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., normal: _Optional[_Iterable[float]] = ..., kind: _Optional[_Union[PatchKind, str]] = ..., friction: _Optional[float] = ..., force_cap_n: _Optional[float] = ...) -> None: ...
 
 class Pose(_message.Message):
     __slots__ = ("position", "quaternion_wxyz")
