@@ -16,7 +16,7 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.state import LoadedState, MotionState
 from costs.terms import AxisDirection, ContactForce, FramePose, JointTarget, PointHalfSpace, Positive
-from scopt import Cost, Residual, Settings
+from scopt import Cost, Residual, Settings, Status
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.whole_body import Aims, WholeBody
 from service.request.egress import SideRequest, WeightsRequest
@@ -25,6 +25,7 @@ from service.verify.ground import STANDING_DEPTH_M
 
 MARGIN_M = 0.01  # clearance from the world; half of it between the robot's own links
 EFFORT = Settings(max_iterations=60, max_penalty_raises=3, patience=25)
+STRICT = 100.0  # factor of the first penalty where a solve ended with violations that are merely acceptable
 TURNS = (False,) * 3 + (True,) * 3  # rows of a frame's pose that are its orientation
 UPRIGHT_GROUP, FEET_GROUP, ARM_GROUPS = "upright", "feet", ("left_arm", "right_arm")
 TRIES = 8  # starts of a solve that has to succeed: the given ones, then these moved at random
@@ -117,19 +118,28 @@ class PoseSolver:
         contacts = [_make_contact(robot, aim) for aim in bearing]
         normals = {k: aim.surface.normal for k, aim in enumerate(bearing)}
         places = [term for aim in aims for term in aim.make_constraints(robot)]
-        weights = shape.weights
-        return solve_equilibrium_pose(
-            self.body,
-            contacts,
-            shape.nominal if guess is None else guess,
-            ForceLimits(self.torque_share, self.margin_n, world_normals=normals),
-            (*shape.make_costs(self.body, aims), *_face_surfaces(robot, aims, weights.facing)),
-            places,
-            force_terms=_relieve_arms(robot, contacts, normals, weights.hand_forces),
-            allowances=make_allowances(robot, aims),
-            settings=self.settings,
-            should_stop=self.should_stop,
-        )
+        costs = [*shape.make_costs(self.body, aims), *_face_surfaces(robot, aims, shape.weights.facing)]
+        force_terms = _relieve_arms(robot, contacts, normals, shape.weights.hand_forces)
+        start = shape.nominal if guess is None else guess
+
+        def solve(start: Float[np.ndarray, "n"], settings: Settings) -> EquilibriumPose:
+            return solve_equilibrium_pose(
+                self.body,
+                contacts,
+                start,
+                ForceLimits(self.torque_share, self.margin_n, world_normals=normals),
+                costs,
+                places,
+                force_terms=force_terms,
+                allowances=make_allowances(robot, aims),
+                settings=settings,
+                should_stop=self.should_stop,
+            )
+
+        pose = solve(start, self.settings)
+        if pose.is_feasible or pose.result.status is not Status.ACCEPTABLE:
+            return pose
+        return solve(pose.q, replace(self.settings, penalty=STRICT * self.settings.penalty))
 
     def solve_from(
         self,
