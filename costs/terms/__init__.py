@@ -9,7 +9,7 @@ from costs.terms.joint import JointDifference, JointTarget
 from costs.terms.joint_torque import JointTorque, StaticTorque
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.wrappers import Between, Joined, Masked, NormWithin, Scaled, Widened, WithinTolerance
+from costs.terms.wrappers import Between, Joined, Masked, NormWithin, Positive, Scaled, Widened, WithinTolerance
 
 __all__ = [
     "AxisDirection",
@@ -33,6 +33,7 @@ __all__ = [
     "NormWithin",
     "PairClearance",
     "PointHalfSpace",
+    "Positive",
     "RequiredClearance",
     "Scaled",
     "StaticTorque",

@@ -134,6 +134,25 @@ class Joined(Residual[StateT]):
         return AffineRows.stack([residual.linearize(state) for residual in self._residuals])
 
 
+class Positive(Residual[StateT]):
+    """``max(r, 0)`` of each row ``r``: as a squared cost zero on one side and quadratic on the other.
+
+    Eq. 2 of Liu et al., Humanoids 2015, up to the sign of ``r``.
+    """
+
+    def __init__(self, residual: Residual[StateT]) -> None:
+        self.is_smooth = residual.is_smooth
+        self._residual = residual
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        return np.asarray(np.maximum(self._residual.value(state), 0.0))
+
+    def linearize(self, state: StateT) -> AffineRows:
+        rows = self._residual.linearize(state)
+        beyond = (rows.value > 0.0).astype(float)
+        return AffineRows(np.maximum(rows.value, 0.0), sparse.csr_array(sparse.diags_array(beyond) @ rows.jacobian))
+
+
 class NormWithin(Residual[StateT]):
     """``|r| - limit`` of the ``k`` rows of each waypoint, one row per waypoint: at most zero inside a ball.
 

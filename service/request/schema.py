@@ -19,6 +19,7 @@ from service.errors import UnplannedTaskError, shown
 from service.request.contact_patch import ContactPatchRequest
 from service.request.contacts import ContactsRequest
 from service.request.door import DoorRequest
+from service.request.egress import EgressRequest
 from service.request.fields import (
     MAX_JOINTS,
     SECTION,
@@ -183,14 +184,6 @@ class ValveRequest(Section):
             raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -360 to 360 except 0")
         if self.axis is not None and math.hypot(*self.axis) < 1e-6:
             raise PydanticCustomError("valve", "axis has no length; expected a direction such as [-1, 0, 0]")
-
-
-@dataclass(config=SECTION)
-class EgressRequest(Section):
-    """Task of leaving the vehicle detected in the scan (near ``hint``) on one ``side``."""
-
-    side: Literal["left", "right"] = "left"
-    hint: Point | None = None
 
 
 @dataclass(config=SECTION)

@@ -444,12 +444,127 @@ class Handle(_message.Message):
     def __init__(self, kind: _Optional[_Union[HandleKind, str]] = ..., centre: _Optional[_Iterable[float]] = ..., direction: _Optional[_Iterable[float]] = ..., length_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., turned_deg: _Optional[float] = ...) -> None: ...
 
 class Egress(_message.Message):
-    __slots__ = ("side", "hint")
+    __slots__ = ("side", "hint", "surfaces", "phases", "phases_file", "samples", "torque_share")
+    class SurfacesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: EgressSurface
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[EgressSurface, _Mapping]] = ...) -> None: ...
     SIDE_FIELD_NUMBER: _ClassVar[int]
     HINT_FIELD_NUMBER: _ClassVar[int]
+    SURFACES_FIELD_NUMBER: _ClassVar[int]
+    PHASES_FIELD_NUMBER: _ClassVar[int]
+    PHASES_FILE_FIELD_NUMBER: _ClassVar[int]
+    SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    TORQUE_SHARE_FIELD_NUMBER: _ClassVar[int]
     side: Side
     hint: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ...) -> None: ...
+    surfaces: _containers.MessageMap[str, EgressSurface]
+    phases: _containers.RepeatedCompositeFieldContainer[EgressPhase]
+    phases_file: str
+    samples: int
+    torque_share: float
+    def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ..., surfaces: _Optional[_Mapping[str, EgressSurface]] = ..., phases: _Optional[_Iterable[_Union[EgressPhase, _Mapping]]] = ..., phases_file: _Optional[str] = ..., samples: _Optional[int] = ..., torque_share: _Optional[float] = ...) -> None: ...
+
+class EgressSurface(_message.Message):
+    __slots__ = ("piece", "normal", "corners", "pieces", "friction")
+    PIECE_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    CORNERS_FIELD_NUMBER: _ClassVar[int]
+    PIECES_FIELD_NUMBER: _ClassVar[int]
+    FRICTION_FIELD_NUMBER: _ClassVar[int]
+    piece: str
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    corners: _containers.RepeatedCompositeFieldContainer[Point]
+    pieces: _containers.RepeatedScalarFieldContainer[str]
+    friction: float
+    def __init__(self, piece: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., corners: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., pieces: _Optional[_Iterable[str]] = ..., friction: _Optional[float] = ...) -> None: ...
+
+class EgressPhase(_message.Message):
+    __slots__ = ("name", "contacts", "postures", "weights", "sides", "sampled")
+    class ContactsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: EgressContact
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[EgressContact, _Mapping]] = ...) -> None: ...
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    CONTACTS_FIELD_NUMBER: _ClassVar[int]
+    POSTURES_FIELD_NUMBER: _ClassVar[int]
+    WEIGHTS_FIELD_NUMBER: _ClassVar[int]
+    SIDES_FIELD_NUMBER: _ClassVar[int]
+    SAMPLED_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    contacts: _containers.MessageMap[str, EgressContact]
+    postures: _containers.RepeatedCompositeFieldContainer[NominalPose]
+    weights: ShapeWeights
+    sides: _containers.RepeatedCompositeFieldContainer[PlaneSide]
+    sampled: bool
+    def __init__(self, name: _Optional[str] = ..., contacts: _Optional[_Mapping[str, EgressContact]] = ..., postures: _Optional[_Iterable[_Union[NominalPose, _Mapping]]] = ..., weights: _Optional[_Union[ShapeWeights, _Mapping]] = ..., sides: _Optional[_Iterable[_Union[PlaneSide, _Mapping]]] = ..., sampled: bool = ...) -> None: ...
+
+class EgressContact(_message.Message):
+    __slots__ = ("surface", "at", "toe", "yaw_deg", "region")
+    SURFACE_FIELD_NUMBER: _ClassVar[int]
+    AT_FIELD_NUMBER: _ClassVar[int]
+    TOE_FIELD_NUMBER: _ClassVar[int]
+    YAW_DEG_FIELD_NUMBER: _ClassVar[int]
+    REGION_FIELD_NUMBER: _ClassVar[int]
+    surface: str
+    at: _containers.RepeatedScalarFieldContainer[float]
+    toe: _containers.RepeatedScalarFieldContainer[float]
+    yaw_deg: float
+    region: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., toe: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., region: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class NominalPose(_message.Message):
+    __slots__ = ("base", "joints", "posture")
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    BASE_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
+    base: _containers.RepeatedScalarFieldContainer[float]
+    joints: _containers.ScalarMap[str, float]
+    posture: str
+    def __init__(self, base: _Optional[_Iterable[float]] = ..., joints: _Optional[_Mapping[str, float]] = ..., posture: _Optional[str] = ...) -> None: ...
+
+class ShapeWeights(_message.Message):
+    __slots__ = ("posture", "torso", "pelvis", "feet", "hand_forces", "facing")
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
+    TORSO_FIELD_NUMBER: _ClassVar[int]
+    PELVIS_FIELD_NUMBER: _ClassVar[int]
+    FEET_FIELD_NUMBER: _ClassVar[int]
+    HAND_FORCES_FIELD_NUMBER: _ClassVar[int]
+    FACING_FIELD_NUMBER: _ClassVar[int]
+    posture: float
+    torso: float
+    pelvis: float
+    feet: float
+    hand_forces: float
+    facing: float
+    def __init__(self, posture: _Optional[float] = ..., torso: _Optional[float] = ..., pelvis: _Optional[float] = ..., feet: _Optional[float] = ..., hand_forces: _Optional[float] = ..., facing: _Optional[float] = ...) -> None: ...
+
+class PlaneSide(_message.Message):
+    __slots__ = ("link", "normal", "limit", "point", "weight")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    LIMIT_FIELD_NUMBER: _ClassVar[int]
+    POINT_FIELD_NUMBER: _ClassVar[int]
+    WEIGHT_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    limit: float
+    point: _containers.RepeatedScalarFieldContainer[float]
+    weight: float
+    def __init__(self, link: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., limit: _Optional[float] = ..., point: _Optional[_Iterable[float]] = ..., weight: _Optional[float] = ...) -> None: ...
 
 class SceneSpec(_message.Message):
     __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file")

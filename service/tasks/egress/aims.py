@@ -1,0 +1,106 @@
+"""Contacts that a pose has to make: a patch of the robot on a surface, at a given place or anywhere on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.contact import Contact
+from costs.robot import RobotModel
+from costs.rotation import make_tangent_basis
+from costs.state import MotionState
+from costs.terms import ContactPlace, FramePose
+from scopt import Constraint, Sense
+from service.demands.stances import StanceContact, Surface, find_link_pose
+
+PLACE_TOLERANCE_M = 2e-5  # per row of a contact in its place
+FLAT_POINTS = 3  # from as many points on, a patch at its place fixes its link
+
+
+@dataclass(frozen=True)
+class ContactAim:
+    """A patch that has to touch a surface.
+
+    Attributes:
+        patch: name among the robot's contacts.
+        surface: that it touches.
+        place: (3,) where ``mark`` has to be, moved along the normal onto the surface; None for anywhere on it [m].
+        mark: (3,) the point of the link that has to be there, in the link's frame; the patch's middle by default [m].
+        yaw_rad: turn of the link's x axis about the normal; None for any.
+        fixed: exact place, instead of all these.
+    """
+
+    patch: str
+    surface: Surface
+    place: Float[np.ndarray, "3"] | None = None
+    mark: Float[np.ndarray, "3"] | None = None
+    yaw_rad: float | None = None
+    fixed: StanceContact | None = None
+
+    @staticmethod
+    def at(contact: StanceContact) -> ContactAim:
+        """Return the aim to be where a contact is."""
+        return ContactAim(contact.patch, contact.surface, fixed=contact)
+
+    def make_constraints(self, robot: RobotModel) -> list[Constraint[MotionState]]:
+        """Return the constraints that put the patch in its place, at waypoint 0.
+
+        Raises:
+            KeyError: the robot has no such patch.
+        """
+        patch = robot.contacts[self.patch]
+        if self.fixed is not None:
+            planted = self.fixed.planted
+            if len(patch.points) >= FLAT_POINTS:
+                return [self._name("place", FramePose(robot, patch.link, [0], planted.pose_world_link), "m or rad")]
+            term = ContactPlace.at(robot, patch.link, patch.points, [0], planted.points)
+            return [self._name("place", term)]
+        if self.place is not None and self.yaw_rad is not None and len(patch.points) >= FLAT_POINTS:
+            pose = self._find_link_pose(patch)
+            return [self._name("place", FramePose(robot, patch.link, [0], pose), "m or rad")]
+        return self._make_free_constraints(robot, patch)
+
+    def _make_free_constraints(self, robot: RobotModel, patch: Contact) -> list[Constraint[MotionState]]:
+        """Return constraints of a patch that may turn or move on its surface."""
+        surface = self.surface
+        normals, offsets = surface.list_edges()
+        level = float(surface.normal @ surface.corners[0])
+        on_plane = ContactPlace.on_plane(robot, patch.link, patch.points, [0], surface.normal, level)
+        inside = ContactPlace.inside(robot, patch.link, patch.points, [0], normals, offsets)
+        terms = [
+            self._name("plane", on_plane),
+            Constraint(f"{self.patch} within {surface.name}", inside, tolerance=PLACE_TOLERANCE_M, unit="m"),
+        ]
+        if self.place is not None:
+            along = make_tangent_basis(surface.normal)
+            mark = patch.points.mean(axis=0) if self.mark is None else self.mark
+            at = ContactPlace(robot, patch.link, mark[None], [0], along, along @ self.place)
+            terms.append(self._name("place", at))
+        return terms
+
+    def _find_link_pose(self, patch: Contact) -> Float[np.ndarray, "4 4"]:
+        """Return pose_world_link of the patch flat on its surface, its mark at the place and turned by the yaw."""
+        assert self.place is not None
+        pose = find_link_pose(patch, self.surface, self.place, self.yaw_rad or 0.0)
+        if self.mark is not None:
+            offset = pose[:3, :3] @ (patch.points.mean(axis=0) - self.mark)
+            pose[:3, 3] += offset - (offset @ self.surface.normal) * self.surface.normal
+        return pose
+
+    def _name(self, what: str, term: object, unit: str = "m") -> Constraint[MotionState]:
+        words = f"{self.patch} on {self.surface.name}: {what}"
+        return Constraint(words, term, Sense.EQUAL_ZERO, PLACE_TOLERANCE_M, unit=unit)  # type: ignore[arg-type]
+
+
+def find_toe(patch: Contact) -> Float[np.ndarray, "3"]:
+    """Return the middle of a patch's points that are farthest along its link's x axis, in the link's frame [m]."""
+    x = patch.points[:, 0]
+    return np.asarray(patch.points[x >= x.max() - 1e-3].mean(axis=0))
+
+
+def list_patches(aims: Sequence[ContactAim]) -> str:
+    """Return the patches as words: ``hip, left_foot``."""
+    return ", ".join(aim.patch for aim in aims)

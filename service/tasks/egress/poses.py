@@ -1,0 +1,222 @@
+"""Poses in equilibrium on a stance's contacts, with the shape and geometry costs of a phase."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance, BodyRef
+from costs.contact import Contact
+from costs.contact_points import ContactPoints
+from costs.kinematics import locate_links
+from costs.robot import BASE_NAMES, RobotModel
+from costs.scene import Scene
+from costs.state import LoadedState, MotionState
+from costs.terms import AxisDirection, ContactForce, FramePose, JointTarget, PointHalfSpace, Positive
+from scopt import Cost, Residual, Settings, Status
+from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
+from service.body.whole_body import Aims, WholeBody
+from service.request.egress import SideRequest, WeightsRequest
+from service.tasks.egress.aims import FLAT_POINTS, ContactAim
+from service.verify.ground import STANDING_DEPTH_M
+
+MARGIN_M = 0.01  # clearance from the world; half of it between the robot's own links
+EFFORT = Settings(max_iterations=60, max_penalty_raises=3, patience=25)
+STRICT = 100.0  # factor of the first penalty where a solve ended with violations that are merely acceptable
+TURNS = (False,) * 3 + (True,) * 3  # rows of a frame's pose that are its orientation
+UPRIGHT_GROUP, FEET_GROUP, ARM_GROUPS = "upright", "feet", ("left_arm", "right_arm")
+TRIES = 8  # starts of a solve that has to succeed: the given ones, then these moved at random
+BASE_SPREAD_M, JOINT_SPREAD = 0.05, 0.1  # standard deviations of moved starts [m, rad]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a pose should look like.
+
+    Attributes:
+        nominal: (n,) configuration to stay near; its pelvis and torso are the wanted orientations.
+        weights: of the costs.
+        sides: planes that points should not cross.
+    """
+
+    nominal: Float[np.ndarray, "n"]
+    weights: WeightsRequest
+    sides: tuple[SideRequest, ...] = ()
+
+    def make_costs(self, body: WholeBody, aims: Sequence[ContactAim] = ()) -> list[Cost[MotionState]]:
+        """Return the costs of a configuration at waypoint 0; feet count whose contacts may turn on their surfaces."""
+        robot, weights = body.robot, self.weights
+        joints = np.arange(len(BASE_NAMES), robot.n)
+        posture = JointTarget(1, robot.n, np.arange(1), joints, self.nominal[joints])
+        terms: list[tuple[str, Residual[MotionState], float]] = [("nominal posture", posture, weights.posture)]
+        wanted = locate_links(body.engine, self.nominal, robot.link_groups.get(UPRIGHT_GROUP, ()))
+        turning = {robot.contacts[aim.patch].link for aim in aims if aim.yaw_rad is None and aim.fixed is None}
+        feet = [link for link in robot.link_groups.get(FEET_GROUP, ()) if link in turning]
+        wanted |= locate_links(body.engine, self.nominal, feet)
+        each = [weights.pelvis, weights.torso][: len(wanted) - len(feet)] + [weights.feet] * len(feet)
+        for link, weight in zip(wanted, each, strict=True):
+            terms.append((f"orientation of {link}", FramePose(robot, link, [0], wanted[link], TURNS), weight))
+        for k, side in enumerate(self.sides):
+            beyond = PointHalfSpace(robot, side.link, [0], np.array(side.normal), side.limit, np.array(side.point))
+            terms.append((f"side {k} of {side.link}", Positive(beyond), side.weight))
+        return [Cost(name, term, weight) for name, term, weight in terms if weight > 0.0]
+
+
+@dataclass(frozen=True)
+class PoseSolver:
+    """Solver of poses of one robot in one scene.
+
+    Attributes:
+        body: the robot without planted links.
+        torque_share: of each joint's limit that a pose may need; None for any torque.
+        margin_n: error that the force at every contact point may have without leaving friction and cap [N].
+        settings: of the optimiser.
+        seed: of starts that are moved at random.
+        should_stop: polled before every trial step.
+    """
+
+    body: WholeBody
+    torque_share: float | None = 1.0
+    margin_n: float = 0.0
+    settings: Settings = EFFORT
+    seed: int = 0
+    should_stop: Callable[[], bool] | None = None
+
+    @staticmethod
+    def of(robot: RobotModel, scene: Scene, torque_share: float | None = 1.0, margin_n: float = 0.0) -> PoseSolver:
+        """Return a solver for a robot in a scene.
+
+        Raises:
+            KeyError: the robot has no posture ``stand``.
+        """
+        body = WholeBody.standing(robot, scene, robot.postures["stand"], (), Aims(MARGIN_M))
+        return PoseSolver(replace(body, has_default_costs=False), torque_share, margin_n)
+
+    def solve(
+        self,
+        aims: Sequence[ContactAim],
+        shape: Shape,
+        guess: Float[np.ndarray, "n"] | None = None,
+        loaded: Sequence[str] | None = None,
+    ) -> EquilibriumPose:
+        """Solve for a pose with all contacts in their places.
+
+        Args:
+            aims: the contacts.
+            shape: what the pose should look like.
+            guess: to start from; the nominal pose by default.
+            loaded: patches that carry force; all by default.  The others touch and carry nothing.
+
+        Raises:
+            KeyError: the robot has no such patch.
+        """
+        robot = self.body.robot
+        bearing = [aim for aim in aims if loaded is None or aim.patch in loaded]
+        contacts = [_make_contact(robot, aim) for aim in bearing]
+        normals = {k: aim.surface.normal for k, aim in enumerate(bearing)}
+        places = [term for aim in aims for term in aim.make_constraints(robot)]
+        costs = [*shape.make_costs(self.body, aims), *_face_surfaces(robot, aims, shape.weights.facing)]
+        force_terms = _relieve_arms(robot, contacts, normals, shape.weights.hand_forces)
+        start = shape.nominal if guess is None else guess
+
+        def solve(start: Float[np.ndarray, "n"], settings: Settings) -> EquilibriumPose:
+            return solve_equilibrium_pose(
+                self.body,
+                contacts,
+                start,
+                ForceLimits(self.torque_share, self.margin_n, world_normals=normals),
+                costs,
+                places,
+                force_terms=force_terms,
+                allowances=make_allowances(robot, aims),
+                settings=settings,
+                should_stop=self.should_stop,
+            )
+
+        pose = solve(start, self.settings)
+        if pose.is_feasible or pose.result.status is not Status.ACCEPTABLE:
+            return pose
+        return solve(pose.q, replace(self.settings, penalty=STRICT * self.settings.penalty))
+
+    def solve_from(
+        self,
+        aims: Sequence[ContactAim],
+        shapes: Sequence[Shape],
+        guesses: Sequence[Float[np.ndarray, "n"]] = (),
+        loaded: Sequence[str] | None = None,
+        tries: int = TRIES,
+    ) -> EquilibriumPose:
+        """Solve from one start after the other until a pose is feasible; the one with the largest reserve if none is.
+
+        Args:
+            aims: the contacts.
+            shapes: what the pose may look like; the first is used with the guesses.
+            guesses: starts to try before the shapes' nominal poses.
+            loaded: patches that carry force; all by default.
+            tries: largest number of starts.
+        """
+        starts = [(shapes[0], guess) for guess in guesses] + [(shape, shape.nominal) for shape in shapes]
+        best: EquilibriumPose | None = None
+        for shape, guess in self._vary(starts, tries):
+            pose = self.solve(aims, shape, guess, loaded)
+            if pose.is_feasible:
+                return pose
+            if best is None or pose.reserve_n > best.reserve_n:
+                best = pose
+        assert best is not None
+        return best
+
+    def _vary(
+        self, starts: Sequence[tuple[Shape, Float[np.ndarray, "n"]]], count: int
+    ) -> Iterator[tuple[Shape, Float[np.ndarray, "n"]]]:
+        """Yield the starts, then the same moved at random."""
+        robot, rng = self.body.robot, np.random.default_rng(self.seed)
+        spread = np.full(robot.n, JOINT_SPREAD)
+        spread[:3] = BASE_SPREAD_M
+        for k in range(count):
+            shape, guess = starts[k % len(starts)]
+            if k >= len(starts):
+                guess = np.clip(guess + spread * rng.normal(size=robot.n), robot.lower, robot.upper)
+            yield shape, guess
+
+
+def make_allowances(robot: RobotModel, aims: Sequence[ContactAim]) -> tuple[Allowance, ...]:
+    """Return the allowances of links that touch the pieces behind their surfaces."""
+    return tuple(
+        Allowance(BodyRef.of_link(robot.contacts[aim.patch].link), BodyRef.of_piece(piece), STANDING_DEPTH_M)
+        for aim in aims
+        for piece in aim.surface.pieces
+    )
+
+
+def _make_contact(robot: RobotModel, aim: ContactAim) -> Contact:
+    """Return the patch with the lower friction of patch and surface."""
+    patch = robot.contacts[aim.patch]
+    return replace(patch, friction=min(patch.friction, aim.surface.friction))
+
+
+def _face_surfaces(robot: RobotModel, aims: Sequence[ContactAim], weight: float) -> list[Cost[MotionState]]:
+    """Return costs that turn patches of few points towards their surfaces."""
+    costs: list[Cost[MotionState]] = []
+    for aim in aims:
+        patch = robot.contacts[aim.patch]
+        if weight > 0.0 and len(patch.points) < FLAT_POINTS:
+            term = AxisDirection(robot, patch.link, [0], patch.normals.mean(axis=0), aim.surface.normal)
+            costs.append(Cost(f"{aim.patch} faces {aim.surface.name}", term, weight))
+    return costs
+
+
+def _relieve_arms(
+    robot: RobotModel, contacts: Sequence[Contact], normals: dict[int, Float[np.ndarray, "3"]], weight: float
+) -> list[Cost[LoadedState]]:
+    """Return a cost of the forces on links of the arms."""
+    joints = {robot.model.getJointId(name) for group in ARM_GROUPS for name in robot.groups.get(group, ())}
+    is_arm = [robot.model.frames[robot.model.getFrameId(contact.link)].parentJoint in joints for contact in contacts]
+    if weight <= 0.0 or not any(is_arm):
+        return []
+    gain = np.repeat(np.array(is_arm, dtype=float), [len(contact.points) for contact in contacts])
+    points = ContactPoints.of(robot, contacts, normals)
+    return [Cost("forces on the arms", ContactForce(points, [0], gain=gain), weight)]
