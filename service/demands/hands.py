@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 PEG_RADIUS = 0.009  # [m]
+PEG_FROM_END = 0.03  # of the frame in the middle of the free rod, from the rod's end [m]
+FREE_BEFORE = 0.035  # of the free rod before that frame [m]
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
 SAME_VALUE = 1e-9  # of mechanism joints [rad, m]
 ANYWHERE = 100.0  # tolerance of a place that does not count [m]
+DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between the waypoints [m]
 JOINT_TOLERANCE = 1e-3  # of a mechanism's joint at the end of a phase [rad, m]
 
 
@@ -93,6 +94,8 @@ class PhaseSpec:
         fixed: values of the robot's joints at the first pose of the anchor.
         aims_at_end: whether the first guess of an anchor leads straight to a pose at its end.
         guess_rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
+        guess_touches: pairs that may overlap in the first guess of an anchor, which is solved beforehand.
+        depth_reserve_m: of the depths of ``touches``, for the curve between the waypoints [m].
     """
 
     name: str
@@ -108,6 +111,8 @@ class PhaseSpec:
     fixed: Mapping[str, float] = field(default_factory=dict)
     aims_at_end: bool = False
     guess_rates: Mapping[str, float] = field(default_factory=dict)
+    guess_touches: tuple[Allowance, ...] = ()
+    depth_reserve_m: float = DEPTH_RESERVE
 
     @property
     def moving(self) -> tuple[int, ...]:

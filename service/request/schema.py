@@ -36,6 +36,7 @@ from service.request.fields import (
 from service.request.resume import Hash, ResumeRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
+LEAST_STUCK_TURN_DEG = 10.0
 UNPLANNED = {"egress": "getting out of vehicles"}
 
 
@@ -160,23 +161,35 @@ class ValveRequest(Section):
     Attributes:
         mode: ``hook`` rests a hook between the spokes, ``grasp`` turns the hand with the wheel.
         hand: hand to use; ``auto`` tries both.
-        turn_deg: angle, positive counter-clockwise as seen by the robot.
+        turn_deg: angle, positive counter-clockwise as seen by the robot; beyond a turn with a new hold.
+        sense: whether the wheel turns in the sense of ``turn_deg``; if ``unknown`` it is only tried, a little each way.
+        stuck: whether it may be stuck: it is first rocked a little, for which the robot is held with twice the torque.
         centre, axis, radius: the rim's centre-line circle, axis towards the robot [m].
+        spokes_deg, spoke_width_m: angles of the spokes of a given valve, counter-clockwise as seen by the robot, from
+            the rim's rightmost point; and their width.
         torque_nm: torque that turns the wheel; the robot is held with it and without it.
     """
 
     mode: Literal["hook", "grasp"] = "hook"
     hand: Literal["left", "right", "auto"] = "auto"
-    turn_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = 360.0
+    turn_deg: Annotated[Number, Field(ge=-1440.0, le=1440.0)] = 360.0
     hint: Point | None = None
     centre: Point | None = None
     axis: Point | None = None
     radius: Annotated[Number, Field(gt=0.0, le=2.0)] | None = None
     torque_nm: Annotated[Number, Field(ge=0.0, le=200.0)] = 10.0
+    spokes_deg: Annotated[tuple[Number, ...], at_most(8)] = ()
+    spoke_width_m: Annotated[Number, Field(gt=0.0, le=0.1)] = 0.02
+    sense: Literal["given", "unknown"] = "given"
+    stuck: bool = False
 
     def __post_init__(self) -> None:
         if self.turn_deg == 0.0:
-            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -360 to 360 except 0")
+            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -1440 to 1440 except 0")
+        if self.stuck and abs(self.turn_deg) < LEAST_STUCK_TURN_DEG:
+            raise PydanticCustomError("valve", "a stuck wheel is turned by 10 deg or more; turn_deg is smaller")
+        if self.spokes_deg and self.centre is None:
+            raise PydanticCustomError("valve", "spokes_deg belong to a valve given by centre, axis and radius")
         if self.axis is not None and math.hypot(*self.axis) < 1e-6:
             raise PydanticCustomError("valve", "axis has no length; expected a direction such as [-1, 0, 0]")
 

@@ -27,11 +27,10 @@ from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.phases import POSE_EFFORT, PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
-from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, check_moves, find_rotation_onto
+from service.demands.phase_spec import AXIS, DEPTH_RESERVE, HandMotion, PhaseSpec, check_moves, find_rotation_onto
 
 QUICK_GUESSES = 2
 QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
-DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between the waypoints [m]
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
 AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
@@ -164,9 +163,9 @@ class PhaseSequence:
         return tuple(phases), None
 
 
-def shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
-    """Return allowances with depths for the waypoints, which leave some of each for the curve between them."""
-    return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in touches)
+def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:
+    """Return allowances with depths for the waypoints, which leave a reserve for the curve between them [m]."""
+    return tuple(replace(touch, depth=max(touch.depth - reserve_m, 0.0)) for touch in touches)
 
 
 def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
@@ -218,7 +217,8 @@ class _Compiler:
         fixed |= {names.index(name): value for name, value in spec.fixed.items()}
         constraints = self._constraints(spec, np.zeros(1, dtype=int), 1)
         regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
-        return self.solver.solve_pose(step, guesses, constraints, shrink(spec.touches), fixed, regions, effort)
+        touches = shrink(spec.touches, spec.depth_reserve_m)
+        return self.solver.solve_pose(step, guesses, constraints, touches, fixed, regions, effort)
 
     def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
@@ -266,6 +266,9 @@ class _Compiler:
                 straight[:, self.columns] = values
                 starts = [straight, start]
         pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
+        if spec.guess_touches:  # what the hand passes between would push it to the wrong side of a poor guess
+            loose = replace(spec, touches=(*spec.touches, *spec.guess_touches))
+            starts = [self._solve(loose, starts, fixed, values, (), pinned).x]
         regions = self.find_regions(spec, values)
         if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
             unloaded = self._solve(spec, starts, fixed, values, (), pinned)
@@ -310,7 +313,7 @@ class _Compiler:
             starts,
             fixed,
             constraints=self._constraints(spec, free, count),
-            allowances=shrink(spec.touches),
+            allowances=shrink(spec.touches, spec.depth_reserve_m),
             bounds=narrow,
             regions=regions,
         )

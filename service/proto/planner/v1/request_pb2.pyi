@@ -28,6 +28,12 @@ class HoldMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     HOLD_MODE_HOOK: _ClassVar[HoldMode]
     HOLD_MODE_GRASP: _ClassVar[HoldMode]
 
+class TurnSense(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    TURN_SENSE_UNSPECIFIED: _ClassVar[TurnSense]
+    TURN_SENSE_GIVEN: _ClassVar[TurnSense]
+    TURN_SENSE_UNKNOWN: _ClassVar[TurnSense]
+
 class Hand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     HAND_UNSPECIFIED: _ClassVar[Hand]
@@ -105,6 +111,9 @@ FREE_AXIS_Z: FreeAxis
 HOLD_MODE_UNSPECIFIED: HoldMode
 HOLD_MODE_HOOK: HoldMode
 HOLD_MODE_GRASP: HoldMode
+TURN_SENSE_UNSPECIFIED: TurnSense
+TURN_SENSE_GIVEN: TurnSense
+TURN_SENSE_UNKNOWN: TurnSense
 HAND_UNSPECIFIED: Hand
 HAND_LEFT: Hand
 HAND_RIGHT: Hand
@@ -259,7 +268,7 @@ class Task(_message.Message):
     def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class Valve(_message.Message):
-    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm")
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m")
     MODE_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     TURN_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -268,6 +277,10 @@ class Valve(_message.Message):
     AXIS_FIELD_NUMBER: _ClassVar[int]
     RADIUS_FIELD_NUMBER: _ClassVar[int]
     TORQUE_NM_FIELD_NUMBER: _ClassVar[int]
+    SENSE_FIELD_NUMBER: _ClassVar[int]
+    STUCK_FIELD_NUMBER: _ClassVar[int]
+    SPOKES_DEG_FIELD_NUMBER: _ClassVar[int]
+    SPOKE_WIDTH_M_FIELD_NUMBER: _ClassVar[int]
     mode: HoldMode
     hand: Hand
     turn_deg: float
@@ -276,7 +289,11 @@ class Valve(_message.Message):
     axis: _containers.RepeatedScalarFieldContainer[float]
     radius: float
     torque_nm: float
-    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ...) -> None: ...
+    sense: TurnSense
+    stuck: bool
+    spokes_deg: _containers.RepeatedScalarFieldContainer[float]
+    spoke_width_m: float
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
     __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays")

@@ -1,0 +1,194 @@
+"""Strokes of a valve task, and their phases: how often a hand takes hold of the wheel, and how it turns it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance, BodyRef
+from service.demands.hands import Hand
+from service.demands.peg import make_peg_allowances, place_peg
+from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.wheel import Mode, Wheel, wrap_angle
+from service.request.names import VALVE_LINK
+from service.request.schema import ValveRequest
+from service.verify import CircleTarget, HandLoad
+
+TURN = "turn"
+LARGEST_STROKE = np.deg2rad(360.0)
+PROBE = np.deg2rad(10.0)  # to either side, where the sense of the turn is not known
+ROCK = np.deg2rad(5.0)  # to either side, before a stuck wheel is turned
+STUCK_FACTOR = 2.0  # of the torque that a stuck wheel may take
+PEG_TOLERANCE = 1e-3  # largest distance of the peg's middle from its place in the wheel [m]
+PEG_RESERVE = 5e-4  # of the peg's allowances, for the curve between the waypoints [m]
+THROUGH = 1.0  # depth with which a pair does not count [m]
+AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
+TURN_STEP = np.deg2rad(20.0)  # between waypoints
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A part of the turn with one hold of the wheel.
+
+    Attributes:
+        first, last: angles of the wheel at its ends [rad].
+        torque_nm: that turns the wheel.
+    """
+
+    first: float
+    last: float
+    torque_nm: float
+
+    @property
+    def sense(self) -> float:
+        """1 if the wheel turns right-handed about its axis, else -1."""
+        return 1.0 if self.last > self.first else -1.0
+
+
+@dataclass(frozen=True)
+class TurnChoice:
+    """Choices of a plan, among those that the task permits.
+
+    Attributes:
+        hand: the hand.
+        entry: of the first stroke: the spoke that is pressed, or the gap that is entered, in the wheel [rad].
+        count: number of strokes of the turn itself.
+    """
+
+    hand: Hand
+    entry: float
+    count: int
+
+
+def list_strokes(request: ValveRequest, count: int) -> tuple[Stroke, ...]:
+    """Return the strokes of a task, whose turn is divided into ``count`` equal ones.
+
+    A turn of unknown sense is a small stroke each way, that of ``turn_deg`` first.  A stuck wheel is first rocked
+    against the turn and back, with twice the torque.
+    """
+    turn, torque = float(np.deg2rad(request.turn_deg)), request.torque_nm
+    sense = float(np.sign(turn))
+    loose = STUCK_FACTOR * torque if request.stuck else torque
+    if request.sense == "unknown":
+        probe = sense * float(PROBE)
+        return Stroke(0.0, probe, loose), Stroke(probe, -probe, loose)
+    rock = sense * float(ROCK) if request.stuck else 0.0
+    edges = np.linspace(rock, turn, count + 1).tolist()
+    rocking = (Stroke(0.0, -rock, loose), Stroke(-rock, rock, loose)) if request.stuck else ()
+    return (*rocking, *(Stroke(*ends, torque) for ends in pairwise(edges)))
+
+
+def find_least_count(request: ValveRequest) -> int:
+    """Return the least number of strokes of the turn itself."""
+    if request.sense == "unknown":
+        return 1
+    return max(1, int(np.ceil(np.deg2rad(abs(request.turn_deg)) / LARGEST_STROKE - ROUNDING)))
+
+
+def find_count(request: ValveRequest, n_phases: int) -> int:
+    """Return the number of strokes of the turn itself, given the number of all phases that turn the wheel."""
+    if request.sense == "unknown":
+        return 1
+    return max(1, n_phases - 2) if request.stuck else n_phases
+
+
+def find_net_turn(request: ValveRequest) -> float:
+    """Return the angle by which the wheel has turned at the end [deg]."""
+    return float(np.rad2deg(list_strokes(request, 1)[-1].last))
+
+
+def list_usable_entries(wheel: Wheel, hand: Hand, mode: Mode, sense: float) -> tuple[float, ...]:
+    """Return the entries at which a hand can turn a wheel in a sense [rad]."""
+    return tuple(entry for entry in wheel.list_entries(mode) if find_fault(wheel, hand, mode, entry, sense) is None)
+
+
+def find_fault(wheel: Wheel, hand: Hand, mode: Mode, entry: float, sense: float) -> str | None:
+    """Return why a hand cannot turn a wheel from an entry; None if it can."""
+    held = place_peg(wheel, hand, entry, sense)
+    return held if isinstance(held, str) else None
+
+
+def find_place(wheel: Wheel, hand: Hand, mode: Mode, entry: float, sense: float) -> Float[np.ndarray, "3"]:
+    """Return the place of a hand's frame in the wheel [m].
+
+    Raises:
+        ValueError: the hand cannot enter there.
+    """
+    held = place_peg(wheel, hand, entry, sense)
+    if isinstance(held, str):
+        raise ValueError(held)
+    return held.place
+
+
+def make_turn_phases(
+    wheel: Wheel, request: ValveRequest, choice: TurnChoice, reach_waypoints: int = REACH_WAYPOINTS
+) -> tuple[PhaseSpec, ...]:
+    """Return the phases of all strokes; after the first one each enters where it is nearest to the first entry.
+
+    Raises:
+        ValueError: the hand cannot enter for a stroke.
+    """
+    strokes = list_strokes(request, choice.count)
+    phases: list[PhaseSpec] = []
+    for number, stroke in enumerate(strokes):
+        suffix = "" if len(strokes) == 1 else f" {number + 1}"
+        entry = choice.entry if number == 0 else _find_next_entry(wheel, request.mode, choice, stroke)
+        phases += _make_peg_stroke(wheel, choice.hand, entry, stroke, suffix, reach_waypoints)
+    return tuple(phases)
+
+
+def _find_next_entry(wheel: Wheel, mode: Mode, choice: TurnChoice, stroke: Stroke) -> float:
+    """Return the usable entry nearest, in the world, to where the first stroke entered."""
+    usable = list_usable_entries(wheel, choice.hand, mode, stroke.sense)
+    if not usable:
+        raise ValueError("no entry for a stroke")
+    return min(usable, key=lambda entry: abs(wrap_angle(entry + stroke.first - choice.entry)))
+
+
+def _make_peg_stroke(
+    wheel: Wheel, hand: Hand, entry: float, stroke: Stroke, suffix: str, reach_waypoints: int
+) -> tuple[PhaseSpec, ...]:
+    """Return the phases of a stroke of the hook: reach, insert, turn, retract; the turn is solved first."""
+    held = place_peg(wheel, hand, entry, stroke.sense)
+    if isinstance(held, str):
+        raise ValueError(held)
+    first, last = np.array([stroke.first]), np.array([stroke.last])
+    touches = make_peg_allowances(wheel, hand, held)
+    motion = HandMotion(
+        hand.peg, VALVE_LINK, held.place, -wheel.axis, tolerance_m=PEG_TOLERANCE, tilt_rad=float(AXIS_TOLERANCE)
+    )
+    line = replace(motion, offset=held.offset)
+    load = HandLoad(hand.peg, VALVE_LINK, held.place, stroke.torque_nm / held.arm * held.push)
+    return (
+        PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
+        PhaseSpec(
+            f"insert{suffix}", first, first, line, touches, n_waypoints=LINE_WAYPOINTS, depth_reserve_m=PEG_RESERVE
+        ),
+        PhaseSpec(
+            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step="pose at the wheel",
+            n_waypoints=count_waypoints(stroke), loads=(load,), also=(make_circle(wheel, motion),),
+            guess_touches=(Allowance(BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), THROUGH),),
+            depth_reserve_m=PEG_RESERVE,
+        ),
+        PhaseSpec(
+            f"retract{suffix}", last, last, replace(line, leaves=True), touches, n_waypoints=LINE_WAYPOINTS,
+            depth_reserve_m=PEG_RESERVE,
+        ),
+    )  # fmt: skip
+
+
+def count_waypoints(stroke: Stroke) -> int:
+    """Return the number of waypoints of a phase that turns the wheel."""
+    return max(int(np.ceil(abs(stroke.last - stroke.first) / TURN_STEP)) + 1, 3)
+
+
+def make_circle(wheel: Wheel, motion: HandMotion) -> CircleTarget:
+    """Return the promise that a hand's frame moves on a circle about the wheel's axis, its own axis against it."""
+    height = float(motion.place @ wheel.axis)
+    radius = float(np.linalg.norm(motion.place - height * wheel.axis))
+    centre = wheel.centre + height * wheel.axis
+    return CircleTarget(motion.tool, centre, wheel.axis, radius, motion.tolerance_m, -AXIS, motion.tilt_rad)
