@@ -13,7 +13,7 @@ from service.demands.wheel import TOUCH_DEPTH, Spoke, Wheel, wrap_angle
 from service.request.names import VALVE_LINK
 
 PEG_SPACE = 5e-4  # between the peg and the spoke that it presses: the hand leans a little [m]
-RIM_SPACE, LEAST_RIM_SPACE = 0.010, 0.003  # between the peg and the rim's inner edge, wanted and least [m]
+RIM_SPACE, LEAST_RIM_SPACE = 0.006, 0.003  # between the peg and the rim's inner edge, wanted and least [m]
 HUB_SPACE, LEAST_HUB_SPACE = 0.008, 0.005  # between the peg and the hub's body, wanted and least [m]
 LEAST_GAP = 0.012  # free beside the peg, towards the next spoke [m]
 AWAY, AWAY_SHARE = 0.05, 0.5  # of the line that leads to the spoke, sideways: most, and of what is free [m]

@@ -95,6 +95,8 @@ class PhaseSpec:
         aims_at_end: whether the first guess of an anchor leads straight to a pose at its end.
         guess_rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
         guess_touches: pairs that may overlap in the first guess of an anchor, which is solved beforehand.
+        torque_share: of the torque limits that the joints before the hand may use under the loads while the phase is
+            planned; None for any.
         depth_reserve_m: of the depths of ``touches``, for the curve between the waypoints [m].
     """
 
@@ -112,6 +114,7 @@ class PhaseSpec:
     aims_at_end: bool = False
     guess_rates: Mapping[str, float] = field(default_factory=dict)
     guess_touches: tuple[Allowance, ...] = ()
+    torque_share: float | None = None
     depth_reserve_m: float = DEPTH_RESERVE
 
     @property

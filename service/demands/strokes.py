@@ -24,6 +24,7 @@ ROCK = np.deg2rad(5.0)  # to either side, before a stuck wheel is turned
 STUCK_FACTOR = 2.0  # of the torque that a stuck wheel may take
 PEG_TOLERANCE = 1e-3  # largest distance of the peg's middle from its place in the wheel [m]
 PEG_RESERVE = 5e-4  # of the peg's allowances, for the curve between the waypoints [m]
+TORQUE_SHARE = 0.92  # of the joints before the hand; the rest is for the motion [-]
 THROUGH = 1.0  # depth with which a pair does not count [m]
 AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
 TURN_STEP = np.deg2rad(20.0)  # between waypoints
@@ -172,6 +173,7 @@ def _make_peg_stroke(
             f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step="pose at the wheel",
             n_waypoints=count_waypoints(stroke), loads=(load,), also=(make_circle(wheel, motion),),
             guess_touches=(Allowance(BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), THROUGH),),
+            torque_share=TORQUE_SHARE,
             depth_reserve_m=PEG_RESERVE,
         ),
         PhaseSpec(

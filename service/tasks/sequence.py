@@ -17,10 +17,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.allowance import Allowance
+from costs.collision import Contacts
 from costs.kinematics import locate_frame, locate_links
 from costs.robot import Mechanism, RobotModel, with_mechanism
 from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose, NormWithin, WithinTolerance
+from costs.terms import AxisDirection, FramePose, HeldTorque, NormWithin, WithinTolerance
 from scopt import Constraint, Residual, Sense
 from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion, plan_regions
@@ -32,6 +33,7 @@ from service.demands.phase_spec import AXIS, DEPTH_RESERVE, HandMotion, PhaseSpe
 QUICK_GUESSES = 2
 QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
+TORQUE_TOLERANCE = 0.01  # share of a joint's limit
 AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
 
@@ -215,7 +217,8 @@ class _Compiler:
         names = self.robot.joint_names
         fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
         fixed |= {names.index(name): value for name, value in spec.fixed.items()}
-        constraints = self._constraints(spec, np.zeros(1, dtype=int), 1)
+        first = np.zeros(1, dtype=int)
+        constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
         regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
         touches = shrink(spec.touches, spec.depth_reserve_m)
         return self.solver.solve_pose(step, guesses, constraints, touches, fixed, regions, effort)
@@ -266,14 +269,24 @@ class _Compiler:
                 straight[:, self.columns] = values
                 starts = [straight, start]
         pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
+        light = replace(spec, torque_share=None)
         if spec.guess_touches:  # what the hand passes between would push it to the wrong side of a poor guess
-            loose = replace(spec, touches=(*spec.touches, *spec.guess_touches))
+            loose = replace(light, touches=(*spec.touches, *spec.guess_touches))
             starts = [self._solve(loose, starts, fixed, values, (), pinned).x]
         regions = self.find_regions(spec, values)
         if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
-            unloaded = self._solve(spec, starts, fixed, values, (), pinned)
+            unloaded = self._solve(light, starts, fixed, values, (), pinned)
             starts = [unloaded.x, *starts] if unloaded.is_feasible else starts
-        return self._solve(spec, starts, fixed, values, regions, pinned)
+        solved = self._solve(light, starts, fixed, values, regions, pinned)
+        if not solved.is_feasible or self._is_strong_enough(spec, solved.x):
+            return solved
+        return self._solve(spec, [solved.x], fixed, values, regions, pinned)
+
+    def _is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
+        """Return whether a phase's loads cost no more torque at its waypoints than it may use."""
+        state = MotionState(self.solver.body.engine(q), Contacts.none())
+        limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
+        return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
 
     def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""
@@ -312,7 +325,7 @@ class _Compiler:
             spec.name,
             starts,
             fixed,
-            constraints=self._constraints(spec, free, count),
+            constraints=(*self._constraints(spec, free, count), *self._limit_torques(spec, free, values)),
             allowances=shrink(spec.touches, spec.depth_reserve_m),
             bounds=narrow,
             regions=regions,
@@ -363,6 +376,22 @@ class _Compiler:
         tolerance = min(0.2 * hand.aim_rad, AXIS_TOLERANCE)
         constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))
         return tuple(constraints)
+
+    def _limit_torques(
+        self, spec: PhaseSpec, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
+    ) -> Iterator[Constraint[MotionState]]:
+        """Yield the limits of the torques that a phase's loads cost, if it has any."""
+        if spec.torque_share is None or not len(waypoints):
+            return
+        body = self.solver.body
+        q = np.tile(body.nominal, (len(values), 1))
+        q[:, self.columns] = values
+        kinematics = body.engine(q)
+        for load in spec.loads:
+            joint, _ = locate_frame(self.robot, load.link)
+            forces = -kinematics.rotation[waypoints, joint] @ load.force
+            torque = HeldTorque(self.robot, load.tool, waypoints, forces, spec.torque_share)
+            yield Constraint("torque under the load", torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
 
 
 def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
