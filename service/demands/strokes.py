@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
+from service.demands.grip import make_finger_targets, make_grip_allowances, place_grip
 from service.demands.hands import Hand
 from service.demands.peg import make_peg_allowances, place_peg
 from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
@@ -18,11 +19,13 @@ from service.request.schema import ValveRequest
 from service.verify import CircleTarget, HandLoad
 
 TURN = "turn"
-LARGEST_STROKE = np.deg2rad(360.0)
+LARGEST_STROKES: Mapping[Mode, float] = {"hook": np.deg2rad(360.0), "grasp": np.deg2rad(120.0)}
 PROBE = np.deg2rad(10.0)  # to either side, where the sense of the turn is not known
 ROCK = np.deg2rad(5.0)  # to either side, before a stuck wheel is turned
 STUCK_FACTOR = 2.0  # of the torque that a stuck wheel may take
 PEG_TOLERANCE = 1e-3  # largest distance of the peg's middle from its place in the wheel [m]
+GRIP_TOLERANCE = 1.5e-3  # the same of a gripper [m]
+FINGER_WAYPOINTS = 4  # of a phase in which fingers open or close
 PEG_RESERVE = 5e-4  # of the peg's allowances, for the curve between the waypoints [m]
 TORQUE_SHARE = 0.92  # of the joints before the hand; the rest is for the motion [-]
 THROUGH = 1.0  # depth with which a pair does not count [m]
@@ -58,11 +61,13 @@ class TurnChoice:
         hand: the hand.
         entry: of the first stroke: the spoke that is pressed, or the gap that is entered, in the wheel [rad].
         count: number of strokes of the turn itself.
+        is_flipped: whether a gripper is turned by half a turn, with its first finger inside the rim.
     """
 
     hand: Hand
     entry: float
     count: int
+    is_flipped: bool = False
 
 
 def list_strokes(request: ValveRequest, count: int) -> tuple[Stroke, ...]:
@@ -87,7 +92,7 @@ def find_least_count(request: ValveRequest) -> int:
     """Return the least number of strokes of the turn itself."""
     if request.sense == "unknown":
         return 1
-    return max(1, int(np.ceil(np.deg2rad(abs(request.turn_deg)) / LARGEST_STROKE - ROUNDING)))
+    return max(1, int(np.ceil(np.deg2rad(abs(request.turn_deg)) / LARGEST_STROKES[request.mode] - ROUNDING)))
 
 
 def find_count(request: ValveRequest, n_phases: int) -> int:
@@ -109,20 +114,31 @@ def list_usable_entries(wheel: Wheel, hand: Hand, mode: Mode, sense: float) -> t
 
 def find_fault(wheel: Wheel, hand: Hand, mode: Mode, entry: float, sense: float) -> str | None:
     """Return why a hand cannot turn a wheel from an entry; None if it can."""
-    held = place_peg(wheel, hand, entry, sense)
+    held = place_peg(wheel, hand, entry, sense) if mode == "hook" else place_grip(wheel, entry, is_flipped=False)
     return held if isinstance(held, str) else None
 
 
-def find_place(wheel: Wheel, hand: Hand, mode: Mode, entry: float, sense: float) -> Float[np.ndarray, "3"]:
-    """Return the place of a hand's frame in the wheel [m].
+def find_hold(wheel: Wheel, choice: TurnChoice, mode: Mode, sense: float) -> HandMotion:
+    """Return how a hand holds a wheel at its entry.
 
     Raises:
         ValueError: the hand cannot enter there.
     """
-    held = place_peg(wheel, hand, entry, sense)
-    if isinstance(held, str):
-        raise ValueError(held)
-    return held.place
+    if mode == "hook":
+        peg = place_peg(wheel, choice.hand, choice.entry, sense)
+        if isinstance(peg, str):
+            raise ValueError(peg)
+        return HandMotion(
+            choice.hand.peg, VALVE_LINK, peg.place, -wheel.axis, offset=peg.offset, tolerance_m=PEG_TOLERANCE,
+            tilt_rad=float(AXIS_TOLERANCE),
+        )  # fmt: skip
+    grip = place_grip(wheel, choice.entry, choice.is_flipped)
+    if isinstance(grip, str):
+        raise ValueError(grip)
+    return HandMotion(
+        choice.hand.tool, VALVE_LINK, grip.place, -wheel.axis, offset=grip.offset, tolerance_m=GRIP_TOLERANCE,
+        tilt_rad=float(AXIS_TOLERANCE), rotation=grip.rotation,
+    )  # fmt: skip
 
 
 def make_turn_phases(
@@ -138,7 +154,8 @@ def make_turn_phases(
     for number, stroke in enumerate(strokes):
         suffix = "" if len(strokes) == 1 else f" {number + 1}"
         entry = choice.entry if number == 0 else _find_next_entry(wheel, request.mode, choice, stroke)
-        phases += _make_peg_stroke(wheel, choice.hand, entry, stroke, suffix, reach_waypoints)
+        make_stroke = _make_peg_stroke if request.mode == "hook" else _make_grip_stroke
+        phases += make_stroke(wheel, replace(choice, entry=entry), stroke, suffix, reach_waypoints)
     return tuple(phases)
 
 
@@ -151,18 +168,17 @@ def _find_next_entry(wheel: Wheel, mode: Mode, choice: TurnChoice, stroke: Strok
 
 
 def _make_peg_stroke(
-    wheel: Wheel, hand: Hand, entry: float, stroke: Stroke, suffix: str, reach_waypoints: int
+    wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str, reach_waypoints: int
 ) -> tuple[PhaseSpec, ...]:
     """Return the phases of a stroke of the hook: reach, insert, turn, retract; the turn is solved first."""
-    held = place_peg(wheel, hand, entry, stroke.sense)
+    hand = choice.hand
+    held = place_peg(wheel, hand, choice.entry, stroke.sense)
     if isinstance(held, str):
         raise ValueError(held)
     first, last = np.array([stroke.first]), np.array([stroke.last])
     touches = make_peg_allowances(wheel, hand, held)
-    motion = HandMotion(
-        hand.peg, VALVE_LINK, held.place, -wheel.axis, tolerance_m=PEG_TOLERANCE, tilt_rad=float(AXIS_TOLERANCE)
-    )
-    line = replace(motion, offset=held.offset)
+    line = find_hold(wheel, choice, "hook", stroke.sense)
+    motion = replace(line, offset=None)
     load = HandLoad(hand.peg, VALVE_LINK, held.place, stroke.torque_nm / held.arm * held.push)
     return (
         PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
@@ -179,6 +195,49 @@ def _make_peg_stroke(
         PhaseSpec(
             f"retract{suffix}", last, last, replace(line, leaves=True), touches, n_waypoints=LINE_WAYPOINTS,
             depth_reserve_m=PEG_RESERVE,
+        ),
+    )  # fmt: skip
+
+
+def _make_grip_stroke(
+    wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str, reach_waypoints: int
+) -> tuple[PhaseSpec, ...]:
+    """Return the phases of a stroke of a gripper: reach, insert, close, turn, open, retract."""
+    hand = choice.hand
+    held = place_grip(wheel, choice.entry, choice.is_flipped)
+    if isinstance(held, str):
+        raise ValueError(held)
+    first, last = np.array([stroke.first]), np.array([stroke.last])
+    touches = make_grip_allowances(wheel, hand)
+    line = find_hold(wheel, choice, "grasp", stroke.sense)
+    motion = replace(line, offset=None)
+    load = HandLoad(hand.tool, VALVE_LINK, held.place, stroke.sense * stroke.torque_nm / held.arm * held.push)
+    opened, closed = (dict.fromkeys(hand.grips, (value, value)) for value in (held.opened, held.closed))
+    closes, opens = (
+        dict.fromkeys(hand.grips, ends) for ends in ((held.opened, held.closed), (held.closed, held.opened))
+    )
+    stays_open, stays_closed = (make_finger_targets(hand, value) for value in (held.opened, held.closed))
+    return (
+        PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
+        PhaseSpec(
+            f"insert{suffix}", first, first, line, also=stays_open, n_waypoints=LINE_WAYPOINTS, joints=opened
+        ),
+        PhaseSpec(
+            f"close{suffix}", first, first, motion, touches, n_waypoints=FINGER_WAYPOINTS, joints=closes,
+            depth_reserve_m=PEG_RESERVE,
+        ),
+        PhaseSpec(
+            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step="pose at the wheel",
+            n_waypoints=count_waypoints(stroke), loads=(load,), also=(make_circle(wheel, motion), *stays_closed),
+            joints=closed, torque_share=TORQUE_SHARE, depth_reserve_m=PEG_RESERVE,
+        ),
+        PhaseSpec(
+            f"open{suffix}", last, last, motion, touches, n_waypoints=FINGER_WAYPOINTS, joints=opens,
+            depth_reserve_m=PEG_RESERVE,
+        ),
+        PhaseSpec(
+            f"retract{suffix}", last, last, replace(line, leaves=True), also=stays_open, n_waypoints=LINE_WAYPOINTS,
+            joints=opened,
         ),
     )  # fmt: skip
 

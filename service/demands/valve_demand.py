@@ -7,18 +7,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from costs.robot import Mechanism
 from service.demands.hands import HANDS
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.demands.strokes import (
     TURN,
     TurnChoice,
     find_count,
+    find_hold,
     find_net_turn,
-    find_place,
     list_strokes,
     list_usable_entries,
     make_turn_phases,
@@ -66,7 +65,7 @@ class ValveDemand:
         choice = self._read_choice(recorded)
         if isinstance(choice, str):
             return choice
-        return StrokeChoice(choice.hand.side, choice.entry, choice.count)
+        return StrokeChoice(choice.hand.side, choice.entry, choice.count, choice.is_flipped)
 
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence where the figures of a result name another angle than the request."""
@@ -81,16 +80,27 @@ class ValveDemand:
             return "no phase turns the valve"
         holds = _list_holds(turns[0])
         known = [hand for hand in HANDS.values() if self.request.hand in ("auto", hand.side)]
-        hands = [hand for hand in known if any(hold.frame == hand.peg for hold in holds)]
+        mode = self.request.mode
+        hands = [
+            hand for hand in known if any(hold.frame == (hand.peg if mode == "hook" else hand.tool) for hold in holds)
+        ]
         if len(hands) != 1:
             return f"no hand that the task permits holds the rim in phase '{turns[0].name}'"
         count = find_count(self.request, len(turns))
         first = list_strokes(self.request, count)[0]
-        for entry in list_usable_entries(self.wheel, hands[0], self.request.mode, first.sense):
-            place = find_place(self.wheel, hands[0], self.request.mode, entry, first.sense)
-            if any(_is_near(hold.position, place) for hold in holds):
-                return TurnChoice(hands[0], entry, count)
-        return f"the hook is in no gap of the valve in phase '{turns[0].name}'"
+        for entry in list_usable_entries(self.wheel, hands[0], mode, first.sense):
+            for is_flipped in (False, True) if mode == "grasp" else (False,):
+                choice = TurnChoice(hands[0], entry, count, is_flipped)
+                motion = find_hold(self.wheel, choice, mode, first.sense)
+                if any(_is_hold_of(hold, motion) for hold in holds):
+                    return choice
+        return f"the {mode} is in no gap of the valve in phase '{turns[0].name}'"
+
+
+def _is_hold_of(hold: RelativePoseTarget, motion: HandMotion) -> bool:
+    """Return whether a promise keeps a hand at its place of the wheel."""
+    is_turned = motion.rotation is None or float(np.abs(hold.rotation - motion.rotation).max()) <= SAME_PLACE_M
+    return is_turned and bool(np.linalg.norm(hold.position - motion.place) <= SAME_PLACE_M)
 
 
 def _list_holds(phase: Phase) -> tuple[RelativePoseTarget, ...]:
@@ -116,7 +126,7 @@ def read_kept_choice(demand: ValveDemand, resume: ResumeRequest) -> TurnChoice:
     if not usable:
         raise RequestError("resume.stroke: the wheel of this request has no room for the hand")
     entry = min(usable, key=lambda angle: abs(wrap_angle(angle - stroke.gap_rad)))
-    return TurnChoice(hand, entry, stroke.strokes)
+    return TurnChoice(hand, entry, stroke.strokes, stroke.is_flipped)
 
 
 def turn_back(valve: ValveDetection, resume: ResumeRequest | None) -> ValveDetection:
@@ -144,7 +154,3 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
             yield f"figures.turned_deg is {turned}, the rest of the turn is {rest:.1f}"
 
     return ResumedDemand(mechanism, specs, resume.phase, compare)
-
-
-def _is_near(place: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:
-    return bool(np.linalg.norm(place - other) <= SAME_PLACE_M)

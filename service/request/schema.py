@@ -45,7 +45,7 @@ class RobotRequest(Section):
     """Robot: bundled (``name``), or read from ``urdf`` (with ``srdf``, ``package_dirs``).
 
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
-    distance of the bundled robot's hook from the hand's origin.
+    distance of the bundled robot's hook from the hand's origin; ``hand`` is what the bundled robot has on its hands.
     """
 
     name: Label | None = None
@@ -54,6 +54,7 @@ class RobotRequest(Section):
     package_dirs: Annotated[tuple[FilePath, ...], at_most(20)] = ()
     root: Literal["floating", "fixed"] | None = None
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
+    hand: Literal["hook", "gripper"] | None = None
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))
@@ -61,6 +62,10 @@ class RobotRequest(Section):
             raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
         if self.urdf is not None and self.tool_distance_m is not None:
             raise PydanticCustomError("robot", "tool_distance_m belongs to a bundled robot given by name, not by urdf")
+        if self.urdf is not None and self.hand is not None:
+            raise PydanticCustomError("robot", "hand belongs to a bundled robot given by name, not by urdf")
+        if self.hand == "gripper" and self.tool_distance_m is not None:
+            raise PydanticCustomError("robot", "tool_distance_m is the length of a hook; hand is gripper")
 
 
 @dataclass(config=SECTION)

@@ -24,7 +24,7 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
     robot = request.robot
     try:
         if robot.urdf is None:
-            return load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m)
+            return load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m, hand=robot.hand)
         return load_robot(
             urdf=_find_file(request, robot.urdf, "robot.urdf"),
             srdf=None if robot.srdf is None else _find_file(request, robot.srdf, "robot.srdf"),

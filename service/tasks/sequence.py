@@ -217,6 +217,7 @@ class _Compiler:
         names = self.robot.joint_names
         fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
         fixed |= {names.index(name): value for name, value in spec.fixed.items()}
+        fixed |= {names.index(name): ends[0] for name, ends in spec.joints.items()}
         first = np.zeros(1, dtype=int)
         constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
         regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
@@ -259,6 +260,9 @@ class _Compiler:
         for name, rate in spec.guess_rates.items():
             (moving,) = spec.moving
             start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
+        for name, (first, last) in spec.joints.items():
+            column = self.robot.joint_names.index(name)
+            start[:, column] = np.linspace(first if is_anchor or is_backwards else q[column], last, count)
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
         starts = [start]
         if spec.aims_at_end and not is_backwards:
@@ -318,6 +322,9 @@ class _Compiler:
 
         def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, self.columns] = upper[:, self.columns] = values
+            for name in spec.joints:
+                column = self.robot.joint_names.index(name)
+                lower[:, column] = upper[:, column] = starts[0][:, column]
             for column, value in pinned.items():
                 lower[0, column] = upper[0, column] = value
 
@@ -361,7 +368,7 @@ class _Compiler:
         name = "tool on its line" if hand.is_line else "tool at its place"
         residual: Residual[MotionState] = _place_residual(self.robot, hand, waypoints, places, is_along=False)
         if hand.rotation is not None:
-            residual = make_hold(self.robot, hand)(waypoints)
+            residual = _rigid_residual(self.robot, hand, waypoints, places)
         constraints = [Constraint(name, residual, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m")]
         if hand.slide is not None:
             along = _place_residual(self.robot, hand, waypoints, places, is_along=True)
@@ -397,11 +404,21 @@ class _Compiler:
 def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
     """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
     if hand.rotation is not None:
-        target = np.eye(4)
-        target[:3, :3], target[:3, 3] = hand.rotation, hand.place
-        axes = (True, True, True, False, False, True)
-        return lambda waypoints: FramePose(robot, hand.tool, waypoints, target, axes, hand.link)
+        return lambda waypoints: _rigid_residual(robot, hand, waypoints, hand.place[None])
     return lambda waypoints: _place_residual(robot, hand, waypoints, hand.place[None], is_along=False)
+
+
+def _rigid_residual(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> FramePose:
+    """Return the tool's distance from its places, and its turn about its axis."""
+    targets = np.tile(np.eye(4), (len(places), 1, 1))
+    targets[:, :3, :3], targets[:, :3, 3] = hand.rotation, places
+    axes = (True, True, True, False, False, True)
+    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
 
 
 def _place_residual(

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from costs.kinematics import KinematicsEngine, locate_frame
+from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
 from service.body.held_load import find_held_shares
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
-from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
+from service.body.whole_body import WholeBody
+from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.demands.strokes import TURN, TurnChoice, make_turn_phases
 from service.demands.wheel import Wheel, make_wheel_mechanism
 from service.request.names import VALVE_LINK
 from service.request.schema import ValveRequest
-from service.tasks.sequence import PhaseSequence
+from service.tasks.sequence import PhaseSequence, find_turn_joint
 from service.verify import Motion
 
 
@@ -58,8 +60,18 @@ class ValveTurn:
         return TaskPlan(body, phases, stuck=stuck, measure=self.measure, notes=() if stuck else (note,))
 
     def list_phases(self) -> tuple[PhaseSpec, ...]:
-        """Return the phases of all strokes."""
-        return make_turn_phases(self.wheel, self.request, self.choice, self.reach_waypoints)
+        """Return the phases of all strokes; the wrist of a gripper is first guessed to follow the wheel."""
+        phases = make_turn_phases(self.wheel, self.request, self.choice, self.reach_waypoints)
+        if self.request.mode == "hook":
+            return phases
+        column, sense = find_turn_joint(self.solver.body, self.choice.hand.tool)
+        rates = {self.robot.joint_names[column]: -sense}  # the tool's z axis points against the wheel's
+        return tuple(replace(phase, guess_rates=rates) if phase.is_anchor else phase for phase in phases)
+
+    @property
+    def _frame(self) -> str:
+        """The frame that moves with the wheel."""
+        return self.choice.hand.peg if self.request.mode == "hook" else self.choice.hand.tool
 
     def _describe_place(self) -> str:
         """Return a word about what is at the entry."""
@@ -68,7 +80,7 @@ class ValveTurn:
     def measure(self, motion: Motion) -> Mapping[str, float]:
         """Measure the tool's angle of travel about the valve's axis on the executed curve."""
         total = 0.0
-        joint, pose_joint_tool = locate_frame(motion.robot, self.choice.hand.peg)
+        joint, pose_joint_tool = locate_frame(motion.robot, self._frame)
         first, second = make_tangent_basis(np.asarray(self.wheel.axis))
         for phase in motion.phases:
             if phase.name.split(" ")[0] == TURN:
@@ -82,3 +94,29 @@ class ValveTurn:
         torque = self.request.torque_nm
         share = find_held_shares(motion).get(VALVE_LINK) if torque > 0.0 else None
         return figures if share is None else figures | {"holds_torque_nm": share * torque}
+
+
+def measure_wrist(body: WholeBody, wheel: Wheel, request: ValveRequest, choice: TurnChoice) -> float:
+    """Return how far the wrist would stay from its limits while a gripper turns a wheel [rad]; negative beyond them.
+
+    The rest of the arm is taken to point at the wheel as it is, so that the wrist alone turns the hand.
+    """
+    column, sense = find_turn_joint(body, choice.hand.tool)
+    rotation = locate_links(body.engine, body.nominal, [choice.hand.tool])[choice.hand.tool][:3, :3]
+    turned = find_rotation_onto(rotation[:, 2], -wheel.axis) @ rotation
+    margin = np.inf
+    for phase in make_turn_phases(wheel, request, choice):
+        hand = phase.hand
+        if hand is None or hand.rotation is None or not phase.is_anchor:
+            continue
+        x = Rotation.from_rotvec(float(phase.first[0]) * wheel.axis).apply(hand.rotation[:, 0])
+        off = float(np.arctan2(turned[:, 1] @ x, turned[:, 0] @ x))  # about the tool's z axis
+        first = float(body.nominal[column]) + sense * off
+        travel = -sense * float(phase.last[0] - phase.first[0])
+        lower, upper = float(body.robot.lower[column]), float(body.robot.upper[column])
+        reserves = []
+        for whole in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
+            both = np.array([first + whole, first + whole + travel])
+            reserves.append(min(both.min() - lower, upper - both.max()))
+        margin = min(margin, max(reserves))
+    return float(margin)

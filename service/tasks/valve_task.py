@@ -45,7 +45,7 @@ from service.setup.prepare import PlanSetup
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
-from service.tasks.valve import ValveTurn
+from service.tasks.valve import ValveTurn, measure_wrist
 
 SURE = 0.5  # least confidence of a detection that is used
 TUBE_RADIUS = 0.015  # when the request gives only the rim circle [m]
@@ -177,14 +177,25 @@ def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
 
 def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> tuple[Hand, ...]:
     """Return the hands to try, the nearest to the valve first."""
+    model, name = body.robot.model, body.robot.name
     if request.mode == "grasp":
-        raise RequestError(
-            f"task.valve.mode: grasp needs a hand with fingers; robot '{body.robot.name}' has none, expected hook"
+        grips = tuple(
+            hand
+            for hand in list_hands(body, request.hand, valve.centre, ("tool", "palm"))
+            if all(model.existJointName(grip) for grip in hand.grips)
         )
+        if not grips:
+            raise RequestError(
+                f"task.valve.mode: grasp needs a hand with fingers, and the {request.hand} hand of robot '{name}' has "
+                "none; robot.hand: gripper gives the bundled robot one, or mode: hook turns the wheel with a peg"
+            )
+        return grips
     known = list_hands(body, request.hand, valve.centre, ("tool", "peg", "stub"))
+    if not known and model.existFrame("l_palm"):
+        raise RequestError(f"task.valve.mode: hook needs a peg, and robot '{name}' has grippers; expected grasp")
     if not known:
         frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
-        raise RequestError(f"task.valve.hand: robot '{body.robot.name}' has no {request.hand} hand ({frames})")
+        raise RequestError(f"task.valve.hand: robot '{name}' has no {request.hand} hand ({frames})")
     poses = locate_links(body.engine, body.nominal, [frame for hand in known for frame in (hand.stub, hand.tool)])
     free = [float(np.linalg.norm(poses[hand.tool][:3, 3] - poses[hand.stub][:3, 3])) for hand in known]
     if min(free) < LEAST_PEG:
@@ -226,9 +237,9 @@ def _list_turns(
 def list_choices(body: WholeBody, wheel: Wheel, hands: Sequence[Hand], request: ValveRequest) -> Iterator[TurnChoice]:
     """Yield the choices to try: few strokes first, and entries that bring the first stroke near the hand."""
     least = find_least_count(request)
-    counts = (1,) if request.sense == "unknown" else tuple(least * factor for factor in MORE_STROKES)
+    counts = tuple(least * factor for factor in MORE_STROKES) if request.mode == "hook" else (least, least + 1)
     poses = locate_links(body.engine, body.nominal, [hand.tool for hand in hands])
-    for count in counts:
+    for count in (1,) if request.sense == "unknown" else counts:
         stroke = list_strokes(request, count)[0]
         for hand in hands:
             at = poses[hand.tool][:3, 3]
@@ -237,8 +248,12 @@ def list_choices(body: WholeBody, wheel: Wheel, hands: Sequence[Hand], request: 
                 return float(np.linalg.norm(wheel.rim_point(entry + middle) - at))
 
             entries = list_usable_entries(wheel, hand, request.mode, stroke.sense)
-            for entry in sorted(entries, key=distance)[:MOST_ENTRIES]:
-                yield TurnChoice(hand, entry, count)
+            nearest = sorted(entries, key=distance)[:MOST_ENTRIES]
+            choices = [TurnChoice(hand, entry, count) for entry in nearest]
+            if request.mode == "grasp":
+                flipped = [replace(choice, is_flipped=True) for choice in choices]
+                choices = sorted((*choices, *flipped), key=lambda choice: -measure_wrist(body, wheel, request, choice))
+            yield from choices[:MOST_ENTRIES]
 
 
 def _add_wheel(solver: PhaseSolver, mechanism: Mechanism, hands: Sequence[Hand]) -> PhaseSolver:
@@ -251,7 +266,7 @@ def list_clearances(hands: Sequence[Hand]) -> tuple[tuple[BodyRef, BodyRef, floa
     return tuple(
         (BodyRef.of_link(link), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN)
         for hand in hands
-        for link in (hand.hook, hand.link)
+        for link in (hand.link, hand.hook, hand.palm, *hand.fingers)
     )
 
 

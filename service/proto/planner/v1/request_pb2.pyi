@@ -28,6 +28,12 @@ class HoldMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     HOLD_MODE_HOOK: _ClassVar[HoldMode]
     HOLD_MODE_GRASP: _ClassVar[HoldMode]
 
+class HandKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HAND_KIND_UNSPECIFIED: _ClassVar[HandKind]
+    HAND_KIND_HOOK: _ClassVar[HandKind]
+    HAND_KIND_GRIPPER: _ClassVar[HandKind]
+
 class TurnSense(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     TURN_SENSE_UNSPECIFIED: _ClassVar[TurnSense]
@@ -111,6 +117,9 @@ FREE_AXIS_Z: FreeAxis
 HOLD_MODE_UNSPECIFIED: HoldMode
 HOLD_MODE_HOOK: HoldMode
 HOLD_MODE_GRASP: HoldMode
+HAND_KIND_UNSPECIFIED: HandKind
+HAND_KIND_HOOK: HandKind
+HAND_KIND_GRIPPER: HandKind
 TURN_SENSE_UNSPECIFIED: TurnSense
 TURN_SENSE_GIVEN: TurnSense
 TURN_SENSE_UNKNOWN: TurnSense
@@ -178,20 +187,22 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "hand")
     NAME_FIELD_NUMBER: _ClassVar[int]
     URDF_FIELD_NUMBER: _ClassVar[int]
     SRDF_FIELD_NUMBER: _ClassVar[int]
     PACKAGE_DIRS_FIELD_NUMBER: _ClassVar[int]
     ROOT_FIELD_NUMBER: _ClassVar[int]
     TOOL_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
     package_dirs: _containers.RepeatedScalarFieldContainer[str]
     root: RootJoint
     tool_distance_m: float
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ...) -> None: ...
+    hand: HandKind
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., hand: _Optional[_Union[HandKind, str]] = ...) -> None: ...
 
 class Pose(_message.Message):
     __slots__ = ("position", "quaternion_wxyz")
@@ -561,14 +572,16 @@ class Resume(_message.Message):
     def __init__(self, phase: _Optional[str] = ..., plan: _Optional[str] = ..., mechanism: _Optional[_Mapping[str, float]] = ..., is_rescanned: bool = ..., stroke: _Optional[_Union[StrokeChoice, _Mapping]] = ..., handle: _Optional[_Union[HandleChoice, _Mapping]] = ..., leaf: _Optional[_Union[LeafChoice, _Mapping]] = ...) -> None: ...
 
 class StrokeChoice(_message.Message):
-    __slots__ = ("hand", "gap_rad", "strokes")
+    __slots__ = ("hand", "gap_rad", "strokes", "is_flipped")
     HAND_FIELD_NUMBER: _ClassVar[int]
     GAP_RAD_FIELD_NUMBER: _ClassVar[int]
     STROKES_FIELD_NUMBER: _ClassVar[int]
+    IS_FLIPPED_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     gap_rad: float
     strokes: int
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., gap_rad: _Optional[float] = ..., strokes: _Optional[int] = ...) -> None: ...
+    is_flipped: bool
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., gap_rad: _Optional[float] = ..., strokes: _Optional[int] = ..., is_flipped: bool = ...) -> None: ...
 
 class HandleChoice(_message.Message):
     __slots__ = ("hand", "grip_m", "until_rad", "is_towards_hinge", "ajar_rad", "turned_rad")
