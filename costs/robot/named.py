@@ -8,6 +8,7 @@ from pathlib import Path
 from costs.contact import Contact
 from costs.names import would_do
 from costs.robot.atlas import load_atlas, load_contacts
+from costs.robot.atlas.description import HandKind
 from costs.robot.errors import RobotError
 from costs.robot.load import Root, load_files
 from costs.robot.model import RobotModel
@@ -39,6 +40,7 @@ def load_robot(
     package_dirs: Sequence[Path] = (),
     root: Root | None = None,
     tool_distance_m: float | None = None,
+    hand: HandKind | None = None,
     locked_joints: Mapping[str, float] | None = None,
 ) -> RobotModel:
     """Load a bundled robot by name, or any robot by its URDF.
@@ -50,6 +52,7 @@ def load_robot(
             are read from; the URDF's own folder when empty.
         root: ``floating`` or ``fixed``; when None, floating for bundled robots and fixed for others.
         tool_distance_m: distance of the bundled robots' tool frames from the hand frame [m], default 0.12.
+        hand: of the bundled robots, ``hook`` or ``gripper``, default ``hook``.
         locked_joints: position by name of joints that become fixed [rad or m].
 
     Raises:
@@ -63,9 +66,15 @@ def load_robot(
     if urdf is not None:
         if tool_distance_m is not None:
             raise RobotError("tool_distance_m belongs to bundled robots; with a urdf, put the tool frame into it")
+        if hand is not None:
+            raise RobotError("hand belongs to bundled robots; with a urdf, put the hand into it")
         return load_files(Path(urdf), None if srdf is None else Path(srdf), package_dirs, root or "fixed", locked)
     if name not in _BUNDLED:
         raise RobotError(f"unknown robot '{name}'; expected {would_do(name, _BUNDLED)}")
     if srdf is not None or package_dirs:
         raise RobotError(f"srdf and package_dirs go with a urdf; '{name}' brings its own")
-    return load_atlas(root or "floating", tool_distance_m, locked)
+    if hand not in (None, "hook", "gripper"):
+        raise RobotError(f"hand '{hand}' is not known; expected hook or gripper")
+    if hand == "gripper" and tool_distance_m is not None:
+        raise RobotError("tool_distance_m is the length of a hook; a gripper has its own")
+    return load_atlas(root or "floating", tool_distance_m, locked, hand or "hook")

@@ -5,6 +5,7 @@ from costs.terms.collision import SweptClearance
 from costs.terms.contact_place import ContactPlace
 from costs.terms.displacement import FrameDisplacement
 from costs.terms.equilibrium import ContactForce, Equilibrium, FrictionPyramid, MechanismBalance
+from costs.terms.held_torque import HeldTorque
 from costs.terms.joint import JointDifference, JointTarget
 from costs.terms.joint_torque import JointTorque, StaticTorque
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
@@ -24,6 +25,7 @@ __all__ = [
     "FrameDisplacement",
     "FramePose",
     "FrictionPyramid",
+    "HeldTorque",
     "Joined",
     "JointDifference",
     "JointTarget",

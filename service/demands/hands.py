@@ -1,16 +1,19 @@
-"""Hands that hold mechanisms: a rod on the hand's axis, used as a hook and as a peg."""
+"""Hands that hold mechanisms: a rod on the hand's axis, used as a hook and as a peg; or two fingers that close."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 PEG_RADIUS = 0.009  # [m]
+PEG_FROM_END = 0.03  # of the frame in the middle of the free rod, from the rod's end [m]
+FREE_BEFORE = 0.035  # of the free rod before that frame [m]
 
 
 @dataclass(frozen=True)
 class Hand:
-    """Hand with its rod.
+    """Hand with its rod, or with its fingers; a robot has the frames of one or the other.
 
     Attributes:
         side: ``left`` or ``right``.
@@ -18,6 +21,9 @@ class Hand:
         hook: link of the rod, which may touch what is held.
         tool: frame at the rod's end, z along the hand axis outwards.
         peg, stub: frames in the middle of the free rod and where it leaves the hand, parallel to ``tool``.
+        palm: link of a gripper that carries the fingers; ``tool`` is then between their pads.
+        fingers: links of the two fingers, which slide along the palm's x axis and against it.
+        grips: joints of the fingers, 0 where the pads meet in the middle.
         peg_radius: half the rod's thickness [m].
     """
 
@@ -27,10 +33,17 @@ class Hand:
     tool: str
     peg: str
     stub: str
+    palm: str
+    fingers: tuple[str, str]
+    grips: tuple[str, str]
     peg_radius: float = PEG_RADIUS
 
 
-HANDS = {
-    "left": Hand("left", "l_hand", "l_hook", "l_tool", "l_peg", "l_stub"),
-    "right": Hand("right", "r_hand", "r_hook", "r_tool", "r_peg", "r_stub"),
-}
+def _make_hand(side: Literal["left", "right"]) -> Hand:
+    """Return the hand of a side, whose names begin with the side's first letter."""
+    s = side[0]
+    fingers, grips = (f"{s}_finger_1", f"{s}_finger_2"), (f"{s}_grip_1", f"{s}_grip_2")
+    return Hand(side, f"{s}_hand", f"{s}_hook", f"{s}_tool", f"{s}_peg", f"{s}_stub", f"{s}_palm", fingers, grips)
+
+
+HANDS: Mapping[str, Hand] = {"left": _make_hand("left"), "right": _make_hand("right")}

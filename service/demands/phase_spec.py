@@ -21,6 +21,7 @@ AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
 SAME_VALUE = 1e-9  # of mechanism joints [rad, m]
 ANYWHERE = 100.0  # tolerance of a place that does not count [m]
+DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between the waypoints [m]
 JOINT_TOLERANCE = 1e-3  # of a mechanism's joint at the end of a phase [rad, m]
 
 
@@ -93,6 +94,11 @@ class PhaseSpec:
         fixed: values of the robot's joints at the first pose of the anchor.
         aims_at_end: whether the first guess of an anchor leads straight to a pose at its end.
         guess_rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
+        joints: joints of the robot that move in equal steps, from one value to another [rad, m].
+        guess_touches: pairs that may overlap in the first guess of an anchor, which is solved beforehand.
+        torque_share: of the torque limits that the joints before the hand may use under the loads while the phase is
+            planned; None for any.
+        depth_reserve_m: of the depths of ``touches``, for the curve between the waypoints [m].
     """
 
     name: str
@@ -108,6 +114,10 @@ class PhaseSpec:
     fixed: Mapping[str, float] = field(default_factory=dict)
     aims_at_end: bool = False
     guess_rates: Mapping[str, float] = field(default_factory=dict)
+    joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    guess_touches: tuple[Allowance, ...] = ()
+    torque_share: float | None = None
+    depth_reserve_m: float = DEPTH_RESERVE
 
     @property
     def moving(self) -> tuple[int, ...]:
@@ -134,6 +144,7 @@ class PhaseSpec:
             *self.also,
             *held,
             *(JointTarget(mechanism.joints[k].name, float(self.last[k]), JOINT_TOLERANCE, at) for k in self.moving),
+            *(JointTarget(name, ends[1], JOINT_TOLERANCE, at) for name, ends in self.joints.items()),
         )
 
 

@@ -1,32 +1,39 @@
-"""What a valve task demands of any motion, and the choices it leaves: hand, gap of the wheel and number of strokes."""
+"""Demands of a valve task on any motion, and the choices it leaves: hand, entry into the wheel, number of strokes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from costs.robot import Mechanism
-from service.demands.hands import HANDS, Hand
-from service.demands.phase_spec import AXIS, PhaseSpec
+from service.demands.hands import HANDS
+from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
-from service.demands.wheel import Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.demands.strokes import (
+    TURN,
+    TurnChoice,
+    find_count,
+    find_hold,
+    find_net_turn,
+    list_strokes,
+    list_usable_entries,
+    make_turn_phases,
+)
+from service.demands.wheel import Wheel, make_wheel_mechanism, wrap_angle
 from service.errors import RequestError
 from service.request.names import VALVE_JOINT
 from service.request.resume import ResumeRequest, StrokeChoice
 from service.request.schema import ValveRequest
-from service.verify import CircleTarget, Motion, Phase, RelativePoseTarget
+from service.verify import Motion, Phase, RelativePoseTarget
 
 if TYPE_CHECKING:
     from perception import ValveDetection
 
-TURN = "turn"
 SAME_PLACE_M = 1e-6
-TURNED_ROUNDING_DEG = 3.0  # the tool may be off its point of the rim
+TURNED_ROUNDING_DEG = 3.0  # the tool may be off its place in the wheel
 
 
 @dataclass(frozen=True)
@@ -44,77 +51,82 @@ class ValveDemand:
     @property
     def mechanism(self) -> Mechanism:
         """The wheel as a mechanism."""
-        return make_wheel_mechanism(self.wheel)
+        return make_wheel_mechanism(self.wheel, float(np.deg2rad(self.request.turn_deg)))
 
     def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
         """Return the phases of all strokes with the record's choices, and a sentence for each that is forbidden."""
-        turns = [phase for phase in recorded.phases if phase.name.split(" ")[0] == TURN]
-        if not turns:
-            return (), ("no phase turns the valve",)
-        edges = np.linspace(0.0, np.deg2rad(self.request.turn_deg), len(turns) + 1)
-        specs: list[PhaseSpec] = []
-        problems: list[str] = []
-        for count, phase in enumerate(turns):
-            choice = self._read_choice(phase)
-            if isinstance(choice, str):
-                problems.append(choice)
-                continue
-            hand, entry, grasp = choice
-            suffix = "" if len(turns) == 1 else f" {count + 1}"
-            turn = (float(edges[count]), float(edges[count + 1]))
-            specs += make_stroke_phases(self.wheel, hand, entry, turn, suffix, grasp, self.request.torque_nm)
-        return tuple(specs), tuple(problems)
+        choice = self._read_choice(recorded)
+        if isinstance(choice, str):
+            return (), (choice,)
+        return make_turn_phases(self.wheel, self.request, choice), ()
 
     def read_stroke(self, recorded: Motion) -> StrokeChoice | str:
-        """Return hand, gap and number of strokes of a recorded turn, or a sentence why there are none."""
-        turns = [phase for phase in recorded.phases if phase.name.split(" ")[0] == TURN]
-        if not turns:
-            return "no phase turns the valve"
-        choice = self._read_choice(turns[0])
-        return choice if isinstance(choice, str) else StrokeChoice(choice[0].side, choice[1], len(turns))
+        """Return hand, entry and number of strokes of a recorded turn, or a sentence why there are none."""
+        choice = self._read_choice(recorded)
+        if isinstance(choice, str):
+            return choice
+        return StrokeChoice(choice.hand.side, choice.entry, choice.count, choice.is_flipped)
 
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence where the figures of a result name another angle than the request."""
-        turned = figures.get("turned_deg")
-        if not isinstance(turned, float | int) or abs(turned - self.request.turn_deg) > TURNED_ROUNDING_DEG:
-            yield f"figures.turned_deg is {turned}, the request turns by {self.request.turn_deg:g}"
+        turned, wanted = figures.get("turned_deg"), find_net_turn(self.request)
+        if not isinstance(turned, float | int) or abs(turned - wanted) > TURNED_ROUNDING_DEG:
+            yield f"figures.turned_deg is {turned}, the request turns by {wanted:g}"
 
-    def _read_choice(self, phase: Phase) -> tuple[Hand, float, Grasp | None] | str:
-        """Return hand, gap and grasp of a phase that turns, or a sentence where the task forbids them."""
-        wheel = self.wheel
-        tools = {target.frame for target in phase.targets if isinstance(target, CircleTarget)}
-        hands = [hand for hand in HANDS.values() if hand.tool in tools and self.request.hand in ("auto", hand.side)]
-        if len(hands) != 1:
-            return f"no hand that the task permits holds the rim in phase '{phase.name}'"
-        holds = [
-            target
-            for target in phase.targets
-            if isinstance(target, RelativePoseTarget) and target.frame == hands[0].tool and target.reference is not None
+    def _read_choice(self, recorded: Motion) -> TurnChoice | str:
+        """Return hand, first entry and number of strokes of a motion, or a sentence where the task forbids them."""
+        turns = [phase for phase in recorded.phases if phase.name.split(" ")[0] == TURN]
+        if not turns:
+            return "no phase turns the valve"
+        holds = _list_holds(turns[0])
+        known = [hand for hand in HANDS.values() if self.request.hand in ("auto", hand.side)]
+        mode = self.request.mode
+        hands = [
+            hand for hand in known if any(hold.frame == (hand.peg if mode == "hook" else hand.tool) for hold in holds)
         ]
-        for entry in wheel.gaps:
-            for hold in holds:
-                if not _is_near(hold.position, wheel.rim_point(entry) - wheel.centre):
-                    continue
-                if self.request.mode == "hook":
-                    return hands[0], entry, None
-                if hold.free_axis is None and _is_near(hold.rotation @ AXIS, -wheel.axis):
-                    return hands[0], entry, Grasp(hold.rotation)
-                return f"the hand does not turn with the wheel in phase '{phase.name}', as a grasp has it"
-        return f"the hook is in no gap of the valve in phase '{phase.name}'"
+        if len(hands) != 1:
+            return f"no hand that the task permits holds the rim in phase '{turns[0].name}'"
+        count = find_count(self.request, len(turns))
+        first = list_strokes(self.request, count)[0]
+        for entry in list_usable_entries(self.wheel, hands[0], mode, first.sense):
+            for is_flipped in (False, True) if mode == "grasp" else (False,):
+                choice = TurnChoice(hands[0], entry, count, is_flipped)
+                motion = find_hold(self.wheel, choice, mode, first.sense)
+                if any(_is_hold_of(hold, motion) for hold in holds):
+                    return choice
+        return f"the {mode} is in no gap of the valve in phase '{turns[0].name}'"
 
 
-def read_kept_stroke(request: ValveRequest, resume: ResumeRequest) -> tuple[Hand, StrokeChoice]:
-    """Return the hand and the choice of an earlier plan that the rest of it keeps.
+def _is_hold_of(hold: RelativePoseTarget, motion: HandMotion) -> bool:
+    """Return whether a promise keeps a hand at its place of the wheel."""
+    is_turned = motion.rotation is None or float(np.abs(hold.rotation - motion.rotation).max()) <= SAME_PLACE_M
+    return is_turned and bool(np.linalg.norm(hold.position - motion.place) <= SAME_PLACE_M)
+
+
+def _list_holds(phase: Phase) -> tuple[RelativePoseTarget, ...]:
+    """Return the promises of a phase that keep a frame at a link of the mechanism."""
+    targets = [target for target in phase.targets if isinstance(target, RelativePoseTarget)]
+    return tuple(target for target in targets if target.reference is not None)
+
+
+def read_kept_choice(demand: ValveDemand, resume: ResumeRequest) -> TurnChoice:
+    """Return the choice of an earlier plan that the rest of it keeps; a new scan moves its entry a little.
 
     Raises:
         RequestError: the request has none, or the task forbids it.
     """
-    stroke = resume.stroke
+    request, stroke = demand.request, resume.stroke
     if stroke is None:
         raise RequestError("resume.stroke: is missing; a valve is turned as the earlier plan chose to")
     if request.hand not in ("auto", stroke.hand):
         raise RequestError(f"resume.stroke.hand: {stroke.hand}; task.valve.hand permits {request.hand}")
-    return next(hand for hand in HANDS.values() if hand.side == stroke.hand), stroke
+    hand = HANDS[stroke.hand]
+    sense = list_strokes(request, stroke.strokes)[0].sense
+    usable = list_usable_entries(demand.wheel, hand, request.mode, sense)
+    if not usable:
+        raise RequestError("resume.stroke: the wheel of this request has no room for the hand")
+    entry = min(usable, key=lambda angle: abs(wrap_angle(angle - stroke.gap_rad)))
+    return TurnChoice(hand, entry, stroke.strokes, stroke.is_flipped)
 
 
 def turn_back(valve: ValveDetection, resume: ResumeRequest | None) -> ValveDetection:
@@ -131,20 +143,10 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
     Raises:
         RequestError: its phase, mechanism or choices do not fit the task.
     """
-    hand, stroke = read_kept_stroke(demand.request, resume)
-    turn, count = float(np.deg2rad(demand.request.turn_deg)), stroke.strokes
-    edges = np.linspace(0.0, turn, count + 1).tolist()
-    grasp = None if demand.request.mode == "hook" else Grasp()
-    specs = tuple(
-        spec
-        for k, ends in enumerate(pairwise(edges))
-        for spec in make_stroke_phases(
-            demand.wheel, hand, stroke.gap_rad, ends, "" if count == 1 else f" {k + 1}", grasp, demand.request.torque_nm
-        )
-    )
+    specs = make_turn_phases(demand.wheel, demand.request, read_kept_choice(demand, resume))
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
-    rest = float(np.rad2deg(turn - mechanism.start[0]))
+    rest = find_net_turn(demand.request) - float(np.rad2deg(mechanism.start[0]))
 
     def compare(figures: Mapping[str, Any]) -> Iterator[str]:
         turned = figures.get("turned_deg")
@@ -152,7 +154,3 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
             yield f"figures.turned_deg is {turned}, the rest of the turn is {rest:.1f}"
 
     return ResumedDemand(mechanism, specs, resume.phase, compare)
-
-
-def _is_near(place: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:
-    return bool(np.linalg.norm(place - other) <= SAME_PLACE_M)

@@ -1,34 +1,51 @@
-"""Demands of a valve task: the wheel as a joint, the hands that may turn it, and what they may touch."""
+"""The wheel of a valve task: its contact surface, its collision bodies, and the wheel as a joint.
+
+The contact surface is the wheel as it was seen or given; the collision bodies contain it grown by ``GROWTH_M``.  A hand
+presses the surface, so that it is as deep in a body as the body is grown; everything else keeps clear of the bodies.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance, BodyRef
 from costs.robot import Mechanism, MechanismJoint
-from service.demands.hands import Hand
-from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.request.names import VALVE_JOINT, VALVE_LINK
-from service.verify import CircleTarget, HandLoad
 
 if TYPE_CHECKING:
     from perception import ValveDetection
 
+Mode = Literal["hook", "grasp"]
+
 WHEEL_SPEED = 1.0  # [rad/s]
 WHEEL_ACCELERATION = 2.0  # [rad/s^2]
-RIM_TOLERANCE = 5e-3  # largest distance of the tool from its point of the rim [m]
-AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
-STANDOFF = 0.07  # of the tool from the wheel's plane before it is inserted, beyond the rim's tube [m]
-TURN_STEP = np.deg2rad(20.0)  # between waypoints
-TOUCH_RESERVE = 0.015  # the hook may be this much deeper in the rim than its half thickness [m]
-HOOK_ROOM = 0.03  # from the rim's centre line inwards, free for the hook where spokes were not seen clearly [m]
+GROWTH_M = 4e-3  # of the collision bodies beyond the contact surface [m]
+TOUCH_DEPTH = GROWTH_M + 2e-3  # allowed in a grown body: at most 2 mm beyond the contact surface [m]
 MIN_HUB = 0.01  # [m]
 GAPS_WITHOUT_SPOKES = np.deg2rad([0.0, 90.0, 180.0, 270.0])
+LEAST_RANGE = 2.5 * np.pi  # of the wheel's joint to either side [rad]
+RANGE_BEYOND = 0.5 * np.pi  # the turn [rad]
+# From the rim's inner edge inwards, free for the hand where spokes were not seen clearly [m].
+ROOMS: Mapping[Mode, float] = {"hook": 0.034, "grasp": 0.036}
+
+
+@dataclass(frozen=True)
+class Spoke:
+    """A spoke of a wheel.
+
+    Attributes:
+        angle: about the axis, in the wheel [rad].
+        half_width: of its contact surface, to either side of its middle [m].
+        body: name of its collision body.
+    """
+
+    angle: float
+    half_width: float
+    body: str
 
 
 @dataclass(frozen=True)
@@ -42,8 +59,11 @@ class Wheel:
         tube_radius: half the rim's thickness [m].
         start_direction: (3,) unit, perpendicular to the axis, where the angle about it is zero.
         gaps: angles at which there is no spoke, best first [rad].
-        bodies: vertices in the world by body name.
-        rim: names of the bodies that are the rim, which may be touched.
+        bodies: vertices of the collision bodies in the world by name.
+        rim: names of the bodies that are the rim.
+        spokes: best first; empty where they were not seen clearly.
+        hub: largest distance of the hub's body from the axis [m].
+        front: highest place of a body along the axis, from the rim's centre [m].
     """
 
     centre: Float[np.ndarray, "3"]
@@ -54,15 +74,33 @@ class Wheel:
     gaps: tuple[float, ...]
     bodies: Mapping[str, Float[np.ndarray, "V 3"]]
     rim: tuple[str, ...]
+    spokes: tuple[Spoke, ...] = ()
+    hub: float = 0.0
+    front: float = 0.0
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius of the rim's inner edge [m]."""
+        return self.radius - self.tube_radius
+
+    def radial(self, angle: float) -> Float[np.ndarray, "3"]:
+        """Return the unit direction from the axis to an angle, in the world."""
+        third = np.cross(self.axis, self.start_direction)
+        return np.asarray(np.cos(angle) * self.start_direction + np.sin(angle) * third)
 
     def rim_point(self, angle: float) -> Float[np.ndarray, "3"]:
         """Return the point of the centre line at an angle, in the world [m]."""
-        third = np.cross(self.axis, self.start_direction)
-        return np.asarray(self.centre + self.radius * (np.cos(angle) * self.start_direction + np.sin(angle) * third))
+        return np.asarray(self.centre + self.radius * self.radial(angle))
+
+    def list_entries(self, mode: Mode) -> tuple[float, ...]:
+        """Return the angles at which a hand may enter: spokes that a hook presses, else the gaps [rad]."""
+        if mode == "hook" and self.spokes:
+            return tuple(spoke.angle for spoke in self.spokes)
+        return self.gaps
 
 
-def make_wheel(valve: ValveDetection) -> Wheel:
-    """Return the wheel of a detected or given valve; its gaps in the order of their angles."""
+def make_wheel(valve: ValveDetection, mode: Mode) -> Wheel:
+    """Return the wheel of a detected or given valve; spokes and gaps in the order of their angles."""
     from perception import (  # slow to import, and needed for valves only
         has_clear_spokes,
         rim_bodies,
@@ -71,97 +109,54 @@ def make_wheel(valve: ValveDetection) -> Wheel:
     )
 
     first, _, axis = wheel_basis(valve.axis)
-    solids = valve_bodies(valve)
-    if not has_clear_spokes(valve):
-        solids["hub"] = _within(solids["hub"], valve, max(valve.rim_radius - HOOK_ROOM, MIN_HUB))
-    bodies = {f"{VALVE_LINK}/{name}": vertices for name, vertices in solids.items()}
-    rim = tuple(f"{VALVE_LINK}/{name}" for name in rim_bodies(valve))
-    return Wheel(valve.centre, axis, valve.rim_radius, valve.tube_radius, first, _gaps(valve), bodies, rim)
+    solids = valve_bodies(valve, margin=GROWTH_M)
+    spokes: tuple[Spoke, ...] = ()
+    if has_clear_spokes(valve):
+        spokes = tuple(
+            Spoke(float(angle), valve.spoke_half_width, f"{VALVE_LINK}/spoke/{index}")
+            for index, angle in enumerate(valve.spoke_angles)
+        )
+    else:
+        free = valve.rim_radius - valve.tube_radius - ROOMS[mode]
+        solids["hub"] = _within(solids["hub"], valve, max(free, MIN_HUB))
+    heights = np.concatenate([(vertices - valve.centre) @ axis for vertices in solids.values()])
+    offset = solids["hub"] - valve.centre
+    hub = float(np.linalg.norm(offset - (offset @ axis)[:, None] * axis, axis=1).max())
+    return Wheel(
+        valve.centre,
+        axis,
+        valve.rim_radius,
+        valve.tube_radius,
+        first,
+        _gaps(valve),
+        {f"{VALVE_LINK}/{name}": vertices for name, vertices in solids.items()},
+        tuple(f"{VALVE_LINK}/{name}" for name in rim_bodies(valve)),
+        spokes,
+        hub,
+        float(heights.max()),
+    )
 
 
-def make_wheel_mechanism(wheel: Wheel) -> Mechanism:
-    """Return the wheel as a mechanism whose only coordinate is its angle."""
+def make_wheel_mechanism(wheel: Wheel, turn: float) -> Mechanism:
+    """Return the wheel as a mechanism whose only coordinate is its angle, with room for a turn [rad]."""
+    most = max(LEAST_RANGE, abs(turn) + RANGE_BEYOND)
     joint = MechanismJoint(
         VALVE_JOINT,
         VALVE_LINK,
         wheel.centre,
         wheel.axis,
         wheel.bodies,
-        lower=-2.5 * np.pi,
-        upper=2.5 * np.pi,
+        lower=-most,
+        upper=most,
         velocity=WHEEL_SPEED,
         acceleration=WHEEL_ACCELERATION,
     )
     return Mechanism(VALVE_LINK, (joint,))
 
 
-def make_hook_allowances(wheel: Wheel, hand: Hand) -> tuple[Allowance, ...]:
-    """Return the allowances of a hook on the rim."""
-    hook, depth = BodyRef.of_link(hand.hook), wheel.tube_radius + TOUCH_RESERVE
-    return tuple(Allowance(hook, BodyRef("mechanism", VALVE_LINK, body), depth) for body in wheel.rim)
-
-
-def make_stroke_phases(
-    wheel: Wheel,
-    hand: Hand,
-    entry: float,
-    turn: tuple[float, float],
-    suffix: str = "",
-    grasp: Grasp | None = None,
-    torque_nm: float = 0.0,
-    reach_waypoints: int = REACH_WAYPOINTS,
-) -> tuple[PhaseSpec, ...]:
-    """Return the phases of a stroke: reach, insert, turn, retract; the turn is solved first.
-
-    Args:
-        wheel, hand: the wheel and the hand that turns it.
-        entry: angle of the hook's gap, in the wheel [rad].
-        turn: angles of the wheel at the beginning and the end of the stroke [rad].
-        suffix: ends the names of the phases; empty for a single stroke.
-        grasp: of a hand that turns with the wheel; None for one that may turn about its axis.
-        torque_nm: that turns the wheel.
-        reach_waypoints: number of the first phase.
-    """
-    first, last = np.array(turn[:1]), np.array(turn[1:])
-    place = wheel.rim_point(entry) - wheel.centre  # at angle 0 the wheel's frame has the axes of the world
-    touches = make_hook_allowances(wheel, hand)
-    off = (wheel.tube_radius + STANDOFF) * wheel.axis
-    held = HandMotion(
-        hand.tool, VALVE_LINK, place, -wheel.axis, tolerance_m=RIM_TOLERANCE, tilt_rad=AXIS_TOLERANCE,
-        is_rigid=grasp is not None, rotation=None if grasp is None else grasp.rotation,
-    )  # fmt: skip
-    line = replace(held, offset=off, is_rigid=False, rotation=None)
-    circle = CircleTarget(
-        hand.tool, wheel.centre, wheel.axis, wheel.radius, RIM_TOLERANCE, -AXIS, AXIS_TOLERANCE
-    )  # fmt: skip
-    count = max(int(np.ceil(abs(turn[1] - turn[0]) / TURN_STEP)) + 1, 3)
-    wrist = grasp or Grasp()
-    turning = np.sign(turn[1] - turn[0]) * np.cross(wheel.axis, place) / (place @ place)
-    load = HandLoad(hand.tool, VALVE_LINK, place, torque_nm * turning)
-    return (
-        PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
-        PhaseSpec(f"insert{suffix}", first, first, line, touches, n_waypoints=LINE_WAYPOINTS),
-        PhaseSpec(
-            f"turn{suffix}", first, last, held, touches, is_anchor=True, step="pose at the wheel", n_waypoints=count,
-            loads=(load,), also=(circle,), fixed=wrist.fixed, guess_rates=wrist.rates,
-        ),
-        PhaseSpec(f"retract{suffix}", last, last, replace(line, leaves=True), touches, n_waypoints=LINE_WAYPOINTS),
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Grasp:
-    """A hand that turns with the wheel.
-
-    Attributes:
-        rotation: (3, 3) rotation_valve_tool; None until the first pose decides it.
-        fixed: value of the wrist's joint at the first pose [rad].
-        rates: rate of the wrist's joint per angle of the wheel, for the first guess.
-    """
-
-    rotation: Float[np.ndarray, "3 3"] | None = None
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    rates: Mapping[str, float] = field(default_factory=dict)
+def wrap_angle(angle: float) -> float:
+    """Return an angle between -pi and pi [rad]."""
+    return float(np.mod(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def _within(disc: Float[np.ndarray, "V 3"], valve: ValveDetection, radius: float) -> Float[np.ndarray, "V 3"]:

@@ -146,7 +146,7 @@ def _rebuild_task(
     valve = read_given_valve(task.valve) or next(iter(surroundings.valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    turning = ValveDemand(make_wheel(turn_back(valve, request.resume)), task.valve)
+    turning = ValveDemand(make_wheel(turn_back(valve, request.resume), task.valve.mode), task.valve)
     return turning if request.resume is None else resume_valve(turning, request.resume)
 
 

@@ -29,13 +29,15 @@ class StrokeChoice(Section):
 
     Attributes:
         hand: the hand.
-        gap_rad: angle of the gap that the hook is in, in the wheel.
-        strokes: number of grasps of the whole turn.
+        gap_rad: angle of the spoke that the hook presses, or of the gap that the hand is in, in the wheel.
+        strokes: number of holds of the turn itself.
+        is_flipped: of a gripper, whether its first finger is inside the rim.
     """
 
     hand: Literal["left", "right"]
     gap_rad: Angle
     strokes: Annotated[StrictInt, Field(ge=1, le=100)] = 1
+    is_flipped: bool = False
 
 
 @dataclass(config=SECTION)

@@ -39,6 +39,7 @@ from service.request.fields import (
 from service.request.resume import Hash, ResumeRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
+LEAST_STUCK_TURN_DEG = 10.0
 UNPLANNED = {"egress": "getting out of vehicles"}
 
 
@@ -47,8 +48,8 @@ class RobotRequest(Section):
     """Robot: bundled (``name``), or read from ``urdf`` (with ``srdf``, ``package_dirs``).
 
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
-    distance of the bundled robot's hook from the hand's origin. ``contacts`` are patches by name that may carry force,
-    besides those of a bundled robot or in their place.
+    distance of the bundled robot's hook from the hand's origin; ``hand`` is what the bundled robot has on its hands.
+    ``contacts`` are patches by name that may carry force, besides those of a bundled robot or in their place.
     """
 
     name: Label | None = None
@@ -58,6 +59,7 @@ class RobotRequest(Section):
     root: Literal["floating", "fixed"] | None = None
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
     contacts: Annotated[dict[Label, ContactPatchRequest], at_most(100)] = field(default_factory=dict)
+    hand: Literal["hook", "gripper"] | None = None
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))
@@ -65,6 +67,10 @@ class RobotRequest(Section):
             raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
         if self.urdf is not None and self.tool_distance_m is not None:
             raise PydanticCustomError("robot", "tool_distance_m belongs to a bundled robot given by name, not by urdf")
+        if self.urdf is not None and self.hand is not None:
+            raise PydanticCustomError("robot", "hand belongs to a bundled robot given by name, not by urdf")
+        if self.hand == "gripper" and self.tool_distance_m is not None:
+            raise PydanticCustomError("robot", "tool_distance_m is the length of a hook; hand is gripper")
 
 
 @dataclass(config=SECTION)
@@ -165,23 +171,35 @@ class ValveRequest(Section):
     Attributes:
         mode: ``hook`` rests a hook between the spokes, ``grasp`` turns the hand with the wheel.
         hand: hand to use; ``auto`` tries both.
-        turn_deg: angle, positive counter-clockwise as seen by the robot.
+        turn_deg: angle, positive counter-clockwise as seen by the robot; beyond a turn with a new hold.
+        sense: whether the wheel turns in the sense of ``turn_deg``; if ``unknown`` it is only tried, a little each way.
+        stuck: whether it may be stuck: it is first rocked a little, for which the robot is held with twice the torque.
         centre, axis, radius: the rim's centre-line circle, axis towards the robot [m].
+        spokes_deg, spoke_width_m: angles of the spokes of a given valve, counter-clockwise as seen by the robot, from
+            the rim's rightmost point; and their width.
         torque_nm: torque that turns the wheel; the robot is held with it and without it.
     """
 
     mode: Literal["hook", "grasp"] = "hook"
     hand: Literal["left", "right", "auto"] = "auto"
-    turn_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = 360.0
+    turn_deg: Annotated[Number, Field(ge=-1440.0, le=1440.0)] = 360.0
     hint: Point | None = None
     centre: Point | None = None
     axis: Point | None = None
     radius: Annotated[Number, Field(gt=0.0, le=2.0)] | None = None
     torque_nm: Annotated[Number, Field(ge=0.0, le=200.0)] = 10.0
+    spokes_deg: Annotated[tuple[Number, ...], at_most(8)] = ()
+    spoke_width_m: Annotated[Number, Field(gt=0.0, le=0.1)] = 0.02
+    sense: Literal["given", "unknown"] = "given"
+    stuck: bool = False
 
     def __post_init__(self) -> None:
         if self.turn_deg == 0.0:
-            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -360 to 360 except 0")
+            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -1440 to 1440 except 0")
+        if self.stuck and abs(self.turn_deg) < LEAST_STUCK_TURN_DEG:
+            raise PydanticCustomError("valve", "a stuck wheel is turned by 10 deg or more; turn_deg is smaller")
+        if self.spokes_deg and self.centre is None:
+            raise PydanticCustomError("valve", "spokes_deg belong to a valve given by centre, axis and radius")
         if self.axis is not None and math.hypot(*self.axis) < 1e-6:
             raise PydanticCustomError("valve", "axis has no length; expected a direction such as [-1, 0, 0]")
 

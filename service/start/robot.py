@@ -25,7 +25,7 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
     robot = request.robot
     try:
         if robot.urdf is None:
-            loaded = load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m)
+            loaded = load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m, hand=robot.hand)
         else:
             loaded = load_robot(
                 urdf=_find_file(request, robot.urdf, "robot.urdf"),

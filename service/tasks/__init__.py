@@ -50,7 +50,7 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         from service.tasks.valve_task import plan_valve
 
         valve = request.task.valve
-        plans = _list_plans(solver, lambda: iter([plan_valve(setup, solver, valve)]))
+        plans = _list_plans(solver, lambda: plan_valve(setup, solver, valve))
     elif request.task is not None and request.task.door is not None:
         from service.tasks.door_task import plan_door
 

@@ -17,22 +17,23 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.allowance import Allowance
+from costs.collision import Contacts
 from costs.kinematics import locate_frame, locate_links
 from costs.robot import Mechanism, RobotModel, with_mechanism
 from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose, NormWithin, WithinTolerance
+from costs.terms import AxisDirection, FramePose, HeldTorque, NormWithin, WithinTolerance
 from scopt import Constraint, Residual, Sense
 from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.phases import POSE_EFFORT, PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
-from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec, check_moves, find_rotation_onto
+from service.demands.phase_spec import AXIS, DEPTH_RESERVE, HandMotion, PhaseSpec, check_moves, find_rotation_onto
 
 QUICK_GUESSES = 2
 QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
-DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between the waypoints [m]
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
+TORQUE_TOLERANCE = 0.01  # share of a joint's limit
 AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
 
@@ -164,9 +165,9 @@ class PhaseSequence:
         return tuple(phases), None
 
 
-def shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
-    """Return allowances with depths for the waypoints, which leave some of each for the curve between them."""
-    return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in touches)
+def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:
+    """Return allowances with depths for the waypoints, which leave a reserve for the curve between them [m]."""
+    return tuple(replace(touch, depth=max(touch.depth - reserve_m, 0.0)) for touch in touches)
 
 
 def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
@@ -216,9 +217,12 @@ class _Compiler:
         names = self.robot.joint_names
         fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
         fixed |= {names.index(name): value for name, value in spec.fixed.items()}
-        constraints = self._constraints(spec, np.zeros(1, dtype=int), 1)
+        fixed |= {names.index(name): ends[0] for name, ends in spec.joints.items()}
+        first = np.zeros(1, dtype=int)
+        constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
         regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
-        return self.solver.solve_pose(step, guesses, constraints, shrink(spec.touches), fixed, regions, effort)
+        touches = shrink(spec.touches, spec.depth_reserve_m)
+        return self.solver.solve_pose(step, guesses, constraints, touches, fixed, regions, effort)
 
     def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
@@ -256,6 +260,9 @@ class _Compiler:
         for name, rate in spec.guess_rates.items():
             (moving,) = spec.moving
             start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
+        for name, (first, last) in spec.joints.items():
+            column = self.robot.joint_names.index(name)
+            start[:, column] = np.linspace(first if is_anchor or is_backwards else q[column], last, count)
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
         starts = [start]
         if spec.aims_at_end and not is_backwards:
@@ -266,11 +273,24 @@ class _Compiler:
                 straight[:, self.columns] = values
                 starts = [straight, start]
         pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
+        light = replace(spec, torque_share=None)
+        if spec.guess_touches:  # what the hand passes between would push it to the wrong side of a poor guess
+            loose = replace(light, touches=(*spec.touches, *spec.guess_touches))
+            starts = [self._solve(loose, starts, fixed, values, (), pinned).x]
         regions = self.find_regions(spec, values)
         if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
-            unloaded = self._solve(spec, starts, fixed, values, (), pinned)
+            unloaded = self._solve(light, starts, fixed, values, (), pinned)
             starts = [unloaded.x, *starts] if unloaded.is_feasible else starts
-        return self._solve(spec, starts, fixed, values, regions, pinned)
+        solved = self._solve(light, starts, fixed, values, regions, pinned)
+        if not solved.is_feasible or self._is_strong_enough(spec, solved.x):
+            return solved
+        return self._solve(spec, [solved.x], fixed, values, regions, pinned)
+
+    def _is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
+        """Return whether a phase's loads cost no more torque at its waypoints than it may use."""
+        state = MotionState(self.solver.body.engine(q), Contacts.none())
+        limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
+        return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
 
     def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""
@@ -302,6 +322,9 @@ class _Compiler:
 
         def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, self.columns] = upper[:, self.columns] = values
+            for name in spec.joints:
+                column = self.robot.joint_names.index(name)
+                lower[:, column] = upper[:, column] = starts[0][:, column]
             for column, value in pinned.items():
                 lower[0, column] = upper[0, column] = value
 
@@ -309,8 +332,8 @@ class _Compiler:
             spec.name,
             starts,
             fixed,
-            constraints=self._constraints(spec, free, count),
-            allowances=shrink(spec.touches),
+            constraints=(*self._constraints(spec, free, count), *self._limit_torques(spec, free, values)),
+            allowances=shrink(spec.touches, spec.depth_reserve_m),
             bounds=narrow,
             regions=regions,
         )
@@ -345,7 +368,7 @@ class _Compiler:
         name = "tool on its line" if hand.is_line else "tool at its place"
         residual: Residual[MotionState] = _place_residual(self.robot, hand, waypoints, places, is_along=False)
         if hand.rotation is not None:
-            residual = make_hold(self.robot, hand)(waypoints)
+            residual = _rigid_residual(self.robot, hand, waypoints, places)
         constraints = [Constraint(name, residual, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m")]
         if hand.slide is not None:
             along = _place_residual(self.robot, hand, waypoints, places, is_along=True)
@@ -361,15 +384,41 @@ class _Compiler:
         constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))
         return tuple(constraints)
 
+    def _limit_torques(
+        self, spec: PhaseSpec, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
+    ) -> Iterator[Constraint[MotionState]]:
+        """Yield the limits of the torques that a phase's loads cost, if it has any."""
+        if spec.torque_share is None or not len(waypoints):
+            return
+        body = self.solver.body
+        q = np.tile(body.nominal, (len(values), 1))
+        q[:, self.columns] = values
+        kinematics = body.engine(q)
+        for load in spec.loads:
+            joint, _ = locate_frame(self.robot, load.link)
+            forces = -kinematics.rotation[waypoints, joint] @ load.force
+            torque = HeldTorque(self.robot, load.tool, waypoints, forces, spec.torque_share)
+            yield Constraint("torque under the load", torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
+
 
 def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
     """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
     if hand.rotation is not None:
-        target = np.eye(4)
-        target[:3, :3], target[:3, 3] = hand.rotation, hand.place
-        axes = (True, True, True, False, False, True)
-        return lambda waypoints: FramePose(robot, hand.tool, waypoints, target, axes, hand.link)
+        return lambda waypoints: _rigid_residual(robot, hand, waypoints, hand.place[None])
     return lambda waypoints: _place_residual(robot, hand, waypoints, hand.place[None], is_along=False)
+
+
+def _rigid_residual(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> FramePose:
+    """Return the tool's distance from its places, and its turn about its axis."""
+    targets = np.tile(np.eye(4), (len(places), 1, 1))
+    targets[:, :3, :3], targets[:, :3, 3] = hand.rotation, places
+    axes = (True, True, True, False, False, True)
+    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
 
 
 def _place_residual(

@@ -27,7 +27,7 @@ from service.body.monitor import Interrupted, Monitor, OnProgress
 from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
 from service.demands.hands import Hand
-from service.demands.wheel import make_wheel, make_wheel_mechanism
+from service.demands.wheel import make_wheel
 from service.errors import RequestError
 from service.request.schema import PlanRequest
 from service.setup.checks import check_start, find_soles
@@ -213,12 +213,10 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
     if isinstance(valve, str):
         return valve
     hooks = valve_task.choose_hands(body, task.valve, valve)
-    wheel = make_wheel(valve)
-    mechanism = make_wheel_mechanism(wheel)
+    wheel = make_wheel(valve, task.valve.mode)
     near = valve_task.list_clearances(hooks)
     note = f"valve at {np.round(valve.centre, 3).tolist()}, rim radius {valve.rim_radius:.3f} m"
-    turn = float(np.deg2rad(task.valve.turn_deg))
-    return ValveStance(wheel, hooks, task.valve.mode, turn, task.valve.torque_nm, near, mechanism), (note,)
+    return ValveStance(wheel, hooks, task.valve, near), (note,)
 
 
 @dataclass(frozen=True)

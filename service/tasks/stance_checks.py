@@ -22,17 +22,19 @@ from service.demands.door import Door, DoorChoice, Push, make_door_phases
 from service.demands.door_demand import measure_peg
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import PhaseSpec
-from service.demands.wheel import Wheel
+from service.demands.strokes import TurnChoice, find_least_count, list_strokes, list_usable_entries
+from service.demands.wheel import Wheel, make_wheel_mechanism
+from service.request.schema import ValveRequest
 from service.tasks.door import HAND_ROOM, LEAST_FIRST, PUSH_ALONG, PUSH_UP, list_choices
 from service.tasks.door_sweep import find_blocked_opening
 from service.tasks.sequence import PhaseSequence
-from service.tasks.valve import Mode, ValveTurn
+from service.tasks.valve import ValveTurn
 
 DOOR_STEP = np.deg2rad(10.0)  # between the angles that are tried
 WHEEL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the turn at which a pose is tried
 MOST_PUSHES = 4  # places on the leaf that are tried, the nearest to a shoulder first
 MOST_TORQUE = 0.95  # share of a joint's torque at rest
-MOST_GAPS = 2  # of a wheel, the nearest first
+MOST_ENTRIES = 2  # of a wheel, the nearest first
 
 
 @dataclass(frozen=True)
@@ -279,23 +281,24 @@ class ValveStance:
     Attributes:
         wheel: the wheel.
         hands: that may be used.
-        mode, turn, torque_nm: as in the request [rad, N m].
+        request: the task.
         near: required clearances between hooks and wheel [m].
-        mechanism: the wheel as a mechanism.
     """
 
     wheel: Wheel
     hands: tuple[Hand, ...]
-    mode: Mode
-    turn: float
-    torque_nm: float
+    request: ValveRequest
     near: tuple[tuple[BodyRef, BodyRef, float], ...]
-    mechanism: Mechanism
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The wheel as a mechanism."""
+        return make_wheel_mechanism(self.wheel, self.target)
 
     @property
     def target(self) -> float:
         """Angle to turn by [rad]."""
-        return self.turn
+        return float(np.deg2rad(self.request.turn_deg))
 
     def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
         """Return the ways: either hand, all round the rim."""
@@ -307,7 +310,7 @@ class ValveStance:
         yield from ()
 
     def try_stance(self, solver: PhaseSolver) -> Outcome:
-        """Return the largest part of the turn along which poses exist, with the better hand and gap."""
+        """Return the largest part of the turn along which poses exist, with the better hand and entry."""
         best = Outcome(0.0, (), "", "pose at the wheel")
         finder = _PoseFinder(solver, self.mechanism)
         for hand in self.hands:
@@ -316,17 +319,20 @@ class ValveStance:
             def distance(angle: float, tool: Float[np.ndarray, "3"] = tool) -> float:
                 return float(np.linalg.norm(self.wheel.rim_point(angle) - tool))
 
-            for entry in sorted(self.wheel.gaps, key=distance)[:MOST_GAPS]:
-                outcome = self._try_gap(finder, hand, entry)
+            sense = list_strokes(self.request, 1)[0].sense
+            entries = list_usable_entries(self.wheel, hand, self.request.mode, sense)
+            for entry in sorted(entries, key=distance)[:MOST_ENTRIES]:
+                outcome = self._try_entry(finder, hand, entry)
                 if outcome.reached > best.reached or not best.hold:
                     best = outcome
                 if not outcome.missing:
                     return outcome
         return best
 
-    def _try_gap(self, finder: _PoseFinder, hand: Hand, entry: float) -> Outcome:
-        hold = f"{hand.side} hand in {self.mode} mode"
-        turn = ValveTurn(finder.solver, self.wheel, hand, self.mode, self.turn, entry, self.torque_nm)
+    def _try_entry(self, finder: _PoseFinder, hand: Hand, entry: float) -> Outcome:
+        hold = f"{hand.side} hand in {self.request.mode} mode"
+        choice = TurnChoice(hand, entry, find_least_count(self.request))
+        turn = ValveTurn(finder.solver, self.wheel, self.request, choice)
         poses: list[HeldPose] = []
         missing: list[str] = []
         done = total = 0.0
@@ -340,13 +346,13 @@ class ValveStance:
                 total += weight
                 if pose is None:
                     missing.append(f"{np.rad2deg(abs(float(value[0]))):.0f} deg")
-                    if not spec.is_anchor or self.mode == "grasp":
+                    if not spec.is_anchor or self.request.mode == "grasp":
                         return Outcome(done, tuple(poses), hold, f"no pose at {missing[0]} of the turn")
                     continue
                 poses.append(pose)
                 done += weight
         words = f"no pose at {', '.join(missing)} of the turn" if missing else ""
-        return Outcome(abs(self.turn) * (done / total), tuple(poses), hold, words)
+        return Outcome(abs(self.target) * (done / total), tuple(poses), hold, words)
 
 
 @dataclass(frozen=True)

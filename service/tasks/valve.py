@@ -1,58 +1,45 @@
-"""Turn a valve: reach the wheel, insert the hook, turn, retract; again with a new grasp at the wrist's limit.
-
-Two modes. ``hook``: the hook rests between the spokes and the hand is free to turn about its axis, so that one stroke
-is a full turn. ``grasp``: the hand turns with the wheel, starting with the wrist at the limit that leaves the longest
-turn (Franklin, 2016, sec. 4.3), and takes a new grasp at the other limit.
-"""
+"""Turn a valve: reach the wheel, insert the hook, turn, retract; again with a new hold where one is not enough."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from costs.kinematics import KinematicsEngine, locate_frame
+from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
 from service.body.held_load import find_held_shares
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
-from service.body.whole_body import LIMIT_RESERVE
-from service.demands.hands import Hand
-from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
-from service.demands.wheel import Grasp, Wheel, make_stroke_phases, make_wheel_mechanism
+from service.body.whole_body import WholeBody
+from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
+from service.demands.strokes import TURN, TurnChoice, make_turn_phases
+from service.demands.wheel import Wheel, make_wheel_mechanism
 from service.request.names import VALVE_LINK
+from service.request.schema import ValveRequest
 from service.tasks.sequence import PhaseSequence, find_turn_joint
 from service.verify import Motion
-
-Mode = Literal["hook", "grasp"]
-
-WRIST_RESERVE = 0.1  # distance from the wrist's limits in a grasp, for the lean of the hand axis [rad]
 
 
 @dataclass(frozen=True)
 class ValveTurn:
-    """One attempt to turn a wheel with one hand, entering at one gap.
+    """One attempt to turn a wheel, with the choices of hand, entry and number of strokes.
 
     Attributes:
         solver: of the body augmented by the wheel.
-        wheel, hand, mode: as in the request.
-        turn: angle to turn by, right-handed about the wheel's axis [rad].
-        entry: angle of the gap at which the hook is inserted [rad].
-        torque_nm: that turns the wheel.
+        wheel, request: the wheel and the task.
+        choice: the choices.
         reach_waypoints: of the phases that reach for the wheel.
     """
 
     solver: PhaseSolver
     wheel: Wheel
-    hand: Hand
-    mode: Mode
-    turn: float
-    entry: float
-    torque_nm: float
+    request: ValveRequest
+    choice: TurnChoice
     reach_waypoints: int = REACH_WAYPOINTS
 
     @property
@@ -62,46 +49,41 @@ class ValveTurn:
 
     def plan(self) -> TaskPlan:
         """Plan all strokes in order, each backwards from its turn."""
-        body = self.solver.body
-        sequence = PhaseSequence(self.solver, make_wheel_mechanism(self.wheel), self.list_phases())
+        body, choice = self.solver.body, self.choice
+        mechanism = make_wheel_mechanism(self.wheel, float(np.deg2rad(self.request.turn_deg)))
+        sequence = PhaseSequence(self.solver, mechanism, self.list_phases())
         phases, stuck = sequence.plan(body.nominal)
-        note = f"{self.hand.side} hand in {self.mode} mode, inserted at {np.rad2deg(self.entry):.0f} deg of the rim"
+        note = (
+            f"{choice.hand.side} hand in {self.request.mode} mode, {self._describe_place()} at "
+            f"{np.rad2deg(choice.entry):.0f} deg of the rim"
+        )
         return TaskPlan(body, phases, stuck=stuck, measure=self.measure, notes=() if stuck else (note,))
 
     def list_phases(self) -> tuple[PhaseSpec, ...]:
-        """Return the phases of as few equal strokes as the wrist's range allows; of a single one in hook mode."""
-        count, grasp = 1, None
-        if self.mode == "grasp":
-            column, sense = find_turn_joint(self.solver.body, self.hand.tool)
-            grasp = self._choose_grasp(column, sense)
-            usable = self.robot.upper[column] - self.robot.lower[column] - 2.0 * WRIST_RESERVE
-            count = int(np.ceil(abs(self.turn) / usable))
-        edges = np.linspace(0.0, self.turn, count + 1)
-        names = [""] if count == 1 else [f" {k + 1}" for k in range(count)]
-        return tuple(
-            phase
-            for name, *ends in zip(names, edges[:-1], edges[1:], strict=True)
-            for phase in make_stroke_phases(
-                self.wheel, self.hand, self.entry, (ends[0], ends[1]), name, grasp, self.torque_nm, self.reach_waypoints
-            )
-        )
+        """Return the phases of all strokes; the wrist of a gripper is first guessed to follow the wheel."""
+        phases = make_turn_phases(self.wheel, self.request, self.choice, self.reach_waypoints)
+        if self.request.mode == "hook":
+            return phases
+        column, sense = find_turn_joint(self.solver.body, self.choice.hand.tool)
+        rates = {self.robot.joint_names[column]: -sense}  # the tool's z axis points against the wheel's
+        return tuple(replace(phase, guess_rates=rates) if phase.is_anchor else phase for phase in phases)
 
-    def _choose_grasp(self, column: int, sense: float) -> Grasp:
-        """Return the grasp that begins with the wrist at the limit that leaves the longest turn."""
-        # The tool's z axis points against the wheel's: a positive turn needs the wrist to go against its sense.
-        rises = np.sign(self.turn) * sense < 0.0
-        reserve = max(WRIST_RESERVE, LIMIT_RESERVE)
-        lower, upper = self.robot.lower[column] + reserve, self.robot.upper[column] - reserve
-        name = self.robot.joint_names[column]
-        return Grasp(fixed={name: float(lower if rises else upper)}, rates={name: -sense})
+    @property
+    def _frame(self) -> str:
+        """The frame that moves with the wheel."""
+        return self.choice.hand.peg if self.request.mode == "hook" else self.choice.hand.tool
+
+    def _describe_place(self) -> str:
+        """Return a word about what is at the entry."""
+        return "its peg on the spoke" if self.request.mode == "hook" and self.wheel.spokes else "inserted"
 
     def measure(self, motion: Motion) -> Mapping[str, float]:
         """Measure the tool's angle of travel about the valve's axis on the executed curve."""
         total = 0.0
-        joint, pose_joint_tool = locate_frame(motion.robot, self.hand.tool)
+        joint, pose_joint_tool = locate_frame(motion.robot, self._frame)
         first, second = make_tangent_basis(np.asarray(self.wheel.axis))
         for phase in motion.phases:
-            if phase.name.startswith("turn"):
+            if phase.name.split(" ")[0] == TURN:
                 kinematics = KinematicsEngine(motion.robot)(motion.curve(np.linspace(phase.first, phase.last, 400)))
                 positions: Float[np.ndarray, "S 3"]
                 positions = kinematics.rotation[:, joint] @ pose_joint_tool[:3, 3] + kinematics.position[:, joint]
@@ -109,5 +91,32 @@ class ValveTurn:
                 angle = np.unwrap(np.arctan2(offset @ second, offset @ first))
                 total += float(angle[-1] - angle[0])
         figures = {"turned_deg": float(np.rad2deg(total))}
-        share = find_held_shares(motion).get(VALVE_LINK) if self.torque_nm > 0.0 else None
-        return figures if share is None else figures | {"holds_torque_nm": share * self.torque_nm}
+        torque = self.request.torque_nm
+        share = find_held_shares(motion).get(VALVE_LINK) if torque > 0.0 else None
+        return figures if share is None else figures | {"holds_torque_nm": share * torque}
+
+
+def measure_wrist(body: WholeBody, wheel: Wheel, request: ValveRequest, choice: TurnChoice) -> float:
+    """Return how far the wrist would stay from its limits while a gripper turns a wheel [rad]; negative beyond them.
+
+    The rest of the arm is taken to point at the wheel as it is, so that the wrist alone turns the hand.
+    """
+    column, sense = find_turn_joint(body, choice.hand.tool)
+    rotation = locate_links(body.engine, body.nominal, [choice.hand.tool])[choice.hand.tool][:3, :3]
+    turned = find_rotation_onto(rotation[:, 2], -wheel.axis) @ rotation
+    margin = np.inf
+    for phase in make_turn_phases(wheel, request, choice):
+        hand = phase.hand
+        if hand is None or hand.rotation is None or not phase.is_anchor:
+            continue
+        x = Rotation.from_rotvec(float(phase.first[0]) * wheel.axis).apply(hand.rotation[:, 0])
+        off = float(np.arctan2(turned[:, 1] @ x, turned[:, 0] @ x))  # about the tool's z axis
+        first = float(body.nominal[column]) + sense * off
+        travel = -sense * float(phase.last[0] - phase.first[0])
+        lower, upper = float(body.robot.lower[column]), float(body.robot.upper[column])
+        reserves = []
+        for whole in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
+            both = np.array([first + whole, first + whole + travel])
+            reserves.append(min(both.min() - lower, upper - both.max()))
+        margin = min(margin, max(reserves))
+    return float(margin)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -23,14 +23,18 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
 from service.demands.phase_spec import AXIS, REACH_WAYPOINTS
-from service.demands.valve_demand import ValveDemand, read_kept_stroke, resume_valve, turn_back
-from service.demands.wheel import (
-    HOOK_ROOM,
-    RIM_TOLERANCE,
-    Wheel,
-    make_wheel,
-    make_wheel_mechanism,
+from service.demands.strokes import (
+    PROBE,
+    ROCK,
+    STUCK_FACTOR,
+    TurnChoice,
+    find_fault,
+    find_least_count,
+    list_strokes,
+    list_usable_entries,
 )
+from service.demands.valve_demand import ValveDemand, read_kept_choice, resume_valve, turn_back
+from service.demands.wheel import ROOMS, Wheel, make_wheel, make_wheel_mechanism
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.request.names import VALVE_LINK
@@ -41,12 +45,15 @@ from service.setup.prepare import PlanSetup
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
-from service.tasks.valve import ValveTurn
+from service.tasks.valve import ValveTurn, measure_wrist
 
 SURE = 0.5  # least confidence of a detection that is used
 TUBE_RADIUS = 0.015  # when the request gives only the rim circle [m]
-HOOK_MARGIN = 5e-3  # between the hook and the wheel it reaches into [m]
-MOST_GAPS = 3  # tried with each hand, the nearest first
+HOOK_MARGIN = 5e-3  # between the hand and the wheel it reaches into [m]
+LEAST_PEG = 0.06  # length of the free peg that reaches through a wheel [m]
+MOST_PLANS = 4  # that are made into motions
+MORE_STROKES = (1, 2, 3)  # times the least number of strokes, tried in turn
+MOST_ENTRIES = 3  # tried with each hand, the nearest first
 SHIFTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # of the pelvis [m]
 ANGLES = np.deg2rad([0.0, 120.0, 240.0])  # of the rim that must be in reach after a shift
 # A solvable shift takes few steps.
@@ -54,31 +61,73 @@ ADVICE_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
 ADVICE_AXIS_AIM = np.deg2rad(1.5)
 
 
-def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> TaskPlan:
-    """Plan to turn the request's valve, detected in the scan or given by centre, axis and radius."""
+def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> Iterator[TaskPlan]:
+    """Yield plans to turn the request's valve, detected in the scan or given by centre, axis and radius.
+
+    Each further plan makes other choices; where none is feasible, the one with most phases comes with advice.
+    """
     valve = find_valve(setup, request)
     if isinstance(valve, str):
-        return TaskPlan(solver.body, (), (valve,))
+        yield TaskPlan(solver.body, (), (valve,))
+        return
     valve = turn_back(valve, setup.request.resume)
     hands = choose_hands(solver.body, request, valve)
-    farthest = valve.rim_radius + RIM_TOLERANCE
-    reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, farthest) for hand in hands]
+    wheel = make_wheel(valve, request.mode)
+    reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, valve.rim_radius) for hand in hands]
     if all(reasons):
-        return TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
-    wheel = _make_wheel(solver.body, valve, hands[0])
+        yield TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
+        return
+    fault = find_no_entry(wheel, hands[0], request)
+    if fault is not None:
+        yield TaskPlan(solver.body, (), (fault,))
+        return
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     if setup.request.resume is not None:
-        return _plan_rest(solver, wheel, request, setup.request.resume, waypoints)
-    plan = _plan_turn(solver, wheel, hands, request, waypoints)
-    note = (
+        yield _plan_rest(solver, wheel, request, setup.request.resume, waypoints)
+        return
+    notes = describe_valve(valve, wheel, request)
+    for plan in _list_turns(solver, wheel, hands, request, waypoints):
+        advice = () if plan.is_feasible else (_advise_stance(solver, wheel, hands[0]),)
+        yield replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))
+
+
+def describe_valve(valve: ValveDetection, wheel: Wheel, request: ValveRequest) -> tuple[str, ...]:
+    """Return sentences about the wheel, what is assumed of it, and what the options add to the turn."""
+    notes = [
         f"valve at {np.round(valve.centre, 3).tolist()}, axis {np.round(valve.axis, 3).tolist()}, "
         f"rim radius {valve.rim_radius:.3f} m, confidence {valve.confidence:.2f}"
-    )
+    ]
     if not has_clear_spokes(valve):
-        note += f"; its spokes are not known, it is taken as solid up to {HOOK_ROOM:.2f} m from the rim's centre line"
-    if plan.is_feasible:
-        return replace(plan, notes=(note, *plan.notes))
-    return replace(plan, obstacle=(*plan.obstacle, _advise_stance(solver, wheel, hands[0])), notes=(note, *plan.notes))
+        assumed = "; a spoke is assumed to meet the side of the peg" if request.mode == "hook" else ""
+        notes.append(
+            f"its spokes are not known: it is taken as solid from the axis to {ROOMS[request.mode]:.3f} m inside the "
+            f"rim's inner edge, and as open between there and the rim{assumed}"
+        )
+    elif request.mode == "hook":
+        notes.append(
+            f"{len(wheel.spokes)} spokes are known, {2e3 * wheel.spokes[0].half_width:.0f} mm wide; the side of the "
+            "peg presses one of them"
+        )
+    if request.sense == "unknown":
+        notes.append(
+            f"the sense of the turn is not known: the wheel is tried by {np.rad2deg(PROBE):.0f} deg each way; stop a "
+            f"stroke and go back on its path where the torque passes {request.torque_nm:g} N m, then request the turn"
+        )
+    if request.stuck:
+        torque = STUCK_FACTOR * request.torque_nm
+        notes.append(
+            f"the wheel may be stuck: it is rocked by {np.rad2deg(ROCK):.0f} deg to either side first, for which the "
+            f"robot is held with {torque:g} N m"
+        )
+    return tuple(notes)
+
+
+def find_no_entry(wheel: Wheel, hand: Hand, request: ValveRequest) -> str | None:
+    """Return why a hand cannot enter a wheel anywhere; None if it can."""
+    sense = list_strokes(request, 1)[0].sense
+    if list_usable_entries(wheel, hand, request.mode, sense):
+        return None
+    return find_fault(wheel, hand, request.mode, wheel.list_entries(request.mode)[0], sense)
 
 
 def read_given_valve(request: ValveRequest) -> ValveDetection | None:
@@ -91,7 +140,17 @@ def read_given_valve(request: ValveRequest) -> ValveDetection | None:
         return None
     if request.centre is None or request.axis is None or request.radius is None:
         raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
-    return wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
+    bare = wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
+    if not request.spokes_deg:
+        return bare
+    angles = tuple(np.deg2rad(request.spokes_deg).tolist())
+    valve = replace(bare, spoke_angles=angles, spoke_half_width=0.5 * request.spoke_width_m, spoke_share=1.0)
+    if not has_clear_spokes(valve):
+        raise RequestError(
+            f"task.valve.spokes_deg: {len(angles)} spokes of {request.spoke_width_m} m; expected 2 to 8 that leave at "
+            "least half of the wheel open"
+        )
+    return valve
 
 
 def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
@@ -118,45 +177,83 @@ def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
 
 def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> tuple[Hand, ...]:
     """Return the hands to try, the nearest to the valve first."""
-    known = list_hands(body, request.hand, valve.centre, ("tool",))
+    model, name = body.robot.model, body.robot.name
+    if request.mode == "grasp":
+        grips = tuple(
+            hand
+            for hand in list_hands(body, request.hand, valve.centre, ("tool", "palm"))
+            if all(model.existJointName(grip) for grip in hand.grips)
+        )
+        if not grips:
+            raise RequestError(
+                f"task.valve.mode: grasp needs a hand with fingers, and the {request.hand} hand of robot '{name}' has "
+                "none; robot.hand: gripper gives the bundled robot one, or mode: hook turns the wheel with a peg"
+            )
+        return grips
+    known = list_hands(body, request.hand, valve.centre, ("tool", "peg", "stub"))
+    if not known and model.existFrame("l_palm"):
+        raise RequestError(f"task.valve.mode: hook needs a peg, and robot '{name}' has grippers; expected grasp")
     if not known:
+        frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
+        raise RequestError(f"task.valve.hand: robot '{name}' has no {request.hand} hand ({frames})")
+    poses = locate_links(body.engine, body.nominal, [frame for hand in known for frame in (hand.stub, hand.tool)])
+    free = [float(np.linalg.norm(poses[hand.tool][:3, 3] - poses[hand.stub][:3, 3])) for hand in known]
+    if min(free) < LEAST_PEG:
         raise RequestError(
-            f"task.valve.hand: robot '{body.robot.name}' has no {request.hand} tool frame (l_tool, r_tool)"
+            f"task.valve.mode: the free peg of the hook is {min(free):.3f} m long; at least {LEAST_PEG} m reach "
+            "through a wheel"
         )
     return known
 
 
-def _make_wheel(body: WholeBody, valve: ValveDetection, hand: Hand) -> Wheel:
-    """Return the wheel as a mechanism, with its gaps ordered by distance from the hand."""
-    wheel = make_wheel(valve)
-    at = locate_links(body.engine, body.nominal, [hand.tool])[hand.tool][:3, 3]
-    gaps = sorted(wheel.gaps, key=lambda angle: float(np.linalg.norm(wheel.rim_point(angle) - at)))
-    return replace(wheel, gaps=tuple(gaps))
-
-
-def _plan_turn(
+def _list_turns(
     solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], request: ValveRequest, reach_waypoints: int
-) -> TaskPlan:
-    """Try hands and gaps in turn; return the first plan that works, else the one with most phases.
+) -> Iterator[TaskPlan]:
+    """Yield the feasible plans among the choices, one after another; if there is none, the one with most phases.
 
     Raises:
         RequestError: a link of the robot is in the wheel at the start.
     """
-    solver = _add_wheel(solver, make_wheel_mechanism(wheel), hands)
+    mechanism = make_wheel_mechanism(wheel, float(np.deg2rad(request.turn_deg)))
+    solver = _add_wheel(solver, mechanism, hands)
     collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
         raise RequestError(collisions)
     best: TaskPlan | None = None
-    for hand, entry in product(hands, wheel.gaps[:MOST_GAPS]):
-        turn = np.deg2rad(request.turn_deg)
-        plan = ValveTurn(solver, wheel, hand, request.mode, turn, entry, request.torque_nm, reach_waypoints).plan()
+    n_feasible = 0
+    for choice in list_choices(solver.body, wheel, hands, request):
+        plan = ValveTurn(solver, wheel, request, choice, reach_waypoints).plan()
         if plan.is_feasible:
-            return plan
-        if best is None or len(plan.phases) > len(best.phases):
+            n_feasible += 1
+            yield plan
+        elif best is None or len(plan.phases) > len(best.phases):
             best = plan
-    if best is None:
-        raise ValueError("a wheel needs a gap and the robot a hand")
-    return best
+        if n_feasible == MOST_PLANS:
+            return
+    if not n_feasible and best is not None:
+        yield best
+
+
+def list_choices(body: WholeBody, wheel: Wheel, hands: Sequence[Hand], request: ValveRequest) -> Iterator[TurnChoice]:
+    """Yield the choices to try: few strokes first, and entries that bring the first stroke near the hand."""
+    least = find_least_count(request)
+    counts = tuple(least * factor for factor in MORE_STROKES) if request.mode == "hook" else (least, least + 1)
+    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in hands])
+    for count in (1,) if request.sense == "unknown" else counts:
+        stroke = list_strokes(request, count)[0]
+        for hand in hands:
+            at = poses[hand.tool][:3, 3]
+
+            def distance(entry: float, at: Float[np.ndarray, "3"] = at, middle: float = 0.5 * stroke.last) -> float:
+                return float(np.linalg.norm(wheel.rim_point(entry + middle) - at))
+
+            entries = list_usable_entries(wheel, hand, request.mode, stroke.sense)
+            nearest = sorted(entries, key=distance)[:MOST_ENTRIES]
+            choices = [TurnChoice(hand, entry, count) for entry in nearest]
+            if request.mode == "grasp":
+                flipped = [replace(choice, is_flipped=True) for choice in choices]
+                choices = sorted((*choices, *flipped), key=lambda choice: -measure_wrist(body, wheel, request, choice))
+            yield from choices[:MOST_ENTRIES]
 
 
 def _add_wheel(solver: PhaseSolver, mechanism: Mechanism, hands: Sequence[Hand]) -> PhaseSolver:
@@ -165,23 +262,23 @@ def _add_wheel(solver: PhaseSolver, mechanism: Mechanism, hands: Sequence[Hand])
 
 
 def list_clearances(hands: Sequence[Hand]) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
-    """Return the required clearances between hooks and the wheel that they reach into [m]."""
-    return tuple((BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN) for hand in hands)
+    """Return the required clearances between hands and the wheel that they reach into [m]."""
+    return tuple(
+        (BodyRef.of_link(link), BodyRef("mechanism", VALVE_LINK), HOOK_MARGIN)
+        for hand in hands
+        for link in (hand.link, hand.hook, hand.palm, *hand.fingers)
+    )
 
 
 def _plan_rest(
     solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, reach_waypoints: int
 ) -> TaskPlan:
-    """Plan the rest of a turn with the hand, the gap and the grasps of the earlier plan."""
-    rest = resume_valve(ValveDemand(wheel, request), resume)
-    hand, stroke = read_kept_stroke(request, resume)
-    solver = _add_wheel(solver, rest.mechanism, [hand])
-    turn = np.deg2rad(request.turn_deg)
-    turning = ValveTurn(solver, wheel, hand, request.mode, turn, stroke.gap_rad, request.torque_nm, reach_waypoints)
-    specs = turning.list_phases()
-    if [spec.name for spec in specs] != [spec.name for spec in rest.specs]:
-        raise RequestError(f"resume.stroke.strokes: {stroke.strokes}; this robot turns the wheel in another number")
-    return plan_rest(solver, rest, specs, turning.measure)
+    """Plan the rest of a turn with the hand, the entry and the strokes of the earlier plan."""
+    demand = ValveDemand(wheel, request)
+    rest, choice = resume_valve(demand, resume), read_kept_choice(demand, resume)
+    solver = _add_wheel(solver, rest.mechanism, [choice.hand])
+    turning = ValveTurn(solver, wheel, request, choice, reach_waypoints)
+    return plan_rest(solver, rest, turning.list_phases(), turning.measure)
 
 
 def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -12,7 +13,10 @@ from scipy.spatial import ConvexHull
 
 from costs.robot.atlas.body_shapes import foot, link_shapes
 from costs.robot.atlas.figures import FIXED_JOINTS, JOINTS, LINKS, MASSLESS_LINKS, SOLES
+from costs.robot.atlas.gripper import format_gripper
 from costs.robot.errors import RobotError
+
+HandKind = Literal["hook", "gripper"]
 
 FOLDER = Path(__file__).parent
 DEFAULT_TOOL_DISTANCE = 0.12
@@ -24,8 +28,8 @@ HOOK_START = 0.045
 STUB_DISTANCE, PEG_FROM_END = 0.055, 0.03
 
 
-def format_urdf(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
-    """Format the URDF, with hooks that end at ``tool_distance_m`` from the hand frames.
+def format_urdf(tool_distance_m: float = DEFAULT_TOOL_DISTANCE, hand: HandKind = "hook") -> str:
+    """Format the URDF, with hooks that end at ``tool_distance_m`` from the hand frames, or with grippers.
 
     Raises:
         RobotError: when the distance would put the tool inside the hand or out of any proportion.
@@ -60,7 +64,7 @@ def format_urdf(tool_distance_m: float = DEFAULT_TOOL_DISTANCE) -> str:
     for fixed in FIXED_JOINTS:
         lines += _fixed(fixed.name, fixed.parent, fixed.child, fixed.xyz, fixed.rpy)
     for side, sign in (("l", 1.0), ("r", -1.0)):
-        lines += _hook_lines(side, sign, tool_distance_m)
+        lines += _hook_lines(side, sign, tool_distance_m) if hand == "hook" else format_gripper(side, sign)
     return "\n".join([*lines, "</robot>", ""])
 
 

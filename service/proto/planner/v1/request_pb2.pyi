@@ -35,6 +35,18 @@ class HoldMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     HOLD_MODE_HOOK: _ClassVar[HoldMode]
     HOLD_MODE_GRASP: _ClassVar[HoldMode]
 
+class HandKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HAND_KIND_UNSPECIFIED: _ClassVar[HandKind]
+    HAND_KIND_HOOK: _ClassVar[HandKind]
+    HAND_KIND_GRIPPER: _ClassVar[HandKind]
+
+class TurnSense(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    TURN_SENSE_UNSPECIFIED: _ClassVar[TurnSense]
+    TURN_SENSE_GIVEN: _ClassVar[TurnSense]
+    TURN_SENSE_UNKNOWN: _ClassVar[TurnSense]
+
 class Hand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     HAND_UNSPECIFIED: _ClassVar[Hand]
@@ -116,6 +128,12 @@ FREE_AXIS_Z: FreeAxis
 HOLD_MODE_UNSPECIFIED: HoldMode
 HOLD_MODE_HOOK: HoldMode
 HOLD_MODE_GRASP: HoldMode
+HAND_KIND_UNSPECIFIED: HandKind
+HAND_KIND_HOOK: HandKind
+HAND_KIND_GRIPPER: HandKind
+TURN_SENSE_UNSPECIFIED: TurnSense
+TURN_SENSE_GIVEN: TurnSense
+TURN_SENSE_UNKNOWN: TurnSense
 HAND_UNSPECIFIED: Hand
 HAND_LEFT: Hand
 HAND_RIGHT: Hand
@@ -180,7 +198,7 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand")
     class ContactsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -195,6 +213,7 @@ class Robot(_message.Message):
     ROOT_FIELD_NUMBER: _ClassVar[int]
     TOOL_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
@@ -202,7 +221,8 @@ class Robot(_message.Message):
     root: RootJoint
     tool_distance_m: float
     contacts: _containers.MessageMap[str, ContactPatch]
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ...) -> None: ...
+    hand: HandKind
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ...) -> None: ...
 
 class ContactPatch(_message.Message):
     __slots__ = ("link", "points", "normal", "kind", "friction", "force_cap_n")
@@ -364,7 +384,7 @@ class ContactPlace(_message.Message):
     def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
 
 class Valve(_message.Message):
-    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm")
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m")
     MODE_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     TURN_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -373,6 +393,10 @@ class Valve(_message.Message):
     AXIS_FIELD_NUMBER: _ClassVar[int]
     RADIUS_FIELD_NUMBER: _ClassVar[int]
     TORQUE_NM_FIELD_NUMBER: _ClassVar[int]
+    SENSE_FIELD_NUMBER: _ClassVar[int]
+    STUCK_FIELD_NUMBER: _ClassVar[int]
+    SPOKES_DEG_FIELD_NUMBER: _ClassVar[int]
+    SPOKE_WIDTH_M_FIELD_NUMBER: _ClassVar[int]
     mode: HoldMode
     hand: Hand
     turn_deg: float
@@ -381,7 +405,11 @@ class Valve(_message.Message):
     axis: _containers.RepeatedScalarFieldContainer[float]
     radius: float
     torque_nm: float
-    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ...) -> None: ...
+    sense: TurnSense
+    stuck: bool
+    spokes_deg: _containers.RepeatedScalarFieldContainer[float]
+    spoke_width_m: float
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
     __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays")
@@ -764,14 +792,16 @@ class Resume(_message.Message):
     def __init__(self, phase: _Optional[str] = ..., plan: _Optional[str] = ..., mechanism: _Optional[_Mapping[str, float]] = ..., is_rescanned: bool = ..., stroke: _Optional[_Union[StrokeChoice, _Mapping]] = ..., handle: _Optional[_Union[HandleChoice, _Mapping]] = ..., leaf: _Optional[_Union[LeafChoice, _Mapping]] = ...) -> None: ...
 
 class StrokeChoice(_message.Message):
-    __slots__ = ("hand", "gap_rad", "strokes")
+    __slots__ = ("hand", "gap_rad", "strokes", "is_flipped")
     HAND_FIELD_NUMBER: _ClassVar[int]
     GAP_RAD_FIELD_NUMBER: _ClassVar[int]
     STROKES_FIELD_NUMBER: _ClassVar[int]
+    IS_FLIPPED_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     gap_rad: float
     strokes: int
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., gap_rad: _Optional[float] = ..., strokes: _Optional[int] = ...) -> None: ...
+    is_flipped: bool
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., gap_rad: _Optional[float] = ..., strokes: _Optional[int] = ..., is_flipped: bool = ...) -> None: ...
 
 class HandleChoice(_message.Message):
     __slots__ = ("hand", "grip_m", "until_rad", "is_towards_hinge", "ajar_rad", "turned_rad")
