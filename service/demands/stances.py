@@ -212,7 +212,7 @@ def _make_frame(z: Float[np.ndarray, "3"], ahead: Float[np.ndarray, "3"]) -> Flo
 
 
 PhaseKind = Literal["shift", "lift", "swing", "land", "finish"]
-LINE_TOLERANCE_M, LINE_TILT_RAD = 5e-3, float(np.deg2rad(5.0))  # of a link on its line along the normal
+LINE_TOLERANCE_M, LINE_TILT_RAD = 0.012, float(np.deg2rad(7.0))  # of a link on its line along the normal
 
 
 @dataclass(frozen=True)

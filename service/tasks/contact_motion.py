@@ -14,8 +14,8 @@ from costs.contact import Contact
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.static_region import StaticRegionError
-from costs.terms import AxisDirection, Joined, NormWithin
-from scopt import Constraint, Sense
+from costs.terms import AxisDirection, FramePose, Joined, NormWithin, WithinTolerance
+from scopt import Constraint, Residual, Sense
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import plan_contact_region
@@ -33,7 +33,9 @@ from service.demands.stances import (
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
 TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
-LINE_TOLERANCE = 1e-4  # of a link on its line, at the waypoints [m, rad]
+# Of a link on its line, at the waypoints: how far it may be off, and the tolerance of that [m, rad].
+LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))])
+LINE_TOLERANCE = 2e-4
 MOST_LEAN = float(np.deg2rad(12.0))  # of a patch that may turn about its points, off its surface
 MORE_LEAN = float(np.deg2rad(3.0))  # the same between poses
 N_TREES, TREE_CHECKS = 2, 1500  # of sampled starts of a swing
@@ -275,14 +277,8 @@ class _Walker:
         constraints = [
             Constraint(
                 f"{contact.patch} on its line",
-                Joined(
-                    [
-                        body.keep_planted(contact.planted, np.array([k]), share * LINE_M * contact.surface.normal)
-                        for k, share in shares.items()
-                    ]
-                ),
-                Sense.EQUAL_ZERO,
-                LINE_TOLERANCE,
+                Joined([_keep_on_line(body, contact, k, share * LINE_M) for k, share in shares.items()]),
+                tolerance=LINE_TOLERANCE,
                 unit="m or rad",
             )
             for contact in moving
@@ -341,6 +337,17 @@ class _Walker:
             return solver.solve_trajectory(spec.name, starts, {0: starts[0][0], last: starts[0][-1]}, constraints=sides)
 
         return solve
+
+
+def _keep_on_line(body: WholeBody, contact: StanceContact, waypoint: int, height_m: float) -> Residual[MotionState]:
+    """Return how far a contact leaves its line along the normal at a waypoint, where it is at a height."""
+    planted = contact.planted
+    target, offset = planted.pose_world_link.copy(), np.eye(4)
+    offset[:3, 3] = planted.sole.mean(axis=0)
+    target[:3, 3] = planted.points.mean(axis=0) + height_m * contact.surface.normal
+    axes = (True, True, True, *(len(planted.sole) >= 3,) * 3)
+    pose = FramePose(body.robot, planted.link, [waypoint], target, axes, offset=offset)
+    return WithinTolerance(pose, LINE_ROOM[: sum(axes)])
 
 
 def _keep_sides(
