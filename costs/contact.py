@@ -109,8 +109,8 @@ class WorldContacts:
             np.concatenate([part.caps for part in parts]),
         )
 
-    def tilt_normals(self, tilt_rad: float) -> WorldContacts:
-        """Return contacts whose forces are allowed for every normal within ``tilt_rad`` of the given one.
+    def tilt_normals(self, tilt_rad: Float[np.ndarray, "#C"] | float) -> WorldContacts:
+        """Return contacts whose forces are allowed for every normal within ``tilt_rad``, one or (C,), of the given one.
 
         The cone shrinks to ``tan(atan(mu) - tilt)``. The cap shrinks because a force may press more along a tilted
         normal.
@@ -118,21 +118,23 @@ class WorldContacts:
         Raises:
             ValueError: the angle is negative or not finite, or some friction cone is no wider than the angle.
         """
-        if not 0.0 <= tilt_rad < np.inf:
-            raise ValueError(f"tilt_rad must be finite and not negative, got {tilt_rad:g}")
-        if tilt_rad == 0.0:
+        tilts = np.broadcast_to(np.asarray(tilt_rad, dtype=float), self.friction.shape)
+        bad = ~((tilts >= 0.0) & np.isfinite(tilts))
+        if bad.any():
+            raise ValueError(f"tilt_rad must be finite and not negative, got {tilts[int(bad.argmax())]:g}")
+        if not tilts.any():
             return self
         angles = np.arctan(self.friction)
-        if angles.min() <= tilt_rad:
-            i = int(angles.argmin())
+        if (angles <= tilts).any():
+            i = int((angles - tilts).argmin())
             raise ValueError(
-                f"tilt_rad {tilt_rad:g} leaves no friction at contact point {i}, "
+                f"tilt_rad {tilts[i]:g} leaves no friction at contact point {i}, "
                 f"whose friction {self.friction[i]:g} is an angle of {angles[i]:.4f} rad"
             )
-        friction = np.tan(angles - tilt_rad)
+        friction = np.tan(angles - tilts)
         # A force on the smaller cone has the length sqrt(1 + mu'^2) per normal force. It presses most along the allowed
         # normal that is nearest to it.
-        pressing = np.sqrt(1.0 + friction**2) * np.cos(np.maximum(angles - 2.0 * tilt_rad, 0.0))
+        pressing = np.sqrt(1.0 + friction**2) * np.cos(np.maximum(angles - 2.0 * tilts, 0.0))
         return WorldContacts(self.points, self.normals, friction, self.caps / pressing)
 
     def list_pyramid_edges(self) -> Float[np.ndarray, "C K 3"]:

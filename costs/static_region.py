@@ -98,7 +98,7 @@ def find_static_region(
     mass: float,
     wrenches: Float[np.ndarray, "W 6"] | None = None,
     drift_m: float = 0.0,
-    tilt_rad: float = 0.0,
+    tilt_rad: Float[np.ndarray, "#C"] | float = 0.0,
 ) -> StaticRegion:
     """Return the places of the centre of mass at which contact forces hold the robot under each of the wrenches.
 
@@ -112,7 +112,7 @@ def find_static_region(
         wrenches: (W, 6) force and moment about the world origin that the world puts on the robot besides the contacts
             [N, Nm]; None for no load. The region is the intersection over all of them.
         drift_m: farthest that a contact point may be from its place.
-        tilt_rad: largest angle of a contact's normal off its direction.
+        tilt_rad: largest angle of a contact's normal off its direction; one for all points, or (C,).
 
     Raises:
         NothingHoldsError: some wrench, or all of them together, can be held nowhere.

@@ -17,7 +17,7 @@ from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
 from costs.static_region import StaticRegion, find_static_region
 from service.verify import HandLoad, PlantedContact
-from service.verify.forces.loaded_balance import Ground, find_tilt
+from service.verify.forces.loaded_balance import Ground, find_tilts
 
 LONGEST_STRETCH = np.deg2rad(45.0)  # of a revolute joint that one region covers
 STILL = 1e-9
@@ -62,12 +62,12 @@ def plan_regions(
     ground = WorldContacts(*Ground.under(tuple(contacts)))
     feet_drift = max(contact.tolerance_m for contact in contacts)
     drift = feet_drift + max(load.drift_m for load in loads)
-    tilt = find_tilt(tuple(contacts))
+    tilts = find_tilts(tuple(contacts))
     hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in loads) / weight
     regions = []
     for first, last in _split_stretches(engine.robot, values):
         wrenches = _list_wrenches(engine, loads, values[[first, last]], q)
-        region = _find_region(_Question(ground, weight / GRAVITY, wrenches, drift, tilt))
+        region = _find_region(_Question(ground, weight / GRAVITY, wrenches, drift, tilts))
         regions.append(PlannedRegion(first, last, region, region.shift_m * feet_drift / drift + hands))
     return tuple(regions)
 
@@ -81,7 +81,7 @@ def plan_contact_region(robot: RobotModel, contacts: Sequence[PlantedContact]) -
     weight = measure_weight(robot)
     drift = max(contact.tolerance_m for contact in contacts)
     points = WorldContacts(*Ground.under(tuple(contacts)))
-    question = _Question(points, weight / GRAVITY, np.zeros((1, 6)), drift, find_tilt(tuple(contacts)))
+    question = _Question(points, weight / GRAVITY, np.zeros((1, 6)), drift, find_tilts(tuple(contacts)))
     region = _find_region(question)
     return PlannedRegion(0, 0, region, region.shift_m)
 
@@ -94,14 +94,14 @@ class _Question:
     mass: float
     wrenches: Float[np.ndarray, "W 6"]
     drift: float
-    tilt: float
+    tilts: Float[np.ndarray, "C"]
 
     @cached_property
     def key(self) -> tuple[object, ...]:
         """Everything that decides the answer."""
         ground = self.ground
-        arrays = (ground.points, ground.normals, ground.friction, ground.caps, self.wrenches)
-        return (self.mass, self.drift, self.tilt, *(array.tobytes() for array in arrays))
+        arrays = (ground.points, ground.normals, ground.friction, ground.caps, self.wrenches, self.tilts)
+        return (self.mass, self.drift, *(array.tobytes() for array in arrays))
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -112,7 +112,7 @@ class _Question:
 
 @lru_cache(maxsize=256)
 def _find_region(question: _Question) -> StaticRegion:
-    return find_static_region(question.ground, question.mass, question.wrenches, question.drift, question.tilt)
+    return find_static_region(question.ground, question.mass, question.wrenches, question.drift, question.tilts)
 
 
 def _split_stretches(robot: RobotModel, values: Float[np.ndarray, "T k"]) -> list[tuple[int, int]]:

@@ -14,12 +14,14 @@ from costs.collision import Contacts
 from costs.robot import BASE_NAMES, RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Settings, TrustRegionSQP
+from service.body.holds import project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
 from service.body.sampling import SamplingProblem, Tree, free_coordinates, sample_path
 from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
+CARRIER_POINTS = 17  # of the way of the limbs that carry the robot
 MOST_GUESSES = 4  # of a step without further starts, as of a pose
 JOINT_SPREAD, BASE_SPREAD = 0.5, 0.1  # of random guesses, standard deviations [rad, m]
 # A reachable pose takes some ten steps.
@@ -144,6 +146,22 @@ class PhaseSolver:
         corners = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
         self.monitor.check()
         return corners
+
+    def sample_carried(
+        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], tree: Tree
+    ) -> Float[np.ndarray, "K n"] | None:
+        """Sample a path of the limbs that carry nothing, while the others go straight on the contacts that stay."""
+        free = free_coordinates(self.body)
+        if not len(free):
+            return None
+        holds = self.body.holds()
+        carrier = straight_path(start, end, CARRIER_POINTS)
+        carrier[1:-1] = project_onto_holds(self.body.engine, carrier[1:-1], holds)
+        checker = self.body.make_pose_checker([start, end])
+        problem = SamplingProblem(self.body, checker, start, end, free, carrier)
+        path = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
+        self.monitor.check()
+        return path
 
     def with_settings(self, **changes: Any) -> PhaseSolver:
         """Return the solver with other settings of the optimiser."""

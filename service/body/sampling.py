@@ -15,6 +15,8 @@ from service.body.whole_body import WholeBody
 
 EDGE_STEP = 0.15  # largest joint step between the poses at which an edge is checked [rad, m]
 CLOCK_EVERY = 16
+LEAST_TRAVEL = 0.05  # range of the coordinate along a carrier [rad, m]
+CARRIED_POINTS = 28  # of a path whose other coordinates follow a carrier
 RANGE = 0.6  # longest extension of a tree [rad, m]
 
 
@@ -25,8 +27,10 @@ class SamplingProblem:
     Attributes:
         body: the robot in its scene.
         checker: for the poses along an edge.
-        start, end: (n,) configurations that differ in ``free`` only.
+        start, end: (n,) configurations; without ``carrier`` they differ in ``free`` only.
         free: indices of the coordinates that move.
+        carrier: (G, n) configurations from start to end on the contacts that stay. The coordinates that are not free
+            then follow them, as far along as one more coordinate says, which is the last.
     """
 
     body: WholeBody
@@ -34,15 +38,37 @@ class SamplingProblem:
     start: Float[np.ndarray, "n"]
     end: Float[np.ndarray, "n"]
     free: Int[np.ndarray, "k"]
+    carrier: Float[np.ndarray, "G n"] | None = None
+
+    @property
+    def length(self) -> float:
+        """Range of the last coordinate where there is a carrier: the largest travel of a coordinate [rad, m]."""
+        others = np.delete(self.end - self.start, self.free)
+        return max(float(np.abs(others).max(initial=0.0)), LEAST_TRAVEL)
+
+    @property
+    def ends(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """Start and end in the coordinates of the search."""
+        if self.carrier is None:
+            return self.start[self.free], self.end[self.free]
+        return np.append(self.start[self.free], 0.0), np.append(self.end[self.free], self.length)
+
+    def place(self, poses: Float[np.ndarray, "K k"]) -> Float[np.ndarray, "K n"]:
+        """Return the configurations of poses of the search."""
+        q = np.tile(self.start, (len(poses), 1))
+        if self.carrier is not None:
+            at = np.linspace(0.0, self.length, len(self.carrier))
+            q = np.stack([np.interp(poses[:, -1], at, column) for column in self.carrier.T], axis=1)
+        q[:, self.free] = poses[:, : len(self.free)]
+        return q
 
     def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
-        """Return whether poses of the free coordinates are all clear and balanced."""
-        q = np.empty((len(poses), len(self.start)))
-        q[:] = self.start
-        q[:, self.free] = poses
-        kinematics = self.body.engine.place(q)
-        polygon = self.body.polygon
-        if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < self.body.aims.balance_margin:
+        """Return whether poses of the search are all clear and balanced."""
+        kinematics = self.body.engine.place(self.place(poses))
+        polygon, margin = self.body.polygon, self.body.aims.balance_margin
+        if self.body.region is not None:  # the optimiser adds the rest of the margin
+            polygon, margin = self.body.region.region.polygon, 0.5 * margin
+        if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < margin:
             return False
         return self.checker.are_clear(kinematics)
 
@@ -99,21 +125,22 @@ def sample_path(
     if corners is None:
         return None
     corners = _shorten(problem, corners, np.random.default_rng(tree.seed))
-    q = np.tile(problem.start, (len(corners), 1))
-    q[:, problem.free] = corners
-    return q
+    if problem.carrier is not None:  # what follows the carrier bends between the corners
+        corners = resample_path(corners, max(CARRIED_POINTS, 2 * len(corners)))
+    return problem.place(corners)
 
 
 def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) -> Float[np.ndarray, "K k"] | None:
     """Return the corners of OMPL's path in the free coordinates; None if it finds none."""
     from ompl import base, geometric
 
-    space = base.RealVectorStateSpace(len(problem.free))
+    first, last = problem.ends
+    space = base.RealVectorStateSpace(len(first))
     space.setBounds(_bounds(problem))
     effort = _EffortCounter(problem, tree.most_checks, is_over)
 
     def read_state(state: object) -> Float[np.ndarray, "k"]:
-        return np.array([state[k] for k in range(len(problem.free))])  # type: ignore[index]
+        return np.array([state[k] for k in range(len(first))])  # type: ignore[index]
 
     class Edge(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, first: object, last: object, *_: object) -> bool:
@@ -125,8 +152,8 @@ def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) 
     information.setup()
     definition = base.ProblemDefinition(information)
     states = [space.allocState(), space.allocState()]
-    for state, q in zip(states, (problem.start, problem.end), strict=True):
-        for k, value in enumerate(q[problem.free].tolist()):
+    for state, values in zip(states, (first, last), strict=True):
+        for k, value in enumerate(values.tolist()):
             state[k] = value
     definition.setStartAndGoalStates(*states)
     planner = getattr(geometric, tree.planner)(information)
@@ -144,11 +171,14 @@ def _bounds(problem: SamplingProblem) -> object:
     from ompl import base
 
     robot = problem.body.robot
-    bounds = base.RealVectorBounds(len(problem.free))
+    bounds = base.RealVectorBounds(len(problem.ends[0]))
     for k, index in enumerate(problem.free.tolist()):
         ends = float(problem.start[index]), float(problem.end[index])
         bounds.setLow(k, max(float(robot.lower[index]), min(ends) - np.pi))
         bounds.setHigh(k, min(float(robot.upper[index]), max(ends) + np.pi))
+    if problem.carrier is not None:
+        bounds.setLow(len(problem.free), 0.0)
+        bounds.setHigh(len(problem.free), problem.length)
     return bounds
 
 

@@ -68,7 +68,8 @@ class WholeBody:
         nominal: (n,) the posture to stay near.
         aims: margins.
         kept: relative poses that hold in every phase.
-        has_default_costs: whether to move smoothly, upright and near the nominal posture.
+        has_default_costs: whether to move smoothly and near the nominal posture.
+        is_comfortable: whether to keep upright and well balanced besides, as far as these are worth it.
         sight: distance beyond its margin at which a pair enters the problem [m].
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
@@ -84,6 +85,7 @@ class WholeBody:
     aims: Aims
     kept: tuple[KeptPose, ...] = ()
     has_default_costs: bool = True
+    is_comfortable: bool = True
     sight: float = 0.03
     releases: tuple[Release, ...] = ()
     touches: tuple[Allowance, ...] | None = None
@@ -242,7 +244,9 @@ class WholeBody:
 
         defaults: tuple[Cost[MotionState], ...] = ()
         if self.has_default_costs:
-            defaults = (*self._smoothness(n_waypoints), *self._upright(everywhere), *self._comfort(everywhere, regions))
+            defaults = self._smoothness(n_waypoints)
+        if self.has_default_costs and self.is_comfortable:
+            defaults = (*defaults, *self._upright(everywhere), *self._comfort(everywhere, regions))
         return Problem(
             lower,
             upper,

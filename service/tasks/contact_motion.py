@@ -14,13 +14,13 @@ from costs.contact import Contact
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.static_region import StaticRegionError
-from costs.terms import AxisDirection, FramePose, Joined, NormWithin, WithinTolerance
-from scopt import Constraint, Residual, Sense
+from costs.terms import AxisDirection, FramePose, Joined, JointTarget, NormWithin, WithinTolerance
+from scopt import Constraint, Cost, Residual, Sense
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import plan_contact_region
 from service.body.phases import PhaseSolver, path_via, posture_guesses, straight_path
-from service.body.sampling import Tree
+from service.body.sampling import Tree, free_coordinates
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import FOOT_TOLERANCE, WholeBody
 from service.demands.stances import (
@@ -38,8 +38,9 @@ LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))
 LINE_TOLERANCE = 2e-4
 MOST_LEAN = float(np.deg2rad(12.0))  # of a patch that may turn about its points, off its surface
 MORE_LEAN = float(np.deg2rad(3.0))  # the same between poses
+KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 N_TREES, TREE_CHECKS = 2, 1500  # of sampled starts of a swing
-N_TRIES = 3  # of a change of contacts, from other guesses
+N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
 DEPTH_RESERVE = 2e-3  # of an allowance, for the curve between waypoints [m]
 
@@ -81,7 +82,9 @@ def plan_contact_motion(
         finish: posture to end in, on the last stance.
         guesses: poses that are known already.
     """
-    walker = _Walker(solver, PoseGuesses({}, {}) if guesses is None else guesses, np.zeros(solver.body.robot.n))
+    if guesses is not None:
+        solver = replace(solver, body=replace(solver.body, is_comfortable=False))
+    walker = _Walker(solver, guesses or PoseGuesses({}, {}), np.zeros(solver.body.robot.n))
     specs = list_contact_phases(stances, has_finish=finish is not None)
     order = tuple(spec.name for spec in specs)
     phases: list[PlannedPhase] = []
@@ -110,6 +113,7 @@ class _Walker:
     solver: PhaseSolver
     guesses: PoseGuesses
     noise: Float[np.ndarray, "n"]
+    arrives_first: bool = False
 
     @property
     def start(self) -> WholeBody:
@@ -147,11 +151,14 @@ class _Walker:
         """
         first: StuckError | None = None
         rng = np.random.default_rng(self.solver.seed)
+        is_known = after.name in self.guesses.arrive
         for k in range(min(N_TRIES, self.solver.most_starts)):
-            noise = np.zeros(len(at)) if k == 0 else SPREAD * rng.normal(size=len(at))
+            noise = np.zeros(len(at)) if k < 2 else SPREAD * rng.normal(size=len(at))
             noise[: len(BASE_NAMES)] = 0.0
             try:
-                return replace(self, noise=noise).change(specs, before, after, at)
+                return replace(self, noise=noise, arrives_first=is_known ^ (k % 2 == 1)).change(
+                    specs, before, after, at
+                )
             except StuckError as error:
                 first = first or error
         assert first is not None
@@ -169,31 +176,54 @@ class _Walker:
         leaving = tuple(contact for contact in before.contacts if contact not in kept)
         arriving = tuple(contact for contact in after.contacts if not contact.is_kept_in(before))
         by_kind = {spec.kind: spec for spec in specs}
-        monitor = self.solver.monitor
+        left, made = self._find_poses(after.name, kept, leaving, arriving, at)
         phases: list[PlannedPhase] = []
         here = at
-        if leaving:
-            with monitor.step(f"{after.name}: pose on what stays", 0.2):
-                left = self._pose(
-                    f"{after.name}: pose on what stays", kept, leaving, at, self._guess(self.guesses.leave, after, at)
-                )
+        if left is not None:
             phases.append(self._move(by_kind["shift"], at, left, SHIFT_WAYPOINTS))
             lifted = self._line(by_kind["lift"], kept, leaving, left, is_up=True)
             phases.append(lifted)
             here = lifted.q[-1]
-        if arriving:
-            with monitor.step(f"{after.name}: pose at the new places", 0.3):
-                made = self._pose(
-                    f"{after.name}: pose at the new places",
-                    kept,
-                    arriving,
-                    here,
-                    self._guess(self.guesses.arrive, after, here),
-                )
+        if made is not None:
             landing = self._line(by_kind["land"], kept, arriving, made, is_up=False)
             phases.append(self._swing(by_kind["swing"], kept, here, landing.q[0]))
             phases.append(landing)
         return phases
+
+    def _find_poses(
+        self,
+        name: str,
+        kept: tuple[StanceContact, ...],
+        leaving: tuple[StanceContact, ...],
+        arriving: tuple[StanceContact, ...],
+        at: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"] | None, Float[np.ndarray, "n"] | None]:
+        """Return the poses in which the old and the new contacts are in place, held by those kept; None without such.
+
+        The body is where it is in the first of the two that is solved, so that a swing moves little else than what
+        swings.
+        """
+        monitor = self.solver.monitor
+        known = self.guesses.leave.get(name), self.guesses.arrive.get(name)
+        steps = f"{name}: pose on what stays", f"{name}: pose at the new places"
+        left = made = None
+        if not self.arrives_first or not arriving:
+            if leaving:
+                with monitor.step(steps[0], 0.2):
+                    left = self._pose(steps[0], kept, leaving, at, known[0])
+            if arriving:
+                with monitor.step(steps[1], 0.3):
+                    made = self._pose(steps[1], kept, arriving, at if left is None else left, known[1])
+            return left, made
+        with monitor.step(steps[1], 0.2):
+            made = self._pose(steps[1], kept, arriving, at, known[1])
+        if leaving:
+            limbs = free_coordinates(self.stand_on(kept))
+            near = made.copy()
+            near[limbs] = (at if known[0] is None else known[0])[limbs]
+            with monitor.step(steps[0], 0.3):
+                left = self._pose(steps[0], kept, leaving, at, near)
+        return left, made
 
     def end_in(self, spec: ContactPhase, at: Float[np.ndarray, "n"], finish: Float[np.ndarray, "n"]) -> PlannedPhase:
         """Return the phase that ends as near to a posture as the stance allows."""
@@ -207,32 +237,31 @@ class _Walker:
         last = project_onto_holds(body.engine, end.x, body.holds())[0]
         return self._move(spec, at, last, SWING_WAYPOINTS)
 
-    def _guess(
-        self, known: Mapping[str, Float[np.ndarray, "n"]], stance: ContactStance, at: Float[np.ndarray, "n"]
-    ) -> list[Float[np.ndarray, "n"]]:
-        """Return guesses for a pose: a known one, the present one, then the robot's postures."""
-        own = [known[stance.name]] if stance.name in known else []
-        postures = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
-        near = np.clip(at + self.noise, self.start.robot.lower, self.start.robot.upper)
-        return [*own, near, *postures]
-
     def _pose(
         self,
         step: str,
         kept: tuple[StanceContact, ...],
         placed: tuple[StanceContact, ...],
         at: Float[np.ndarray, "n"],
-        guesses: Sequence[Float[np.ndarray, "n"]],
+        known: Float[np.ndarray, "n"] | None,
     ) -> Float[np.ndarray, "n"]:
         """Return a configuration with all contacts in place, held by those kept alone.
+
+        It is near a known one, or near ``at`` without one.
 
         Raises:
             StuckError: there is none.
         """
         if not kept:
-            raise StuckError(step, (f"{step}: no contact stays where it is",), guesses[0])
-        body = replace(self.stand_on(kept, placed), nominal=at)
-        one = np.zeros(1, dtype=int)
+            raise StuckError(step, (f"{step}: no contact stays where it is",), at)
+        robot, one = self.start.robot, np.zeros(1, dtype=int)
+        body = replace(self.stand_on(kept, placed), nominal=at if known is None else known)
+        guesses = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
+        guesses = [np.clip(at + self.noise, robot.lower, robot.upper), *guesses]
+        costs: list[Cost[MotionState]] = []
+        if known is not None:
+            guesses = [known, *guesses]
+            costs.append(Cost("known pose", JointTarget(1, robot.n, one, np.arange(robot.n), known), KNOWN_WEIGHT))
         constraints = [
             Constraint(
                 f"place of {contact.patch}",
@@ -251,7 +280,7 @@ class _Walker:
         for guess in guesses[:4]:
             self.solver.monitor.check()
             pose = solve_equilibrium_pose(
-                body, contacts, guess, limits, (), constraints, should_stop=self.solver.monitor.should_stop
+                body, contacts, guess, limits, costs, constraints, should_stop=self.solver.monitor.should_stop
             )
             if pose.is_feasible:
                 both = replace(body, planted=(*body.planted, *(contact.planted for contact in placed)))
@@ -309,9 +338,9 @@ class _Walker:
             for seed in range(N_TREES):
                 if solved.is_feasible:
                     break
-                corners = replace(self.solver, body=guide).sample_corners(first, last, Tree(seed, TREE_CHECKS))
-                if corners is not None:
-                    around = solve([_resample(corners, 2 * SWING_WAYPOINTS)])
+                path = replace(self.solver, body=body).sample_carried(first, last, Tree(seed, TREE_CHECKS))
+                if path is not None:
+                    around = solve([_keep_contacts(body, path)])
                     solved = around if around.is_feasible else solved
         return _finish(spec, body, solved, lambda q: solve([q]))
 
@@ -419,10 +448,3 @@ def _as_contact(contact: StanceContact) -> Contact:
     return Contact(
         planted.link, planted.sole, np.tile(normal, (len(planted.sole), 1)), planted.friction, planted.force_cap_n
     )
-
-
-def _resample(corners: Float[np.ndarray, "K n"], count: int) -> Float[np.ndarray, "T n"]:
-    """Return equally spaced waypoints on a path through corners."""
-    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    at = np.linspace(0.0, lengths[-1], count)
-    return np.stack([np.interp(at, lengths, column) for column in corners.T], axis=1)

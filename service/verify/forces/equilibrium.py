@@ -92,7 +92,7 @@ class _Given:
     weight: float
     loads: Float[np.ndarray, "G 6"]
     drift_m: float
-    tilt_rad: float
+    tilt_rad: Float[np.ndarray, "#C"]
     tolerance: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -105,7 +105,7 @@ def prove_equilibrium(
     loads: Float[np.ndarray, "G 6"],
     gravity: float = 9.81,
     drift_m: float = 0.0,
-    tilt_rad: float = 0.0,
+    tilt_rad: Float[np.ndarray, "#C"] | float = 0.0,
 ) -> EquilibriumProof:
     """Prove or refute that the robot is held anywhere in a recorded region under every combination of loads.
 
@@ -119,7 +119,7 @@ def prove_equilibrium(
         loads: (G, 6) wrenches that must be held, about the world origin [N, Nm]; a zero row for no load.
         gravity: downwards [m/s^2].
         drift_m: farthest that a contact point may be from its place.
-        tilt_rad: largest angle of a contact's normal off its direction.
+        tilt_rad: largest angle of a contact's normal off its direction; one for all points, or (C,).
 
     Raises:
         ValueError: mass, loads, gravity, drift or tilt make no sense. What is recorded never raises: it is refuted.
@@ -226,19 +226,24 @@ def _check_unit(axis: Float[np.ndarray, "3"]) -> None:
 
 
 def _check_given(
-    mass: float, loads: Float[np.ndarray, "G 6"], gravity: float, drift_m: float, tilt_rad: float
+    mass: float,
+    loads: Float[np.ndarray, "G 6"],
+    gravity: float,
+    drift_m: float,
+    tilt_rad: Float[np.ndarray, "#C"] | float,
 ) -> _Given:
     """Check the arguments that are not recorded."""
     loads = np.asarray(loads, dtype=float)
     for name, value in (("mass", mass), ("gravity", gravity)):
         if not 0.0 < value < np.inf:
             raise ValueError(f"{name} must be positive and finite, got {value:g}")
-    for name, value in (("drift_m", drift_m), ("tilt_rad", tilt_rad)):
+    tilts = np.atleast_1d(np.asarray(tilt_rad, dtype=float))
+    for name, value in (("drift_m", drift_m), *(("tilt_rad", tilt) for tilt in tilts.tolist())):
         if not 0.0 <= value < np.inf:
             raise ValueError(f"{name} must be finite and not negative, got {value:g}")
     if loads.ndim != 2 or loads.shape[1] != 6 or not len(loads) or not np.isfinite(loads).all():
         raise ValueError(f"loads must be finite with shape (G, 6) and G at least 1, got shape {loads.shape}")
-    return _Given(mass * gravity, loads, drift_m, tilt_rad)
+    return _Given(mass * gravity, loads, drift_m, tilts)
 
 
 def _find_malformed(region: RecordedRegion) -> str | None:

@@ -111,20 +111,20 @@ def find_normals(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3
     return np.concatenate(normals)
 
 
-def find_tilt(contacts: tuple[PlantedContact, ...]) -> float:
-    """Return the largest angle by which a normal may be off [rad].
+def find_tilts(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C"]:
+    """Return at each contact point the largest angle by which its normal may be off [rad].
 
     A sole on level ground may lean while its corners drift within their tolerance; other contacts state it.
     """
-    tilts = [0.0]
+    tilts = [np.zeros(0)]
     for contact in contacts:
         if contact.normal is not None:
-            tilts.append(contact.tilt_rad)
+            tilts.append(np.full(len(contact.sole), contact.tilt_rad))
             continue
         flat = contact.sole - contact.sole.mean(axis=0)
         narrow = flat @ np.linalg.svd(flat)[2][1]
-        tilts.append(float(np.arctan2(2.0 * contact.tolerance_m, np.ptp(narrow))))
-    return max(tilts)
+        tilts.append(np.full(len(contact.sole), np.arctan2(2.0 * contact.tolerance_m, np.ptp(narrow))))
+    return np.concatenate(tilts)
 
 
 def _find_gap(phase: Phase, edges: Float[np.ndarray, "E"]) -> float | None:
@@ -154,8 +154,8 @@ def _prove(motion: Motion, phase: Phase, region: LoadedRegion, mass: float) -> t
     # The feet's horizontal forces are at least the hands', so their drift covers the yaw moment of the hands' drift.
     hand_drift = max((load.drift_m for load in phase.loads), default=0.0)
     drift = feet_drift + hand_drift
-    tilt = find_tilt(contacts)
-    proof = prove_equilibrium(recorded, mass, loads, GRAVITY, drift_m=drift, tilt_rad=tilt)
+    tilts = find_tilts(contacts)
+    proof = prove_equilibrium(recorded, mass, loads, GRAVITY, drift_m=drift, tilt_rad=tilts)
     hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in phase.loads) / (mass * GRAVITY)
     return proof, proof.shift_m * feet_drift / drift + hands if drift > 0.0 else 0.0
 
