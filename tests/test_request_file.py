@@ -239,7 +239,7 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
             "robot: {name: a}\ntask: {valve: {hand: lft}}",
             "task.valve.hand: expected 'left', 'right' or 'auto', got 'lft'",
         ),
-        ("robot: {name: a}\ntask: {valve: {turn_deg: 400}}", "task.valve.turn_deg: expected at most 360, got 400"),
+        ("robot: {name: a}\ntask: {valve: {turn_deg: 1500}}", "task.valve.turn_deg: expected at most 1440, got 1500"),
         ("robot: {name: a}\ntask: {valve: {turn_deg: 0}}", "task.valve: turn_deg is 0: nothing to do"),
         ("robot: {name: a}\ntask: {valve: {axis: [0, 0, 0]}}", "task.valve: axis has no length"),
         (
