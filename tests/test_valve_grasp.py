@@ -1,18 +1,22 @@
 """Grasping a rim with the gripper: refused without fingers, closed while it holds, and never deep in the wheel."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from costs.robot import RobotError, load_robot
+from service.demands.valve_demand import ValveDemand
+from service.demands.wheel import make_wheel
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.result.output import write_result
 from service.result.result import Verdict
+from service.tasks.valve_task import read_given_valve
 
 WHEEL = {"centre": [0.68, 0.12, 1.1], "axis": [-1.0, 0.0, 0.0], "radius": 0.14}
 TUBE = 0.015
@@ -144,3 +148,16 @@ def test_hands_of_robots_that_are_not_bundled_and_unknown_ones_are_refused():
         load_robot("atlas", hand="gripper", tool_distance_m=0.2)
     with pytest.raises(RequestError, match="hand belongs to a bundled robot"):
         parse_request({"robot": {"urdf": "a.urdf", "hand": "gripper"}, "goal": {"posture": "stand"}})
+
+
+def test_the_choice_of_a_record_is_read_back_and_another_hand_is_refused(grasped):
+    result, _ = grasped
+    valve = result.request.task.valve
+    wheel = make_wheel(read_given_valve(valve), "grasp")
+    stroke = ValveDemand(wheel, valve).read_stroke(result.motion)
+    assert (stroke.hand, stroke.strokes) == ("left", 1)
+    assert stroke.gap_rad in wheel.gaps
+    other = ValveDemand(wheel, replace(valve, hand="right")).read_stroke(result.motion)
+    assert "no hand that the task permits" in other
+    as_hook = ValveDemand(make_wheel(read_given_valve(valve), "hook"), replace(valve, mode="hook"))
+    assert "no hand that the task permits" in as_hook.read_stroke(result.motion)
