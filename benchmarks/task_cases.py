@@ -120,5 +120,6 @@ def make_valves(count: int, seed: int) -> Iterator[Case]:
             "axis": [float(value) for value in axis],
             "radius": round(float(radius), 3),
         }
-        request = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}, "task": {"valve": valve}}
+        robot = {"name": "atlas", "hand": "hook" if mode == "hook" else "gripper"}
+        request = {"robot": robot, "start": {"posture": "reach_ready"}, "task": {"valve": valve}}
         yield Case(f"valve {number}: {mode} radius {radius:.2f} tilt {np.rad2deg(tilt):.0f}", f"valve {mode}", request)

@@ -210,7 +210,8 @@ def main() -> None:
                 add(long, run_random(case, robot, given.seed))
     for case in make_valves(n_valves, given.seed):
         if given.only in case.name:
-            add(valves, run_case(case, robot, (0.0,), given.seed))
+            equipped = load_robot("atlas", hand=case.request["robot"]["hand"])
+            add(valves, run_case(case, equipped, (0.0,), given.seed))
     if doors:
         names = [f"certified at {angle:g} deg" for angle in given.angles]
         print_summary("Doors, from the best stance", doors, given.angles, names)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from stranger import Stranger
 
+from service.demands.hands import PEG_RADIUS
 from service.errors import RequestError
 from service.planner import plan
 from service.request.file import load_request, parse_request
@@ -73,6 +74,33 @@ def test_the_peg_stays_at_its_place_in_the_wheel_within_1_mm(shipped):
     assert inner - 0.03 < np.mean(turns, axis=0)[0] < inner - 0.009
     assert np.linalg.norm(centre - TRUTH["centre"]) < 0.01
     assert abs(radius - TRUTH["rim_radius"]) < 5e-3
+
+
+def test_on_the_true_wheel_the_peg_presses_one_spoke_within_2_mm_and_keeps_clear_of_the_rim(shipped):
+    _, stranger = shipped
+    axis = np.array(TRUTH["axis"]) / np.linalg.norm(TRUTH["axis"])
+    right = np.cross([0.0, 0.0, 1.0], axis)
+    up = np.cross(axis, right)
+    part = next(p for p in stranger.data["phases"] if p["name"] == "turn")
+    angles = stranger.data["movables"][0]["angles"]
+    reach = TRUTH["spoke_radius"] + PEG_RADIUS
+    gaps = []
+    for row in range(part["first"], part["last"] + 1, 5):
+        poses = stranger.placements(stranger.positions[row])
+        first, last = poses["l_stub"].translation, poses["l_tool"].translation
+        rod = first + np.linspace(0.0, 1.0, 120)[:, None] * (last - first) - TRUTH["centre"]
+        x, y, z = rod @ right, rod @ up, rod @ axis
+        rim = np.hypot(np.hypot(x, y) - TRUTH["rim_radius"], z).min()
+        assert rim - TRUTH["tube_radius"] - PEG_RADIUS > 0.0
+        nearest = []
+        for angle in np.array(TRUTH["spoke_angles"]) + angles[row]:
+            along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+            beyond = along - np.clip(along, 0.0, TRUTH["rim_radius"])
+            nearest.append(np.sqrt(beyond**2 + across**2 + z**2).min() - reach)
+        gaps.append(nearest)
+    pressed, *others = np.array(gaps).T[np.argsort(np.min(gaps, axis=0))]
+    assert np.abs(pressed).max() < 2e-3
+    assert np.min(others) > 0.02
 
 
 def test_the_wheel_turns_with_the_peg_and_the_hook_touches_only_a_spoke_and_the_rim(shipped):

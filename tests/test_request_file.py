@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -81,6 +82,15 @@ def test_a_valve_task_hooks_and_turns_once_by_default() -> None:
 
 def test_numbers_in_exponent_form_are_numbers(tmp_path: Path) -> None:
     assert load_request(_write(tmp_path, MINIMAL + "options: {margin_m: 1e-2}")).options.margin_m == 0.01
+
+
+def test_a_request_that_is_written_and_read_again_keeps_its_quaternion_to_the_last_digit() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        wxyz = rng.normal(size=4)
+        wxyz = [float(value) for value in wxyz / np.linalg.norm(wxyz) * rng.uniform(0.9995, 1.0005)]
+        once = PoseRequest((0.0, 0.0, 0.0), wxyz).quaternion_wxyz
+        assert PoseRequest((0.0, 0.0, 0.0), once).quaternion_wxyz == once
 
 
 def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> None:
@@ -239,7 +249,7 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
             "robot: {name: a}\ntask: {valve: {hand: lft}}",
             "task.valve.hand: expected 'left', 'right' or 'auto', got 'lft'",
         ),
-        ("robot: {name: a}\ntask: {valve: {turn_deg: 400}}", "task.valve.turn_deg: expected at most 360, got 400"),
+        ("robot: {name: a}\ntask: {valve: {turn_deg: 1500}}", "task.valve.turn_deg: expected at most 1440, got 1500"),
         ("robot: {name: a}\ntask: {valve: {turn_deg: 0}}", "task.valve: turn_deg is 0: nothing to do"),
         ("robot: {name: a}\ntask: {valve: {axis: [0, 0, 0]}}", "task.valve: axis has no length"),
         (

@@ -95,7 +95,7 @@ class PhaseSpec:
         aims_at_end: whether the first guess of an anchor leads straight to a pose at its end.
         guess_rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
         joints: joints of the robot that move in equal steps, from one value to another [rad, m].
-        guess_touches: pairs that may overlap in the first guess of an anchor, which is solved beforehand.
+        guess_touches: pairs that may overlap in the first guess of its poses, which is solved beforehand.
         torque_share: of the torque limits that the joints before the hand may use under the loads while the phase is
             planned; None for any.
         depth_reserve_m: of the depths of ``touches``, for the curve between the waypoints [m].

@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 from service.errors import shown, would_do
 
 QUATERNION_NORM_TOLERANCE = 1e-3  # allows for rounding to a few digits
+QUATERNION_ROUNDING = 1e-15
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
 LARGEST_M = 100.0  # a larger obstacle is in another unit
 MAX_JOINTS = 1000
@@ -53,6 +54,8 @@ def _normalize(quaternion: tuple[float, float, float, float]) -> tuple[float, fl
             "a quaternion (w, x, y, z) needs length 1, not {norm}; expected {unit}",
             {"norm": f"{norm:.6g}", "unit": unit},
         )
+    if abs(norm - 1.0) <= QUATERNION_ROUNDING:  # once more would change the last digit, and the request's hash
+        return quaternion
     w, x, y, z = (component / norm for component in quaternion)
     return (w, x, y, z)
 

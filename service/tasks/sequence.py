@@ -221,6 +221,12 @@ class _Compiler:
         first = np.zeros(1, dtype=int)
         constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
         regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
+        if spec.guess_touches:
+            loose = replace(spec, touches=(*spec.touches, *spec.guess_touches), guess_touches=(), torque_share=None)
+            guess = self.solve_pose(step, loose, guesses, effort)
+            if not guess.is_feasible:
+                return guess
+            guesses = [guess.x[0], *guesses]
         touches = shrink(spec.touches, spec.depth_reserve_m)
         return self.solver.solve_pose(step, guesses, constraints, touches, fixed, regions, effort)
 
@@ -276,7 +282,10 @@ class _Compiler:
         light = replace(spec, torque_share=None)
         if spec.guess_touches:  # what the hand passes between would push it to the wrong side of a poor guess
             loose = replace(light, touches=(*spec.touches, *spec.guess_touches))
-            starts = [self._solve(loose, starts, fixed, values, (), pinned).x]
+            guess = self._solve(loose, starts, fixed, values, (), pinned)
+            if not guess.is_feasible:
+                return guess
+            starts = [guess.x]
         regions = self.find_regions(spec, values)
         if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
             unloaded = self._solve(light, starts, fixed, values, (), pinned)
