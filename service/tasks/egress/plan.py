@@ -161,9 +161,7 @@ def solve_poses(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], map: Ma
     return PoseSet(tuple(stages), tuple(nodes), tuple(counts))
 
 
-def _solve_task(
-    solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], task: tuple[int, int, int]
-) -> EquilibriumPose:
+def _solve_task(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], task: tuple[int, int, int]) -> EquilibriumPose:
     k, sample, shape = task
     stage = stages[sample][k]
     return solver.solve(stage.aims, stage.shapes[shape])
