@@ -180,7 +180,10 @@ def test_a_platform_too_low_is_named_with_its_distance():
 
 
 def test_a_patch_out_of_reach_is_named_with_its_distance():
-    far = [replace(a, place=a.place + [0.0, 1.5, 0.0]) if a.patch == "left_forearm" else a for a in stages()[LAST].aims]
+    far = [
+        replace(a, place=a.place + np.array([0.0, 1.5, 0.0])) if a.patch == "left_forearm" else a
+        for a in stages()[LAST].aims
+    ]
     assert any("left_forearm on bar_top" in line and " m" in line for line in reach(far).violations)
 
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -240,7 +241,7 @@ def explain_missing(poses: PoseSet) -> tuple[str, ...]:
 def measure_slip(solver: PoseSolver, stages: Sequence[Stage], nodes: Sequence[Node]) -> float:
     """Return the farthest that a contact point which should stay moves between poses of a sequence [m]."""
     slips = [0.0]
-    for before, after in zip(nodes, nodes[1:], strict=False):
+    for before, after in pairwise(nodes):
         points = _choose_points(solver.body.robot, stages, before.stage, after.stage)
         places = _locate(solver, points, [before, after])
         slips.append(float(np.linalg.norm(places[0] - places[1], axis=1).max(initial=0.0)))
