@@ -183,7 +183,7 @@ def main() -> None:
     robot, scene, task = load_car()
     task = replace(task, samples=given.samples)
     all_stages = make_all_stages(robot, scene, task, load_phases(task), given.seed)
-    solver, timed = PoseSolver.of(robot, scene, task.torque_share), TimedMap()
+    solver, timed = PoseSolver.of(robot, scene, task.torque_share, task.margin_n), TimedMap()
     poses = solve_poses(solver, all_stages, timed)
     report_poses(all_stages[0], poses, timed)
     report_sequences(solver, poses, given.sequences)
