@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from make_valve_scan import SENSOR, link_hulls
 
-from perception import write_pcd
+from perception import inside_hulls, write_pcd
 from perception.simulate import Pose, Room, Scanner, scan
 from perception.simulate.mesh import box, hull
 from perception.simulate.scenes.doors import Door
@@ -30,8 +30,7 @@ FOLDER = Path(__file__).parent / "data"
 DOOR = Door(hinge=(0.7, 0.47), side="push", lever_length=0.13)
 ROOM = Room(wall_x=None, boxes=(((-0.2, 0.9, 0.0), (0.25, 1.3, 0.45)), ((-0.6, -1.5, 0.0), (-0.1, -1.1, 0.7))))
 REACH_M = 4.0
-HEAD = Pose((0.12, 0.0, 1.72), pitch=0.45)
-HEAD_LINKS = ("head", "hokuyo_link")  # around the sensor
+SEATED = Pose((0.13, 0.0, 1.85), pitch=0.4)  # the sensor of the seated robot
 
 
 def main() -> None:
@@ -46,15 +45,17 @@ def scan_vehicle() -> None:
     """Scan the obstacles of the egress request from the head of the seated robot, which sees itself."""
     request = load_request(FOLDER.parent / "requests" / "egress.yaml")
     robot = load_requested_robot(request)
-    start = make_start_configuration(robot, request)
+    start = make_start_configuration(robot, request.start)[0]
     pieces, _ = build_obstacles(request)
     around = [hull(piece.vertices) for piece in pieces]
-    body = [hull(vertices) for body, vertices in place_bodies(robot, start) if body.link not in HEAD_LINKS]
+    sensor = np.array([SEATED.position])
+    bodies = [vertices for _, vertices in place_bodies(robot, start)]
+    body = [hull(vertices) for vertices in bodies if not inside_hulls(sensor, [vertices], margin=0.1).any()]
     ground = box((-4.0, -4.0, -0.1), (4.0, 4.0, 0.0))
-    cloud = scan([ground, *around, *body], HEAD, Scanner(n_lines=72), seed=7)
+    cloud = scan([ground, *around, *body], SEATED, Scanner(n_lines=84), seed=7)
     near = np.round(cloud.points[np.linalg.norm(cloud.points, axis=1) < REACH_M], 4)
     path = FOLDER / "vehicle_scan.pcd"
-    write_pcd(path, near, HEAD.viewpoint)
+    write_pcd(path, near, SEATED.viewpoint)
     boxes = {piece.name: [piece.lower.tolist(), piece.upper.tolist()] for piece in pieces}
     (FOLDER / "vehicle_scan.json").write_text(json.dumps({"boxes_around_pieces": boxes}, indent=1) + "\n")
     print(f"{path}: {len(near)} points, {path.stat().st_size} bytes")
