@@ -112,6 +112,22 @@ def find_normals(linked, pose):
     )
 
 
+def test_the_shipped_phases_link_from_the_seat_to_standing_with_room_for_errors_of_forces():
+    robot, scene = car()
+    found = link_poses(PoseSolver.of(robot, scene, task().torque_share, task().margin_n), stages())
+    assert isinstance(found, Chain), found.reason
+    assert [stance.name for stance in found.stances] == [phase.name for phase in phases()]
+    named = found.list_poses()
+    assert len(named) == 26
+    for name, pose in named:
+        assert pose.reserve_n >= task().margin_n, name
+        assert measure_imbalance(robot, pose)[0] < 1e-3, name
+        assert pose.torque_share <= 1.0, name
+    for stance, pose in zip(found.stances, found.poses, strict=True):
+        for contact in stance.contacts:
+            assert np.abs(place_points(robot, pose.q, contact) - contact.points).max() <= 1e-4
+
+
 def test_poses_of_drawn_places_make_a_sequence():
     robot, scene = car()
     chosen = [replace(phase) for phase in phases()[FIRST : LAST + 1]]
