@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -108,6 +108,57 @@ class EgressSequence:
     rejected: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class PosePlan:
+    """What came of planning poses.
+
+    Attributes:
+        sequence: the cheapest that could be linked; None if there is none.
+        counts: poses of each stage that was sampled, with failures and duplicates.
+        reasons: why there is no sequence, in sentences; empty if there is one.
+    """
+
+    sequence: EgressSequence | None
+    counts: tuple[StageCount, ...]
+    reasons: tuple[str, ...]
+
+
+def plan_poses(
+    robot: RobotModel,
+    scene: Scene,
+    request: EgressRequest,
+    folder: Path = Path(),
+    *,
+    seed: int = 0,
+    map: Map = map,
+    should_stop: Callable[[], bool] | None = None,
+) -> PosePlan:
+    """Draw places, solve poses, and return the cheapest sequence whose poses can be linked.
+
+    Args:
+        robot: with contact patches.
+        scene: all pieces, those behind surfaces included.
+        request: the task.
+        folder: of the request, for its phases file.
+        seed: of drawn places and starts.
+        map: calls a function for every item, in order; that of an executor runs them in parallel.
+        should_stop: polled before every trial step.
+
+    Raises:
+        RequestError: surfaces or phases that cannot be used.
+    """
+    stages = make_all_stages(robot, scene, request, load_phases(request, folder), seed)
+    solver = PoseSolver.of(robot, scene, request.torque_share, request.margin_n)
+    solver = replace(solver, seed=seed, should_stop=should_stop)
+    poses = solve_poses(solver, stages, map)
+    missing = explain_missing(poses)
+    if missing:
+        return PosePlan(None, poses.counts, missing)
+    rejected: list[str] = []
+    sequence = next(find_sequences(solver, poses, rejected=rejected), None)
+    return PosePlan(sequence, poses.counts, () if sequence is not None else tuple(dict.fromkeys(rejected)))
+
+
 def load_phases(request: EgressRequest, folder: Path = Path()) -> tuple[PhaseRequest, ...]:
     """Return the request's phases, those of its file, or those that ship with the package.
 
@@ -191,7 +242,9 @@ def make_graph(solver: PoseSolver, poses: PoseSet) -> PoseGraph:
     return PoseGraph(layer, np.array([node.cost for node in nodes]), edges)
 
 
-def find_sequences(solver: PoseSolver, poses: PoseSet, most: int = LINKED) -> Iterator[EgressSequence]:
+def find_sequences(
+    solver: PoseSolver, poses: PoseSet, most: int = LINKED, rejected: list[str] | None = None
+) -> Iterator[EgressSequence]:
     """Yield complete sequences, the cheapest first.
 
     A sequence that cannot be linked loses the edge at which it failed; one that can loses its first free edge, so that
@@ -201,15 +254,13 @@ def find_sequences(solver: PoseSolver, poses: PoseSet, most: int = LINKED) -> It
         solver: of poses.
         poses: of all drawn places.
         most: number of sequences that are linked at most.
-
-    Returns:
-        After the last sequence, nothing; ``explain_missing`` says why there is none.
+        rejected: filled with a sentence for each sequence that cannot be linked.
     """
     if len({node.stage for node in poses.nodes}) < len(poses.counts):
         return
     graph = make_graph(solver, poses)
     without: set[tuple[int, int]] = set()
-    rejected: list[str] = []
+    rejected = [] if rejected is None else rejected
     for _ in range(most):
         path = graph.find_sequence(without)
         if path is None:
@@ -219,13 +270,18 @@ def find_sequences(solver: PoseSolver, poses: PoseSet, most: int = LINKED) -> It
         chain = link_poses(solver, stages, {node.stage: node.pose for node in nodes})
         if isinstance(chain, BrokenChain):
             rejected.append(chain.reason)
-            cut = next((k for k, node in enumerate(nodes) if node.stage >= chain.stage), len(nodes) - 1)
-            without.add((path[max(cut - 1, 0)], path[max(cut, 1)]))
+            cut = next(k for k, node in enumerate(nodes) if node.stage >= chain.stage)
+            if cut == 0:
+                return  # the first pose is in every sequence
+            without.add((path[cut - 1], path[cut]))
             continue
         yield EgressSequence(
             chain, nodes, graph.measure_cost(path), measure_slip(solver, poses.stages[0], nodes), tuple(rejected)
         )
-        without.add((path[min(1, len(path) - 2)], path[min(2, len(path) - 1)]))
+        cut = min(1, len(path) - 2)
+        if cut < 0:
+            return
+        without.add((path[cut], path[cut + 1]))
 
 
 def explain_missing(poses: PoseSet) -> tuple[str, ...]:

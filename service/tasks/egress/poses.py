@@ -15,6 +15,7 @@ from costs.kinematics import locate_links
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.state import LoadedState, MotionState
+from costs.stopping import poll
 from costs.terms import AxisDirection, ContactForce, FramePose, JointTarget, PointHalfSpace, Positive
 from scopt import Cost, Residual, Settings, Status
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
@@ -112,7 +113,9 @@ class PoseSolver:
 
         Raises:
             KeyError: the robot has no such patch.
+            Stopped: within ``costs.stopping.stops_when``.
         """
+        poll()
         robot = self.body.robot
         bearing = [aim for aim in aims if loaded is None or aim.patch in loaded]
         contacts = [_make_contact(robot, aim) for aim in bearing]
