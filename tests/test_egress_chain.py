@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -150,6 +151,15 @@ def test_poses_of_drawn_places_make_a_sequence():
     assert sequence.cost == pytest.approx(graph.find_values()[graph.layer == 0].min())
     assert len(sequence.chain.stances) == 4
     assert sequence.slip_m >= 0.0
+
+
+def test_a_solver_sent_to_another_process_finds_the_same_pose():
+    stage = stages()[0]
+    sent, kept = pickle.loads(pickle.dumps((solver(), stage)))
+    expected = solver().solve(stage.aims, stage.shapes[0])
+    found = sent.solve(kept.aims, kept.shapes[0])
+    assert found.is_feasible
+    np.testing.assert_allclose(found.q, expected.q, atol=1e-9)
 
 
 def test_changes_between_stages_are_named():

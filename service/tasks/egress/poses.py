@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact
 from costs.contact_points import ContactPoints
-from costs.kinematics import locate_links
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.state import LoadedState, MotionState
@@ -95,6 +96,11 @@ class PoseSolver:
         """
         body = WholeBody.standing(robot, scene, robot.postures["stand"], (), Aims(MARGIN_M))
         return PoseSolver(replace(body, has_default_costs=False), torque_share, margin_n)
+
+    def __reduce__(self) -> tuple[Callable[..., PoseSolver], tuple[object, ...]]:
+        # The engine's data and model do not survive pickling together; another process makes its own.
+        body = {field.name: getattr(self.body, field.name) for field in fields(self.body) if field.name != "engine"}
+        return _restore_solver, (body, self.torque_share, self.margin_n, self.settings, self.seed)
 
     def solve(
         self,
@@ -184,6 +190,13 @@ class PoseSolver:
             if k >= len(starts):
                 guess = np.clip(guess + spread * rng.normal(size=robot.n), robot.lower, robot.upper)
             yield shape, guess
+
+
+def _restore_solver(
+    body: dict[str, Any], torque_share: float | None, margin_n: float, settings: Settings, seed: int
+) -> PoseSolver:
+    """Return a solver sent by another process, which cannot stop it."""
+    return PoseSolver(WholeBody(engine=KinematicsEngine(body["robot"]), **body), torque_share, margin_n, settings, seed)
 
 
 def make_allowances(robot: RobotModel, aims: Sequence[ContactAim]) -> tuple[Allowance, ...]:
