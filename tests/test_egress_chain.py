@@ -131,9 +131,7 @@ def test_the_shipped_phases_link_from_the_seat_to_standing_with_room_for_errors_
 
 def test_poses_of_drawn_places_make_a_sequence():
     robot, scene = car()
-    chosen = [replace(phase) for phase in phases()[FIRST : LAST + 1]]
-    few = replace(task(), samples=3)
-    all_stages = make_all_stages(robot, scene, few, chosen)
+    all_stages = make_all_stages(robot, scene, replace(task(), samples=3), phases()[FIRST : LAST + 1])
     counts: list[int] = []
 
     def count(function, items):
