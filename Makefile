@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | bench-tasks | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | bench-tasks | bench-egress | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -15,7 +15,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # Two processes that steal tests from each other; one thread each, or their linear algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
-.PHONY: help setup demo test test-fast test-ray coverage check bench bench-service attack gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check bench bench-service bench-egress attack gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -27,6 +27,7 @@ help:
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
 	@echo "make bench-tasks    doors and valves from the best stance, certified or not, as a table; half an hour"
+	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
 	@echo "make gallery   a film strip of a motion per task, in out/gallery"
 	@echo "make clean     remove .venv, .venv-ray, out and caches"
@@ -73,6 +74,9 @@ bench-service: $(READY)
 # BENCH_ARGS="--count 4" takes a quick look, BENCH_ARGS=--long adds random stances.
 bench-tasks: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks $(BENCH_ARGS)
+
+bench-egress: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.egress $(BENCH_ARGS)
 
 attack: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack

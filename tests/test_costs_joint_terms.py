@@ -5,7 +5,7 @@ import pytest
 from jacobian import check_jacobian
 from tiny_robots import PLANAR, SPATIAL, atlas, chain, contact_free_state, random_configurations
 
-from costs.terms import AxisDirection, FramePose, JointDifference, JointTarget, NormWithin, WithinTolerance
+from costs.terms import AxisDirection, FramePose, JointDifference, JointTarget, NormWithin, Positive, WithinTolerance
 
 ROBOTS = {"atlas": atlas, "chain": lambda: chain(SPATIAL)}
 
@@ -55,6 +55,17 @@ def test_a_norm_is_within_its_limit_by_hand():
     pair = JointTarget(2, 2, np.array([0, 1]), np.array([0, 1]), np.zeros(2))
     np.testing.assert_allclose(NormWithin(pair, 2, 1.0).value(state), [4.0, -1.0])
     np.testing.assert_allclose(NormWithin(pair, 2, 1.0).linearize(state).jacobian.toarray()[0, :2], [0.6, 0.8])
+
+
+def test_positive_rows_have_the_derivative_of_those_beyond_zero(robot):
+    x = random_configurations(robot, np.random.default_rng(7), 3)
+    frame = "l_tool" if robot.is_floating else "tip"
+    pose = FramePose(robot, frame, [0, 2], np.eye(4))
+    value = pose.value(contact_free_state(robot)(x))
+    assert (value > 0.0).any()
+    assert (value < 0.0).any()
+    check_jacobian(Positive(pose), contact_free_state(robot), x)
+    np.testing.assert_array_equal(Positive(pose).value(contact_free_state(robot)(x)), np.maximum(value, 0.0))
 
 
 def test_differences_of_a_cubic_by_hand():

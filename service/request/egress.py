@@ -192,6 +192,8 @@ class EgressRequest(Section):
         phases: in their order; or ``phases_file``. By default those that ship with the package, for ``side`` right.
         samples: number of places drawn for each contact with a region.
         torque_share: of each joint's limit that a pose may need.
+        margin_n: error that the force at every contact point may have without slipping, lifting or pressing too
+            hard [N].
     """
 
     side: Literal["left", "right"] = "left"
@@ -201,6 +203,7 @@ class EgressRequest(Section):
     phases_file: FilePath | None = None
     samples: Annotated[StrictInt, Field(ge=1, le=1000)] = 25
     torque_share: Annotated[Number, Field(gt=0.0, le=1.0)] = 1.0
+    margin_n: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0
 
     def __post_init__(self) -> None:
         if self.phases and self.phases_file is not None:

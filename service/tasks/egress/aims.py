@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +12,7 @@ from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
 from costs.state import MotionState
 from costs.terms import ContactPlace, FramePose
-from scopt import Constraint, Sense
+from scopt import Constraint, Residual, Sense
 from service.demands.stances import StanceContact, Surface, find_link_pose
 
 PLACE_TOLERANCE_M = 2e-5  # per row of a contact in its place
@@ -59,7 +58,7 @@ class ContactAim:
             term = ContactPlace.at(robot, patch.link, patch.points, [0], planted.points)
             return [self._name("place", term)]
         if self.place is not None and self.yaw_rad is not None and len(patch.points) >= FLAT_POINTS:
-            pose = self._find_link_pose(patch)
+            pose = self._find_link_pose(patch, self.place, self.yaw_rad)
             return [self._name("place", FramePose(robot, patch.link, [0], pose), "m or rad")]
         return self._make_free_constraints(robot, patch)
 
@@ -81,26 +80,22 @@ class ContactAim:
             terms.append(self._name("place", at))
         return terms
 
-    def _find_link_pose(self, patch: Contact) -> Float[np.ndarray, "4 4"]:
+    def _find_link_pose(
+        self, patch: Contact, place: Float[np.ndarray, "3"], yaw_rad: float
+    ) -> Float[np.ndarray, "4 4"]:
         """Return pose_world_link of the patch flat on its surface, its mark at the place and turned by the yaw."""
-        assert self.place is not None
-        pose = find_link_pose(patch, self.surface, self.place, self.yaw_rad or 0.0)
+        pose = find_link_pose(patch, self.surface, place, yaw_rad)
         if self.mark is not None:
             offset = pose[:3, :3] @ (patch.points.mean(axis=0) - self.mark)
             pose[:3, 3] += offset - (offset @ self.surface.normal) * self.surface.normal
         return pose
 
-    def _name(self, what: str, term: object, unit: str = "m") -> Constraint[MotionState]:
+    def _name(self, what: str, term: Residual[MotionState], unit: str = "m") -> Constraint[MotionState]:
         words = f"{self.patch} on {self.surface.name}: {what}"
-        return Constraint(words, term, Sense.EQUAL_ZERO, PLACE_TOLERANCE_M, unit=unit)  # type: ignore[arg-type]
+        return Constraint(words, term, Sense.EQUAL_ZERO, PLACE_TOLERANCE_M, unit=unit)
 
 
 def find_toe(patch: Contact) -> Float[np.ndarray, "3"]:
     """Return the middle of a patch's points that are farthest along its link's x axis, in the link's frame [m]."""
     x = patch.points[:, 0]
     return np.asarray(patch.points[x >= x.max() - 1e-3].mean(axis=0))
-
-
-def list_patches(aims: Sequence[ContactAim]) -> str:
-    """Return the patches as words: ``hip, left_foot``."""
-    return ", ".join(aim.patch for aim in aims)

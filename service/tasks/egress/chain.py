@@ -139,10 +139,10 @@ class _Linker:
         """Return stage ``k`` linked to the stances before it, or a sentence why it cannot be."""
         stage = self.stages[self.k]
         before = {contact.patch: contact for contact in stances[-1].contacts} if stances else {}
-        fixed = {patch: before[patch] for patch in stage.patches if patch in stage.kept}
+        kept = tuple(patch for patch in stage.patches if patch in stage.kept and patch in before)
+        fixed = {patch: before[patch] for patch in kept}
         if anchor is not None:
             fixed |= self._take_places(anchor[1], [patch for patch in stage.patches if patch not in fixed])
-        kept = tuple(patch for patch in stage.patches if patch in stage.kept)
         guesses = [self.known[self.k].q] if self.k in self.known else []
         guesses += [pose.q for pose in poses[-1:]]
         leaving = arriving = None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,10 +12,11 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact
 from costs.contact_points import ContactPoints
-from costs.kinematics import locate_links
+from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.state import LoadedState, MotionState
+from costs.stopping import poll
 from costs.terms import AxisDirection, ContactForce, FramePose, JointTarget, PointHalfSpace, Positive
 from scopt import Cost, Residual, Settings, Status
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
@@ -95,6 +97,11 @@ class PoseSolver:
         body = WholeBody.standing(robot, scene, robot.postures["stand"], (), Aims(MARGIN_M))
         return PoseSolver(replace(body, has_default_costs=False), torque_share, margin_n)
 
+    def __reduce__(self) -> tuple[Callable[..., PoseSolver], tuple[object, ...]]:
+        # The engine's data and model do not survive pickling together; another process makes its own.
+        body = {field.name: getattr(self.body, field.name) for field in fields(self.body) if field.name != "engine"}
+        return _restore_solver, (body, self.torque_share, self.margin_n, self.settings, self.seed)
+
     def solve(
         self,
         aims: Sequence[ContactAim],
@@ -112,7 +119,9 @@ class PoseSolver:
 
         Raises:
             KeyError: the robot has no such patch.
+            Stopped: within ``costs.stopping.stops_when``.
         """
+        poll()
         robot = self.body.robot
         bearing = [aim for aim in aims if loaded is None or aim.patch in loaded]
         contacts = [_make_contact(robot, aim) for aim in bearing]
@@ -181,6 +190,13 @@ class PoseSolver:
             if k >= len(starts):
                 guess = np.clip(guess + spread * rng.normal(size=robot.n), robot.lower, robot.upper)
             yield shape, guess
+
+
+def _restore_solver(
+    body: dict[str, Any], torque_share: float | None, margin_n: float, settings: Settings, seed: int
+) -> PoseSolver:
+    """Return a solver sent by another process, which cannot stop it."""
+    return PoseSolver(WholeBody(engine=KinematicsEngine(body["robot"]), **body), torque_share, margin_n, settings, seed)
 
 
 def make_allowances(robot: RobotModel, aims: Sequence[ContactAim]) -> tuple[Allowance, ...]:

@@ -472,7 +472,7 @@ class Handle(_message.Message):
     def __init__(self, kind: _Optional[_Union[HandleKind, str]] = ..., centre: _Optional[_Iterable[float]] = ..., direction: _Optional[_Iterable[float]] = ..., length_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., turned_deg: _Optional[float] = ...) -> None: ...
 
 class Egress(_message.Message):
-    __slots__ = ("side", "hint", "surfaces", "phases", "phases_file", "samples", "torque_share")
+    __slots__ = ("side", "hint", "surfaces", "phases", "phases_file", "samples", "torque_share", "margin_n")
     class SurfacesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -487,6 +487,7 @@ class Egress(_message.Message):
     PHASES_FILE_FIELD_NUMBER: _ClassVar[int]
     SAMPLES_FIELD_NUMBER: _ClassVar[int]
     TORQUE_SHARE_FIELD_NUMBER: _ClassVar[int]
+    MARGIN_N_FIELD_NUMBER: _ClassVar[int]
     side: Side
     hint: _containers.RepeatedScalarFieldContainer[float]
     surfaces: _containers.MessageMap[str, EgressSurface]
@@ -494,7 +495,8 @@ class Egress(_message.Message):
     phases_file: str
     samples: int
     torque_share: float
-    def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ..., surfaces: _Optional[_Mapping[str, EgressSurface]] = ..., phases: _Optional[_Iterable[_Union[EgressPhase, _Mapping]]] = ..., phases_file: _Optional[str] = ..., samples: _Optional[int] = ..., torque_share: _Optional[float] = ...) -> None: ...
+    margin_n: float
+    def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ..., surfaces: _Optional[_Mapping[str, EgressSurface]] = ..., phases: _Optional[_Iterable[_Union[EgressPhase, _Mapping]]] = ..., phases_file: _Optional[str] = ..., samples: _Optional[int] = ..., torque_share: _Optional[float] = ..., margin_n: _Optional[float] = ...) -> None: ...
 
 class EgressSurface(_message.Message):
     __slots__ = ("piece", "normal", "corners", "pieces", "friction")

@@ -1,0 +1,343 @@
+"""Sequences of poses that get out: places drawn, poses solved, the cheapest sequence chosen and linked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.contact_points import MovedPoints
+from costs.robot import BASE_NAMES, RobotModel
+from costs.scene import Scene
+from service.body.equilibrium_pose import EquilibriumPose
+from service.request.egress import EgressRequest, PhaseRequest, PhasesFile
+from service.request.file import load_section
+from service.tasks.egress.aims import ContactAim
+from service.tasks.egress.chain import BrokenChain, Chain, link_poses
+from service.tasks.egress.graph import PoseGraph, measure_connection
+from service.tasks.egress.poses import PoseSolver
+from service.tasks.egress.samples import draw_places
+from service.tasks.egress.stages import Stage, list_lasting, make_stages
+from service.tasks.egress.surfaces import make_surfaces
+
+SHIPPED_PHASES = Path(__file__).with_name("phases.yaml")
+SAME_POSE = 1e-2  # largest difference of a coordinate between poses that count as one [rad, m]
+SAME_PLACE_M = 1e-6
+LINKED = 20  # largest number of sequences that are linked before the search is given up
+
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+
+
+@dataclass(frozen=True)
+class Node:
+    """A feasible pose of a stage for one drawn place.
+
+    Attributes:
+        stage: index of the stage.
+        sample: index of the place.
+        pose: in equilibrium; kept contacts may be elsewhere than in other nodes.
+    """
+
+    stage: int
+    sample: int
+    pose: EquilibriumPose
+
+    @property
+    def cost(self) -> float:
+        """``C_p`` of the paper."""
+        return float(sum(self.pose.result.cost.values()))
+
+
+@dataclass(frozen=True)
+class StageCount:
+    """Poses of one stage.
+
+    Attributes:
+        name: of the stage.
+        solved: number of optimisations.
+        feasible: of these.
+        duplicates: feasible poses that another one equals.
+        first_violations: how often each violation came first.
+    """
+
+    name: str
+    solved: int
+    feasible: int
+    duplicates: int
+    first_violations: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class PoseSet:
+    """Poses of all drawn places.
+
+    Attributes:
+        stages: (N,) the stages of each sample.
+        nodes: feasible poses without duplicates.
+        counts: of each stage that has poses.
+    """
+
+    stages: tuple[tuple[Stage, ...], ...]
+    nodes: tuple[Node, ...]
+    counts: tuple[StageCount, ...]
+
+
+@dataclass(frozen=True)
+class EgressSequence:
+    """A complete sequence.
+
+    Attributes:
+        chain: stances with fixed places and poses that all have the same contact points.
+        nodes: the chosen poses before they were linked: the paper's result.
+        cost: of the chosen poses by eq. 4 of the paper.
+        slip_m: farthest that a kept contact point moves between chosen poses; the chain has none.
+        rejected: why cheaper sequences could not be linked, in sentences.
+    """
+
+    chain: Chain
+    nodes: tuple[Node, ...]
+    cost: float
+    slip_m: float
+    rejected: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PosePlan:
+    """What came of planning poses.
+
+    Attributes:
+        sequence: the cheapest that could be linked; None if there is none.
+        counts: poses of each stage that was sampled, with failures and duplicates.
+        reasons: why there is no sequence, in sentences; empty if there is one.
+    """
+
+    sequence: EgressSequence | None
+    counts: tuple[StageCount, ...]
+    reasons: tuple[str, ...]
+
+
+def plan_poses(
+    robot: RobotModel,
+    scene: Scene,
+    request: EgressRequest,
+    folder: Path = Path(),
+    *,
+    seed: int = 0,
+    map: Map = map,
+    should_stop: Callable[[], bool] | None = None,
+) -> PosePlan:
+    """Draw places, solve poses, and return the cheapest sequence whose poses can be linked.
+
+    Args:
+        robot: with contact patches.
+        scene: all pieces, those behind surfaces included.
+        request: the task.
+        folder: of the request, for its phases file.
+        seed: of drawn places and starts.
+        map: calls a function for every item, in order; that of an executor runs them in parallel.
+        should_stop: polled before every trial step.
+
+    Raises:
+        RequestError: surfaces or phases that cannot be used.
+    """
+    stages = make_all_stages(robot, scene, request, load_phases(request, folder), seed)
+    solver = PoseSolver.of(robot, scene, request.torque_share, request.margin_n)
+    solver = replace(solver, seed=seed, should_stop=should_stop)
+    poses = solve_poses(solver, stages, map)
+    missing = explain_missing(poses)
+    if missing:
+        return PosePlan(None, poses.counts, missing)
+    rejected: list[str] = []
+    sequence = next(find_sequences(solver, poses, rejected=rejected), None)
+    return PosePlan(sequence, poses.counts, () if sequence is not None else tuple(dict.fromkeys(rejected)))
+
+
+def load_phases(request: EgressRequest, folder: Path = Path()) -> tuple[PhaseRequest, ...]:
+    """Return the request's phases, those of its file, or those that ship with the package.
+
+    Raises:
+        RequestError: the file cannot be used.
+    """
+    if request.phases:
+        return request.phases
+    path = SHIPPED_PHASES if request.phases_file is None else folder / request.phases_file
+    return load_section(PhasesFile, path).phases
+
+
+def make_all_stages(
+    robot: RobotModel, scene: Scene, request: EgressRequest, phases: Sequence[PhaseRequest], seed: int = 0
+) -> tuple[tuple[Stage, ...], ...]:
+    """Return the stages of each drawn place.
+
+    Raises:
+        RequestError: surfaces or phases that cannot be used.
+    """
+    surfaces = make_surfaces(scene, request.surfaces, "task.egress.surfaces")
+    drawn = draw_places(np.zeros(2), np.ones(2), request.samples, seed)
+    return tuple(make_stages(robot, surfaces, phases, place, "task.egress.phases") for place in drawn.tolist())
+
+
+def solve_poses(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], map: Map = map) -> PoseSet:
+    """Solve a pose of each sampled stage for each drawn place and nominal pose; of the first and last stage once.
+
+    Args:
+        solver: of poses.
+        stages: of each drawn place.
+        map: calls a function for every item, in order; that of an executor runs them in parallel.
+    """
+    last = len(stages[0]) - 1
+    tasks = [
+        (k, sample, shape)
+        for k in range(last + 1)
+        for sample in range(len(stages) if stages[0][k].is_sampled else 1 if k in (0, last) else 0)
+        for shape in range(len(stages[sample][k].shapes))
+    ]
+    poses = list(map(partial(_solve_task, solver, stages), tasks))
+    nodes: list[Node] = []
+    counts = []
+    for k in sorted({task[0] for task in tasks}):
+        mine = [Node(k, task[1], pose) for task, pose in zip(tasks, poses, strict=True) if task[0] == k]
+        feasible = [node for node in mine if node.pose.is_feasible]
+        single = _drop_duplicates(feasible)
+        nodes += single
+        reasons = Counter(node.pose.violations[0] for node in mine if node.pose.violations)
+        name = stages[0][k].name
+        counts.append(StageCount(name, len(mine), len(feasible), len(feasible) - len(single), dict(reasons)))
+    return PoseSet(tuple(stages), tuple(nodes), tuple(counts))
+
+
+def _solve_task(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], task: tuple[int, int, int]) -> EquilibriumPose:
+    k, sample, shape = task
+    stage = stages[sample][k]
+    return solver.solve(stage.aims, stage.shapes[shape])
+
+
+def _drop_duplicates(nodes: Sequence[Node]) -> list[Node]:
+    kept: list[Node] = []
+    for node in nodes:
+        if all(np.abs(node.pose.q - other.pose.q).max() > SAME_POSE for other in kept):
+            kept.append(node)
+    return kept
+
+
+def make_graph(solver: PoseSolver, poses: PoseSet) -> PoseGraph:
+    """Return the graph of all poses; each stage with poses is a layer, and edges lead to the next one (eq. 3)."""
+    nodes = poses.nodes
+    used = sorted({node.stage for node in nodes})
+    layer = np.array([used.index(node.stage) for node in nodes], dtype=int)
+    edges = np.full((len(nodes), len(nodes)), np.inf)
+    joints = np.array([node.pose.q[len(BASE_NAMES) :] for node in nodes])
+    for k in range(len(used) - 1):
+        here, there = np.flatnonzero(layer == k), np.flatnonzero(layer == k + 1)
+        points = _choose_points(solver.body.robot, poses.stages[0], used[k], used[k + 1])
+        places = [_locate(solver, points, [nodes[i] for i in part]) for part in (here, there)]
+        edges[np.ix_(here, there)] = measure_connection(places[0], joints[here], places[1], joints[there])
+    return PoseGraph(layer, np.array([node.cost for node in nodes]), edges)
+
+
+def find_sequences(
+    solver: PoseSolver, poses: PoseSet, most: int = LINKED, rejected: list[str] | None = None
+) -> Iterator[EgressSequence]:
+    """Yield complete sequences, the cheapest first.
+
+    A sequence that cannot be linked loses the edge at which it failed; one that can loses its first free edge, so that
+    the next differs from it.
+
+    Args:
+        solver: of poses.
+        poses: of all drawn places.
+        most: number of sequences that are linked at most.
+        rejected: filled with a sentence for each sequence that cannot be linked.
+    """
+    if len({node.stage for node in poses.nodes}) < len(poses.counts):
+        return
+    graph = make_graph(solver, poses)
+    without: set[tuple[int, int]] = set()
+    rejected = [] if rejected is None else rejected
+    for _ in range(most):
+        path = graph.find_sequence(without)
+        if path is None:
+            return
+        nodes = tuple(poses.nodes[i] for i in path)
+        stages = _choose_stages(poses.stages, nodes)
+        chain = link_poses(solver, stages, {node.stage: node.pose for node in nodes})
+        if isinstance(chain, BrokenChain):
+            rejected.append(chain.reason)
+            cut = next(k for k, node in enumerate(nodes) if node.stage >= chain.stage)
+            if cut == 0:
+                return  # the first pose is in every sequence
+            without.add((path[cut - 1], path[cut]))
+            continue
+        yield EgressSequence(
+            chain, nodes, graph.measure_cost(path), measure_slip(solver, poses.stages[0], nodes), tuple(rejected)
+        )
+        cut = min(1, len(path) - 2)
+        if cut < 0:
+            return
+        without.add((path[cut], path[cut + 1]))
+
+
+def explain_missing(poses: PoseSet) -> tuple[str, ...]:
+    """Return one sentence per stage that has no pose, with the commonest reason."""
+    return tuple(
+        f"no pose of '{count.name}' holds for any of {count.solved} starts: "
+        f"{max(count.first_violations, key=lambda reason: count.first_violations[reason])}"
+        for count in poses.counts
+        if not count.feasible
+    )
+
+
+def measure_slip(solver: PoseSolver, stages: Sequence[Stage], nodes: Sequence[Node]) -> float:
+    """Return the farthest that a contact point which should stay moves between poses of a sequence [m]."""
+    slips = [0.0]
+    for before, after in pairwise(nodes):
+        points = _choose_points(solver.body.robot, stages, before.stage, after.stage)
+        places = _locate(solver, points, [before, after])
+        slips.append(float(np.linalg.norm(places[0] - places[1], axis=1).max(initial=0.0)))
+    return max(slips)
+
+
+def _choose_stages(stages: Sequence[tuple[Stage, ...]], nodes: Sequence[Node]) -> tuple[Stage, ...]:
+    """Return each stage with the place of the chosen pose that follows it first."""
+    sampled = [node for node in nodes if stages[0][node.stage].is_sampled]
+
+    def sample(k: int) -> int:
+        return next((node.sample for node in sampled if node.stage >= k), sampled[-1].sample if sampled else 0)
+
+    return tuple(stages[sample(k)][k] for k in range(len(stages[0])))
+
+
+def _choose_points(robot: RobotModel, stages: Sequence[Stage], k: int, later: int) -> MovedPoints:
+    """Return the points that should not move between two stages: of contacts that stay, or that turn on the spot."""
+    links: list[str] = []
+    points: list[Float[np.ndarray, "3"]] = []
+    before = {aim.patch: aim for aim in stages[k].aims}
+    for aim in stages[later].aims:
+        if aim.patch not in before:
+            continue
+        patch = robot.contacts[aim.patch]
+        if later in list_lasting(stages, k, aim.patch):
+            points += list(patch.points)
+            links += [patch.link] * len(patch.points)
+        elif _is_same_place(before[aim.patch], aim):
+            points.append(patch.points.mean(axis=0) if aim.mark is None else aim.mark)
+            links.append(patch.link)
+    return MovedPoints.on_links(robot, links, np.array(points).reshape(-1, 3))
+
+
+def _is_same_place(aim: ContactAim, other: ContactAim) -> bool:
+    if aim.place is None or other.place is None or aim.surface.name != other.surface.name:
+        return False
+    return bool(np.abs(aim.place - other.place).max() <= SAME_PLACE_M)
+
+
+def _locate(solver: PoseSolver, points: MovedPoints, nodes: Sequence[Node]) -> Float[np.ndarray, "A C 3"]:
+    kinematics = solver.body.engine(np.array([node.pose.q for node in nodes]))
+    return points.locate(kinematics, np.arange(len(nodes)))
