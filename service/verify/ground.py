@@ -10,6 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
+from costs.primitive import measure_outside_round
 from costs.robot.model import RobotModel
 from costs.scene import ConvexPiece
 from service.verify.certificate import Basis, Check, Where
@@ -147,6 +148,8 @@ def find_surface_gaps(
             continue
         face = np.flatnonzero(is_front)[reach[:, is_front].argmax(axis=1)]
         angle = np.arccos(np.clip(facing[face], -1.0, 1.0))
+        if piece.exact is not None:  # its polytope contains it, and touches it along lines only
+            enter = np.maximum(enter, measure_outside_round(points, piece.exact))
         nearer = is_hit & (np.abs(enter) < np.abs(gaps))
         gaps, lean = np.where(nearer, enter, gaps), np.where(nearer, angle, lean)
     return gaps, float(lean.max(initial=0.0))

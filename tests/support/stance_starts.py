@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from costs.contact import Contact
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
-from scopt import Constraint, Sense
 from service.body.equilibrium_pose import ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.whole_body import Aims, WholeBody
