@@ -32,7 +32,7 @@ def find_entry(point: np.ndarray, normal: np.ndarray, piece: ConvexPiece) -> flo
     return float("inf") if found.x is None else float(found.x[-1])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10**6), n_pieces=st.integers(1, 4))
 def test_gaps_are_those_of_the_nearest_piece_on_the_line_along_the_normal(seed: int, n_pieces: int) -> None:
     rng = np.random.default_rng(seed)
@@ -51,7 +51,7 @@ def test_gaps_are_those_of_the_nearest_piece_on_the_line_along_the_normal(seed: 
     assert 0.0 <= lean <= 0.5 * np.pi
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10**6), angle=st.floats(0.0, 0.7))
 def test_the_lean_is_the_angle_of_the_face_that_is_nearest(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
@@ -108,7 +108,7 @@ def test_a_round_pillar_counts_as_it_is_and_not_as_the_polytope_around_it() -> N
     assert exact[0] == pytest.approx(ring[0, 0] - 0.5)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from(["sphere", "cylinder", "capsule"]))
 def test_distances_from_round_shapes_are_those_from_many_of_their_points(seed: int, kind: str) -> None:
     rng = np.random.default_rng(seed)

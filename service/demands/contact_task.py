@@ -93,7 +93,9 @@ def make_surfaces(requests: Mapping[str, SurfaceRequest], scene: Scene) -> dict[
         behind = request.pieces if request.piece is None else (request.piece,)
         unknown = [piece for piece in behind if piece not in pieces]
         if unknown:
-            problems.append(f"{field}: no piece {unknown[0]!r} in the scene; {would_do(unknown[0], sorted(pieces))}")
+            problems.append(
+                f"{field}: no piece {unknown[0]!r} in the scene, which has {would_do(unknown[0], sorted(pieces))}"
+            )
             continue
         normal = np.array(request.normal) / np.linalg.norm(request.normal)
         if request.piece is not None:
