@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 from contact_plans import plan_example
 from contact_replay import ContactReplay
+from viewer_results import unpack
+
+from service.viewer.payload import make_payload
+from service.viewer.placements import LinkPlacements
 
 MOST_SLIP_M, MOST_GAP_M = 1.1e-3, 3e-3
 MOST_MISSING = 1e-4  # share of the weight
@@ -51,6 +55,21 @@ def test_every_phase_of_the_request_is_there(replay: ContactReplay) -> None:
     planted = [len(phase["contacts"]) for phase in replay.data["phases"]]
     assert all(planted)
     assert len(set(planted)) > 1  # contacts come and go
+
+
+def test_the_page_draws_forces_and_regions_of_every_phase(replay: ContactReplay) -> None:
+    data, rows = replay.data, np.array(replay.data["com"])
+    weight = 9.81 * sum(inertia.mass for inertia in replay.model.inertias[1:])
+    frames = LinkPlacements((), np.zeros((len(rows), 0, 7)))
+    payload = make_payload({**data, "bodies": []}, frames)
+    for phase, drawn in zip(data["phases"], payload["phases"], strict=True):
+        (region,) = drawn["regions"]
+        assert region["margin_m"] == phase["region_margin_m"] == pytest.approx(0.02)
+        points = [point for contact in phase["contacts"] for point in contact["sole"]]
+        assert np.allclose(region["places"], points)
+        forces = unpack(region["forces"])
+        assert np.isfinite(forces).all()
+        assert np.allclose(forces.sum(axis=1), [0.0, 0.0, weight], atol=0.1)
 
 
 def _hardly_any_friction(replay: ContactReplay) -> None:

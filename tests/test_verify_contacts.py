@@ -125,6 +125,32 @@ def test_two_contacts_of_one_link_are_refused() -> None:
         tell(make_standing(), contacts=(*contacts, *contacts))
 
 
+def test_a_kept_contact_that_creeps_from_phase_to_phase_is_refused() -> None:
+    motion = make_standing()
+    whole, region = motion.phases[0], motion.phases[0].regions[0]
+    curve = Curve(np.array([0.0, 0.5, 1.0]), motion.curve.positions[[0, 0, 1]], np.zeros((3, motion.robot.n)))
+
+    def halve(creep: float) -> Motion:
+        moved = []
+        for contact in whole.contacts:
+            pose = contact.pose_world_link.copy()
+            pose[0, 3] += creep
+            moved.append(replace(contact, pose_world_link=pose))
+        first = replace(whole, last=0.5, regions=(replace(region, last=0.5),))
+        last = replace(whole, name="on", first=0.5, contacts=tuple(moved), regions=(replace(region, first=0.5),))
+        return replace(motion, curve=curve, phases=(first, last))
+
+    assert verify(halve(0.0)).status is Status.CERTIFIED
+    with pytest.raises(VerifyError, match=r"'l_foot' moves by 0\.05 mm between the phases 'stand' and 'on'"):
+        verify(halve(5e-5))
+
+
+def test_a_link_that_the_task_moves_carries_nothing() -> None:
+    motion = replace(make_standing(), mechanism_links=frozenset({"r_foot"}))
+    with pytest.raises(VerifyError, match="'r_foot' in phase 'stand' is moved by the task"):
+        verify(motion)
+
+
 @pytest.mark.parametrize("margin", [-1.0, -np.inf, np.nan, np.inf])
 def test_margins_that_are_negative_or_no_numbers_are_refused(margin: float) -> None:
     with pytest.raises(VerifyError, match="region margin of phase 'stand' must be finite and not negative"):

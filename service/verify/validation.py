@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +28,8 @@ _UNIT_TOLERANCE = 1e-6
 _BORDER_TOLERANCE = 1e-9
 # Nearest that two points of a contact may be, each of which has a force cap of its own.
 _SAME_POINT_M = 1e-6
+# Farthest that a kept contact may be stated to move from one phase to the next [m].
+_CREEP_M = 1e-5
 
 
 def validate_motion(motion: Motion) -> None:
@@ -34,8 +37,8 @@ def validate_motion(motion: Motion) -> None:
 
     Raises:
         VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
-            that are not of unit length, contacts with negative numbers, two contacts of a link, targets outside their
-            phase, names that two bodies or pieces have, releases of unknown joints.
+            that are not of unit length, contacts with negative numbers or that creep, two contacts of a link, targets
+            outside their phase, names that two bodies or pieces have, releases of unknown joints.
     """
     _validate_curve(motion)
     _validate_names(motion)
@@ -45,6 +48,11 @@ def validate_motion(motion: Motion) -> None:
         _points(f"vertices of piece '{piece.name}'", piece.vertices, 3)
     for phase in motion.phases:
         _validate_phase(phase)
+        moved = [contact.link for contact in phase.contacts if contact.link in motion.mechanism_links]
+        if moved:
+            raise VerifyError(f"'{moved[0]}' in phase '{phase.name}' is moved by the task, so that it carries nothing")
+    for before, after in pairwise(motion.phases):
+        _validate_kept_contacts(before, after)
     _validate_releases(motion)
     if motion.law is not None:
         check_law(motion.curve, motion.law)
@@ -143,6 +151,23 @@ def _validate_contacts(phase: Phase) -> None:
         normal = contact.normal
         if normal is not None and not (normal.shape == (3,) and abs(np.linalg.norm(normal) - 1.0) <= _UNIT_TOLERANCE):
             raise VerifyError(f"the normal of the {what} must be a unit vector, got {normal.tolist()}")
+
+
+def _validate_kept_contacts(before: Phase, after: Phase) -> None:
+    """Reject contact points that creep: they keep their place on the link, and have another one in the world."""
+    earlier = {contact.link: contact for contact in before.contacts}
+    for contact in after.contacts:
+        if contact.link not in earlier:
+            continue
+        first = earlier[contact.link]
+        is_same = np.linalg.norm(contact.sole[:, None] - first.sole, axis=2) < _SAME_POINT_M
+        apart = np.linalg.norm(contact.points[:, None] - first.points, axis=2)
+        crept = float(apart[is_same].max(initial=0.0))
+        if crept > _CREEP_M:
+            raise VerifyError(
+                f"the contact of '{contact.link}' moves by {1e3 * crept:.2f} mm between the phases '{before.name}' and "
+                f"'{after.name}'; a contact that is kept stays where it is"
+            )
 
 
 def _places(target: Target) -> Iterator[np.ndarray | float]:
