@@ -166,6 +166,14 @@ def a_kept_foot_slides(folder: Folder) -> None:
     rows[len(rows) // 2][0] += 0.004
 
 
+@STANCES.lie("steps", stranger=True)
+def a_kept_contact_creeps(folder: Folder) -> None:
+    for index, phase in enumerate(folder.phases):
+        for contact in phase["contacts"]:
+            contact["position"][0] += 5e-4 * index
+            contact["sole"] = [[x + 5e-4 * index, y, z] for x, y, z in contact["sole"]]
+
+
 @STANCES.lie(*CHANGING, stranger=True)
 def region_enlarged(folder: Folder) -> None:
     for region in _every_region(folder):
