@@ -249,6 +249,12 @@ BAD: dict[str, tuple[Any, str]] = {
         lambda d, c: c["surfaces"]["stone_1"].update(normal=[0, 0, 0]),
         "normal has no length",
     ),
+    "a surface in the air": (
+        lambda d, c: c["surfaces"].update(
+            stone_3={"corners": [[x, y, 0.3] for x, y in ((0.5, -0.3), (0.9, -0.3), (0.9, 0.1), (0.5, 0.1))]}
+        ),
+        "task.contacts.stances[2].make.right_foot: stone_3 has no piece of the scene behind a point of right_foot",
+    ),
     "unknown key": (lambda d, c: c["stances"][0].update(makes={}), "makes"),
 }
 
@@ -259,6 +265,21 @@ def test_bad_input_is_one_sentence_that_names_it(name: str) -> None:
     problems = refuse(change)
     assert len(problems) == 1, problems
     assert words in problems[0]
+
+
+def test_a_contact_on_a_round_pillar_off_its_polytope_is_refused() -> None:
+    """The last stance has no phase that stands on it, so that the request itself is held to the scene."""
+
+    def change(data: dict[str, Any], contacts: dict[str, Any]) -> None:
+        del contacts["stances"][1:]
+        corners = [[x, y, 0.05] for x, y in ((0.2, -0.25), (0.55, -0.25), (0.55, 0.0), (0.2, 0.0))]
+        contacts["surfaces"] = {"stone_1": {"corners": corners, "pieces": ["stone_1"]}}
+        data["scene"]["obstacles"][0] = {
+            "name": "stone_1", "type": "sphere", "radius": 0.3, "position": [0.37, -0.12, -0.25],
+        }  # fmt: skip
+
+    (problem,) = refuse(change)
+    assert "stone_1 has no piece of the scene behind a point of right_foot" in problem
 
 
 def test_a_fixed_base_needs_no_contacts() -> None:

@@ -60,6 +60,10 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
             if name == "steps":
                 del changing["task"]["contacts"]["stances"][2:]
             return changing
+        case "rail":  # one stance, on which no phase stands
+            stair = dict(yaml.safe_load((ROOT / "examples" / "requests" / "stair.yaml").read_text()))
+            del stair["task"]["contacts"]["stances"][1:], stair["task"]["contacts"]["finish"]
+            return stair
         case "scan":
             shutil.copyfile(ROOT / "examples" / "data" / "valve_scan.pcd", folder / "scan.pcd")
             valve = {"mode": "hook", "turn_deg": 60.0}

@@ -306,6 +306,21 @@ def the_swinging_foot_may_touch_a_stone(folder: Folder) -> None:
                 phase["allowances"].append(allowance(("robot", foot, None), ("scene", None, name), 0.05))
 
 
+@STANCES.lie("rail")
+def the_hand_never_reaches_the_rail(folder: Folder) -> None:
+    rows = folder.curve["positions"]
+    folder.curve["positions"] = [rows[0] for _ in rows]
+    folder.curve["tangents"] = [[0.0] * len(row) for row in rows]
+
+
+@STANCES.lie("rail", "steps")
+def the_last_contact_stops_short_of_its_place(folder: Folder) -> None:
+    rows = folder.curve["positions"]
+    arm = [k for k, name in enumerate(folder.curve["joint_names"]) if name in ("r_arm_shx", "r_leg_kny", "l_leg_kny")]
+    for column in arm:
+        rows[-1][column] += 0.004
+
+
 @STANCES.lie("steps")
 def place_of_the_request_moved_by_4_mm(folder: Folder) -> None:
     stance = folder.request["task"]["contacts"]["stances"][0]
