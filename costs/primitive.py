@@ -38,3 +38,13 @@ def make_round_shape(kind: str, size: Float[np.ndarray, "k"] | tuple[float, ...]
         return None
     radius, length = float(size[0]), 0.0 if kind == "sphere" else float(size[1])
     return Primitive(kind, radius, length, np.eye(4))  # type: ignore[arg-type]
+
+
+def measure_outside_round(points: Float[np.ndarray, "C 3"], shape: Primitive) -> Float[np.ndarray, "C"]:
+    """Return the distances of points from a round shape, in the frame of its pose; 0 inside [m]."""
+    own = (points - shape.pose[:3, 3]) @ shape.pose[:3, :3]
+    beyond = np.maximum(np.abs(own[:, 2]) - 0.5 * shape.length, 0.0)
+    across = np.linalg.norm(own[:, :2], axis=1)
+    if shape.kind == "cylinder":
+        return np.asarray(np.hypot(np.maximum(across - shape.radius, 0.0), beyond))
+    return np.asarray(np.maximum(np.hypot(across, beyond) - shape.radius, 0.0))

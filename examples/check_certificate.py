@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from replayed_loads import forces, region_margin
+from replayed_loads import forces, region_margin, touches
 from replayed_mechanism import release
 from replayed_motion import Array, Replay, covers, read_model
 from replayed_record import hashes, samples, speeds
@@ -193,12 +193,20 @@ def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple
     return is_kept, f"off by at most {1e3 * off[0]:.2f} mm, its axes' tips by {1e3 * off[1]:.2f} mm"
 
 
+def has_regions(phase: dict[str, Any]) -> bool:
+    """Return whether regions with witnesses prove the balance of a phase."""
+    return bool(phase["loads"]) or phase["region_margin_m"] is not None
+
+
 def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
     """Check that the centre of mass stays inside the support polygon by the promised margin.
 
-    Under loads, it stays inside each of the regions that the ground's forces hold.
+    Under loads, and where contacts change, it stays inside each of the regions that recorded forces hold.
     """
-    if not phase["loads"]:
+    if not has_regions(phase):
+        level = np.ptp(np.concatenate([np.array(contact["sole"])[:, 2] for contact in phase["contacts"]] or [[0.0]]))
+        if level > 0.02:
+            return False, f"the soles are on levels {1e3 * level:.0f} mm apart"
         margin = phase["support"]["margin_m"]
         inside = measure_inside(replay, phase, np.array(phase["support"]["polygon"]), margin)
         return inside >= margin, f"centre of mass {1e3 * inside:.1f} mm inside the feet"
@@ -206,7 +214,7 @@ def balance(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
     for region in phase["regions"]:
         margin, ends = region_margin(replay, phase, region), {end: region[end] for end in ("first", "last")}
         spare.append(measure_inside(replay, {**phase, **ends}, np.array(region["polygon"]), margin) - margin)
-    text = f"centre of mass {1e3 * min(spare):.1f} mm more inside the regions of its loads than it has to be"
+    text = f"centre of mass {1e3 * min(spare):.1f} mm more inside its regions than it has to be"
     return min(spare) >= 0.0, text
 
 
@@ -263,8 +271,12 @@ def main(folder: Path) -> int:
         claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]
         others = [target for target in phase["targets"] if target["kind"] != "relative_pose"]
         claims += [(f"{phase['name']}: {t.get('frame', t.get('joint'))}", *target(replay, phase, t)) for t in others]
-        claims += [(f"{phase['name']}: forces", *forces(replay, phase))] if phase["loads"] and phase["support"] else []
-        claims += [(f"{phase['name']}: balance", *balance(replay, phase))] if phase["support"] else []
+        stated = [contact for contact in phase["contacts"] if contact["normal"] is not None]
+        claims += [(f"{phase['name']}: {c['link']} touches", *touches(data, c)) for c in stated]
+        is_balanced = phase["support"] is not None or phase["region_margin_m"] is not None
+        if is_balanced and has_regions(phase):
+            claims.append((f"{phase['name']}: forces", *forces(replay, phase)))
+        claims += [(f"{phase['name']}: balance", *balance(replay, phase))] if is_balanced else []
         claims += [(f"{phase['name']}: limits", *limits(replay, phase))]
     for name, is_ok, text in claims:
         print(f"{'ok  ' if is_ok else 'FAIL'} {name:28} {text}")

@@ -1,4 +1,4 @@
-"""Balance under the loads of the hands: the ground's recorded forces, added up.
+"""Balance by recorded contact forces, which are added up: under the loads of the hands, and on changing contacts.
 
 A part of `check_certificate.py`; imports only numpy, scipy and pinocchio.
 """
@@ -13,19 +13,24 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from replayed_motion import Replay
 from scipy.optimize import nnls
+from scipy.spatial import ConvexHull, QhullError
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
+TOUCHING_M = 3e-3
 TOLERANCE = 1e-6  # of forces and moments, as a share of the weight and of the weight times 1 m
 
 
 def forces(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
     """Check that recorded forces hold the robot at every vertex of every region, and that the regions cover the loads.
 
-    Forces stay in their cones and below their caps, and balance weight and wrench for a centre of mass at the vertex.
-    Every load at every sample is a mixture of these wrenches, so that a mixture of the forces holds it.
+    Forces stay in their cones and below their caps for every normal within its tilt, and balance weight and wrench for
+    a centre of mass at the vertex. Every load at every sample is a mixture of these wrenches, so that a mixture of the
+    forces holds it; where no hand pulls, so are the yaw moments of contact points that drift.
     """
-    points, normals, friction, caps = _ground(phase)
+    points, normals, friction, caps, tilts = _ground(phase)
+    if len({contact["link"] for contact in phase["contacts"]}) < len(phase["contacts"]):
+        return False, "a link has two contacts"
     weight = GRAVITY * sum(inertia.mass for inertia in list(replay.model.inertias)[1:])
     scale, count = TOLERANCE * weight, 0
     reached = phase["first"]
@@ -35,9 +40,14 @@ def forces(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
         reached = region["last"]
         polygon, wrenches = np.array(region["polygon"]), np.array(region["wrenches"])
         f = np.array(region["witnesses"])
+        if f.shape != (len(polygon), len(wrenches), *points.shape):
+            return False, f"forces of shape {f.shape} are not those of {len(points)} contact points"
         pressed = np.einsum("vwck,ck->vwc", f, normals)
         slid = np.linalg.norm(f - pressed[..., None] * normals, axis=3)
-        if (slid > friction * pressed + scale).any() or (pressed > caps + scale).any():
+        off_normal = np.arctan2(slid, pressed)  # the tilted normal that is nearest is pressed most
+        most = np.linalg.norm(f, axis=3) * np.cos(np.maximum(off_normal - tilts, 0.0))
+        narrow = np.tan(np.maximum(np.arctan(friction) - tilts, 0.0))
+        if (slid > narrow * pressed + scale).any() or (most > caps + scale).any():
             return False, "a force is outside its friction cone or above its cap"
         moments = np.cross(points, f).sum(axis=2)
         pull = np.stack([-weight * polygon[:, 1], weight * polygon[:, 0], 0.0 * polygon[:, 0]], axis=1)
@@ -45,6 +55,12 @@ def forces(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
         turn = moments + wrenches[None, :, 3:] + pull[:, None]
         if max(np.abs(off).max(), np.abs(turn).max()) > scale:
             return False, f"forces are {np.abs(off).max():.2g} N, moments {np.abs(turn).max():.2g} Nm off"
+        if not phase["loads"]:
+            ends = [int(wrenches[:, 5].argmin()), int(wrenches[:, 5].argmax())]
+            sideways = np.linalg.norm(f[:, ends, :, :2], axis=3).sum(axis=2).max()
+            reach = sideways * max(contact["tolerance_m"] for contact in phase["contacts"])
+            if np.abs(wrenches[ends, :5]).max() > scale or np.abs(wrenches[ends, 5]).min() < reach - scale:
+                return False, f"contacts that drift make a yaw moment of {reach:.2g} Nm, which is not held"
         for sample in range(region["first"], region["last"] + 1, max((region["last"] - region["first"]) // 12, 1)):
             for wrench in _loads(replay, phase, float(replay.samples[sample])):
                 if _mix(wrench, wrenches) > scale:
@@ -52,7 +68,43 @@ def forces(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
         count += f.shape[0] * f.shape[1]
     if reached != phase["last"]:
         return False, f"no region covers the phase from sample {reached} on"
-    return True, f"{count} balances of the ground's forces, weight and loads"
+    return True, f"{count} balances of contact forces, weight and loads"
+
+
+def touches(data: dict[str, Any], contact: dict[str, Any]) -> tuple[bool, str]:
+    """Check that a piece is behind each point of a contact along its normal, with a face within its tilt."""
+    normal, off, lean = np.array(contact["normal"]), [], []
+    for point in np.array(contact["sole"]):
+        best = (np.inf, np.inf)
+        for piece in data["pieces"]:
+            found = None if piece["kind"] == "unknown" else _find_face(point, normal, np.array(piece["vertices"]))
+            if found is not None and abs(found[0]) < abs(best[0]):
+                best = found
+        off.append(abs(best[0]))
+        lean.append(best[1])
+    is_on = max(off) <= TOUCHING_M and max(lean) <= contact["tilt_rad"] + 1e-6
+    return is_on, f"{1e3 * max(off):.2f} mm off what it presses on, which leans {np.degrees(max(lean)):.2f} deg"
+
+
+def _find_face(point: Array, normal: Array, vertices: Array) -> tuple[float, float] | None:
+    """Return where the line along a normal enters a hull, and the angle of the face there; None if it misses it."""
+    try:
+        planes = ConvexHull(vertices).equations
+    except QhullError:
+        return None
+    first, last, face = -np.inf, np.inf, planes[0, :3]
+    for *outward, offset in planes:
+        height, slope = float(np.dot(outward, point)) + offset, float(np.dot(outward, normal))
+        if abs(slope) <= 1e-9:
+            if height > 1e-9:
+                return None
+        elif slope > 0.0 and height / slope > first:  # the point moved by -t along the normal is behind this face
+            first, face = height / slope, np.array(outward)
+        elif slope < 0.0:
+            last = min(last, height / slope)
+    if first > last + 1e-9 or not np.isfinite(first):
+        return None
+    return first, float(np.arccos(np.clip(face @ normal, -1.0, 1.0)))
 
 
 def region_margin(replay: Replay, phase: dict[str, Any], region: dict[str, Any]) -> float:
@@ -61,20 +113,25 @@ def region_margin(replay: Replay, phase: dict[str, Any], region: dict[str, Any])
     total = np.linalg.norm(np.array(region["witnesses"]), axis=3).sum(axis=2).max()
     feet = max(contact["tolerance_m"] for contact in phase["contacts"]) * total
     hands = sum(np.linalg.norm(load["force_n"]) * load["drift_m"] for load in phase["loads"])
-    return float(phase["support"]["margin_m"] + (feet + hands) / weight)
+    margin = phase["support"]["margin_m"] if phase["region_margin_m"] is None else phase["region_margin_m"]
+    return float(margin + (feet + hands) / weight)
 
 
-def _ground(phase: dict[str, Any]) -> tuple[Array, Array, Array, Array]:
-    """Return the corners of all soles, the normals of their planes, coefficients of friction, and caps."""
-    points, normals, friction, caps = [], [], [], []
+def _ground(phase: dict[str, Any]) -> tuple[Array, Array, Array, Array, Array]:
+    """Return all contact points, their normals (of the sole's plane where none is stated), friction, caps and tilts."""
+    points, normals, friction, caps, tilts = [], [], [], [], []
     for contact in phase["contacts"]:
         sole = np.array(contact["sole"])
-        normal = np.linalg.svd(sole - sole.mean(axis=0))[2][2]
+        normal = contact["normal"]
+        if normal is None:
+            normal = np.linalg.svd(sole - sole.mean(axis=0))[2][2]
+            normal = normal if normal[2] > 0 else -normal
         points.append(sole)
-        normals.append(np.tile(normal if normal[2] > 0 else -normal, (len(sole), 1)))
+        normals.append(np.tile(normal, (len(sole), 1)))
+        tilts += [contact["tilt_rad"]] * len(sole)
         friction += [contact["friction"]] * len(sole)
         caps += [contact["force_cap_n"]] * len(sole)
-    return np.concatenate(points), np.concatenate(normals), np.array(friction), np.array(caps)
+    return np.concatenate(points), np.concatenate(normals), np.array(friction), np.array(caps), np.array(tilts)
 
 
 def _loads(replay: Replay, phase: dict[str, Any], s: float) -> list[Array]:
@@ -88,7 +145,7 @@ def _loads(replay: Replay, phase: dict[str, Any], s: float) -> list[Array]:
         slide = np.zeros(3) if load["slide"] is None else np.array(load["slide"])
         places = [pose.act(np.array(load["place"]) + side * slide) for side in ((-1, 1) if slide.any() else (0,))]
         choices.append([np.zeros(6), *(np.concatenate([force, np.cross(place, force)]) for place in places)])
-    return [np.sum(each, axis=0) for each in product(*choices)]
+    return [np.sum([np.zeros(6), *each], axis=0) for each in product(*choices)]
 
 
 def _mix(wrench: Array, wrenches: Array) -> float:

@@ -136,9 +136,13 @@ def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
         sole = (np.array(one["sole"]) - place) @ turn
         yield from ("contact", one["link"], pose, sole)
         yield from (np.array(one[key]) for key in ("tolerance_m", "knot_tolerance_m", "friction", "force_cap_n"))
+        yield none if one["normal"] is None else np.array(one["normal"])
+        yield np.array(one["tilt_rad"])
     if phase["support"] is not None:
         support = phase["support"]
         yield from ("support", *(np.array(support[key]) for key in ("polygon", "margin_m", "height")))
+    if phase["region_margin_m"] is not None:
+        yield from ("region margin", np.array([phase["region_margin_m"]]))
     for one in phase["targets"]:
         yield from _target(one, s)
     for one in phase["loads"]:

@@ -12,11 +12,13 @@ from pathlib import Path
 
 import pytest
 import trustme
+import yaml
 from click.testing import Result
 from given_doors import door_request
 from typer.testing import CliRunner
 
 from service.cli.app import app
+from service.wire.hashes import hash_trajectory
 
 REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
 
@@ -86,6 +88,26 @@ def test_a_door_is_opened_alike_by_the_server_and_here(served: Served, tmp_path:
     assert here.exit_code == 0, here.stdout
     tables = [(tmp_path / place / "trajectory.csv").read_bytes() for place in ("there", "here")]
     assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize("name", ["steps", "chair", "stair"])
+def test_contacts_change_alike_by_the_server_and_here(served: Served, tmp_path: Path, name: str) -> None:
+    request = yaml.safe_load((REQUESTS / f"{name}.yaml").read_text())
+    contacts = request["task"]["contacts"]
+    del contacts["stances"][1:]
+    contacts.pop("finish")
+    path = tmp_path / "contacts.yaml"
+    path.write_text(json.dumps(request))
+    there = served.scopt("plan", "request", path, "--out", tmp_path / "there")
+    assert there.stdout.splitlines()[-1].startswith("CERTIFIED  clearance "), there.stdout
+    here = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "here")])
+    assert here.exit_code == 0, here.stdout
+    results = [json.loads((tmp_path / place / "result.json").read_text()) for place in ("there", "here")]
+    hashes = [
+        hash_trajectory(r["trajectory"]["joint_names"], r["trajectory"]["times"], r["trajectory"]["positions"])
+        for r in results
+    ]
+    assert hashes[0] == hashes[1]
 
 
 def test_an_example_request_without_a_planner_is_refused(served: Served, tmp_path: Path) -> None:

@@ -78,3 +78,40 @@ def test_the_solid_of_a_body_is_made_once() -> None:
     body = LinkBody("body", "link", 1, CUBE, CUBE)
     assert CoalSolid.of_body(body) is CoalSolid.of_body(body)
     assert CoalSolid.of_body(LinkBody("body", "link", 1, 2.0 * CUBE, CUBE)).vertices is not CUBE
+
+
+# A foot of Atlas on a stone, as the verifier met it: with the faces exactly in touch coal returned -1.8e308.
+FOOT = np.array(
+    [
+        *([x, y, z] for z in (-0.07645, -0.05445) for x in (0.17279, -0.0877) for y in (0.06609, -0.0626)),
+        [-0.06, 0.0226, -0.01],
+        [-0.06, -0.01911, -0.01],
+        *([x, y, 0.018] for x in (0.04, -0.04) for y in (0.038, -0.038)),
+    ]
+)
+TOUCHING = [
+    (
+        [[1.0, 6.107777224481405e-17, -1.0395375962725377e-16], [-4.163336342344337e-17, 1.0, 0.0],
+         [5.551115123125783e-17, 2.7755575615628914e-17, 0.9999999999999999]],
+        [0.4574550000000003, 0.118255, 0.17645000000000005], [0.35, 0.01], [0.65, 0.23], 0.1,
+    ),
+    (
+        [[0.9999999999999999, 3.4099814849482786e-17, -3.883958690646824e-16],
+         [-3.2959746043559335e-17, 0.9999999999999999, -3.469446951953614e-18],
+         [2.7755575615628914e-16, 3.469446951953614e-18, 0.9999999999999999]],
+        [0.32745500000000005, -0.11825499999999994, 0.12645000000000017], [0.22, -0.23], [0.52, -0.01], 0.05,
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("turned", "moved", "low", "high", "top"), TOUCHING)
+@pytest.mark.parametrize("offset", [0.0, 1e-12, -1e-12, 1e-4, -1e-4])
+def test_faces_that_just_touch_have_a_distance_of_zero(
+    turned: list[list[float]], moved: list[float], low: list[float], high: list[float], top: float, offset: float
+) -> None:
+    stone = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, top)])
+    shift = np.array(moved) + np.array([0.0, 0.0, offset])
+    distance, _ = DistanceQuery().closest(
+        [make_coal_convex(FOOT)], np.array(turned)[None], shift[None], [make_coal_convex(stone)]
+    )
+    assert distance[0] == pytest.approx(offset, abs=1e-7)

@@ -55,6 +55,15 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
             return _atlas("reach_ready", [WALL], task={"valve": VALVE})
         case "carry":
             return dict(yaml.safe_load((ROOT / "examples" / "requests" / "carry.yaml").read_text()))
+        case "steps" | "chair" | "stair":
+            changing = dict(yaml.safe_load((ROOT / "examples" / "requests" / f"{name}.yaml").read_text()))
+            if name == "steps":
+                del changing["task"]["contacts"]["stances"][2:]
+            return changing
+        case "rail":  # one stance, on which no phase stands
+            stair = dict(yaml.safe_load((ROOT / "examples" / "requests" / "stair.yaml").read_text()))
+            del stair["task"]["contacts"]["stances"][1:], stair["task"]["contacts"]["finish"]
+            return stair
         case "scan":
             shutil.copyfile(ROOT / "examples" / "data" / "valve_scan.pcd", folder / "scan.pcd")
             valve = {"mode": "hook", "turn_deg": 60.0}

@@ -15,19 +15,22 @@ from benchmarks.attack.edits_contacts import CONTACTS
 from benchmarks.attack.edits_motion import MOTION
 from benchmarks.attack.edits_promises import PROMISES
 from benchmarks.attack.edits_request import REQUEST
+from benchmarks.attack.edits_stances import STANCES
 from benchmarks.attack.edits_world import WORLD
 from benchmarks.attack.forgery import Edit, Level
 from benchmarks.attack.outcome import Answer, Attack
 
 ABSENT = object()
-STRANGERS = ("arm", "untimed", "program", "reach", "carry", "valve")
+STRANGERS = ("arm", "untimed", "program", "reach", "carry", "valve", "steps", "chair", "stair")
 HAND_POSE = {"link": "l_hand", "position": [0.55, 0.25, 1.2], "position_tolerance_m": 0.05}
 
 
 def attacks() -> list[Attack]:
     """Return edits by kind, texts that are not valid results, replaced files, and scans of something else."""
     edits: list[Edit] = [
-        edit for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, WORLD, MOTION) for edit in registry.edits
+        edit
+        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, STANCES, WORLD, MOTION)
+        for edit in registry.edits
     ]
     return [
         *(attack for edit in edits for attack in edit.attacks()),

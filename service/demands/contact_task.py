@@ -23,7 +23,7 @@ from service.demands.stances import (
 from service.errors import RequestError, would_do
 from service.request.contacts import ContactsRequest, PlaceRequest, SurfaceRequest
 from service.start.standing import FLOOR_KIND
-from service.verify.ground import GROUND_TOLERANCE_M, find_surface_gaps
+from service.verify.ground import GROUND_TOLERANCE_M, UNSEEN_KIND, find_surface_gaps
 
 FLOOR = "floor"
 FLAT_M = 1e-3  # height of what belongs to one side of a piece
@@ -60,7 +60,7 @@ def make_stances(
                 problems.append(line)
                 continue
             contact = _place(robot, scene, surfaces[place.surface], patch, place)
-            off = _find_off(contact, f"{field}.make.{patch}")
+            off = _find_off(contact, scene, f"{field}.make.{patch}")
             problems += [off] if off else []
             # Another patch of the same link lets go.
             held = {k: v for k, v in held.items() if v.planted.link != contact.planted.link}
@@ -93,7 +93,9 @@ def make_surfaces(requests: Mapping[str, SurfaceRequest], scene: Scene) -> dict[
         behind = request.pieces if request.piece is None else (request.piece,)
         unknown = [piece for piece in behind if piece not in pieces]
         if unknown:
-            problems.append(f"{field}: no piece {unknown[0]!r} in the scene; {would_do(unknown[0], sorted(pieces))}")
+            problems.append(
+                f"{field}: no piece {unknown[0]!r} in the scene, which has {would_do(unknown[0], sorted(pieces))}"
+            )
             continue
         normal = np.array(request.normal) / np.linalg.norm(request.normal)
         if request.piece is not None:
@@ -171,7 +173,7 @@ def _start_contacts(
         line = _find_unknown(robot, surfaces, patch, name, "task.contacts.start")
         if line is None:
             held[patch] = _state_tilt(place_patch_as_it_is(robot, start, patch, surfaces[name]), scene)
-            line = _find_off(held[patch], f"task.contacts.start.{patch}")
+            line = _find_off(held[patch], scene, f"task.contacts.start.{patch}")
         problems += [line] if line else []
     if problems:
         raise RequestError(problems)
@@ -203,8 +205,8 @@ def _find_unknown(
     return None
 
 
-def _find_off(contact: StanceContact, field: str) -> str | None:
-    """Return a problem where a contact's points are off their surface or beyond its edges."""
+def _find_off(contact: StanceContact, scene: Scene, field: str) -> str | None:
+    """Return a problem where a contact's points are off their surface, beyond its edges, or on nothing seen."""
     height = contact.surface.measure_height(contact.points)
     worst = int(np.abs(height).argmax())
     if abs(height[worst]) > GROUND_TOLERANCE_M:
@@ -213,4 +215,8 @@ def _find_off(contact: StanceContact, field: str) -> str | None:
     outside = contact.surface.measure_outside(contact.points)
     if outside.max() > GROUND_TOLERANCE_M:
         return f"{field}: a point of {contact.patch} is {outside.max():.3f} m beyond the edge of {contact.surface.name}"
+    seen = [piece for piece in scene.pieces if piece.kind != UNSEEN_KIND]
+    gaps, _ = find_surface_gaps(contact.points, contact.surface.normal, seen)
+    if np.abs(gaps).max() > GROUND_TOLERANCE_M:
+        return f"{field}: {contact.surface.name} has no piece of the scene behind a point of {contact.patch}"
     return None

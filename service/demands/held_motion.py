@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 
 from costs.allowance import Allowance
@@ -168,6 +169,7 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
     if demands.stances and request.task is not None and request.task.contacts is not None:
         changes = list_contact_phases(demands.stances, has_finish=request.task.contacts.finish is not None)
         lines = tuple(_compare_names([phase.name for phase in recorded.phases], [spec.name for spec in changes]))
+        lines += tuple(_find_unmade(robot, recorded, changes))
     return _Promises(
         stance,
         make_standing_allowances(feet, demands.scene),
@@ -183,6 +185,24 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
 def _compare_names(recorded: Sequence[str], wanted: Sequence[str]) -> Iterator[str]:
     if recorded != wanted:
         yield f"the phases are {', '.join(recorded)}; the task has {', '.join(wanted)}"
+
+
+def _find_unmade(robot: RobotModel, recorded: Motion, changes: Sequence[ContactPhase]) -> Iterator[str]:
+    """Yield a sentence for each contact that is not in its place at the end of the phase that lands it.
+
+    No phase stands on the contacts that the last stance makes, so that no other check sees them.
+    """
+    data = robot.model.createData()
+    for phase, change in zip(recorded.phases, changes, strict=False):
+        for contact in change.moving if change.kind == "land" else ():
+            planted = contact.planted
+            q = recorded.curve(np.array([phase.last]))[0, : robot.n]
+            pin.framesForwardKinematics(robot.model, data, q)
+            pose = data.oMf[robot.model.getFrameId(planted.link)]
+            points = planted.sole @ pose.rotation.T + pose.translation
+            off = float(np.linalg.norm(points - planted.points, axis=1).max())
+            if off > planted.knot_tolerance_m:
+                yield f"{contact.patch} is {1e3 * off:.1f} mm off its place at the end of phase '{phase.name}'"
 
 
 def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises) -> Phase:

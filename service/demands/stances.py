@@ -20,9 +20,8 @@ from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact
 from costs.robot import RobotModel
 from service.verify import PlantedContact, RelativePoseTarget
-from service.verify.ground import STANDING_DEPTH_M
+from service.verify.ground import STANDING_DEPTH_M, TURNING_DEPTH_M
 
-TURNING_DEPTH_M = 6e-3  # of a link that may turn about one or two contact points
 SAME_PLACE_M = 1e-9  # of contact points that are kept
 LINE_M = 0.02  # of a link that leaves a surface or arrives there, straight along the surface's normal
 

@@ -17,6 +17,7 @@ from service.body.whole_body import WholeBody
 from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
+from service.start.standing import FEET_GROUP
 from service.verify import Basis, Certificate, LoadedRegion, Motion, Phase, SupportPolygon
 from service.verify.coverage.required import list_waived_checks
 from service.verify.timeline import find_times
@@ -63,8 +64,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
     motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
-    # Holds with a smaller drift than planted feet need closer samples.
-    chord = HELD_CHORD_SHARE * body.drift() if body.drift() < DRIFT else np.inf
+    # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
+    is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
+    chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf
     return replace(motion, law=law, samples=_sample_law(knots, law, _chord_steps(spline.curve, chord)))
 
 

@@ -47,7 +47,7 @@ class StartCheck:
 
 
 def check_goal_and_keep(robot: RobotModel, request: PlanRequest) -> None:
-    """Check the names and joint values of ``goal`` and ``keep``.
+    """Check the names and joint values of ``goal`` and ``keep``, and the posture that a task ends in.
 
     Raises:
         RequestError: one line per unknown joint, posture or link, or joint value beyond its limits.
@@ -62,6 +62,10 @@ def check_goal_and_keep(robot: RobotModel, request: PlanRequest) -> None:
             problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
         for index, pose in enumerate(goal.poses):
             problems += _find_unknown_links(robot, (pose.link,), f"goal.poses[{index}].link")
+    finish = None if request.task is None or request.task.contacts is None else request.task.contacts.finish
+    if finish is not None and finish not in robot.postures:
+        known = would_do(finish, robot.postures) or "no postures; leave it out"
+        problems.append(f"task.contacts.finish: unknown posture {finish!r}; {robot.name} has {known}")
     for index, keep in enumerate(request.keep):
         problems += _find_unknown_links(robot, (keep.link,), f"keep[{index}].link")
         if keep.relative_to is not None:

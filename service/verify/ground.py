@@ -10,18 +10,25 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
+from costs.primitive import measure_outside_round
 from costs.robot.model import RobotModel
 from costs.scene import ConvexPiece
 from service.verify.certificate import Basis, Check, Where
+from service.verify.forces.loaded_balance import find_normals
 from service.verify.motion import Motion, Phase, PlantedContact, VerifyError, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.solids import CoalSolid
-from service.verify.timeline import find_time
+from service.verify.timeline import edges_within, find_time
 
 # Farthest that a supporting surface may be from a planted sole, above or below [m].
 GROUND_TOLERANCE_M = 3e-3
 # Allowed depth of a planted link in the floor: this distance and the allowed drift of its sole [m].
 STANDING_DEPTH_M = GROUND_TOLERANCE_M + PlantedContact.tolerance_m
+# Allowed depth of a link that may turn about one or two contact points [m].
+TURNING_DEPTH_M = 6e-3
+# Largest angle between a link's face and the surface that it presses on, besides the surface's own tilt.
+MOST_LEAN_RAD = float(np.deg2rad(15.0))
+UNSEEN_KIND = "unknown"  # of pieces that stand for space that no scan has seen
 _TOUCH_M = 1e-9
 _SAME_ANGLE = 1e-6  # [rad]
 _FEET_GROUP = "feet"
@@ -30,16 +37,18 @@ _FEET_GROUP = "feet"
 def check_ground(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
     """Check each link that stands in a phase: every corner of its sole is on a surface and on the link's shapes.
 
-    A contact with a normal is held to surfaces that it faces, whose normals are within its tilt.
+    A contact with a normal is held to surfaces that it faces, whose normals are within its tilt. The link is in front
+    of the surface, which pushes and never pulls. Space that no scan has seen carries nothing.
     """
     motion = prepared.motion
+    pieces = [piece for piece in motion.scene.pieces if piece.kind != UNSEEN_KIND]
     for contact in find_standing_contacts(motion, phase):
         corners = contact.points
         tilt = 0.0
         if contact.normal is None:
-            gaps = find_ground_gaps(corners, motion.scene.pieces)
+            gaps = find_ground_gaps(corners, pieces)
         else:
-            gaps, tilt = find_surface_gaps(corners, contact.normal, motion.scene.pieces)
+            gaps, tilt = find_surface_gaps(corners, contact.normal, pieces)
         worst = int(np.abs(gaps).argmax())
         value = float(abs(gaps[worst]))
         surface = "the ground" if contact.normal is None else "the surface"
@@ -53,10 +62,38 @@ def check_ground(prepared: PreparedMotion, phase: Phase, settings: VerifySetting
         off = outside_link(motion.robot, contact)
         if off > GROUND_TOLERANCE_M:
             value, text = off, f"a corner of the sole of {contact.link} is {1e3 * off:.1f} mm off the link's shapes"
+        behind = _measure_behind(prepared, phase, contact)
+        if behind > GROUND_TOLERANCE_M:
+            value = behind
+            text = f"{contact.link} is {1e3 * behind:.0f} mm behind the surface that it presses on during {phase.name}"
         point = (float(corners[worst, 0]), float(corners[worst, 1]), float(corners[worst, 2]))
         where = Where(phase.first, find_time(motion.law, phase.first), point, (contact.link,))
         name, is_ok = f"ground.{phase.name}.{contact.link}", value <= GROUND_TOLERANCE_M
         yield Check(name, is_ok, value, GROUND_TOLERANCE_M, "m", text, where, Basis.PROOF)
+
+
+def _measure_behind(prepared: PreparedMotion, phase: Phase, contact: PlantedContact) -> float:
+    """Return how far bodies at contact points reach behind the surface at the phase's knots, beyond what lean allows.
+
+    A plane through each point is tilted by as much as link and surface may lean. Bodies of the link that do not touch
+    the point do not count: links are not convex.
+    """
+    frame = prepared.motion.robot.model.frames[prepared.motion.robot.model.getFrameId(contact.link)]
+    points = contact.sole @ np.array(frame.placement.rotation).T + np.array(frame.placement.translation)
+    normals = find_normals((contact,))
+    lean = np.sin(min(MOST_LEAN_RAD + contact.tilt_rad, 0.5 * np.pi))
+    placed, rows = prepared.at(edges_within(prepared.edges, phase))
+    worst = -np.inf
+    for body in prepared.motion.robot.bodies:
+        if body.link != contact.link:
+            continue
+        touching = np.flatnonzero(CoalSolid.of_body(body).distances(points) <= GROUND_TOLERANCE_M)
+        rotation, _ = placed.relative(0, body.joint, rows)
+        for index in touching.tolist():
+            offsets = (body.vertices - points[index]) @ np.swapaxes(rotation, -1, -2)
+            beyond = -offsets @ normals[index] - lean * np.linalg.norm(offsets, axis=2)
+            worst = max(worst, float(beyond.max()) - TURNING_DEPTH_M)
+    return worst
 
 
 def find_standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:
@@ -111,6 +148,8 @@ def find_surface_gaps(
             continue
         face = np.flatnonzero(is_front)[reach[:, is_front].argmax(axis=1)]
         angle = np.arccos(np.clip(facing[face], -1.0, 1.0))
+        if piece.exact is not None:  # its polytope contains it, and touches it along lines only
+            enter = np.maximum(enter, measure_outside_round(points, piece.exact))
         nearer = is_hit & (np.abs(enter) < np.abs(gaps))
         gaps, lean = np.where(nearer, enter, gaps), np.where(nearer, angle, lean)
     return gaps, float(lean.max(initial=0.0))

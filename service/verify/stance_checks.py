@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from service.verify.certificate import Basis, Check
-from service.verify.forces.loaded_balance import check_loaded_balance
+from service.verify.forces.loaded_balance import check_loaded_balance, find_normals
 from service.verify.frame_paths import FramePath, MassPath
 from service.verify.motion import Phase, PlantedContact, SupportPolygon, VerifySettings
 from service.verify.phase_proof import Extreme, PhaseProof
@@ -18,6 +18,8 @@ from service.verify.timeline import edges_within
 
 # How far a support polygon may reach beyond the planted soles, which may themselves drift by about as much [m].
 _SUPPORT_TOLERANCE_M = 1e-3
+# Largest difference of height between corners of planted soles, and lean of a sole, with which their hull counts.
+_LEVEL_M, _LEVEL_RAD = 0.02, float(np.deg2rad(10.0))
 
 
 def check_stance(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
@@ -75,13 +77,26 @@ def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Chec
 
 
 def _support_check(phase: Phase, support: SupportPolygon) -> Check:
-    """Check that the polygon is no wider than the hull of the planted soles, which alone carry the robot."""
-    corners = [c.sole @ c.pose_world_link[:3, :3].T + c.pose_world_link[:3, 3] for c in phase.contacts]
-    ground = np.concatenate(corners)[:, :2]
+    """Check that the polygon is no wider than the hull of the planted soles, which alone carry the robot.
+
+    The hull counts only where all soles are on level ground at one height: elsewhere friction and the direction of each
+    force decide, which a region with witnesses proves.
+    """
+    ground = np.concatenate([contact.points for contact in phase.contacts])
+    rise = float(np.ptp(ground[:, 2]))
+    lean = float(np.arccos(np.clip(find_normals(phase.contacts)[:, 2], -1.0, 1.0)).max())
+    name = f"support.{phase.name}"
+    if not rise <= _LEVEL_M:
+        text = f"the soles of {phase.name} are on levels {1e3 * rise:.0f} mm apart; a support polygon needs one level"
+        return Check(name, False, rise, _LEVEL_M, "m", text, None, Basis.PROOF)
+    if not lean <= _LEVEL_RAD:
+        text = f"a sole of {phase.name} leans {np.rad2deg(lean):.1f} deg; a support polygon needs level ground"
+        return Check(name, False, lean, _LEVEL_RAD, "rad", text, None, Basis.PROOF)
+    ground = ground[:, :2]
     try:
         value = float(outside_polygon(ground[ConvexHull(ground).vertices], support.polygon).max())
     except QhullError:  # soles on one line support nothing
         value = np.inf
     is_ok = value <= _SUPPORT_TOLERANCE_M
     text = f"the support polygon of {phase.name} reaches {1e3 * value:.1f} mm beyond the planted soles"
-    return Check(f"support.{phase.name}", is_ok, value, _SUPPORT_TOLERANCE_M, "m", text, None, Basis.PROOF)
+    return Check(name, is_ok, value, _SUPPORT_TOLERANCE_M, "m", text, None, Basis.PROOF)

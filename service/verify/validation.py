@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -25,6 +26,10 @@ from service.verify.motion import (
 _UNIT_TOLERANCE = 1e-6
 # How far a target's path parameter may lie outside its phase, relative to the parameter.
 _BORDER_TOLERANCE = 1e-9
+# Nearest that two points of a contact may be, each of which has a force cap of its own.
+_SAME_POINT_M = 1e-6
+# Farthest that a kept contact may be stated to move from one phase to the next [m].
+_CREEP_M = 1e-5
 
 
 def validate_motion(motion: Motion) -> None:
@@ -32,8 +37,8 @@ def validate_motion(motion: Motion) -> None:
 
     Raises:
         VerifyError: for wrong shapes, values that are not finite, samples out of order, rotations that are none, axes
-            that are not of unit length, targets outside their phase, names that two bodies or pieces have, releases
-            of unknown joints.
+            that are not of unit length, contacts with negative numbers or that creep, two contacts of a link, targets
+            outside their phase, names that two bodies or pieces have, releases of unknown joints.
     """
     _validate_curve(motion)
     _validate_names(motion)
@@ -43,6 +48,11 @@ def validate_motion(motion: Motion) -> None:
         _points(f"vertices of piece '{piece.name}'", piece.vertices, 3)
     for phase in motion.phases:
         _validate_phase(phase)
+        moved = [contact.link for contact in phase.contacts if contact.link in motion.mechanism_links]
+        if moved:
+            raise VerifyError(f"'{moved[0]}' in phase '{phase.name}' is moved by the task, so that it carries nothing")
+    for before, after in pairwise(motion.phases):
+        _validate_kept_contacts(before, after)
     _validate_releases(motion)
     if motion.law is not None:
         check_law(motion.curve, motion.law)
@@ -103,11 +113,9 @@ def _validate_phase(phase: Phase) -> None:
     if phase.support is not None:
         _points(f"support polygon of phase '{phase.name}'", phase.support.polygon, 2)
         _finite(f"support of phase '{phase.name}'", phase.support.margin_m, phase.support.height)
-    for contact in phase.contacts:
-        what = f"contact of '{contact.link}' in phase '{phase.name}'"
-        _points(f"sole of the {what}", contact.sole, 3)
-        _finite(what, contact.pose_world_link, contact.tolerance_m, contact.knot_tolerance_m)
-        _rigid(what, contact.pose_world_link[:3, :3])
+    if phase.region_margin_m is not None:
+        _not_negative(f"region margin of phase '{phase.name}'", phase.region_margin_m)
+    _validate_contacts(phase)
     for target in phase.targets:
         of = target.joint if isinstance(target, JointTarget) else target.frame
         what = f"target of '{of}' in phase '{phase.name}'"
@@ -122,6 +130,44 @@ def _validate_phase(phase: Phase) -> None:
                 raise VerifyError(f"the {what} needs tolerances that are not negative, got {tolerance}")
         if isinstance(target, PoseTarget | RelativePoseTarget) and target.rotation is not None:
             _rigid(what, target.rotation)
+
+
+def _validate_contacts(phase: Phase) -> None:
+    """Reject two contacts of one link, points given twice, and numbers that no contact has."""
+    links = Counter(contact.link for contact in phase.contacts)
+    twice = [link for link, count in links.items() if count > 1]
+    if twice:
+        raise VerifyError(f"'{twice[0]}' has two contacts in phase '{phase.name}'; one per link is expected")
+    for contact in phase.contacts:
+        what = f"contact of '{contact.link}' in phase '{phase.name}'"
+        _points(f"sole of the {what}", contact.sole, 3)
+        apart = np.linalg.norm(contact.sole[:, None] - contact.sole, axis=2) + np.eye(len(contact.sole))
+        if apart.min() < _SAME_POINT_M:
+            raise VerifyError(f"the {what} has a point twice")
+        _finite(what, contact.pose_world_link)
+        _rigid(what, contact.pose_world_link[:3, :3])
+        for name in ("tolerance_m", "knot_tolerance_m", "friction", "force_cap_n", "tilt_rad"):
+            _not_negative(f"{name} of the {what}", getattr(contact, name))
+        normal = contact.normal
+        if normal is not None and not (normal.shape == (3,) and abs(np.linalg.norm(normal) - 1.0) <= _UNIT_TOLERANCE):
+            raise VerifyError(f"the normal of the {what} must be a unit vector, got {normal.tolist()}")
+
+
+def _validate_kept_contacts(before: Phase, after: Phase) -> None:
+    """Reject contact points that creep: they keep their place on the link, and have another one in the world."""
+    earlier = {contact.link: contact for contact in before.contacts}
+    for contact in after.contacts:
+        if contact.link not in earlier:
+            continue
+        first = earlier[contact.link]
+        is_same = np.linalg.norm(contact.sole[:, None] - first.sole, axis=2) < _SAME_POINT_M
+        apart = np.linalg.norm(contact.points[:, None] - first.points, axis=2)
+        crept = float(apart[is_same].max(initial=0.0))
+        if crept > _CREEP_M:
+            raise VerifyError(
+                f"the contact of '{contact.link}' moves by {1e3 * crept:.2f} mm between the phases '{before.name}' and "
+                f"'{after.name}'; a contact that is kept stays where it is"
+            )
 
 
 def _places(target: Target) -> Iterator[np.ndarray | float]:
@@ -168,6 +214,11 @@ def _points(what: str, points: np.ndarray, columns: int) -> None:
 def _finite(what: str, *values: np.ndarray | float) -> None:
     if not all(np.all(np.isfinite(value)) for value in values):
         raise VerifyError(f"the {what} has values that are not finite")
+
+
+def _not_negative(what: str, value: float) -> None:
+    if not 0.0 <= value < np.inf:
+        raise VerifyError(f"the {what} must be finite and not negative, got {value}")
 
 
 def _rigid(what: str, rotation: np.ndarray) -> None:

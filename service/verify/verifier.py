@@ -98,7 +98,9 @@ def _status(checks: list[Check]) -> Status:
 def _notes(prepared: PreparedMotion, coverage: Coverage) -> tuple[str, ...]:
     motion, notes = prepared.motion, list[str]()
     if motion.law is not None:
-        notes.append("ZMP and joint torques are checked at samples of the timed curve, not proven between them")
+        changing = any(phase.region_margin_m is not None for phase in prepared.phases)
+        sampled = "contact forces" if changing else "ZMP"
+        notes.append(f"{sampled} and joint torques are checked at samples of the timed curve, not proven between them")
     if motion.samples is None:
         notes.append("the curve itself is certified; no exported samples were given")
     unlimited, n_joints = coverage.joints_without_torque_limit, len(list_own_joints(motion))

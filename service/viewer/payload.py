@@ -235,7 +235,7 @@ def _make_region(
     return {
         **_replace_samples({"first": region["first"], "last": region["last"]}, times),
         "polygon": region["polygon"],
-        "margin_m": region.get("margin_m"),
+        "margin_m": region.get("margin_m", phase.get("region_margin_m")),
         "places": places.tolist(),
         "frame": int(frames[0]) if len(frames) else 0,
         "forces": pack(forces, "f4"),

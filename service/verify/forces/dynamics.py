@@ -167,7 +167,7 @@ def make_contact_share(motion: Motion, phase: Phase) -> ContactShare:
     apart = find_mechanism_joints(motion)
     model: pin.Model = motion.robot.model
     mass = float(sum(model.inertias[j].mass for j in range(1, model.njoints) if j not in apart))
-    return ContactShare(Ground.under(phase.contacts), mass * GRAVITY)
+    return ContactShare(Ground.within_tilt(phase.contacts), mass * GRAVITY)
 
 
 def make_joints(

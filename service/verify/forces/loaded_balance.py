@@ -87,6 +87,22 @@ class Ground(NamedTuple):
         caps = np.repeat(np.array([contact.force_cap_n for contact in contacts], dtype=float), counts)
         return Ground(place_contact_points(contacts), find_normals(contacts), friction, caps)
 
+    @staticmethod
+    def within_tilt(contacts: tuple[PlantedContact, ...]) -> Ground:
+        """Return the contact points with the cones and caps that hold for every normal within each contact's tilt.
+
+        A force at most ``atan(mu) - tilt`` off the normal is in every tilted cone. Along the tilted normal that is
+        nearest, a force at angle a presses by ``cos(a - tilt) / cos(a)`` more. A contact that leans more than its
+        friction carries nothing.
+        """
+        ground = Ground.under(contacts)
+        counts = np.array([len(contact.sole) for contact in contacts], dtype=int)
+        tilt = np.repeat(np.array([contact.tilt_rad for contact in contacts], dtype=float), counts)
+        left = np.arctan(ground.friction) - tilt
+        friction = np.tan(np.maximum(left, 0.0))
+        caps = np.where(left >= 0.0, ground.caps / (np.cos(tilt) + friction * np.sin(tilt)), 0.0)
+        return Ground(ground.points, ground.normals, friction, caps)
+
 
 def place_contact_points(contacts: tuple[PlantedContact, ...]) -> Float[np.ndarray, "C 3"]:
     """Return all contact points in the world, in the order of the contacts [m]."""

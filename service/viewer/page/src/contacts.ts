@@ -1,4 +1,4 @@
-// Where the feet stay: their soles, the contact points at the corners, and the cones of friction there.
+// Where feet, hands and others stay: their soles, the contact points at the corners, and the cones of friction there.
 import {
   BufferGeometry, ConeGeometry, DoubleSide, Group, Material, Mesh, MeshBasicMaterial, Quaternion, SphereGeometry, Vector2, Vector3,
 } from "three";
@@ -27,13 +27,23 @@ function listContacts(result: Result): Planted[] {
 
 const isDuring = (phases: Phase[], t: number): boolean => phases.some((phase) => t >= phase.start - 1e-6 && t <= phase.end + 1e-6);
 
-// Out of the ground: normal of the plane of the sole, upwards.
-function normalOf(sole: number[][]): Vector3 {
+// Out of the surface: as stated, else the normal of the plane of the sole, upwards.
+function normalOf(contact: Contact): Vector3 {
+  if (contact.normal) return new Vector3().fromArray(contact.normal);
+  const sole = contact.sole ?? [];
   const ring = convexRing(sole).map((corner) => new Vector3().fromArray(corner));
   const normal = new Vector3();
   ring.forEach((corner, i) => normal.add(corner.clone().cross(ring[(i + 1) % ring.length])));
   if (normal.length() < 1e-9) return new Vector3(0, 0, 1);
   return normal.normalize().multiplyScalar(normal.z < 0 ? -1 : 1);
+}
+
+// The corners around the surface's normal; a sole need not be level.
+function outlineOf(contact: Contact): Vector3[] {
+  const turn = new Quaternion().setFromUnitVectors(normalOf(contact), new Vector3(0, 0, 1));
+  const back = turn.clone().invert();
+  const flat = (contact.sole ?? []).map((corner) => new Vector3().fromArray(corner).applyQuaternion(turn).toArray());
+  return convexRing(flat).map((corner) => new Vector3().fromArray(corner).applyQuaternion(back));
 }
 
 export class Contacts implements Layer {
@@ -62,15 +72,17 @@ export class Contacts implements Layer {
       mesh.renderOrder = 7;
       group.add(mesh);
     }
-    const sole = convexRing(contact.sole ?? []);
-    if (sole.length < 3) return group;
-    // A sole need not be level: its own heights are kept, only lifted off the floor.
+    const ring = outlineOf(contact);
+    if (ring.length < 3) return group;
+    // A sole need not be level: it is only lifted off its surface.
+    const lift = normalOf(contact).multiplyScalar(0.002);
+    const sole = ring.map((corner) => corner.clone().add(lift).toArray());
     const geometry = filledPolygon(sole, 0);
-    sole.forEach((corner, i) => geometry.getAttribute("position").setZ(i, corner[2] + 0.002));
+    sole.forEach((corner, i) => geometry.getAttribute("position").setZ(i, corner[2]));
     const height = sole.reduce((sum, corner) => sum + corner[2], 0) / sole.length;
     const isLevel = sole.every((corner) => Math.abs(corner[2] - height) < 5e-3);
     const parts: [BufferGeometry, Material][] = [[geometry, this.fill]];
-    if (isLevel) parts.push([ribbon(sole.map(([x, y]) => new Vector2(x, y)), height + 0.004, 0.008, true, false), this.border]);
+    if (isLevel) parts.push([ribbon(sole.map(([x, y]) => new Vector2(x, y)), height + 0.002, 0.008, true, false), this.border]);
     for (const [part, material] of parts) {
       const mesh = new Mesh(part, material);
       mesh.renderOrder = 6;
@@ -109,9 +121,10 @@ export class Cones implements Layer {
     this.count = rough.reduce((sum, { contact }) => sum + contact.sole!.length, 0);
     for (const { contact, phases } of rough) {
       const group = new Group();
-      const upright = new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), normalOf(contact.sole!));
-      // Its apex is at the corner.
-      const cone = new ConeGeometry(contact.friction! * CONE_HEIGHT, CONE_HEIGHT, 32, 1, true).rotateX(Math.PI).translate(0, CONE_HEIGHT / 2, 0);
+      const upright = new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), normalOf(contact));
+      // Its apex is at the corner; it holds for every normal within the tilt.
+      const slope = Math.tan(Math.max(Math.atan(contact.friction!) - (contact.tilt_rad ?? 0), 0));
+      const cone = new ConeGeometry(slope * CONE_HEIGHT, CONE_HEIGHT, 32, 1, true).rotateX(Math.PI).translate(0, CONE_HEIGHT / 2, 0);
       for (const corner of contact.sole!) {
         const mesh = new Mesh(cone, this.glass);
         mesh.position.fromArray(corner);

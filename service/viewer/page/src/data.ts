@@ -12,6 +12,7 @@ interface MovedJoint { name: string; joint: string; type: "revolute" | "prismati
 export interface Movable extends MovedJoint { bodies: NamedHull[]; angles: Float32Array }
 export interface Contact {
   link: string; position?: number[]; quaternion_wxyz?: number[]; sole?: number[][]; friction?: number | null; force_cap_n?: number | null;
+  normal?: number[] | null; tilt_rad?: number;
 }
 // The largest force of a hand on a link of what is moved, in the link's axes, anywhere on place +- slide.
 export interface Load { tool: string; link: string; place: number[]; force_n: number[]; slide: number[] | null }

@@ -6,6 +6,15 @@ import { filledPolygon, ribbon, shrunk } from "./geometry";
 import { Layer, Legend } from "./layer";
 import { Colours } from "./theme";
 
+const STEP_M = 0.3;  // contacts higher above the lowest one are no ground
+
+// The level to draw a region on: the highest ground that carries the robot, so that no step hides it.
+function levelOf(region: Region, z: number): number {
+  const heights = region.places.map((place) => place[2]);
+  const lowest = Math.min(...heights);
+  return Math.max(z, ...heights.filter((height) => height <= lowest + STEP_M));
+}
+
 const regionAt = (result: Result, t: number): Region | undefined => spanAt(spanAt(result.phases, t)?.regions ?? [], t);
 
 export class Regions implements Layer {
@@ -24,11 +33,12 @@ export class Regions implements Layer {
     for (const region of result.phases.flatMap((phase) => phase.regions)) {
       if (region.polygon.length < 3) continue;
       const group = new Group();
+      const level = levelOf(region, z);
       const outline = (corners: number[][]): Vector2[] => corners.map(([x, y]) => new Vector2(x, y));
-      this.put(group, filledPolygon(region.polygon, z + 0.002), this.fill);
-      this.put(group, ribbon(outline(region.polygon), z + 0.0045, 0.012, true, false), this.border);
+      this.put(group, filledPolygon(region.polygon, level + 0.002), this.fill);
+      this.put(group, ribbon(outline(region.polygon), level + 0.0045, 0.012, true, false), this.border);
       const core = region.margin_m ? shrunk(region.polygon, region.margin_m) : [];
-      if (core.length > 2) this.put(group, ribbon(outline(core), z + 0.0045, 0.005, true, false), this.inner);
+      if (core.length > 2) this.put(group, ribbon(outline(core), level + 0.0045, 0.005, true, false), this.inner);
       this.drawn.push({ group, region });
       this.group.add(group);
     }
@@ -76,6 +86,7 @@ export class Forces implements Layer {
   private readonly scale: number;
   private colour = "";
   private isNow = false;
+  private isLoaded = false;
 
   constructor(private readonly result: Result) {
     const regions = result.phases.flatMap((phase) => phase.regions).filter((region) => region.forces.length > 0);
@@ -112,6 +123,7 @@ export class Forces implements Layer {
     const region = regionAt(this.result, t);
     const forces = region ? this.at(region, t) : [];
     this.isNow = forces.length > 0 && this.group.visible;
+    this.isLoaded = (spanAt(this.result.phases, t)?.loads ?? []).length > 0;
     this.arrows.forEach((arrow, i) => {
       if (i < forces.length) arrow.set(new Vector3().fromArray(region!.places[i]), forces[i].divideScalar(this.scale));
       else arrow.group.visible = false;
@@ -120,7 +132,8 @@ export class Forces implements Layer {
 
   legend(): Legend | undefined {
     if (!this.isNow) return undefined;
-    const text = "contact forces that hold the robot at rest here under the largest loads; others may too";
+    const under = this.isLoaded ? " under the largest loads" : "";
+    const text = `contact forces that hold the robot at rest here${under}; others may too`;
     return { colour: this.colour, text: `${text}; ${scaleText(this.scale)}` };
   }
 
