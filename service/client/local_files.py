@@ -10,8 +10,9 @@ from pathlib import Path
 
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
+from service.request.mechanism import is_urdf_text
 from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, check_task_has_planner
+from service.request.schema import PlanRequest, RobotRequest, TaskRequest, check_task_has_planner
 from service.trust.folders import BUILT, UPLOADED, list_paths
 
 CHUNK_BYTES = 512 * 2**10
@@ -97,7 +98,7 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
         raise RequestError(problems)
     if not is_this_machine:
         return request
-    return replace(request, robot=_resolve_robot(request), scene=_resolve_scene(request))
+    return replace(request, robot=_resolve_robot(request), scene=_resolve_scene(request), task=_resolve_task(request))
 
 
 def find_local_files(request: PlanRequest) -> dict[str, Path]:
@@ -166,6 +167,13 @@ def _resolve_scene(request: PlanRequest) -> SceneRequest:
         for obstacle in request.scene.obstacles
     )
     return replace(request.scene, obstacles=obstacles)
+
+
+def _resolve_task(request: PlanRequest) -> TaskRequest | None:
+    task = request.task
+    if task is None or task.mechanism is None or is_urdf_text(task.mechanism.urdf):
+        return task
+    return replace(task, mechanism=replace(task.mechanism, urdf=_absolute(request, task.mechanism.urdf)))
 
 
 def _absolute(request: PlanRequest, path: str) -> str:

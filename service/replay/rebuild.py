@@ -22,6 +22,7 @@ from service.demands import (
     list_planted_feet,
 )
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
+from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
@@ -30,6 +31,7 @@ from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
 from service.setup.prepare import resolve_start
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
+from service.start.mechanism_file import inline_mechanism
 from service.start.robot import add_contact_patches, attach_bodies, load_requested_robot
 from service.start.standing import move_floor_to_soles, sole_corners
 
@@ -92,6 +94,7 @@ def rebuild_demands(
     Raises:
         RequestError: the request, or a file that it names, cannot be used.
     """
+    request = inline_mechanism(request)
     request_from = "the request in this folder" if given is None else given.name
     robot, robot_from = _rebuild_robot(request, record, given is not None, request_from)
     start, _, program = resolve_start(robot, request)
@@ -127,8 +130,10 @@ def _rebuild_task(
 ) -> TaskDemand | None:
     """Return the demands of the request's task, if it moves a mechanism."""
     task = request.task
-    if task is None or (task.valve is None and task.door is None):
+    if task is None or (task.valve is None and task.door is None and task.mechanism is None):
         return None
+    if task.mechanism is not None:
+        return GivenMechanismDemand(read_given_mechanism(task.mechanism))
     if task.door is not None:
         base = start[:3] if robot.is_floating else np.zeros(3)
         geometry = choose_door(task.door, surroundings.doors, base)
@@ -164,6 +169,8 @@ def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, 
     if not has_scan(request):
         return ()
     own = {obstacle.name for obstacle in request.scene.obstacles}
+    if request.task is not None and request.task.mechanism is not None:
+        own |= {piece.name for piece in read_given_mechanism(request.task.mechanism).pieces}
     parts = {piece.name for piece in find_recorded_obstacles(request, recorded)}
     return tuple(piece for piece in recorded.pieces if piece.name not in own | parts)
 

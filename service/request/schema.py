@@ -34,6 +34,7 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
@@ -200,9 +201,10 @@ class TaskRequest(Section):
     door: DoorRequest | None = None
     egress: EgressRequest | None = None
     trajopt: PlainData | None = None
+    mechanism: MechanismRequest | None = None
 
     def __post_init__(self) -> None:
-        require_exactly_one(self, ("valve", "door", "egress", "trajopt"))
+        require_exactly_one(self, ("valve", "door", "mechanism", "egress", "trajopt"))
 
 
 @dataclass(config=SECTION)
@@ -324,6 +326,11 @@ class PlanRequest(Section):
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
         if self.resume is not None and self.task is not None and self.task.trajopt is not None:
             raise PydanticCustomError("request", "resume belongs to a goal or a task; a TrajOpt problem has no phases")
+        if self.resume is not None and self.task is not None and self.task.mechanism is not None:
+            words = (
+                "resume belongs to a goal, task.valve or task.door; plan task.mechanism anew with its joints' starts"
+            )
+            raise PydanticCustomError("request", words)
 
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""
@@ -336,5 +343,5 @@ def check_task_has_planner(request: PlanRequest) -> None:
         if request.task is not None and getattr(request.task, name) is not None:
             raise UnplannedTaskError(
                 f"task.{name}: there is no planner for {words} yet; "
-                "task.valve, task.door, task.trajopt and goals are planned"
+                "task.valve, task.door, task.mechanism, task.trajopt and goals are planned"
             )

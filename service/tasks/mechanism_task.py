@@ -1,0 +1,143 @@
+"""Plan to move a mechanism that a request gives by its URDF, with the hands that it permits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from costs.allowance import BodyRef
+from costs.kinematics import locate_links
+from costs.robot import RobotError
+from costs.robot.contact_patches import measure_surface_distance
+from costs.static_region import StaticRegionError
+from service.body.phases import PhaseSolver
+from service.body.task_plan import TaskPlan
+from service.demands.given_mechanism import (
+    GivenMechanism,
+    find_ends,
+    make_mechanism_phases,
+    read_given_mechanism,
+    select_tool,
+)
+from service.demands.hands import Hand
+from service.demands.phase_spec import REACH_WAYPOINTS
+from service.errors import RequestError
+from service.request.mechanism import MechanismRequest
+from service.setup.prepare import PlanSetup
+from service.tasks.handling import FARTHER, find_collisions, list_hands
+from service.tasks.sequence import PhaseSequence, add_mechanism
+from service.verify import Motion
+
+HANDLE_MARGIN = 4e-3  # between a hand and the mechanism that it holds [m]
+MOST_GAP, MOST_INSIDE = 0.010, 0.004  # between the hand's rod and what it holds [m]
+ROD_POINTS = 41  # along the rod, for its distance
+
+
+def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequest) -> Iterator[TaskPlan]:
+    """Yield a plan per permitted hand, the nearest to the handle first; one without a solution only as the last.
+
+    Raises:
+        RequestError: the robot has no such hand, or is in collision with the mechanism at the start.
+        StaticRegionError: whatever the hand, the ground does not hold the robot under the loads.
+    """
+    given = read_given_mechanism(request)
+    hands = choose_hands(solver, given)
+    try:
+        solver = add_mechanism(solver, given.mechanism)
+    except RobotError as error:
+        raise RequestError(f"task.mechanism.urdf: {error}") from None
+    solver = replace(solver, overrides=_list_clearances(hands, given))
+    collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
+    if collisions:
+        raise RequestError(collisions)
+    check_hold(solver, hands, given)
+    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    unsolved: TaskPlan | None = None
+    unheld: StaticRegionError | None = None
+    for hand in hands:
+        specs = make_mechanism_phases(given, hand, waypoints)
+        try:
+            phases, stuck = PhaseSequence(solver, given.mechanism, specs).plan(solver.body.nominal)
+        except StaticRegionError as error:
+            unheld = error
+            continue
+        notes = (f"{hand.side} hand at {request.handle.link}",)
+        plan = TaskPlan(
+            solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
+        )
+        if stuck is None:
+            yield plan
+        elif unsolved is None or len(phases) > len(unsolved.phases):
+            unsolved = plan
+    if unsolved is not None:
+        yield unsolved
+    elif unheld is not None:
+        raise unheld
+
+
+def choose_hands(solver: PhaseSolver, given: GivenMechanism) -> tuple[Hand, ...]:
+    """Return the hands to try, the nearest to the handle first.
+
+    Raises:
+        RequestError: the robot has no such hand.
+    """
+    pose = given.locate(given.handle.joint, given.mechanism.start)
+    at = pose[:3, :3] @ given.handle.place + pose[:3, 3]
+    hands = list_hands(solver.body, given.request.hand, at, ("tool", "peg", "stub"))
+    if not hands:
+        frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
+        raise RequestError(
+            f"task.mechanism.hand: robot '{solver.body.robot.name}' has no {given.request.hand} hand ({frames})"
+        )
+    return hands
+
+
+def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism) -> None:
+    """Refuse a place at which the hand's rod does not touch what it holds, or is deep inside.
+
+    Raises:
+        RequestError: one line with the distance.
+    """
+    handle, robot = given.handle, solver.body.robot
+    bodies = [body for body in robot.bodies if body.name in handle.bodies]
+    field, link = "task.mechanism.handle", given.request.handle.link
+    if not bodies:
+        raise RequestError(f"{field}.link: {link} has no <collision>; expected a link that the hand can touch")
+    for hand in hands:
+        tool = select_tool(given, hand)
+        poses = locate_links(solver.body.engine, solver.body.nominal, [tool, hand.stub, hand.tool])
+        origin = poses[tool][:3, 3]
+        first, last = ((poses[frame][:3, 3] - origin) @ poses[tool][:3, 2] for frame in (hand.stub, hand.tool))
+        rod = handle.place + np.linspace(first, last, ROD_POINTS)[:, None] * handle.axis
+        gap = min(measure_surface_distance(body, point) for body in bodies for point in rod) - hand.peg_radius
+        if given.request.handle.tool == "tip" and gap > MOST_GAP:  # the tip is flat
+            gap = min(gap, min(measure_surface_distance(body, rod[-1]) for body in bodies))
+        if not -MOST_INSIDE <= gap <= MOST_GAP:
+            where = f"{1e3 * abs(gap):.0f} mm {'away from' if gap > 0.0 else 'inside'} {link}"
+            raise RequestError(
+                f"{field}.place: the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius would be {where}; "
+                f"expected at most {1e3 * MOST_GAP:g} mm away and {1e3 * MOST_INSIDE:g} mm inside"
+            )
+
+
+def measure_joints(given: GivenMechanism, motion: Motion) -> Mapping[str, float]:
+    """Measure the values of the moved joints at the end of a motion [deg, m]."""
+    last = motion.curve(motion.curve.knots[-1:])[0, -len(given.mechanism.joints) :]
+    names = [joint.name for joint in given.mechanism.joints]
+    figures = {}
+    for name, (_, unit) in find_ends(given).items():
+        value = float(last[names.index(name.removesuffix(f"_{unit}"))])
+        figures[name] = float(np.rad2deg(value)) if unit == "deg" else value
+    return figures
+
+
+def _list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+    """Return the required clearances between hands and the mechanism [m]."""
+    return tuple(
+        (BodyRef.of_link(link), BodyRef("mechanism", joint.link), HANDLE_MARGIN)
+        for hand in hands
+        for link in (hand.hook, hand.link)
+        for joint in given.mechanism.joints
+    )
