@@ -29,7 +29,7 @@ PLACE_TOLERANCE = 5e-3  # [m]
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
 LEAST_TRAVEL = 1e-6  # of a joint that moves [rad, m]
-LIMIT_ROUNDING = 1e-9
+LIMIT_DIGITS = 9  # of limits, which are kept with their rounding
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def make_mechanism_phases(
         count = max(int(np.ceil(np.abs(last - first).max() / step)) + 1, 4)
         phases.append(
             PhaseSpec(
-                f"move {move.joint}" + (f" {k + 1}" if _is_repeated(given.request, k) else ""),
+                _name_phase(given.request, k),
                 first, last, held, touches, tuple(_list_loads(given, tool, move.joint, first, last)),
                 is_anchor=k == int(np.argmax(travels)), aims_at_end=True, step="pose at the handle", n_waypoints=count,
             )
@@ -288,13 +288,20 @@ def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle)
                 f"expected {would_do(move.joint, carriers)}"
             )
         joint = joints[move.joint]
-        low, high = joint.lower + STOP_ROUNDING - LIMIT_ROUNDING, joint.upper - STOP_ROUNDING + LIMIT_ROUNDING
+        low, high = (round(limit, LIMIT_DIGITS) for limit in (joint.lower + STOP_ROUNDING, joint.upper - STOP_ROUNDING))
         try:
             check_limits(joint.kind, move.to, low, high, f"{field}.to")
         except RobotError as error:
             raise RequestError(str(error)) from None
         if abs(move.to - values[move.joint]) < LEAST_TRAVEL:
             raise RequestError(f"{field}.to: {move.joint} is at {move.to:g} already; expected another value")
+        for release in request.releases:
+            is_released = values[release.latch] * np.sign(release.at) >= abs(release.at)
+            if release.joint == move.joint and abs(values[move.joint]) <= release.free_beyond and not is_released:
+                raise RequestError(
+                    f"{field}.joint: {move.joint} is locked while {release.latch} is at {values[release.latch]:g}; "
+                    f"expected a move of {release.latch} to {release.at:g} or beyond before it"
+                )
         values[move.joint] = move.to
 
 
@@ -364,6 +371,8 @@ def _measure_travel(given: GivenMechanism, first: Float[np.ndarray, "k"], last: 
     return moved * float(np.linalg.norm(np.cross(joint.axis / np.linalg.norm(joint.axis), place)))
 
 
-def _is_repeated(request: MechanismRequest, index: int) -> bool:
-    """Return whether an earlier move has the same joint."""
-    return any(move.joint == request.moves[index].joint for move in request.moves[:index])
+def _name_phase(request: MechanismRequest, index: int) -> str:
+    """Return the name of a move's phase, numbered from a joint's second move on."""
+    joint = request.moves[index].joint
+    count = sum(move.joint == joint for move in request.moves[: index + 1])
+    return f"move {joint}" + (f" {count}" if count > 1 else "")

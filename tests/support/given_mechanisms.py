@@ -47,9 +47,8 @@ def cabinet_urdf() -> str:
 </robot>"""
 
 
-def request_for(urdf: str, position: tuple[float, float, float], handle: dict[str, Any], **more: Any) -> dict[str, Any]:
+def request_for(task: dict[str, Any]) -> dict[str, Any]:
     """A request for Atlas at the origin."""
-    task = {"urdf": urdf, "position": list(position), "handle": handle, **more}
     return {
         "robot": {"name": "atlas"},
         "start": {"posture": "reach_ready"},
@@ -62,8 +61,9 @@ def drawer_request(to: float = 0.25, x: float = 0.75, y: float = -0.25, **more: 
     """Pull the drawer by a peg that points down behind its bar."""
     place = [BAR + PEG + 0.001, 0.0, 0.01]
     handle = {"link": "handle", "place": place, "axis": [0, 0, -1]}
-    more = {"moves": [{"joint": "slide", "to": to}], "joints": {"slide": {"friction": 30.0}}, **more}
-    return request_for(drawer_urdf(), (x, y, 0.0), handle, **more)
+    task = {"urdf": drawer_urdf(), "position": [x, y, 0.0], "handle": handle}
+    task |= {"moves": [{"joint": "slide", "to": to}], "joints": {"slide": {"friction": 30.0}}}
+    return request_for({**task, **more})
 
 
 def cabinet_request(to: float = 0.8, x: float = 0.75, y: float = -0.1, **more: Any) -> dict[str, Any]:
@@ -71,5 +71,35 @@ def cabinet_request(to: float = 0.8, x: float = 0.75, y: float = -0.1, **more: A
     behind = BAR + PEG + 0.001
     place = [0.866 * behind, -0.5 * behind, 0.0]
     handle = {"link": "handle", "place": place, "axis": [0.5, 0.866, 0.0], "tilt_deg": 25}
-    more = {"moves": [{"joint": "hinge", "to": to}], "joints": {"hinge": {"friction": 3.0}}, **more}
-    return request_for(cabinet_urdf(), (x, y, 0.8), handle, **more)
+    task = {"urdf": cabinet_urdf(), "position": [x, y, 0.8], "handle": handle}
+    task |= {"moves": [{"joint": "hinge", "to": to}], "joints": {"hinge": {"friction": 3.0}}}
+    return request_for({**task, **more})
+
+
+def latched_urdf() -> str:
+    """The cupboard with a paddle instead of the bar: pulled by 0.2 rad, it releases the drawer."""
+    paddle = f"""<link name="pivot">{box((0.02, 0.02, 0.02), (0, 0.13, 0))}</link>
+  <link name="handle">{bar(0.2, (0, 0, 0), "1.5707963 0 0")}</link>
+  <joint name="paddle" type="revolute"><parent link="drawer"/><child link="pivot"/>
+    <origin xyz="-0.09 0 0.06"/><axis xyz="0 1 0"/><limit lower="0" upper="0.6" velocity="1" effort="5"/></joint>
+  <joint name="arm" type="fixed"><parent link="pivot"/><child link="handle"/><origin xyz="0 0 -0.06"/></joint>"""
+    before, _, after = drawer_urdf().partition('<link name="handle">')
+    _, _, after = after.partition("</link>")
+    joints, _, _ = after.partition('<joint name="screws"')
+    return f"{before}{joints}{paddle}</robot>"
+
+
+def latched_request(**more: Any) -> dict[str, Any]:
+    """Pull the paddle, then the drawer, then let the paddle go."""
+    place = [BAR + PEG + 0.001, 0.0, 0.01]
+    handle = {"link": "handle", "place": place, "axis": [0, 0, -1]}
+    moves = [{"joint": "paddle", "to": 0.3}, {"joint": "slide", "to": 0.2}, {"joint": "paddle", "to": 0.0}]
+    task = {
+        "urdf": latched_urdf(),
+        "position": [0.75, -0.25, 0.0],
+        "handle": handle,
+        "moves": moves,
+        "joints": {"slide": {"friction": 30.0}, "paddle": {"preload": 0.5, "stiffness": 1.0}},
+        "releases": [{"joint": "slide", "latch": "paddle", "at": 0.2, "free_beyond": 0.03}],
+    }
+    return request_for({**task, **more})
