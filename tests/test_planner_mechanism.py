@@ -109,10 +109,12 @@ def test_a_latch_is_released_before_the_drawer_and_the_spring_is_carried(tmp_pat
     assert verify_result(folder)["verdict"] == "CERTIFIED"
 
 
-def test_a_drawer_pulled_before_its_latch_is_released_is_not_certified() -> None:
-    request = latched_request(moves=[{"joint": "slide", "to": 0.2}])
-    result = plan(parse_request(request))
-    assert result.verdict is not Verdict.CERTIFIED
+def test_a_drawer_that_its_latch_still_locks_is_refused() -> None:
+    moves = [{"joint": "paddle", "to": 0.15}, {"joint": "slide", "to": 0.2}]
+    assert _refuse(latched_request(moves=moves)) == (
+        "task.mechanism.moves[1].joint: slide is locked while paddle is at 0.15; expected a move of paddle to 0.2 or "
+        "beyond before it"
+    )
 
 
 def test_a_result_for_another_value_or_load_is_refused(drawer: tuple[PlanResult, Path], tmp_path: Path) -> None:
@@ -133,7 +135,7 @@ def test_a_result_for_another_value_or_load_is_refused(drawer: tuple[PlanResult,
 
 def test_what_stands_before_the_drawer_keeps_it_from_being_certified() -> None:
     crate = {"name": "crate", "type": "box", "size": [0.1, 0.1, 0.2], "position": [0.55, -0.42, 0.95]}
-    result = plan(parse_request({**drawer_request(), "scene": {"obstacles": [crate]}}))
+    result = plan(parse_request({**drawer_request(hand="right"), "scene": {"obstacles": [crate]}}))
     assert result.verdict is not Verdict.CERTIFIED
     assert any("crate" in line and "drawer" in line for line in result.explanation)
 
@@ -192,7 +194,9 @@ def test_a_request_that_makes_no_sense_is_refused_in_one_line(changes: dict[str,
 
 def test_a_spring_above_the_moving_joint_is_refused() -> None:
     request = latched_request(
-        joints={"slide": {"stiffness": 10.0}}, moves=[{"joint": "slide", "to": 0.2}, {"joint": "paddle", "to": 0.3}]
+        releases=[],
+        joints={"slide": {"stiffness": 10.0}},
+        moves=[{"joint": "slide", "to": 0.2}, {"joint": "paddle", "to": 0.3}],
     )
     assert _refuse(request).startswith("task.mechanism.joints.slide: its spring pulls while the hand moves paddle")
 
