@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from given_mechanisms import (
     box,
@@ -16,7 +17,11 @@ from given_mechanisms import (
     drawer_urdf,
     latched_request,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tiny_robots import atlas
 
+from costs.robot import with_mechanism
 from perception import write_npz
 from perception.simulate import Pose, Scanner, scan
 from perception.simulate.mesh import box as solid_box
@@ -63,8 +68,6 @@ def test_a_drawer_is_pulled_out_and_replayed(drawer: tuple[PlanResult, Path]) ->
 
 def test_the_hand_stays_behind_the_bar_while_the_drawer_comes_out(drawer: tuple[PlanResult, Path]) -> None:
     """By the recorded samples and pinocchio's frames, not by the planner's terms."""
-    import pinocchio as pin
-
     motion = drawer[0].motion
     model, data = motion.robot.model, motion.robot.model.createData()
     phase = next(phase for phase in motion.phases if phase.name == "move slide")
@@ -227,8 +230,8 @@ def test_a_urdf_file_and_its_meshes_become_part_of_the_request(tmp_path: Path) -
     mechanism = setup.request.task.mechanism
     assert mechanism.urdf == text
     assert len(mechanism.meshes["front.obj"].points) == 8
-    given = drawer_request(urdf=text, meshes={"front.obj": {"points": [list(map(float, c)) for c in corners]}})
-    assert "task.mechanism.urdf" not in [field for field, _, _ in list_paths(parse_request(given))]
+    inline = drawer_request(urdf=text, meshes={"front.obj": {"points": [list(map(float, c)) for c in corners]}})
+    assert "task.mechanism.urdf" not in [field for field, _, _ in list_paths(parse_request(inline))]
     assert request_from_message(request_to_message(setup.request)) == setup.request
     again = prepare(load_request(tmp_path / "request.yaml")).request
     assert request_hash(again) == request_hash(setup.request) != request_hash(request)
@@ -254,8 +257,8 @@ def test_what_a_scan_shows_of_the_mechanism_makes_no_pieces(tmp_path: Path) -> N
     request = {**drawer_request(), "scene": {"cloud": str(path)}}
     setup = prepare(parse_request(request), checks_start=False)
     seen = [piece for piece in setup.scene.pieces if not piece.name.startswith("fixture/") and piece.kind != "floor"]
-    given = read_given_mechanism(setup.request.task.mechanism)
-    bodies = np.concatenate(given.place_bodies())
+    found = read_given_mechanism(setup.request.task.mechanism)
+    bodies = np.concatenate(found.place_bodies())
     inside = (bodies.min(axis=0) - 0.03, bodies.max(axis=0) + 0.03)
     crates = [piece for piece in seen if (piece.vertices.mean(axis=0) > [0.7, 0.4, 0.0]).all()]
     assert crates
@@ -264,10 +267,24 @@ def test_what_a_scan_shows_of_the_mechanism_makes_no_pieces(tmp_path: Path) -> N
         assert not ((inside[0] < middle) & (middle < inside[1])).all(), piece.name
 
 
+@settings(max_examples=40, deadline=None)
+@given(values=st.tuples(st.floats(0.0, 0.4), st.floats(0.0, 0.6)), yaw=st.floats(-3.0, 3.0))
+def test_links_are_where_the_verifier_s_model_has_them(values: tuple[float, float], yaw: float) -> None:
+    turned = [float(np.cos(0.5 * yaw)), 0.0, 0.0, float(np.sin(0.5 * yaw))]
+    found = read_given_mechanism(parse_request(latched_request(quaternion_wxyz=turned)).task.mechanism)
+    robot = with_mechanism(atlas(), found.mechanism.joints)
+    data = robot.model.createData()
+    q = np.concatenate([atlas().postures["stand"], values])
+    pin.framesForwardKinematics(robot.model, data, q)
+    for joint in found.mechanism.joints:
+        pose = data.oMf[robot.model.getFrameId(joint.link)].homogeneous
+        np.testing.assert_allclose(found.locate(joint.name, np.array(values)), pose, atol=1e-12)
+
+
 def test_the_specifications_move_the_mechanism_without_jumps_and_have_one_anchor() -> None:
-    given = read_given_mechanism(parse_request(latched_request()).task.mechanism)
+    found = read_given_mechanism(parse_request(latched_request()).task.mechanism)
     for hand in HANDS.values():
-        specs = make_mechanism_phases(given, hand)
+        specs = make_mechanism_phases(found, hand)
         assert [spec.is_anchor for spec in specs].count(True) == 1
         assert next(spec for spec in specs if spec.is_anchor).name == "move slide"
         for spec, after in pairwise(specs):
