@@ -13,7 +13,7 @@ from costs.robot.mechanism_urdf import (
     read_mechanism,
     read_mesh_hulls,
 )
-from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
+from costs.robot.model import BASE_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot
 from costs.robot.still import StillShape, read_object_shapes
 
@@ -30,6 +30,7 @@ __all__ = [
     "PatchKind",
     "Release",
     "RobotError",
+    "RobotHand",
     "RobotModel",
     "RobotSource",
     "Root",

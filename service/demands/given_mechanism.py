@@ -12,9 +12,18 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.allowance import Allowance, BodyRef
-from costs.robot import STOP_ROUNDING, Mechanism, Release, RobotError, UrdfMechanism, check_limits, read_mechanism
+from costs.robot import (
+    STOP_ROUNDING,
+    Mechanism,
+    Release,
+    RobotError,
+    RobotModel,
+    UrdfMechanism,
+    check_limits,
+    read_mechanism,
+)
 from costs.scene import ConvexPiece
-from service.demands.hands import HANDS, Hand
+from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.errors import RequestError, shown, would_do
 from service.request.mechanism import MechanismRequest, is_urdf_text
@@ -210,9 +219,11 @@ class GivenMechanismDemand:
 
     Attributes:
         given: the mechanism and the task.
+        robot: without the mechanism.
     """
 
     given: GivenMechanism
+    robot: RobotModel
 
     @property
     def mechanism(self) -> Mechanism:
@@ -228,7 +239,7 @@ class GivenMechanismDemand:
             if isinstance(target, RelativePoseTarget) and target.reference == self.given.handle.link
         }
         side = self.given.request.hand
-        for hand in HANDS.values():
+        for hand in list_robot_hands(self.robot):
             if side in ("auto", hand.side) and tools & {hand.peg, hand.tool, hand.stub}:
                 return make_mechanism_phases(self.given, hand), ()
         return (), ("no hand that the task permits holds the handle",)

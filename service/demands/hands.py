@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
+
+from costs.robot import RobotModel
 
 PEG_RADIUS = 0.009  # [m]
 
@@ -34,3 +36,14 @@ HANDS = {
     "left": Hand("left", "l_hand", "l_hook", "l_tool", "l_peg", "l_stub"),
     "right": Hand("right", "r_hand", "r_hook", "r_tool", "r_peg", "r_stub"),
 }
+
+
+def list_robot_hands(robot: RobotModel) -> tuple[Hand, ...]:
+    """Return the hands that a robot declares; those of ``HANDS`` where it declares none, whether it has them or not."""
+    declared = tuple(
+        Hand(
+            cast(Literal["left", "right"], side), hand.link, hand.hook, hand.tool, hand.peg, hand.stub, hand.peg_radius
+        )
+        for side, hand in robot.hands.items()
+    )
+    return declared or tuple(HANDS.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -36,10 +36,12 @@ class ValveDemand:
     Attributes:
         wheel: the wheel.
         request: the task.
+        hands: of the robot.
     """
 
     wheel: Wheel
     request: ValveRequest
+    hands: tuple[Hand, ...] = tuple(HANDS.values())
 
     @property
     def mechanism(self) -> Mechanism:
@@ -83,7 +85,7 @@ class ValveDemand:
         """Return hand, gap and grasp of a phase that turns, or a sentence where the task forbids them."""
         wheel = self.wheel
         tools = {target.frame for target in phase.targets if isinstance(target, CircleTarget)}
-        hands = [hand for hand in HANDS.values() if hand.tool in tools and self.request.hand in ("auto", hand.side)]
+        hands = [hand for hand in self.hands if hand.tool in tools and self.request.hand in ("auto", hand.side)]
         if len(hands) != 1:
             return f"no hand that the task permits holds the rim in phase '{phase.name}'"
         holds = [
@@ -103,7 +105,9 @@ class ValveDemand:
         return f"the hook is in no gap of the valve in phase '{phase.name}'"
 
 
-def read_kept_stroke(request: ValveRequest, resume: ResumeRequest) -> tuple[Hand, StrokeChoice]:
+def read_kept_stroke(
+    request: ValveRequest, resume: ResumeRequest, hands: Sequence[Hand] = tuple(HANDS.values())
+) -> tuple[Hand, StrokeChoice]:
     """Return the hand and the choice of an earlier plan that the rest of it keeps.
 
     Raises:
@@ -114,7 +118,10 @@ def read_kept_stroke(request: ValveRequest, resume: ResumeRequest) -> tuple[Hand
         raise RequestError("resume.stroke: is missing; a valve is turned as the earlier plan chose to")
     if request.hand not in ("auto", stroke.hand):
         raise RequestError(f"resume.stroke.hand: {stroke.hand}; task.valve.hand permits {request.hand}")
-    return next(hand for hand in HANDS.values() if hand.side == stroke.hand), stroke
+    hand = next((hand for hand in hands if hand.side == stroke.hand), None)
+    if hand is None:
+        raise RequestError(f"resume.stroke.hand: the robot has no {stroke.hand} hand")
+    return hand, stroke
 
 
 def turn_back(valve: ValveDetection, resume: ResumeRequest | None) -> ValveDetection:
@@ -131,7 +138,7 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
     Raises:
         RequestError: its phase, mechanism or choices do not fit the task.
     """
-    hand, stroke = read_kept_stroke(demand.request, resume)
+    hand, stroke = read_kept_stroke(demand.request, resume, demand.hands)
     turn, count = float(np.deg2rad(demand.request.turn_deg)), stroke.strokes
     edges = np.linspace(0.0, turn, count + 1).tolist()
     grasp = None if demand.request.mode == "hook" else Grasp()

@@ -23,6 +23,7 @@ from service.demands import (
 )
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
 from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism
+from service.demands.hands import list_robot_hands
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
@@ -32,7 +33,7 @@ from service.request.schema import PlanRequest
 from service.setup.prepare import resolve_start
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
 from service.start.mechanism_file import inline_mechanism
-from service.start.robot import add_contact_patches, attach_bodies, load_requested_robot
+from service.start.robot import add_request_parts, attach_bodies, load_requested_robot
 from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def _rebuild_task(
     if task is None or (task.valve is None and task.door is None and task.mechanism is None):
         return None
     if task.mechanism is not None:
-        return GivenMechanismDemand(read_given_mechanism(task.mechanism))
+        return GivenMechanismDemand(read_given_mechanism(task.mechanism), robot)
     if task.door is not None:
         base = start[:3] if robot.is_floating else np.zeros(3)
         geometry = choose_door(task.door, surroundings.doors, base)
@@ -149,7 +150,7 @@ def _rebuild_task(
     valve = read_given_valve(task.valve) or next(iter(surroundings.valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    turning = ValveDemand(make_wheel(turn_back(valve, request.resume)), task.valve)
+    turning = ValveDemand(make_wheel(turn_back(valve, request.resume)), task.valve, list_robot_hands(robot))
     return turning if request.resume is None else resume_valve(turning, request.resume)
 
 
@@ -161,7 +162,7 @@ def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request
     missing = [attached.name for attached in request.attached if attached.name not in links]
     if missing:
         raise RequestError(f"attached: the robot in this folder does not carry {', '.join(missing)}")
-    return add_contact_patches(record.robot, request), "the robot in this folder"
+    return add_request_parts(record.robot, request), "the robot in this folder"
 
 
 def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:

@@ -36,6 +36,7 @@ from service.request.fields import (
 )
 from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
+from service.request.robot_hand import RobotHandRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 UNPLANNED = {"egress": "getting out of vehicles"}
@@ -47,7 +48,7 @@ class RobotRequest(Section):
 
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
     distance of the bundled robot's hook from the hand's origin. ``contacts`` are patches by name that may carry force,
-    besides those of a bundled robot or in their place.
+    besides those of a bundled robot or in their place; ``hands`` the hands of a robot that hold mechanisms.
     """
 
     name: Label | None = None
@@ -57,6 +58,7 @@ class RobotRequest(Section):
     root: Literal["floating", "fixed"] | None = None
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
     contacts: Annotated[dict[Label, ContactPatchRequest], at_most(100)] = field(default_factory=dict)
+    hands: Annotated[dict[Literal["left", "right"], RobotHandRequest], at_most(2)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))

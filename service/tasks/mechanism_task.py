@@ -89,7 +89,8 @@ def choose_hands(solver: PhaseSolver, given: GivenMechanism) -> tuple[Hand, ...]
     if not hands:
         frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
         raise RequestError(
-            f"task.mechanism.hand: robot '{solver.body.robot.name}' has no {given.request.hand} hand ({frames})"
+            f"task.mechanism.hand: robot '{solver.body.robot.name}' has no {given.request.hand} hand ({frames}); "
+            "robot.hands names those of another robot"
         )
     return hands
 

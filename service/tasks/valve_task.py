@@ -21,7 +21,7 @@ from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.hands import Hand
+from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import AXIS, REACH_WAYPOINTS
 from service.demands.valve_demand import ValveDemand, read_kept_stroke, resume_valve, turn_back
 from service.demands.wheel import (
@@ -173,8 +173,9 @@ def _plan_rest(
     solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, reach_waypoints: int
 ) -> TaskPlan:
     """Plan the rest of a turn with the hand, the gap and the grasps of the earlier plan."""
-    rest = resume_valve(ValveDemand(wheel, request), resume)
-    hand, stroke = read_kept_stroke(request, resume)
+    hands = list_robot_hands(solver.body.robot)
+    rest = resume_valve(ValveDemand(wheel, request, hands), resume)
+    hand, stroke = read_kept_stroke(request, resume, hands)
     solver = _add_wheel(solver, rest.mechanism, [hand])
     turn = np.deg2rad(request.turn_deg)
     turning = ValveTurn(solver, wheel, hand, request.mode, turn, stroke.gap_rad, request.torque_nm, reach_waypoints)

@@ -191,7 +191,7 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hands")
     class ContactsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -199,6 +199,13 @@ class Robot(_message.Message):
         key: str
         value: ContactPatch
         def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[ContactPatch, _Mapping]] = ...) -> None: ...
+    class HandsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: RobotHand
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[RobotHand, _Mapping]] = ...) -> None: ...
     NAME_FIELD_NUMBER: _ClassVar[int]
     URDF_FIELD_NUMBER: _ClassVar[int]
     SRDF_FIELD_NUMBER: _ClassVar[int]
@@ -206,6 +213,7 @@ class Robot(_message.Message):
     ROOT_FIELD_NUMBER: _ClassVar[int]
     TOOL_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
+    HANDS_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
@@ -213,7 +221,24 @@ class Robot(_message.Message):
     root: RootJoint
     tool_distance_m: float
     contacts: _containers.MessageMap[str, ContactPatch]
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ...) -> None: ...
+    hands: _containers.MessageMap[str, RobotHand]
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ...) -> None: ...
+
+class RobotHand(_message.Message):
+    __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    HOOK_FIELD_NUMBER: _ClassVar[int]
+    TOOL_FIELD_NUMBER: _ClassVar[int]
+    PEG_FIELD_NUMBER: _ClassVar[int]
+    STUB_FIELD_NUMBER: _ClassVar[int]
+    PEG_RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    hook: str
+    tool: str
+    peg: str
+    stub: str
+    peg_radius_m: float
+    def __init__(self, link: _Optional[str] = ..., hook: _Optional[str] = ..., tool: _Optional[str] = ..., peg: _Optional[str] = ..., stub: _Optional[str] = ..., peg_radius_m: _Optional[float] = ...) -> None: ...
 
 class ContactPatch(_message.Message):
     __slots__ = ("link", "points", "normal", "kind", "friction", "force_cap_n")
