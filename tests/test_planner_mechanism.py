@@ -25,7 +25,7 @@ from costs.robot import with_mechanism
 from perception import write_npz
 from perception.simulate import Pose, Scanner, scan
 from perception.simulate.mesh import box as solid_box
-from service.demands.given_mechanism import make_mechanism_phases, read_given_mechanism
+from service.demands.given_mechanism import GivenMechanismDemand, make_mechanism_phases, read_given_mechanism
 from service.demands.hands import HANDS
 from service.errors import RequestError, ResultError
 from service.planner import plan
@@ -279,6 +279,81 @@ def test_links_are_where_the_verifier_s_model_has_them(values: tuple[float, floa
     for joint in found.mechanism.joints:
         pose = data.oMf[robot.model.getFrameId(joint.link)].homogeneous
         np.testing.assert_allclose(found.locate(joint.name, np.array(values)), pose, atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    place=st.tuples(*[st.floats(0.02, 0.3)] * 3),
+    ends=st.tuples(st.floats(0.05, 0.4), st.floats(0.21, 0.6)),
+    yaw=st.floats(-3.0, 3.0),
+    spring=st.tuples(st.floats(0.1, 5.0), st.floats(0.0, 20.0)),
+)
+def test_the_hand_s_forces_do_the_work_of_friction_and_springs(
+    place: tuple[float, ...], ends: tuple[float, float], yaw: float, spring: tuple[float, float]
+) -> None:
+    """Virtual work: the force times the handle's motion per joint motion, by differences, is what the joint opposes."""
+    preload, stiffness = spring
+    task = latched_request(
+        quaternion_wxyz=[float(np.cos(0.5 * yaw)), 0.0, 0.0, float(np.sin(0.5 * yaw))],
+        joints={"slide": {"friction": 30.0}, "paddle": {"preload": preload, "stiffness": stiffness, "friction": 0.2}},
+        moves=[{"joint": "paddle", "to": ends[1]}, {"joint": "slide", "to": ends[0]}, {"joint": "paddle", "to": 0.0}],
+    )
+    task["task"]["mechanism"]["handle"]["place"] = list(place)
+    found = read_given_mechanism(parse_request(task).task.mechanism)
+    names = [joint.name for joint in found.mechanism.joints]
+    pulled = preload + stiffness * ends[1]
+    expected = {
+        "move paddle": {"paddle": pulled + 0.2},
+        "move slide": {"slide": 30.0, "paddle": pulled},
+        "move paddle 2": {"paddle": pulled},  # with the spring, whose share outweighs friction's in the other sense
+    }
+
+    def locate(link: str, values: np.ndarray) -> np.ndarray:
+        return found.locate(next(joint.name for joint in found.mechanism.joints if joint.link == link), values)
+
+    for spec in make_mechanism_phases(found, HANDS["left"]):
+        for load in spec.loads:
+            joint = next(joint.name for joint in found.mechanism.joints if joint.link == load.link)
+            column, step = names.index(joint), 1e-6
+            at = spec.first
+            moved = [at + sign * step * np.eye(len(names))[column] for sign in (1.0, -1.0)]
+            ahead, behind = ((locate(load.link, v) @ [*load.place, 1.0])[:3] for v in moved)
+            force = locate(load.link, at)[:3, :3] @ load.force
+            work = float(force @ (ahead - behind)) / (2.0 * step)
+            if work > 0.0:
+                assert work == pytest.approx(expected[spec.name].pop(joint), rel=1e-6)
+            else:
+                assert (spec.name, work) == ("move paddle 2", pytest.approx(-0.2, rel=1e-6))
+            # It acts where the hand is.
+            hand = (locate(found.handle.link, at) @ [*found.handle.place, 1.0])[:3]
+            np.testing.assert_allclose((locate(load.link, at) @ [*load.place, 1.0])[:3], hand, atol=1e-9)
+    assert not any(expected.values())
+
+
+def test_too_many_loads_at_once_are_refused() -> None:
+    links = [f'<link name="l{k}">{box((0.05, 0.05, 0.05), (0.1, 0, 0))}</link>' for k in range(6)]
+    joints = [
+        f'<joint name="j{k}" type="prismatic"><parent link="{f"l{k - 1}" if k else "root"}"/><child link="l{k}"/>'
+        '<axis xyz="1 0 0"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>'
+        for k in range(6)
+    ]
+    text = f'<robot name="stack"><link name="root"/>{"".join(links + joints)}</robot>'
+    request = drawer_request(
+        urdf=text,
+        handle={"link": "l5", "place": [0.0, 0.0, 0.0], "axis": [0, 0, -1]},
+        joints={f"j{k}": {"preload": 1.0} for k in range(6)},
+        moves=[{"joint": f"j{k}", "to": 0.1} for k in range(5, -1, -1)],
+    )
+    found = read_given_mechanism(parse_request(request).task.mechanism)
+    with pytest.raises(RequestError, match=r"the loads of 5 joints in moves\[4\]; expected at most 4"):
+        make_mechanism_phases(found, HANDS["left"])
+
+
+def test_a_figure_that_is_not_the_request_s_is_found(drawer: tuple[PlanResult, Path]) -> None:
+    demand = GivenMechanismDemand(read_given_mechanism(drawer[0].request.task.mechanism), atlas())
+    assert not list(demand.compare_figures(drawer[0].figures))
+    assert list(demand.compare_figures({"slide_m": 0.26})) == ["figures.slide_m is 0.26, the request moves it to 0.25"]
+    assert list(demand.compare_figures({})) == ["figures.slide_m is None, the request moves it to 0.25"]
 
 
 def test_the_specifications_move_the_mechanism_without_jumps_and_have_one_anchor() -> None:

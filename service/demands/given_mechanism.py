@@ -35,6 +35,7 @@ LINE_OUT = 0.1  # of the line that leads to the handle, where the request gives 
 TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad, m]
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
+MOST_LOADS = 4  # at a time: the robot is held under every combination of them
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
 LEAST_TRAVEL = 1e-6  # of a joint that moves [rad, m]
@@ -190,6 +191,13 @@ def make_mechanism_phases(
         last[names.index(move.joint)] = move.to
         ends.append((values, last))
         values = last
+    loads = [tuple(_list_loads(given, tool, move.joint, *ends[k])) for k, move in enumerate(given.request.moves)]
+    crowded = next((k for k, carried in enumerate(loads) if len(carried) > MOST_LOADS), None)
+    if crowded is not None:
+        raise RequestError(
+            f"task.mechanism.joints: the hand would carry the loads of {len(loads[crowded])} joints in "
+            f"moves[{crowded}]; expected at most {MOST_LOADS}"
+        )
     travels = [_measure_travel(given, first, last) for first, last in ends]
     for k, (move, (first, last)) in enumerate(zip(given.request.moves, ends, strict=True)):
         joint = given.mechanism.joint(move.joint)
@@ -198,7 +206,7 @@ def make_mechanism_phases(
         phases.append(
             PhaseSpec(
                 _name_phase(given.request, k),
-                first, last, held, touches, tuple(_list_loads(given, tool, move.joint, first, last)),
+                first, last, held, touches, loads[k],
                 is_anchor=k == int(np.argmax(travels)), aims_at_end=True, step="pose at the handle", n_waypoints=count,
             )
         )  # fmt: skip
