@@ -97,6 +97,13 @@ def test_a_cabinet_is_opened_and_replayed(tmp_path: Path) -> None:
     assert np.cross(load.place, load.force) == pytest.approx([0.0, 0.0, -3.0], abs=1e-9)
 
 
+def test_a_hand_that_leans_at_the_end_leaves_along_its_rod(tmp_path: Path) -> None:
+    """Along the handle's axis the rod would be 6 mm inside the bar on its way."""
+    result, folder = _plan_and_write(cabinet_request(to=1.7, y=-0.4, hand="right"), tmp_path / "out")
+    assert result.motion.phases[-1].name == "retract"
+    assert verify_result(folder)["verdict"] == "CERTIFIED"
+
+
 def test_a_latch_is_released_before_the_drawer_and_the_spring_is_carried(tmp_path: Path) -> None:
     result, folder = _plan_and_write(latched_request(), tmp_path / "out")
     names = [phase.name for phase in result.motion.phases]

@@ -210,7 +210,7 @@ def make_mechanism_phases(
                 is_anchor=k == int(np.argmax(travels)), aims_at_end=True, step="pose at the handle", n_waypoints=count,
             )
         )  # fmt: skip
-    if not given.request.stays:
+    if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
         away = replace(line, leaves=True)
         phases.append(PhaseSpec("retract", values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
     return tuple(phases)

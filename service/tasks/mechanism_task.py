@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from costs.allowance import BodyRef
 from costs.kinematics import locate_links
@@ -22,7 +23,7 @@ from service.demands.given_mechanism import (
     select_tool,
 )
 from service.demands.hands import Hand
-from service.demands.phase_spec import REACH_WAYPOINTS
+from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
 from service.setup.prepare import PlanSetup
@@ -63,6 +64,11 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         except StaticRegionError as error:
             unheld = error
             continue
+        if stuck is not None and stuck.step == specs[-1].name and not request.stays:
+            at = phases[-2].q[-1]
+            line = leave_along_rod(solver, specs[-1], at)
+            left, stuck = PhaseSequence(solver, given.mechanism, (line,), is_held=True).plan(at)
+            phases = (*phases[:-1], *left)
         notes = (f"{hand.side} hand at {request.handle.link}",)
         plan = TaskPlan(
             solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
@@ -121,6 +127,20 @@ def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism
                 f"{field}.place: the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius would be {where}; "
                 f"expected at most {1e3 * MOST_GAP:g} mm away and {1e3 * MOST_INSIDE:g} mm inside"
             )
+
+
+def leave_along_rod(solver: PhaseSolver, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> PhaseSpec:
+    """Return the line on which a hand leaves, turned along its rod as it leans at configuration ``at``.
+
+    A rod that leans would meet what it holds on its way along the handle's axis.
+    """
+    hand = spec.hand
+    if hand is None or hand.offset is None or hand.link is None:
+        return spec
+    poses = locate_links(solver.body.engine, at, [hand.tool, hand.link])
+    axis = poses[hand.link][:3, :3].T @ poses[hand.tool][:3, 2]
+    turn = find_rotation_onto(hand.axis, axis / np.linalg.norm(axis))
+    return replace(spec, hand=replace(hand, axis=turn @ hand.axis, offset=turn @ hand.offset))
 
 
 def measure_joints(given: GivenMechanism, motion: Motion) -> Mapping[str, float]:
