@@ -15,6 +15,7 @@ from costs.robot.contact_patches import measure_surface_distance
 from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
+from service.body.whole_body import WholeBody
 from service.demands.given_mechanism import (
     GivenMechanism,
     find_ends,
@@ -27,12 +28,14 @@ from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
 from service.setup.prepare import PlanSetup
+from service.tasks.door_sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.sequence import PhaseSequence, add_mechanism
 from service.verify import Motion
 
 HANDLE_MARGIN = 4e-3  # between a hand and the mechanism that it holds [m]
 MOST_GAP, MOST_INSIDE = 0.010, 0.004  # between the hand's rod and what it holds [m]
+SWEEP_SLIDE, SWEEP_TURN = 5e-3, float(np.deg2rad(1.0))  # between the values at which it is looked for pieces [m, rad]
 ROD_POINTS = 41  # along the rod, for its distance
 
 
@@ -54,6 +57,10 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
     if collisions:
         raise RequestError(collisions)
     check_hold(solver, hands, given)
+    blocked = find_blocked_move(solver.body, given)
+    if blocked is not None:
+        yield blocked
+        return
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     unsolved: TaskPlan | None = None
     unheld: StaticRegionError | None = None
@@ -127,6 +134,31 @@ def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism
                 f"{field}.place: the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius would be {where}; "
                 f"expected at most {1e3 * MOST_GAP:g} mm away and {1e3 * MOST_INSIDE:g} mm inside"
             )
+
+
+def find_blocked_move(body: WholeBody, given: GivenMechanism) -> TaskPlan | None:
+    """Return the plan that says which piece or planted link the mechanism meets on its way; None if it meets none.
+
+    Args:
+        body: augmented by the mechanism, at the start.
+    """
+    values, names = given.mechanism.start, [joint.name for joint in given.mechanism.joints]
+    for move in given.request.moves:
+        column, joint = names.index(move.joint), given.mechanism.joint(move.joint)
+        step = SWEEP_SLIDE if joint.kind == "prismatic" else SWEEP_TURN
+        count = int(np.ceil(abs(move.to - values[column]) / step)) + 1
+        way = np.linspace(values[column], move.to, count)[1:]
+        q = np.tile(body.nominal, (len(way), 1))
+        q[:, -len(names) :] = values
+        q[:, q.shape[1] - len(names) + column] = way
+        met = next((met for met in find_first_met(body, q, way) if met.stands_still), None)
+        if met is not None:
+            unit = "m" if joint.kind == "prismatic" else "rad"
+            remedy = "" if met.is_piece else FARTHER
+            words = f"{met.part} meets {met.name} with {move.joint} at {met.angle:.3f} {unit} of {move.to:g}{remedy}"
+            return TaskPlan(body, (), (words,), is_impossible=met.is_piece)
+        values = np.where(np.arange(len(names)) == column, move.to, values)
+    return None
 
 
 def leave_along_rod(solver: PhaseSolver, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> PhaseSpec:
