@@ -25,6 +25,7 @@ from costs.robot import with_mechanism
 from perception import write_npz
 from perception.simulate import Pose, Scanner, scan
 from perception.simulate.mesh import box as solid_box
+from service.client.local_files import resolve_paths
 from service.demands.given_mechanism import GivenMechanismDemand, make_mechanism_phases, read_given_mechanism
 from service.demands.hands import HANDS
 from service.errors import RequestError, ResultError
@@ -244,6 +245,20 @@ def test_a_urdf_file_and_its_meshes_become_part_of_the_request(tmp_path: Path) -
     assert request_from_message(request_to_message(setup.request)) == setup.request
     again = prepare(load_request(tmp_path / "request.yaml")).request
     assert request_hash(again) == request_hash(setup.request) != request_hash(request)
+
+
+def test_a_client_sends_a_urdf_without_meshes_as_text(tmp_path: Path) -> None:
+    (tmp_path / "cupboard.urdf").write_text(drawer_urdf())
+    request = parse_request(drawer_request(urdf="cupboard.urdf"), tmp_path)
+    for is_this_machine in (True, False):
+        assert resolve_paths(request, is_this_machine).task.mechanism.urdf == drawer_urdf()
+    meshed = drawer_urdf().replace('<box size="0.02 0.46 0.16"/>', '<mesh filename="front.obj"/>')
+    (tmp_path / "cupboard.urdf").write_text(meshed)
+    assert resolve_paths(request, is_this_machine=True).task.mechanism.urdf == str(tmp_path / "cupboard.urdf")
+    with pytest.raises(RequestError, match=r"task\.mechanism\.urdf: 'cupboard\.urdf' is a path of this machine"):
+        resolve_paths(request, is_this_machine=False)
+    with pytest.raises(RequestError, match=r"task\.mechanism\.urdf: 'nowhere\.urdf' does not exist"):
+        resolve_paths(parse_request(drawer_request(urdf="nowhere.urdf"), tmp_path), is_this_machine=False)
 
 
 def test_links_that_no_joint_moves_are_obstacles_and_names_stay_apart() -> None:
