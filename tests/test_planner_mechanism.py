@@ -98,6 +98,19 @@ def test_a_cabinet_is_opened_and_replayed(tmp_path: Path) -> None:
     assert np.cross(load.place, load.force) == pytest.approx([0.0, 0.0, -3.0], abs=1e-9)
 
 
+def test_a_door_ajar_is_pushed_shut_by_a_tip_that_slides(tmp_path: Path) -> None:
+    handle = {"link": "door", "place": [-0.011, -0.3, 0.0], "axis": [1, 0, 0], "tool": "tip", "slide": [0, 0.06, 0]}
+    ajar = {"hinge": {"start": 0.7, "friction": 3.0}}
+    request = cabinet_request(to=0.0, handle={**handle, "tilt_deg": 25}, joints=ajar, hand="left")
+    result, folder = _plan_and_write(request, tmp_path / "out")
+    assert result.figures["hinge_deg"] == pytest.approx(0.0, abs=0.1)
+    (load,) = next(phase for phase in result.motion.phases if phase.name == "move hinge").loads
+    # 3 N m in the closing sense, where the tip is nearest to the hinge.
+    nearest = np.linalg.norm(load.place + load.slide)
+    assert np.linalg.norm(load.force) == pytest.approx(3.0 / nearest, rel=1e-9)
+    assert verify_result(folder)["verdict"] == "CERTIFIED"
+
+
 def test_a_hand_that_leans_at_the_end_leaves_along_its_rod(tmp_path: Path) -> None:
     """Along the handle's axis the rod would be 6 mm inside the bar on its way."""
     result, folder = _plan_and_write(cabinet_request(to=1.7, y=-0.4, hand="right"), tmp_path / "out")

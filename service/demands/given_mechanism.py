@@ -174,7 +174,7 @@ def make_mechanism_phases(
         tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
         tilt_rad=handle.tilt, aim_rad=handle.tilt - TILT_RESERVE,
     )  # fmt: skip
-    line = replace(held, offset=handle.approach, slide=None)
+    line = replace(held, offset=handle.approach)
     links = (hand.hook, hand.link) if given.request.handle.tool == "stub" else (hand.hook,)
     touches = tuple(
         Allowance(BodyRef.of_link(link), BodyRef("mechanism", handle.link, body), TOUCH_DEPTH)

@@ -125,9 +125,11 @@ def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism
         origin = poses[tool][:3, 3]
         first, last = ((poses[frame][:3, 3] - origin) @ poses[tool][:3, 2] for frame in (hand.stub, hand.tool))
         rod = handle.place + np.linspace(first, last, ROD_POINTS)[:, None] * handle.axis
+        if given.request.handle.tool == "tip":  # the rod ends flat
+            rod = rod[np.linalg.norm(rod - handle.place, axis=1) >= hand.peg_radius]
         gap = min(measure_surface_distance(body, point) for body in bodies for point in rod) - hand.peg_radius
-        if given.request.handle.tool == "tip" and gap > MOST_GAP:  # the tip is flat
-            gap = min(gap, min(measure_surface_distance(body, rod[-1]) for body in bodies))
+        if given.request.handle.tool == "tip":
+            gap = min(gap, *(measure_surface_distance(body, handle.place) for body in bodies))
         if not -MOST_INSIDE <= gap <= MOST_GAP:
             where = f"{1e3 * abs(gap):.0f} mm {'away from' if gap > 0.0 else 'inside'} {link}"
             raise RequestError(
