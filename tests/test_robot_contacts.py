@@ -17,10 +17,12 @@ from costs.robot import PATCH_DEFAULTS, PatchData, RobotError, bundled_contacts,
 from costs.robot.contact_patches import SURFACE_TOLERANCE_M, find_surface_problems
 from service.cli.app import app
 from service.errors import RequestError
+from service.proto.planner.v1 import planner_pb2
 from service.request.file import parse_request, request_hash
 from service.setup.prepare import prepare
 from service.start.robot import add_contact_patches, load_requested_robot
 from service.wire.requests import request_from_message, request_to_message
+from service.work.look import describe_robots
 
 PATCHES = sorted(bundled_contacts("atlas"))
 
@@ -234,6 +236,14 @@ def test_round_shapes_count_as_they_are(angle, along, off):
 def test_a_patch_without_a_robot_of_that_name_names_the_patch():
     with pytest.raises(RobotError, match=r"^knee\.link: is missing"):
         with_contacts(replace(atlas(), contacts={}), {"knee": PatchData(points=[[0, 0, 0]])})
+
+
+def test_a_server_describes_the_patches_of_a_robot():
+    (row,) = describe_robots({})
+    info = planner_pb2.RobotInfo(**row)
+    (hip,) = (contact for contact in info.contacts if contact.name == "hip")
+    assert (hip.link, hip.friction, hip.force_cap_n) == ("pelvis", 0.4, 800.0)
+    np.testing.assert_array_equal([point.value for point in hip.points], atlas().contacts["hip"].points)
 
 
 def test_robots_lists_patches_with_friction_and_caps():

@@ -9,6 +9,7 @@ import pytest
 
 from costs.robot import bundled_robots
 from service.errors import RequestError
+from service.request.file import parse_request
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
 from service.server.requests import RobotFolder
 from service.work.look import describe_robots
@@ -77,6 +78,19 @@ def test_folder_gives_its_robots_names(tmp_path: Path) -> None:
     assert RobotCache().get(placed).joint_names == ("swing",)
     atlas = _request(RobotRequest(name="atlas"))
     assert folder.insert_files(atlas) == atlas
+
+
+def test_what_a_request_says_about_a_robot_of_the_folder_stays(tmp_path: Path) -> None:
+    (tmp_path / "swinger").mkdir()
+    _write(tmp_path / "swinger" / "robot.urdf", 0.5, 1)
+    patch = {"link": "tip", "points": [[0.05, 0.0, 0.1]], "normal": [-1.0, 0.0, 0.0]}
+    hand = {"link": "tip", "hook": "tip", "tool": "tip"}
+    data = {"name": "swinger", "root": "floating", "contacts": {"side": patch}, "hands": {"left": hand}}
+    request = parse_request({"robot": data, "goal": {"posture": "-"}})
+    placed = RobotFolder(tmp_path).insert_files(request)
+    assert placed.robot.contacts == request.robot.contacts
+    robot = RobotCache().get(placed)
+    assert (robot.contacts["side"].link, robot.hands["left"].tool) == ("tip", "tip")
 
 
 def test_folder_comes_before_the_package_where_both_know_a_name(tmp_path: Path) -> None:

@@ -5,29 +5,44 @@ from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, wi
 from costs.robot.errors import RobotError
 from costs.robot.load import Root
 from costs.robot.mechanism import Mechanism, MechanismJoint, Release, read_joint_axis, with_mechanism
-from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
+from costs.robot.mechanism_urdf import (
+    STOP_ROUNDING,
+    LinkPlace,
+    UrdfMechanism,
+    check_limits,
+    read_mechanism,
+    read_mesh_hulls,
+)
+from costs.robot.model import BASE_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot
 from costs.robot.still import StillShape, read_object_shapes
 
 __all__ = [
     "BASE_NAMES",
     "PATCH_DEFAULTS",
+    "STOP_ROUNDING",
     "AttachedBody",
     "LinkBody",
+    "LinkPlace",
     "Mechanism",
     "MechanismJoint",
     "PatchData",
     "PatchKind",
     "Release",
     "RobotError",
+    "RobotHand",
     "RobotModel",
     "RobotSource",
     "Root",
     "StillShape",
+    "UrdfMechanism",
     "bundled_contacts",
     "bundled_robots",
+    "check_limits",
     "load_robot",
     "read_joint_axis",
+    "read_mechanism",
+    "read_mesh_hulls",
     "read_object_shapes",
     "with_attached",
     "with_contacts",

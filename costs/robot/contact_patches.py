@@ -165,6 +165,11 @@ def find_surface_problems(robot: RobotModel, contact: Contact) -> Iterator[str]:
             )
 
 
+def measure_surface_distance(body: LinkBody, point: Float[np.ndarray, "3"]) -> float:
+    """Return the signed distance of a point from a body's surface, in the frame of its joint [m]; negative inside."""
+    return _find_surface(body, point)[0]
+
+
 def _find_surface(body: LinkBody, point: Float[np.ndarray, "3"]) -> tuple[float, Float[np.ndarray, "K 3"]]:
     """Return the signed distance from a body's surface [m], negative inside, and the outward normals near the point."""
     return _find_hull_surface(body.vertices, point) if body.exact is None else _find_round_surface(body.exact, point)

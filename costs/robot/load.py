@@ -77,6 +77,7 @@ def build_robot(
         source=RobotSource(format_urdf(urdf), srdf_source, files),
         ignored_reasons=reasons,
         contacts={},
+        hands={},
     )
 
 

@@ -54,6 +54,27 @@ class RobotSource:
 
 
 @dataclass(frozen=True)
+class RobotHand:
+    """Frames of a hand with a rod on its axis, which serves as a hook and as a peg.
+
+    Attributes:
+        link: the hand itself, whose front ends at ``stub``.
+        hook: link of the rod, which may touch what is held.
+        tool: frame at the rod's end, z along the hand's axis outwards.
+        peg, stub: frames in the middle of the free rod and where it leaves the hand, parallel to ``tool``; empty where
+            the robot has none.
+        peg_radius: half the rod's thickness [m].
+    """
+
+    link: str
+    hook: str
+    tool: str
+    peg: str = ""
+    stub: str = ""
+    peg_radius: float = 9e-3
+
+
+@dataclass(frozen=True)
 class RobotModel:
     """A robot with ``n`` degrees of freedom whose configuration is a plain vector.
 
@@ -76,6 +97,7 @@ class RobotModel:
         ignored_reasons: reason for each of ``ignored_pairs``: ``srdf (its reason)``, ``adjacent``, ``derived`` (they
             overlap in nearly all poses), ``same joint``; for users only, no check relies on it.
         contacts: patches by name that may carry force, on the surfaces of the bodies (``costs.robot.contact_patches``).
+        hands: by side (``left``, ``right``); empty where nothing names them.
     """
 
     name: str
@@ -97,6 +119,7 @@ class RobotModel:
     source: RobotSource
     ignored_reasons: Mapping[tuple[str, str], str] = field(default_factory=dict)
     contacts: Mapping[str, Contact] = field(default_factory=dict)
+    hands: Mapping[str, RobotHand] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

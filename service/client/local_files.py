@@ -10,8 +10,9 @@ from pathlib import Path
 
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
+from service.request.mechanism import MAX_TEXT, is_urdf_text
 from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, check_task_has_planner
+from service.request.schema import PlanRequest, RobotRequest, TaskRequest, check_task_has_planner
 from service.trust.folders import BUILT, UPLOADED, list_paths
 
 CHUNK_BYTES = 512 * 2**10
@@ -74,6 +75,8 @@ def hash_file(path: str | Path) -> PendingUpload:
 def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     """Return the request with absolute paths, except those of files to upload.
 
+    The URDF of a mechanism is sent as text if it names no mesh.
+
     Args:
         is_this_machine: whether the server runs here; another machine gets the request as it is.
 
@@ -81,6 +84,7 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
         RequestError: a file does not exist here or cannot be found by the server; a task without a planner.
     """
     check_task_has_planner(request)
+    request = replace(request, task=_inline_urdf(request))
     problems = []
     uploads_first = sorted(list_paths(request), key=lambda path: path[2] in ("file", "mesh"))
     for field, path, kind in uploads_first:
@@ -97,7 +101,7 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
         raise RequestError(problems)
     if not is_this_machine:
         return request
-    return replace(request, robot=_resolve_robot(request), scene=_resolve_scene(request))
+    return replace(request, robot=_resolve_robot(request), scene=_resolve_scene(request), task=_resolve_task(request))
 
 
 def find_local_files(request: PlanRequest) -> dict[str, Path]:
@@ -166,6 +170,30 @@ def _resolve_scene(request: PlanRequest) -> SceneRequest:
         for obstacle in request.scene.obstacles
     )
     return replace(request.scene, obstacles=obstacles)
+
+
+def _inline_urdf(request: PlanRequest) -> TaskRequest | None:
+    """Return the task with the text of its mechanism's URDF, if that is a local file without meshes."""
+    task = request.task
+    if task is None or task.mechanism is None or is_urdf_text(task.mechanism.urdf):
+        return task
+    path = request.resolve(task.mechanism.urdf)
+    try:
+        if os.path.isabs(task.mechanism.urdf) or not path.is_file() or path.stat().st_size > MAX_TEXT:
+            return task
+        text = path.read_text(encoding="utf-8").lstrip("\ufeff \t\r\n")
+    except (OSError, UnicodeDecodeError):
+        return task
+    if "<mesh" in text or not is_urdf_text(text):
+        return task
+    return replace(task, mechanism=replace(task.mechanism, urdf=text))
+
+
+def _resolve_task(request: PlanRequest) -> TaskRequest | None:
+    task = request.task
+    if task is None or task.mechanism is None or is_urdf_text(task.mechanism.urdf):
+        return task
+    return replace(task, mechanism=replace(task.mechanism, urdf=_absolute(request, task.mechanism.urdf)))
 
 
 def _absolute(request: PlanRequest, path: str) -> str:

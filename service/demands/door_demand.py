@@ -15,7 +15,7 @@ from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening
 from service.demands.door import LEAST_GRIP, Door, DoorChoice, Push, hold_handle, make_door_phases
-from service.demands.hands import HANDS, Hand
+from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.errors import RequestError
@@ -183,7 +183,7 @@ class DoorDemand:
             yield f"figures.opening_deg is {opened}, the request opens by {self.request.open_deg:g}"
 
     def _list_hands(self) -> list[Hand]:
-        return [hand for hand in HANDS.values() if self.request.hand in ("auto", hand.side)]
+        return [hand for hand in list_robot_hands(self.robot) if self.request.hand in ("auto", hand.side)]
 
     def _read_push(self, phase: Phase) -> Push | str:
         """Return hand, place and angle of a phase that pushes the leaf."""
@@ -278,7 +278,10 @@ def read_kept_choice(door: Door, request: DoorRequest, resume: ResumeRequest, ro
             problems.append(f"resume.handle.grip_m: {handle.grip_m:.3f}; expected {low:.3f} to {high:.3f}")
     if problems:
         raise RequestError(problems)
-    hands = {hand.side: hand for hand in HANDS.values()}
+    hands = {hand.side: hand for hand in list_robot_hands(robot)}
+    missing = [kept.hand for kept in (handle, leaf) if kept is not None and kept.hand not in hands]
+    if missing:
+        raise RequestError(f"resume: the robot has no {missing[0]} hand")
     push = None if leaf is None else Push(hands[leaf.hand], leaf.along_m, leaf.up_m, leaf.until_rad)
     hand = hands[handle.hand]
     sense = 1.0 if handle.is_towards_hinge else -1.0

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+from costs.robot import RobotModel
 
 PEG_RADIUS = 0.009  # [m]
 PEG_FROM_END = 0.03  # of the frame in the middle of the free rod, from the rod's end [m]
@@ -47,3 +49,20 @@ def _make_hand(side: Literal["left", "right"]) -> Hand:
 
 
 HANDS: Mapping[str, Hand] = {"left": _make_hand("left"), "right": _make_hand("right")}
+
+
+def list_robot_hands(robot: RobotModel) -> tuple[Hand, ...]:
+    """Return the hands that a robot declares; those of ``HANDS`` where it declares none, whether it has them or not."""
+    declared = tuple(
+        replace(
+            HANDS[side],
+            link=hand.link,
+            hook=hand.hook,
+            tool=hand.tool,
+            peg=hand.peg,
+            stub=hand.stub,
+            peg_radius=hand.peg_radius,
+        )
+        for side, hand in robot.hands.items()
+    )
+    return declared or tuple(HANDS.values())

@@ -43,10 +43,12 @@ class ValveDemand:
     Attributes:
         wheel: the wheel.
         request: the task.
+        hands: of the robot.
     """
 
     wheel: Wheel
     request: ValveRequest
+    hands: tuple[Hand, ...] = tuple(HANDS.values())
 
     @property
     def mechanism(self) -> Mechanism:
@@ -79,7 +81,7 @@ class ValveDemand:
         if not turns:
             return "no phase turns the valve"
         holds = _list_holds(turns[0])
-        known = [hand for hand in HANDS.values() if self.request.hand in ("auto", hand.side)]
+        known = [hand for hand in self.hands if self.request.hand in ("auto", hand.side)]
         mode = self.request.mode
         hands = [
             hand for hand in known if any(hold.frame == (hand.peg if mode == "hook" else hand.tool) for hold in holds)
@@ -120,7 +122,9 @@ def read_kept_choice(demand: ValveDemand, resume: ResumeRequest) -> TurnChoice:
         raise RequestError("resume.stroke: is missing; a valve is turned as the earlier plan chose to")
     if request.hand not in ("auto", stroke.hand):
         raise RequestError(f"resume.stroke.hand: {stroke.hand}; task.valve.hand permits {request.hand}")
-    hand = HANDS[stroke.hand]
+    hand = next((hand for hand in demand.hands if hand.side == stroke.hand), None)
+    if hand is None:
+        raise RequestError(f"resume.stroke.hand: the robot has no {stroke.hand} hand")
     sense = list_strokes(request, stroke.strokes)[0].sense
     usable = list_usable_entries(demand.wheel, hand, request.mode, sense)
     if not usable:

@@ -23,6 +23,8 @@ from service.demands import (
 )
 from service.demands.contact_task import make_stances
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
+from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism
+from service.demands.hands import list_robot_hands
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
@@ -31,7 +33,8 @@ from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
 from service.setup.prepare import resolve_start
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
-from service.start.robot import add_contact_patches, attach_bodies, load_requested_robot
+from service.start.mechanism_file import inline_mechanism
+from service.start.robot import add_request_parts, attach_bodies, load_requested_robot
 from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:
@@ -93,6 +96,7 @@ def rebuild_demands(
     Raises:
         RequestError: the request, or a file that it names, cannot be used.
     """
+    request = inline_mechanism(request)
     request_from = "the request in this folder" if given is None else given.name
     robot, robot_from = _rebuild_robot(request, record, given is not None, request_from)
     start, _, program = resolve_start(robot, request)
@@ -129,8 +133,10 @@ def _rebuild_task(
 ) -> TaskDemand | None:
     """Return the demands of the request's task, if it moves a mechanism."""
     task = request.task
-    if task is None or (task.valve is None and task.door is None):
+    if task is None or (task.valve is None and task.door is None and task.mechanism is None):
         return None
+    if task.mechanism is not None:
+        return GivenMechanismDemand(read_given_mechanism(task.mechanism), robot)
     if task.door is not None:
         base = start[:3] if robot.is_floating else np.zeros(3)
         geometry = choose_door(task.door, surroundings.doors, base)
@@ -146,7 +152,8 @@ def _rebuild_task(
     valve = read_given_valve(task.valve) or next(iter(surroundings.valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    turning = ValveDemand(make_wheel(turn_back(valve, request.resume), task.valve.mode), task.valve)
+    wheel = make_wheel(turn_back(valve, request.resume), task.valve.mode)
+    turning = ValveDemand(wheel, task.valve, list_robot_hands(robot))
     return turning if request.resume is None else resume_valve(turning, request.resume)
 
 
@@ -158,7 +165,7 @@ def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request
     missing = [attached.name for attached in request.attached if attached.name not in links]
     if missing:
         raise RequestError(f"attached: the robot in this folder does not carry {', '.join(missing)}")
-    return add_contact_patches(record.robot, request), "the robot in this folder"
+    return add_request_parts(record.robot, request), "the robot in this folder"
 
 
 def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, ...]:
@@ -166,6 +173,8 @@ def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, 
     if not has_scan(request):
         return ()
     own = {obstacle.name for obstacle in request.scene.obstacles}
+    if request.task is not None and request.task.mechanism is not None:
+        own |= {piece.name for piece in read_given_mechanism(request.task.mechanism).pieces}
     parts = {piece.name for piece in find_recorded_obstacles(request, recorded)}
     return tuple(piece for piece in recorded.pieces if piece.name not in own | parts)
 

@@ -13,6 +13,7 @@ import orjson
 from costs.robot import BASE_NAMES, RobotModel
 from service.demands import TaskDemand, has_scan
 from service.demands.door_demand import DoorDemand, keep_door_choice
+from service.demands.given_mechanism import GivenMechanismDemand
 from service.demands.valve_demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.rebuild import Record, rebuild_demands, select_scanned
@@ -118,6 +119,8 @@ def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | s
     if isinstance(task, ValveDemand):
         stroke = task.read_stroke(motion)
         return stroke if isinstance(stroke, str) else {"stroke": stroke}
+    if isinstance(task, GivenMechanismDemand):
+        return "task.mechanism has no rest of its own; plan it anew with its joints' starts"
     return "its task has no phases"
 
 

@@ -18,6 +18,8 @@ VALVE_JOINT = "valve_turn"
 VALVE_LINK = "valve"
 DOOR = "door"  # its links are DOOR/...
 LEAF_JOINT, HANDLE_JOINT = "door_opening", "door_handle"
+MECHANISM = "mechanism"  # of a URDF; its links are MECHANISM/...
+STILL = "fixture"  # its bodies that no joint moves are fixture/...
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class TakenNames:
             return TakenNames(owners, VALVE_LINK, (VALVE_JOINT,))
         if request.task is not None and request.task.door is not None:
             return TakenNames(owners, DOOR, (LEAF_JOINT, HANDLE_JOINT))
+        if request.task is not None and request.task.mechanism is not None:
+            return TakenNames(owners, MECHANISM)
         return TakenNames(owners, None)
 
     def is_of_mechanism(self, name: str) -> bool:

@@ -36,7 +36,9 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
+from service.request.robot_hand import RobotHandRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 LEAST_STUCK_TURN_DEG = 10.0
@@ -49,7 +51,8 @@ class RobotRequest(Section):
 
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
     distance of the bundled robot's hook from the hand's origin; ``hand`` is what the bundled robot has on its hands.
-    ``contacts`` are patches by name that may carry force, besides those of a bundled robot or in their place.
+    ``contacts`` are patches by name that may carry force, besides those of a bundled robot or in their place; ``hands``
+    the hands of a robot that hold mechanisms.
     """
 
     name: Label | None = None
@@ -60,6 +63,7 @@ class RobotRequest(Section):
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
     contacts: Annotated[dict[Label, ContactPatchRequest], at_most(100)] = field(default_factory=dict)
     hand: Literal["hook", "gripper"] | None = None
+    hands: Annotated[dict[Literal["left", "right"], RobotHandRequest], at_most(2)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))
@@ -213,9 +217,10 @@ class TaskRequest(Section):
     contacts: ContactsRequest | None = None
     egress: EgressRequest | None = None
     trajopt: PlainData | None = None
+    mechanism: MechanismRequest | None = None
 
     def __post_init__(self) -> None:
-        require_exactly_one(self, ("valve", "door", "contacts", "egress", "trajopt"))
+        require_exactly_one(self, ("valve", "door", "mechanism", "contacts", "egress", "trajopt"))
 
 
 @dataclass(config=SECTION)
@@ -337,6 +342,11 @@ class PlanRequest(Section):
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
         if self.resume is not None and self.task is not None and self.task.trajopt is not None:
             raise PydanticCustomError("request", "resume belongs to a goal or a task; a TrajOpt problem has no phases")
+        if self.resume is not None and self.task is not None and self.task.mechanism is not None:
+            words = (
+                "resume belongs to a goal, task.valve or task.door; plan task.mechanism anew with its joints' starts"
+            )
+            raise PydanticCustomError("request", words)
 
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""
@@ -349,5 +359,5 @@ def check_task_has_planner(request: PlanRequest) -> None:
         if request.task is not None and getattr(request.task, name) is not None:
             raise UnplannedTaskError(
                 f"task.{name}: there is no planner for {words} yet; "
-                "task.valve, task.door, task.contacts, task.trajopt and goals are planned"
+                "task.valve, task.door, task.mechanism, task.contacts, task.trajopt and goals are planned"
             )

@@ -61,7 +61,7 @@ class RobotFolder:
     def insert_files(self, request: PlanRequest) -> PlanRequest:
         """Replace the name of an own robot by its files."""
         own = None if request.robot.name is None else self.get(request.robot.name)
-        return request if own is None else replace(request, robot=replace(own, root=request.robot.root))
+        return request if own is None else replace(request, robot=_take_parts(own, request.robot))
 
     def get(self, name: str) -> RobotRequest | None:
         """Return an own robot; None if there is none of that name."""
@@ -165,3 +165,8 @@ def _insert_paths(scene: SceneRequest, files: Mapping[str, Path]) -> SceneReques
     elif cloud is not None:
         cloud = tuple(replace(part, file=path_of(part.file)) for part in cloud)
     return replace(scene, obstacles=obstacles, cloud=cloud, file=file)
+
+
+def _take_parts(own: RobotRequest, asked: RobotRequest) -> RobotRequest:
+    """Return a robot of the server with what a request says about it."""
+    return replace(own, root=asked.root, contacts=asked.contacts, hands=asked.hands)

@@ -25,6 +25,7 @@ from service.setup.checks import StartCheck, check_goal_and_keep, check_start, f
 from service.setup.units import find_unit_problems, note_far_obstacles
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
 from service.start.configuration import make_start_configuration
+from service.start.mechanism_file import inline_mechanism
 from service.start.overlaps import Overlap
 from service.start.robot import attach_bodies, load_requested_robot
 from service.start.standing import check_masses, move_floor_to_soles
@@ -101,6 +102,7 @@ def prepare(
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
     """
+    request = inline_mechanism(request)
     announce = on_step or (lambda step: None)
     timings: dict[str, float] = {}
     announce("load robot")

@@ -107,6 +107,8 @@ def _places(request: PlanRequest) -> Iterator[tuple[str, Float[np.ndarray, "3"],
             points += [("task.door.leaf.hinge", task.door.leaf.hinge), ("task.door.leaf.edge", task.door.leaf.edge)]
         if task.door.handle is not None:
             points.append(("task.door.handle.centre", task.door.handle.centre))
+    if task is not None and task.mechanism is not None:
+        points.append(("task.mechanism.position", task.mechanism.position))
     if task is not None and task.egress is not None:
         points.append(("task.egress.hint", task.egress.hint))
     for field, point in points:

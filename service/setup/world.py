@@ -16,6 +16,7 @@ from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
 from service.demands.door_demand import SeenDoor
+from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
 from service.errors import RequestError
 from service.request.scene import ConvexRequest, MeshRequest, ObstacleRequest
 from service.request.schema import PlanRequest
@@ -108,6 +109,8 @@ def _perceive_scan(
     scene = request.scene
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
     known = load_match_meshes(request)
+    given = _read_mechanism(request)
+    moved = [] if given is None else given.place_bodies()  # what the scan shows of it is known already
     try:
         cloud = read_clouds(
             [(request.resolve(file.file), file.transform) for file in scene.cloud_files],
@@ -120,7 +123,7 @@ def _perceive_scan(
         seen = (see or perceive)(
             cloud,
             reach=Reach(x=x, y=y),
-            robot_hulls=[vertices for _, vertices in place_bodies(robot, start)],
+            robot_hulls=[*(vertices for _, vertices in place_bodies(robot, start)), *moved],
             soles=soles,
             kinds=_list_kinds(request),
             hint=None if hint is None else np.array(hint),
@@ -164,6 +167,8 @@ def build_obstacles(
 ) -> tuple[tuple[ConvexPiece, ...], tuple[str, ...]]:
     """Return the convex pieces of all obstacles, and notes; round shapes become polytopes, meshes several pieces.
 
+    The bodies of the task's mechanism that no joint moves are obstacles too.
+
     Args:
         matches: matches of meshes with the scan, by name; these meshes are placed at the matched poses.
 
@@ -193,7 +198,14 @@ def build_obstacles(
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
-    return tuple(pieces), tuple(notes)
+    given = _read_mechanism(request)
+    return (*pieces, *(() if given is None else given.pieces)), tuple(notes)
+
+
+def _read_mechanism(request: PlanRequest) -> GivenMechanism | None:
+    """Return the mechanism that the request's task gives by its URDF, if it does."""
+    task = request.task
+    return None if task is None or task.mechanism is None else read_given_mechanism(task.mechanism)
 
 
 def _solid(request: PlanRequest, obstacle: MeshRequest, field: str) -> Solid:

@@ -11,7 +11,16 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.kinematics import locate_frame
-from costs.robot import AttachedBody, PatchData, RobotError, RobotModel, load_robot, with_attached, with_contacts
+from costs.robot import (
+    AttachedBody,
+    PatchData,
+    RobotError,
+    RobotHand,
+    RobotModel,
+    load_robot,
+    with_attached,
+    with_contacts,
+)
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
 
@@ -35,7 +44,26 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
             )
     except RobotError as error:
         raise RequestError(f"robot: {error}") from None
-    return add_contact_patches(loaded, request)
+    return add_request_parts(loaded, request)
+
+
+def add_request_parts(robot: RobotModel, request: PlanRequest) -> RobotModel:
+    """Return the robot with the contact patches and hands that a request gives it.
+
+    Raises:
+        RequestError: a patch is not on the robot's surface, or a hand's frame is unknown.
+    """
+    robot = add_contact_patches(robot, request)
+    frames = sorted({frame.name for frame in robot.model.frames} - {"universe"})
+    hands = dict(robot.hands)
+    for side, hand in request.robot.hands.items():
+        for key in ("link", "hook", "tool", "peg", "stub"):
+            frame = getattr(hand, key)
+            if frame is not None and frame not in frames:
+                words = f"unknown link {frame!r}; {robot.name} has {would_do(frame, frames)}"
+                raise RequestError(f"robot.hands.{side}.{key}: {words}")
+        hands[side] = RobotHand(hand.link, hand.hook, hand.tool, hand.peg or "", hand.stub or "", hand.peg_radius_m)
+    return dataclasses.replace(robot, hands=hands)
 
 
 def add_contact_patches(robot: RobotModel, request: PlanRequest) -> RobotModel:

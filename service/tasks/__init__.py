@@ -56,8 +56,14 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
 
         door = request.task.door
         plans = _list_plans(solver, lambda: plan_door(setup, solver, door))
+    elif request.task is not None and request.task.mechanism is not None:
+        from service.tasks.mechanism_task import plan_mechanism
+
+        mechanism = request.task.mechanism
+        plans = _list_plans(solver, lambda: plan_mechanism(setup, solver, mechanism))
     else:
-        raise RequestError("request: expected a goal, task.valve, task.door, task.contacts or task.trajopt")
+        words = "task.valve, task.door, task.mechanism, task.contacts or task.trajopt"
+        raise RequestError(f"request: expected a goal, {words}")
     for rest in plans:
         phases = (phase.for_body(rest.body) for phase in lead.phases)
         yield replace(rest, phases=(*phases, *rest.phases))

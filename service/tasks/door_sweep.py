@@ -72,9 +72,22 @@ def find_blocked_opening(body: WholeBody, door: Door, target: float) -> tuple[Bl
     q[:, names.index(LEAF_JOINT)] = angles
     if HANDLE_JOINT in names and door.is_latched:
         q[:, names.index(HANDLE_JOINT)] = max(door.pressed, float(body.nominal[names.index(HANDLE_JOINT)]))
+    return find_first_met(body, q, angles)
+
+
+def find_first_met(
+    body: WholeBody, q: Float[np.ndarray, "A n"], values: Float[np.ndarray, "A"]
+) -> tuple[BlockedOpening, ...]:
+    """Return what a mechanism meets first on its way: the first piece, planted link and leg.
+
+    Args:
+        body: augmented by the mechanism, at the start.
+        q: (A, n) configurations in their order, the robot as at the start.
+        values: (A,) that are reported with what is met.
+    """
     placed = ForwardKinematics(body.robot.model).at(q)
     parts = [part for part in body.robot.bodies if part.link in body.robot.mechanism_links]
-    met = [*_find_piece(body, parts, placed, angles), *_find_links(body, parts, placed, angles)]
+    met = [*_find_piece(body, parts, placed, values), *_find_links(body, parts, placed, values)]
     return tuple(sorted(met, key=lambda blocked: blocked.angle))
 
 

@@ -139,5 +139,7 @@ def choose_hands(body: WholeBody, request: DoorRequest, door: Door) -> tuple[Han
     known = list_hands(body, request.hand, at, ("tool", "peg", "stub"))
     if not known:
         frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
-        raise RequestError(f"task.door.hand: robot '{body.robot.name}' has no {request.hand} hand ({frames})")
+        raise RequestError(
+            f"task.door.hand: robot '{body.robot.name}' has no {request.hand} hand ({frames}, or those of robot.hands)"
+        )
     return known

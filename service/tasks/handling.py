@@ -10,7 +10,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance
 from costs.kinematics import locate_links
 from service.body.whole_body import WholeBody
-from service.demands.hands import HANDS, Hand
+from service.demands.hands import Hand, list_robot_hands
 
 FARTHER = "; start farther away"  # what helps against a collision with the mechanism
 
@@ -27,7 +27,7 @@ def list_hands(body: WholeBody, side: str, at: Float[np.ndarray, "3"], frames: S
     model = body.robot.model
     known = [
         hand
-        for hand in HANDS.values()
+        for hand in list_robot_hands(body.robot)
         if side in ("auto", hand.side) and all(model.existFrame(getattr(hand, frame)) for frame in frames)
     ]
     poses = locate_links(body.engine, body.nominal, [hand.tool for hand in known])

@@ -20,7 +20,7 @@ from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.door import Door, DoorChoice, Push, make_door_phases
 from service.demands.door_demand import measure_peg
-from service.demands.hands import HANDS, Hand
+from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import PhaseSpec
 from service.demands.strokes import TurnChoice, find_least_count, list_strokes, list_usable_entries
 from service.demands.wheel import Wheel, make_wheel_mechanism
@@ -397,7 +397,7 @@ class _PoseFinder:
         if hand is None:
             return float("inf")
         robot = self.solver.body.robot
-        used = next(known for known in HANDS.values() if hand.tool in (known.tool, known.peg, known.stub))
+        used = next(known for known in list_robot_hands(robot) if hand.tool in (known.tool, known.peg, known.stub))
         shoulder = find_shoulder(robot, q, used)
         tool = locate_links(self.solver.body.engine, q, [hand.tool])[hand.tool][:3, 3]
         return measure_arm(robot, used, hand.tool) - float(np.linalg.norm(tool - shoulder))

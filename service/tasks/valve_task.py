@@ -21,7 +21,7 @@ from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.hands import Hand
+from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import AXIS, REACH_WAYPOINTS
 from service.demands.strokes import (
     PROBE,
@@ -274,7 +274,7 @@ def _plan_rest(
     solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, reach_waypoints: int
 ) -> TaskPlan:
     """Plan the rest of a turn with the hand, the entry and the strokes of the earlier plan."""
-    demand = ValveDemand(wheel, request)
+    demand = ValveDemand(wheel, request, list_robot_hands(solver.body.robot))
     rest, choice = resume_valve(demand, resume), read_kept_choice(demand, resume)
     solver = _add_wheel(solver, rest.mechanism, [choice.hand])
     turning = ValveTurn(solver, wheel, request, choice, reach_waypoints)

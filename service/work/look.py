@@ -117,4 +117,15 @@ def _describe(name: str, request: RobotRequest, description: str, suffix: str = 
         "description": f"{description or f'{robot.n} degrees of freedom'}{suffix}",
         "joint_names": list(robot.joint_names),
         "postures": sorted(robot.postures),
+        "contacts": [
+            {
+                "name": patch,
+                "link": contact.link,
+                "points": [{"value": point} for point in contact.points.tolist()],
+                "normal": contact.normals[0].tolist(),
+                "friction": contact.friction,
+                "force_cap_n": contact.force_cap_n,
+            }
+            for patch, contact in robot.contacts.items()
+        ],
     }

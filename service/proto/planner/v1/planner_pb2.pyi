@@ -343,16 +343,34 @@ class ListRobotsResponse(_message.Message):
     def __init__(self, robots: _Optional[_Iterable[_Union[RobotInfo, _Mapping]]] = ...) -> None: ...
 
 class RobotInfo(_message.Message):
-    __slots__ = ("name", "description", "joint_names", "postures")
+    __slots__ = ("name", "description", "joint_names", "postures", "contacts")
     NAME_FIELD_NUMBER: _ClassVar[int]
     DESCRIPTION_FIELD_NUMBER: _ClassVar[int]
     JOINT_NAMES_FIELD_NUMBER: _ClassVar[int]
     POSTURES_FIELD_NUMBER: _ClassVar[int]
+    CONTACTS_FIELD_NUMBER: _ClassVar[int]
     name: str
     description: str
     joint_names: _containers.RepeatedScalarFieldContainer[str]
     postures: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, name: _Optional[str] = ..., description: _Optional[str] = ..., joint_names: _Optional[_Iterable[str]] = ..., postures: _Optional[_Iterable[str]] = ...) -> None: ...
+    contacts: _containers.RepeatedCompositeFieldContainer[ContactInfo]
+    def __init__(self, name: _Optional[str] = ..., description: _Optional[str] = ..., joint_names: _Optional[_Iterable[str]] = ..., postures: _Optional[_Iterable[str]] = ..., contacts: _Optional[_Iterable[_Union[ContactInfo, _Mapping]]] = ...) -> None: ...
+
+class ContactInfo(_message.Message):
+    __slots__ = ("name", "link", "points", "normal", "friction", "force_cap_n")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    FRICTION_FIELD_NUMBER: _ClassVar[int]
+    FORCE_CAP_N_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    link: str
+    points: _containers.RepeatedCompositeFieldContainer[_request_pb2.Point]
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    friction: float
+    force_cap_n: float
+    def __init__(self, name: _Optional[str] = ..., link: _Optional[str] = ..., points: _Optional[_Iterable[_Union[_request_pb2.Point, _Mapping]]] = ..., normal: _Optional[_Iterable[float]] = ..., friction: _Optional[float] = ..., force_cap_n: _Optional[float] = ...) -> None: ...
 
 class GetPlanRequest(_message.Message):
     __slots__ = ("plan_id", "with_files")

@@ -69,6 +69,13 @@ class HandleKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     HANDLE_KIND_PUSH_BAR: _ClassVar[HandleKind]
     HANDLE_KIND_KNOB: _ClassVar[HandleKind]
 
+class HandTool(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HAND_TOOL_UNSPECIFIED: _ClassVar[HandTool]
+    HAND_TOOL_PEG: _ClassVar[HandTool]
+    HAND_TOOL_TIP: _ClassVar[HandTool]
+    HAND_TOOL_STUB: _ClassVar[HandTool]
+
 class Side(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     SIDE_UNSPECIFIED: _ClassVar[Side]
@@ -147,6 +154,10 @@ HANDLE_KIND_LEVER: HandleKind
 HANDLE_KIND_PULL: HandleKind
 HANDLE_KIND_PUSH_BAR: HandleKind
 HANDLE_KIND_KNOB: HandleKind
+HAND_TOOL_UNSPECIFIED: HandTool
+HAND_TOOL_PEG: HandTool
+HAND_TOOL_TIP: HandTool
+HAND_TOOL_STUB: HandTool
 SIDE_UNSPECIFIED: Side
 SIDE_LEFT: Side
 SIDE_RIGHT: Side
@@ -198,7 +209,7 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand", "hands")
     class ContactsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -206,6 +217,13 @@ class Robot(_message.Message):
         key: str
         value: ContactPatch
         def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[ContactPatch, _Mapping]] = ...) -> None: ...
+    class HandsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: RobotHand
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[RobotHand, _Mapping]] = ...) -> None: ...
     NAME_FIELD_NUMBER: _ClassVar[int]
     URDF_FIELD_NUMBER: _ClassVar[int]
     SRDF_FIELD_NUMBER: _ClassVar[int]
@@ -214,6 +232,7 @@ class Robot(_message.Message):
     TOOL_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
+    HANDS_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
@@ -222,7 +241,24 @@ class Robot(_message.Message):
     tool_distance_m: float
     contacts: _containers.MessageMap[str, ContactPatch]
     hand: HandKind
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ...) -> None: ...
+    hands: _containers.MessageMap[str, RobotHand]
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ...) -> None: ...
+
+class RobotHand(_message.Message):
+    __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    HOOK_FIELD_NUMBER: _ClassVar[int]
+    TOOL_FIELD_NUMBER: _ClassVar[int]
+    PEG_FIELD_NUMBER: _ClassVar[int]
+    STUB_FIELD_NUMBER: _ClassVar[int]
+    PEG_RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    hook: str
+    tool: str
+    peg: str
+    stub: str
+    peg_radius_m: float
+    def __init__(self, link: _Optional[str] = ..., hook: _Optional[str] = ..., tool: _Optional[str] = ..., peg: _Optional[str] = ..., stub: _Optional[str] = ..., peg_radius_m: _Optional[float] = ...) -> None: ...
 
 class ContactPatch(_message.Message):
     __slots__ = ("link", "points", "normal", "kind", "friction", "force_cap_n")
@@ -303,18 +339,20 @@ class PoseGoal(_message.Message):
     def __init__(self, link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
 
 class Task(_message.Message):
-    __slots__ = ("valve", "door", "egress", "trajopt", "contacts")
+    __slots__ = ("valve", "door", "egress", "trajopt", "contacts", "mechanism")
     VALVE_FIELD_NUMBER: _ClassVar[int]
     DOOR_FIELD_NUMBER: _ClassVar[int]
     EGRESS_FIELD_NUMBER: _ClassVar[int]
     TRAJOPT_FIELD_NUMBER: _ClassVar[int]
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
+    MECHANISM_FIELD_NUMBER: _ClassVar[int]
     valve: Valve
     door: Door
     egress: Egress
     trajopt: _struct_pb2.Struct
     contacts: Contacts
-    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ...) -> None: ...
+    mechanism: Mechanism
+    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ...) -> None: ...
 
 class Contacts(_message.Message):
     __slots__ = ("surfaces", "start", "stances", "finish")
@@ -470,6 +508,100 @@ class Handle(_message.Message):
     radius_m: float
     turned_deg: float
     def __init__(self, kind: _Optional[_Union[HandleKind, str]] = ..., centre: _Optional[_Iterable[float]] = ..., direction: _Optional[_Iterable[float]] = ..., length_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., turned_deg: _Optional[float] = ...) -> None: ...
+
+class Mechanism(_message.Message):
+    __slots__ = ("urdf", "position", "quaternion_wxyz", "joints", "handle", "moves", "releases", "hand", "stays", "meshes")
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: MechanismJoint
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[MechanismJoint, _Mapping]] = ...) -> None: ...
+    class MeshesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: MeshHull
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[MeshHull, _Mapping]] = ...) -> None: ...
+    URDF_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    HANDLE_FIELD_NUMBER: _ClassVar[int]
+    MOVES_FIELD_NUMBER: _ClassVar[int]
+    RELEASES_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    STAYS_FIELD_NUMBER: _ClassVar[int]
+    MESHES_FIELD_NUMBER: _ClassVar[int]
+    urdf: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    joints: _containers.MessageMap[str, MechanismJoint]
+    handle: MechanismHandle
+    moves: _containers.RepeatedCompositeFieldContainer[Move]
+    releases: _containers.RepeatedCompositeFieldContainer[LatchRelease]
+    hand: Hand
+    stays: bool
+    meshes: _containers.MessageMap[str, MeshHull]
+    def __init__(self, urdf: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., joints: _Optional[_Mapping[str, MechanismJoint]] = ..., handle: _Optional[_Union[MechanismHandle, _Mapping]] = ..., moves: _Optional[_Iterable[_Union[Move, _Mapping]]] = ..., releases: _Optional[_Iterable[_Union[LatchRelease, _Mapping]]] = ..., hand: _Optional[_Union[Hand, str]] = ..., stays: bool = ..., meshes: _Optional[_Mapping[str, MeshHull]] = ...) -> None: ...
+
+class MechanismJoint(_message.Message):
+    __slots__ = ("start", "friction", "preload", "stiffness")
+    START_FIELD_NUMBER: _ClassVar[int]
+    FRICTION_FIELD_NUMBER: _ClassVar[int]
+    PRELOAD_FIELD_NUMBER: _ClassVar[int]
+    STIFFNESS_FIELD_NUMBER: _ClassVar[int]
+    start: float
+    friction: float
+    preload: float
+    stiffness: float
+    def __init__(self, start: _Optional[float] = ..., friction: _Optional[float] = ..., preload: _Optional[float] = ..., stiffness: _Optional[float] = ...) -> None: ...
+
+class MechanismHandle(_message.Message):
+    __slots__ = ("link", "place", "axis", "tool", "approach", "slide", "tilt_deg")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    PLACE_FIELD_NUMBER: _ClassVar[int]
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    TOOL_FIELD_NUMBER: _ClassVar[int]
+    APPROACH_FIELD_NUMBER: _ClassVar[int]
+    SLIDE_FIELD_NUMBER: _ClassVar[int]
+    TILT_DEG_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    place: _containers.RepeatedScalarFieldContainer[float]
+    axis: _containers.RepeatedScalarFieldContainer[float]
+    tool: HandTool
+    approach: _containers.RepeatedScalarFieldContainer[float]
+    slide: _containers.RepeatedScalarFieldContainer[float]
+    tilt_deg: float
+    def __init__(self, link: _Optional[str] = ..., place: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., tool: _Optional[_Union[HandTool, str]] = ..., approach: _Optional[_Iterable[float]] = ..., slide: _Optional[_Iterable[float]] = ..., tilt_deg: _Optional[float] = ...) -> None: ...
+
+class Move(_message.Message):
+    __slots__ = ("joint", "to")
+    JOINT_FIELD_NUMBER: _ClassVar[int]
+    TO_FIELD_NUMBER: _ClassVar[int]
+    joint: str
+    to: float
+    def __init__(self, joint: _Optional[str] = ..., to: _Optional[float] = ...) -> None: ...
+
+class LatchRelease(_message.Message):
+    __slots__ = ("joint", "latch", "at", "free_beyond")
+    JOINT_FIELD_NUMBER: _ClassVar[int]
+    LATCH_FIELD_NUMBER: _ClassVar[int]
+    AT_FIELD_NUMBER: _ClassVar[int]
+    FREE_BEYOND_FIELD_NUMBER: _ClassVar[int]
+    joint: str
+    latch: str
+    at: float
+    free_beyond: float
+    def __init__(self, joint: _Optional[str] = ..., latch: _Optional[str] = ..., at: _Optional[float] = ..., free_beyond: _Optional[float] = ...) -> None: ...
+
+class MeshHull(_message.Message):
+    __slots__ = ("points",)
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    points: _containers.RepeatedCompositeFieldContainer[Point]
+    def __init__(self, points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ...) -> None: ...
 
 class Egress(_message.Message):
     __slots__ = ("side", "hint", "surfaces", "phases", "phases_file", "samples", "torque_share", "margin_n")

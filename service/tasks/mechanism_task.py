@@ -1,0 +1,198 @@
+"""Plan to move a mechanism that a request gives by its URDF, with the hands that it permits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import BodyRef
+from costs.kinematics import locate_links
+from costs.robot import RobotError
+from costs.robot.contact_patches import measure_surface_distance
+from costs.static_region import StaticRegionError
+from service.body.phases import PhaseSolver
+from service.body.task_plan import TaskPlan
+from service.body.whole_body import WholeBody
+from service.demands.given_mechanism import (
+    GivenMechanism,
+    find_ends,
+    make_mechanism_phases,
+    read_given_mechanism,
+    select_tool,
+)
+from service.demands.hands import Hand
+from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
+from service.errors import RequestError
+from service.request.mechanism import MechanismRequest
+from service.setup.prepare import PlanSetup
+from service.tasks.door_sweep import find_first_met
+from service.tasks.handling import FARTHER, find_collisions, list_hands
+from service.tasks.sequence import PhaseSequence, add_mechanism
+from service.verify import Motion
+
+HANDLE_MARGIN = 4e-3  # between a hand and the mechanism that it holds [m]
+MOST_GAP, MOST_INSIDE = 0.010, 0.004  # between the hand's rod and what it holds [m]
+SWEEP_SLIDE, SWEEP_TURN = 5e-3, float(np.deg2rad(1.0))  # between the values at which it is looked for pieces [m, rad]
+ROD_POINTS = 41  # along the rod, for its distance
+
+
+def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequest) -> Iterator[TaskPlan]:
+    """Yield a plan per permitted hand, the nearest to the handle first; one without a solution only as the last.
+
+    Raises:
+        RequestError: the robot has no such hand, or is in collision with the mechanism at the start.
+        StaticRegionError: whatever the hand, the ground does not hold the robot under the loads.
+    """
+    given = read_given_mechanism(request)
+    hands = choose_hands(solver, given)
+    try:
+        solver = add_mechanism(solver, given.mechanism)
+    except RobotError as error:
+        raise RequestError(f"task.mechanism.urdf: {error}") from None
+    solver = replace(solver, overrides=_list_clearances(hands, given))
+    collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
+    if collisions:
+        raise RequestError(collisions)
+    check_hold(solver, hands, given)
+    blocked = find_blocked_move(solver.body, given)
+    if blocked is not None:
+        yield blocked
+        return
+    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    unsolved: TaskPlan | None = None
+    unheld: StaticRegionError | None = None
+    for hand in hands:
+        specs = make_mechanism_phases(given, hand, waypoints)
+        try:
+            phases, stuck = PhaseSequence(solver, given.mechanism, specs).plan(solver.body.nominal)
+        except StaticRegionError as error:
+            unheld = error
+            continue
+        if stuck is not None and stuck.step == specs[-1].name and not request.stays:
+            at = phases[-2].q[-1]
+            line = leave_along_rod(solver, specs[-1], at)
+            left, stuck = PhaseSequence(solver, given.mechanism, (line,), is_held=True).plan(at)
+            phases = (*phases[:-1], *left)
+        notes = (f"{hand.side} hand at {request.handle.link}",)
+        plan = TaskPlan(
+            solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
+        )
+        if stuck is None:
+            yield plan
+        elif unsolved is None or len(phases) > len(unsolved.phases):
+            unsolved = plan
+    if unsolved is not None:
+        yield unsolved
+    elif unheld is not None:
+        raise unheld
+
+
+def choose_hands(solver: PhaseSolver, given: GivenMechanism) -> tuple[Hand, ...]:
+    """Return the hands to try, the nearest to the handle first.
+
+    Raises:
+        RequestError: the robot has no such hand.
+    """
+    pose = given.locate(given.handle.joint, given.mechanism.start)
+    at = pose[:3, :3] @ given.handle.place + pose[:3, 3]
+    hands = list_hands(solver.body, given.request.hand, at, ("tool", "peg", "stub"))
+    if not hands:
+        frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
+        raise RequestError(
+            f"task.mechanism.hand: robot '{solver.body.robot.name}' has no {given.request.hand} hand ({frames}); "
+            "robot.hands names those of another robot"
+        )
+    return hands
+
+
+def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism) -> None:
+    """Refuse a place at which the hand's rod does not touch what it holds, or is deep inside.
+
+    Raises:
+        RequestError: one line with the distance.
+    """
+    handle, robot = given.handle, solver.body.robot
+    bodies = [body for body in robot.bodies if body.name in handle.bodies]
+    field, link = "task.mechanism.handle", given.request.handle.link
+    if not bodies:
+        raise RequestError(f"{field}.link: {link} has no <collision>; expected a link that the hand can touch")
+    for hand in hands:
+        tool = select_tool(given, hand)
+        poses = locate_links(solver.body.engine, solver.body.nominal, [tool, hand.stub, hand.tool])
+        origin = poses[tool][:3, 3]
+        first, last = ((poses[frame][:3, 3] - origin) @ poses[tool][:3, 2] for frame in (hand.stub, hand.tool))
+        rod = handle.place + np.linspace(first, last, ROD_POINTS)[:, None] * handle.axis
+        if given.request.handle.tool == "tip":  # the rod ends flat
+            rod = rod[np.linalg.norm(rod - handle.place, axis=1) >= hand.peg_radius]
+        gap = min(measure_surface_distance(body, point) for body in bodies for point in rod) - hand.peg_radius
+        if given.request.handle.tool == "tip":
+            gap = min(gap, *(measure_surface_distance(body, handle.place) for body in bodies))
+        if not -MOST_INSIDE <= gap <= MOST_GAP:
+            where = f"{1e3 * abs(gap):.0f} mm {'away from' if gap > 0.0 else 'inside'} {link}"
+            raise RequestError(
+                f"{field}.place: the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius would be {where}; "
+                f"expected at most {1e3 * MOST_GAP:g} mm away and {1e3 * MOST_INSIDE:g} mm inside"
+            )
+
+
+def find_blocked_move(body: WholeBody, given: GivenMechanism) -> TaskPlan | None:
+    """Return the plan that says which piece or planted link the mechanism meets on its way; None if it meets none.
+
+    Args:
+        body: augmented by the mechanism, at the start.
+    """
+    values, names = given.mechanism.start, [joint.name for joint in given.mechanism.joints]
+    for move in given.request.moves:
+        column, joint = names.index(move.joint), given.mechanism.joint(move.joint)
+        step = SWEEP_SLIDE if joint.kind == "prismatic" else SWEEP_TURN
+        count = int(np.ceil(abs(move.to - values[column]) / step)) + 1
+        way = np.linspace(values[column], move.to, count)[1:]
+        q = np.tile(body.nominal, (len(way), 1))
+        q[:, -len(names) :] = values
+        q[:, q.shape[1] - len(names) + column] = way
+        met = next((met for met in find_first_met(body, q, way) if met.stands_still), None)
+        if met is not None:
+            unit = "m" if joint.kind == "prismatic" else "rad"
+            remedy = "" if met.is_piece else FARTHER
+            words = f"{met.part} meets {met.name} with {move.joint} at {met.angle:.3f} {unit} of {move.to:g}{remedy}"
+            return TaskPlan(body, (), (words,), is_impossible=met.is_piece)
+        values = np.where(np.arange(len(names)) == column, move.to, values)
+    return None
+
+
+def leave_along_rod(solver: PhaseSolver, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> PhaseSpec:
+    """Return the line on which a hand leaves, turned along its rod as it leans at configuration ``at``.
+
+    A rod that leans would meet what it holds on its way along the handle's axis.
+    """
+    hand = spec.hand
+    if hand is None or hand.offset is None or hand.link is None:
+        return spec
+    poses = locate_links(solver.body.engine, at, [hand.tool, hand.link])
+    axis = poses[hand.link][:3, :3].T @ poses[hand.tool][:3, 2]
+    turn = find_rotation_onto(hand.axis, axis / np.linalg.norm(axis))
+    return replace(spec, hand=replace(hand, axis=turn @ hand.axis, offset=turn @ hand.offset))
+
+
+def measure_joints(given: GivenMechanism, motion: Motion) -> Mapping[str, float]:
+    """Measure the values of the moved joints at the end of a motion [deg, m]."""
+    last = motion.curve(motion.curve.knots[-1:])[0, -len(given.mechanism.joints) :]
+    names = [joint.name for joint in given.mechanism.joints]
+    figures = {}
+    for name, (_, unit) in find_ends(given).items():
+        value = float(last[names.index(name.removesuffix(f"_{unit}"))])
+        figures[name] = float(np.rad2deg(value)) if unit == "deg" else value
+    return figures
+
+
+def _list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+    """Return the required clearances between hands and the mechanism [m]."""
+    return tuple(
+        (BodyRef.of_link(link), BodyRef("mechanism", joint.link), HANDLE_MARGIN)
+        for hand in hands
+        for link in (hand.hook, hand.link)
+        for joint in given.mechanism.joints
+    )
