@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from costs.robot import Mechanism
-from service.demands.hands import HANDS
+from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.demands.strokes import (
