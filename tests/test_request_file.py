@@ -244,7 +244,10 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
             "robot: {name: a}\ngoal: {poses: [{link: l, position: [0, 0, 0]}, {link: l, position: [0, 0, 1]}]}",
             "goal: link 'l' has two poses; expected one for each link",
         ),
-        ("robot: {name: a}\ntask: {valv: {}}", "task: unknown key 'valv'; expected valve, door, egress, trajopt"),
+        (
+            "robot: {name: a}\ntask: {valv: {}}",
+            "task: unknown key 'valv'; expected valve, door, contacts, egress, trajopt",
+        ),
         (
             "robot: {name: a}\ntask: {valve: {hand: lft}}",
             "task.valve.hand: expected 'left', 'right' or 'auto', got 'lft'",

@@ -44,7 +44,7 @@ def _read_annotation(kind: object, sections: list[type], choices: set[str]) -> s
         return {("list", *_read_annotation(parts[0], sections, choices))}
     if origin is dict:
         values = _read_annotation(parts[1], sections, choices)
-        return {("map", *values)} if values in ({float}, {"message"}) else {"data"}
+        return {("map", *values)} if values in ({float}, {str}, {"message"}) else {"data"}
     if parts:
         return {name for part in parts for name in _read_annotation(part, sections, choices)}
     return set() if kind is type(None) else {kind}
