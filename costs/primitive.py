@@ -48,3 +48,21 @@ def measure_outside_round(points: Float[np.ndarray, "C 3"], shape: Primitive) ->
     if shape.kind == "cylinder":
         return np.asarray(np.hypot(np.maximum(across - shape.radius, 0.0), beyond))
     return np.asarray(np.maximum(np.hypot(across, beyond) - shape.radius, 0.0))
+
+
+def find_round_normals(points: Float[np.ndarray, "C 3"], shape: Primitive) -> Float[np.ndarray, "C 3"]:
+    """Return the outward unit normals of a round shape near points; zero at its middle.
+
+    A cylinder's normal is that of its end where a point is nearer to the end than to the side.
+    """
+    own = (points - shape.pose[:3, 3]) @ shape.pose[:3, :3]
+    end = np.abs(own[:, 2]) - 0.5 * shape.length
+    outwards = own.copy()
+    if shape.kind == "cylinder":
+        is_end = end > np.linalg.norm(own[:, :2], axis=1) - shape.radius
+        outwards[is_end, :2] = 0.0
+        outwards[~is_end, 2] = 0.0
+    else:
+        outwards[:, 2] = np.sign(own[:, 2]) * np.maximum(end, 0.0)
+    length = np.linalg.norm(outwards, axis=1, keepdims=True)
+    return np.asarray(outwards / np.maximum(length, 1e-12) @ shape.pose[:3, :3].T)

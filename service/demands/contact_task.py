@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
+from costs.primitive import find_round_normals
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.demands.stances import (
@@ -172,7 +173,7 @@ def _start_contacts(
     for patch, name in wanted.items():
         line = _find_unknown(robot, surfaces, patch, name, "task.contacts.start")
         if line is None:
-            held[patch] = _state_tilt(place_patch_as_it_is(robot, start, patch, surfaces[name]), scene)
+            held[patch] = face_pieces(place_patch_as_it_is(robot, start, patch, surfaces[name]), scene)
             line = _find_off(held[patch], scene, f"task.contacts.start.{patch}")
         problems += [line] if line else []
     if problems:
@@ -183,14 +184,23 @@ def _start_contacts(
 def _place(robot: RobotModel, scene: Scene, surface: Surface, patch: str, place: PlaceRequest) -> StanceContact:
     own = robot.contacts[patch]
     pose = find_link_pose(own, surface, np.array(place.at), float(np.deg2rad(place.yaw_deg)))
-    return _state_tilt(place_patch(own, patch, surface, pose), scene)
+    return face_pieces(place_patch(own, patch, surface, pose), scene)
 
 
-def _state_tilt(contact: StanceContact, scene: Scene) -> StanceContact:
-    """Return a contact with the angle by which the pieces under it lean off its surface's normal."""
+def face_pieces(contact: StanceContact, scene: Scene) -> StanceContact:
+    """Return a contact with the normal of what it touches, and the angle by which that leans off it.
+
+    On a round piece the normal is that of the round shape where the contact is; elsewhere it is the surface's.
+    """
     behind = [piece for piece in scene.pieces if piece.name in contact.surface.pieces]
-    _, tilt = find_surface_gaps(contact.points, contact.surface.normal, behind)
-    return replace(contact, planted=replace(contact.planted, tilt_rad=tilt + TILT_ROUNDING))
+    normal = contact.surface.normal
+    shapes = [piece.exact for piece in behind if piece.exact is not None]
+    if len(shapes) == 1 and len(behind) == 1:
+        mean = find_round_normals(contact.points, shapes[0]).mean(axis=0)
+        if mean @ normal > 0.5:
+            normal = mean / np.linalg.norm(mean)
+    _, tilt = find_surface_gaps(contact.points, normal, behind)
+    return replace(contact, planted=replace(contact.planted, normal=normal, tilt_rad=tilt + TILT_ROUNDING))
 
 
 def _find_unknown(

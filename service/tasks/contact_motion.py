@@ -30,6 +30,7 @@ from service.demands.stances import (
     StanceContact,
     list_contact_phases,
 )
+from service.verify.forces.loaded_balance import find_normals
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
 TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
@@ -274,7 +275,7 @@ class _Walker:
         ]
         constraints += _keep_sides(body, (*kept, *placed), one)
         contacts = [_as_contact(contact) for contact in kept]
-        normals = {k: contact.surface.normal for k, contact in enumerate(kept)}
+        normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(kept)}
         limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
         best: EquilibriumPose | None = None
         for guess in guesses[:4]:
@@ -444,7 +445,7 @@ def _shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
 def _as_contact(contact: StanceContact) -> Contact:
     """Return a planted contact as one whose forces a pose has as variables."""
     planted = contact.planted
-    normal = contact.surface.normal @ planted.pose_world_link[:3, :3]
+    normal = find_normals((planted,)).mean(axis=0) @ planted.pose_world_link[:3, :3]
     return Contact(
         planted.link, planted.sole, np.tile(normal, (len(planted.sole), 1)), planted.friction, planted.force_cap_n
     )

@@ -10,7 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
-from costs.primitive import measure_outside_round
+from costs.primitive import find_round_normals, measure_outside_round
 from costs.robot.model import RobotModel
 from costs.scene import ConvexPiece
 from service.verify.certificate import Basis, Check, Where
@@ -150,6 +150,7 @@ def find_surface_gaps(
         angle = np.arccos(np.clip(facing[face], -1.0, 1.0))
         if piece.exact is not None:  # its polytope contains it, and touches it along lines only
             enter = np.maximum(enter, measure_outside_round(points, piece.exact))
+            angle = np.arccos(np.clip(find_round_normals(points, piece.exact) @ normal, -1.0, 1.0))
         nearer = is_hit & (np.abs(enter) < np.abs(gaps))
         gaps, lean = np.where(nearer, enter, gaps), np.where(nearer, angle, lean)
     return gaps, float(lean.max(initial=0.0))
