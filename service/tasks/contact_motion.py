@@ -40,7 +40,7 @@ LINE_TOLERANCE = 2e-4
 MOST_LEAN = float(np.deg2rad(12.0))  # of a patch that may turn about its points, off its surface
 MORE_LEAN = float(np.deg2rad(3.0))  # the same between poses
 KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
-N_TREES, TREE_CHECKS = 2, 1500  # of sampled starts of a swing
+TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
 DEPTH_RESERVE = 2e-3  # of an allowance, for the curve between waypoints [m]
@@ -208,7 +208,8 @@ class _Walker:
         known = self.guesses.leave.get(name), self.guesses.arrive.get(name)
         steps = f"{name}: pose on what stays", f"{name}: pose at the new places"
         left = made = None
-        if not self.arrives_first or not arriving:
+        limbs = free_coordinates(self.stand_on(kept))
+        if not self.arrives_first or not arriving or not self._are_moved_by(limbs, leaving):
             if leaving:
                 with monitor.step(steps[0], 0.2):
                     left = self._pose(steps[0], kept, leaving, at, known[0])
@@ -219,12 +220,17 @@ class _Walker:
         with monitor.step(steps[1], 0.2):
             made = self._pose(steps[1], kept, arriving, at, known[1])
         if leaving:
-            limbs = free_coordinates(self.stand_on(kept))
             near = made.copy()
             near[limbs] = (at if known[0] is None else known[0])[limbs]
             with monitor.step(steps[0], 0.3):
                 left = self._pose(steps[0], kept, leaving, at, near)
         return left, made
+
+    def _are_moved_by(self, limbs: Int[np.ndarray, "k"], contacts: Sequence[StanceContact]) -> bool:
+        """Return whether each contact's link is on a limb that carries nothing."""
+        model, supports = self.start.robot.model, self.start.engine.topology.supports
+        joints = [int(model.frames[model.getFrameId(contact.planted.link)].parentJoint) for contact in contacts]
+        return all(bool(np.any(supports[joint][limbs])) for joint in joints)
 
     def end_in(self, spec: ContactPhase, at: Float[np.ndarray, "n"], finish: Float[np.ndarray, "n"]) -> PlannedPhase:
         """Return the phase that ends as near to a posture as the stance allows."""
@@ -336,10 +342,10 @@ class _Walker:
         solve = self._solve_between(spec, body)
         with self.solver.monitor.step(spec.name, 0.5):
             solved = solve([_keep_contacts(body, start) for start in starts])
-            for seed in range(N_TREES):
+            for tree in TREES:
                 if solved.is_feasible:
                     break
-                path = replace(self.solver, body=body).sample_carried(first, last, Tree(seed, TREE_CHECKS))
+                path = replace(self.solver, body=body).sample_carried(first, last, tree)
                 if path is not None:
                     around = solve([_keep_contacts(body, path)])
                     solved = around if around.is_feasible else solved
