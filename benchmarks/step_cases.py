@@ -15,8 +15,8 @@ from service.body.equilibrium_pose import ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.whole_body import Aims, WholeBody
 from service.demands import compose_scene
-from service.demands.contact_task import make_surfaces
-from service.demands.stances import find_link_pose, make_contact_allowances, place_patch
+from service.demands.contacts.contact_task import make_surfaces
+from service.demands.contacts.stances import find_link_pose, make_contact_allowances, place_patch
 from service.request.file import parse_request
 from service.setup.world import build_obstacles
 

@@ -18,8 +18,8 @@ from costs.contact import Contact
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
 from service import RequestError, parse_request, prepare
-from service.demands.contact_task import STRIP_M, make_surfaces
-from service.demands.stances import (
+from service.demands.contacts.contact_task import STRIP_M, make_surfaces
+from service.demands.contacts.stances import (
     LINE_M,
     ContactStance,
     StanceContact,

@@ -105,7 +105,9 @@ def test_every_field_that_holds_a_path_is_checked(folders: AllowedFolders) -> No
         "scene.obstacles[1].file",
     ]
     assert [field for field, _ in folders.find_scene_problems(request.scene)] == found[4:]
-    assert _path_fields(PlanRequest) == {"urdf", "srdf", "package_dirs", "cloud", "file"}
+    assert _path_fields(PlanRequest) == {"urdf", "srdf", "package_dirs", "cloud", "file", "phases_file"}
+    leaving = parse_request({"robot": {"name": "atlas"}, "task": {"egress": {"phases_file": bad}}})
+    assert [field for field, _ in folders.find_problems(leaving)] == ["task.egress.phases_file"]
 
 
 def test_an_uploaded_file_is_no_robot_and_may_be_a_mesh(folders: AllowedFolders) -> None:

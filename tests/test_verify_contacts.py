@@ -15,8 +15,8 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
 from service.body.loaded_regions import plan_contact_region
-from service.demands.contact_task import make_surfaces
-from service.demands.stances import place_patch_as_it_is
+from service.demands.contacts.contact_task import make_surfaces
+from service.demands.contacts.stances import place_patch_as_it_is
 from service.verify import (
     Certificate,
     LoadedRegion,

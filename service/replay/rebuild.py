@@ -21,7 +21,7 @@ from service.demands import (
     has_scan,
     list_planted_feet,
 )
-from service.demands.contact_task import make_stances
+from service.demands.contacts.contact_task import make_stances
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
 from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism
 from service.demands.hands import list_robot_hands

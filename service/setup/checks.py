@@ -12,7 +12,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands import list_planted_feet
-from service.demands.stances import ContactStance
+from service.demands.contacts.stances import ContactStance
 from service.errors import RequestError, would_do
 from service.request.schema import PlanRequest
 from service.start.configuration import find_limit_violations, find_unknown_joints

@@ -16,8 +16,8 @@ from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.holds import KeptPose, make_kept_poses
 from service.demands import compose_scene
-from service.demands.contact_task import make_stances
-from service.demands.stances import ContactStance
+from service.demands.contacts.contact_task import make_stances
+from service.demands.contacts.stances import ContactStance
 from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest

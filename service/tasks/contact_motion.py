@@ -23,7 +23,7 @@ from service.body.phases import PhaseSolver, path_via, posture_guesses, straight
 from service.body.sampling import Tree, free_coordinates
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import FOOT_TOLERANCE, WholeBody
-from service.demands.stances import (
+from service.demands.contacts.stances import (
     LINE_M,
     ContactPhase,
     ContactStance,
@@ -43,7 +43,7 @@ KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
-DEPTH_RESERVE = 2e-3  # of an allowance, for the curve between waypoints [m]
+DEPTH_SHARE = 0.45  # of an allowance that is aimed at, the rest is for the curve between waypoints
 
 
 @dataclass(frozen=True)
@@ -399,7 +399,7 @@ def _keep_sides(
                     contact.planted.link,
                     waypoints,
                     body.robot.contacts[contact.patch].normals.mean(axis=0),
-                    contact.surface.normal,
+                    find_normals((contact.planted,)).mean(axis=0),
                 ),
                 2,
                 MOST_LEAN + more,
@@ -445,7 +445,7 @@ def _finish(
 
 def _shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
     """Return allowances for the waypoints, which leave some of their depth for the curve between them."""
-    return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in touches)
+    return tuple(replace(touch, depth=DEPTH_SHARE * touch.depth) for touch in touches)
 
 
 def _as_contact(contact: StanceContact) -> Contact:

@@ -103,6 +103,9 @@ def list_paths(request: PlanRequest) -> Iterator[tuple[str, str, Kind]]:
     mechanism = None if request.task is None else request.task.mechanism
     if mechanism is not None and not is_urdf_text(mechanism.urdf):
         yield "task.mechanism.urdf", mechanism.urdf, "file"
+    egress = None if request.task is None else request.task.egress
+    if egress is not None and egress.phases_file is not None:
+        yield "task.egress.phases_file", egress.phases_file, "file"
 
 
 def _robot_paths(robot: RobotRequest) -> Iterator[tuple[str, str, Kind]]:

@@ -16,7 +16,7 @@ from costs.scene import Scene
 from service.body.equilibrium_pose import ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.whole_body import Aims, WholeBody
-from service.demands.stances import StanceContact, make_contact_allowances
+from service.demands.contacts.stances import StanceContact, make_contact_allowances
 
 
 def solve_start(

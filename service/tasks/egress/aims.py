@@ -13,7 +13,7 @@ from costs.rotation import make_tangent_basis
 from costs.state import MotionState
 from costs.terms import ContactPlace, FramePose
 from scopt import Constraint, Residual, Sense
-from service.demands.stances import StanceContact, Surface, find_link_pose
+from service.demands.contacts.stances import StanceContact, Surface, find_link_pose
 
 PLACE_TOLERANCE_M = 2e-5  # per row of a contact in its place
 FLAT_POINTS = 3  # from as many points on, a patch at its place fixes its link

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from service.body.equilibrium_pose import EquilibriumPose
-from service.demands.stances import ContactStance, StanceContact, place_patch_as_it_is
+from service.demands.contacts.stances import ContactStance, StanceContact, place_patch_as_it_is
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.stages import Stage, list_lasting

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from costs.names import would_do
 from costs.robot import BASE_NAMES, RobotModel
-from service.demands.stances import Surface
+from service.demands.contacts.stances import Surface
 from service.errors import RequestError
 from service.request.egress import ContactRequest, PhaseRequest, PostureRequest
 from service.tasks.egress.aims import ContactAim, find_toe

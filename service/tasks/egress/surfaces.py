@@ -10,7 +10,7 @@ from jaxtyping import Float
 from costs.names import would_do
 from costs.rotation import make_tangent_basis
 from costs.scene import ConvexPiece, Scene
-from service.demands.stances import Surface
+from service.demands.contacts.stances import Surface
 from service.errors import RequestError
 from service.request.egress import SurfaceRequest
 

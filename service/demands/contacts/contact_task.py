@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 from costs.primitive import find_round_normals
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
-from service.demands.stances import (
+from service.demands.contacts.stances import (
     ContactStance,
     StanceContact,
     Surface,
