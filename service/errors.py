@@ -29,10 +29,6 @@ class RequestError(ServiceError):
         super().__init__("\n".join([*self.problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]))
 
 
-class UnplannedTaskError(RequestError):
-    """A valid request for a task without a planner."""
-
-
 class ResultError(ServiceError):
     """A result folder that cannot be written or read."""
 

@@ -30,7 +30,7 @@ from service.body.whole_body import Aims, WholeBody
 from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
 from service.motion.timing import TimingSettings
-from service.request.schema import PlanRequest, check_task_has_planner
+from service.request.schema import PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup, prepare
@@ -78,9 +78,7 @@ def plan(
 
     Raises:
         RequestError: one line per problem of the request or of a file it names.
-        UnplannedTaskError: the task has no planner yet.
     """
-    check_task_has_planner(request)
     with _single_blas_thread():
         monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
         setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, around=around)

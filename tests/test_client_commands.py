@@ -37,7 +37,6 @@ from service.cli.connect import ENDINGS
 from service.cli.run import EXIT_CODES
 from service.cli.top import draw_status
 from service.proto.planner.v1 import planner_pb2 as pb
-from service.request.schema import UNPLANNED
 from service.result.result import Verdict
 
 Code = grpc.StatusCode
@@ -156,18 +155,10 @@ def test_the_target_may_come_from_the_environment_and_the_token_from_a_file(
     assert [one["authorization"] for one in stand_in.metadata] == ["Bearer from-environment", "Bearer from-file"]
 
 
-PLANNED = [path for path in sorted(REQUESTS.glob("*.yaml")) if path.stem not in UNPLANNED]
+SHIPPED = sorted(REQUESTS.glob("*.yaml"))
 
 
-@pytest.mark.parametrize("name", UNPLANNED)
-def test_clouds_of_a_task_without_a_planner_are_not_uploaded(stand_in: PlannerStandIn, target: str, name: str) -> None:
-    result = _request(target, name=name)
-    assert result.exit_code == 3
-    assert result.stdout.startswith(f"INVALID_REQUEST  task.{name}: there is no planner for ")
-    assert stand_in.requests == []
-
-
-@pytest.mark.parametrize("path", PLANNED, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_example_request_is_sent_with_its_clouds(stand_in: PlannerStandIn, target: str, path: Path) -> None:
     result = _request(target, name=path.stem)
     assert result.exit_code == 0, result.stderr

@@ -15,7 +15,7 @@ from planner_stand_in import PlannerStandIn, accepted, refuse, refused, serving,
 from service.client import PlannerClient, PlannerError
 from service.client.error_texts import MAX_NAMES, UploadNames
 from service.client.local_files import find_local_files, replace_by_ids, resolve_paths
-from service.errors import RequestError, UnplannedTaskError
+from service.errors import RequestError
 from service.proto.planner.v1 import planner_pb2 as pb
 from service.request.file import load_request, parse_request
 from service.request.scene import MeshRequest
@@ -166,15 +166,6 @@ def test_relative_robot_files_are_absolute_for_a_server_on_this_machine(tmp_path
     resolved = resolve_paths(_request(tmp_path, robot=robot), is_this_machine=True).robot
     assert (resolved.urdf, resolved.srdf) == (f"{tmp_path}/robot.urdf", f"{tmp_path}/robot.srdf")
     assert resolved.package_dirs == (str(tmp_path),)
-
-
-def test_a_task_without_a_planner_is_refused_before_its_cloud_is_read(
-    connect: Callable[..., Any], stand_in: PlannerStandIn, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("service.request.schema.UNPLANNED", {"valve": "valves"})
-    with connect() as client, pytest.raises(UnplannedTaskError, match=r"task\.valve: there is no planner for valves"):
-        client.plan(load_request(REQUESTS / "valve.yaml"))
-    assert stand_in.requests == []
 
 
 def test_a_result_folder_too_large_for_one_message_is_refused_by_the_client(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -108,13 +107,6 @@ def test_contacts_change_alike_by_the_server_and_here(served: Served, tmp_path: 
         for r in results
     ]
     assert hashes[0] == hashes[1]
-
-
-def test_an_example_request_without_a_planner_is_refused(served: Served, tmp_path: Path) -> None:
-    result = served.scopt("plan", "request", REQUESTS / "egress.yaml", "--out", tmp_path / "plan")
-    assert result.exit_code == 3
-    assert re.fullmatch(r"INVALID_REQUEST  task\.egress: there is no planner for .*\n", result.stdout)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_wrong_fields_are_reported_by_the_server_as_by_scopt_plan(served: Served, tmp_path: Path) -> None:

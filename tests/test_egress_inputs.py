@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from costs.scene import ConvexPiece, Scene
+from service.demands.contacts.egress_demand import load_phases
+from service.demands.contacts.egress_surfaces import make_surfaces
 from service.errors import RequestError
 from service.request.egress import ContactRequest, EgressRequest, PhasesFile, SurfaceRequest
 from service.request.file import load_request, parse_section
 from service.start.configuration import make_start_configuration
-from service.tasks.egress.plan import load_phases, make_all_stages
+from service.tasks.egress.plan import make_all_stages
 from service.tasks.egress.stages import list_lasting, make_stages
-from service.tasks.egress.surfaces import make_surfaces
 
 BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.3, 0.3) for z in (0.0, 0.2)])
 

@@ -41,7 +41,9 @@ def refuse(contacts):
 
 
 def test_atlas_brings_the_patches_that_it_names():
-    wanted = {f"{side}_{part}" for side in ("left", "right") for part in ("foot", "toe", "heel", "wrist", "forearm", "hook")}
+    wanted = {
+        f"{side}_{part}" for side in ("left", "right") for part in ("foot", "toe", "heel", "wrist", "forearm", "hook")
+    }
     assert wanted | {"hip", "chest"} == set(PATCHES) == set(atlas().contacts)
 
 

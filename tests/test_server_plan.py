@@ -170,14 +170,6 @@ def _length(data: bytes) -> bytes:
     return out + bytes([size])
 
 
-def test_task_without_a_planner_is_unimplemented(stub: PlannerServiceStub) -> None:
-    task = {"egress": {"side": "left"}}
-    with pytest.raises(grpc.RpcError) as refused:
-        list(stub.Plan(plan_request({"robot": {"name": "atlas"}, "task": task}), timeout=20))
-    assert refused.value.code() is grpc.StatusCode.UNIMPLEMENTED  # type: ignore[attr-defined]
-    assert "vehicles" in refused.value.details()  # type: ignore[attr-defined]
-
-
 def test_file_of_the_server_is_refused_unless_its_folder_is_allowed(stub: PlannerServiceStub) -> None:
     request = {**QUICK, "scene": {"cloud": "/etc/passwd"}}
     with pytest.raises(grpc.RpcError) as refused:

@@ -169,7 +169,9 @@ def test_an_allowance_moved_to_the_scene_lets_nothing_of_the_wheel_be_touched(fo
     edit(folder, give_away)
     with pytest.raises(ResultError, match="allowances of phase 'turn' are not those of the request"):
         verify_result(folder)
-    assert verify(read_motion(json.loads((folder / "result.json").read_text()), folder)).status is Status.VIOLATED
+    certificate = verify(read_motion(json.loads((folder / "result.json").read_text()), folder))
+    # The hook is in a wide gap here and needs no allowance; what is left of them exempts nothing of the wheel.
+    assert not any("valve" in name for exempt in certificate.exempt for name in exempt.pair)
 
 
 @pytest.mark.parametrize(

@@ -77,9 +77,6 @@ def test_request_that_cannot_be_used_is_an_answer_too() -> None:
     refused = run_plan(PlanTask(unknown), _Control())
     assert isinstance(refused, Refused)
     assert "nose" in refused.problems[0]
-    egress = run_plan(PlanTask(parse_request({"robot": {"name": "atlas"}, "task": {"egress": {}}})), _Control())
-    assert isinstance(egress, Refused)
-    assert egress.is_unplanned
 
 
 def test_scan_that_was_planned_in_before_is_not_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:

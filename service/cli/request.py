@@ -40,7 +40,6 @@ def request_command(
     from service.client.answers import summarize
     from service.client.local_files import find_local_files
     from service.request.file import load_request
-    from service.request.schema import check_task_has_planner
     from service.result.folder import ResultFiles, check_folder
 
     folder = out if out is not None else Path("out") / request.stem
@@ -48,7 +47,6 @@ def request_command(
     with ended_by_sigterm(), progress(stderr, "read request") as report:
         report("read request", 0.0)
         plan_request = load_request(request)
-        check_task_has_planner(plan_request)
         check_folder(folder)
         with connect(server, stderr, attempts) as client:
             names = ", ".join(find_local_files(plan_request))

@@ -12,7 +12,7 @@ from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
 from service.request.mechanism import MAX_TEXT, is_urdf_text
 from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, TaskRequest, check_task_has_planner
+from service.request.schema import PlanRequest, RobotRequest, TaskRequest
 from service.trust.folders import BUILT, UPLOADED, list_paths
 
 CHUNK_BYTES = 512 * 2**10
@@ -81,9 +81,8 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
         is_this_machine: whether the server runs here; another machine gets the request as it is.
 
     Raises:
-        RequestError: a file does not exist here or cannot be found by the server; a task without a planner.
+        RequestError: a file does not exist here or cannot be found by the server.
     """
-    check_task_has_planner(request)
     request = replace(request, task=_inline_urdf(request))
     problems = []
     uploads_first = sorted(list_paths(request), key=lambda path: path[2] in ("file", "mesh"))

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis, with_mechanism
 from costs.scene import Scene
+from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.contacts.stances import ContactPhase, ContactStance, list_contact_phases
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
@@ -45,6 +46,7 @@ class Demands:
         program: demands of the request's TrajOpt problem, or None.
         task: demands of a task that moves a mechanism, or None.
         stances: of a task that changes contacts, that of the start first.
+        egress: demands of a task that gets out of a vehicle, or None.
     """
 
     request: PlanRequest
@@ -54,6 +56,12 @@ class Demands:
     program: ProgramDemand | None = None
     task: TaskDemand | None = None
     stances: tuple[ContactStance, ...] = ()
+    egress: EgressDemand | None = None
+
+    @property
+    def changes_contacts(self) -> bool:
+        """Whether the task moves from stance to stance."""
+        return bool(self.stances) or self.egress is not None
 
     @property
     def feet(self) -> tuple[str, ...]:
@@ -98,7 +106,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         differences += compare_phase(phase, own, is_program=demands.program is not None)
     waived = list_waived_checks(
         is_timed=demands.request.options.timed,
-        is_balanced=promises.stance.hull is not None or bool(demands.stances) or not demands.robot.is_floating,
+        is_balanced=promises.stance.hull is not None or demands.changes_contacts or not demands.robot.is_floating,
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
@@ -149,7 +157,9 @@ class _Promises:
 def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
     request, robot, start, feet = demands.request, demands.robot, demands.start, demands.feet
     is_balanced = demands.program is None or demands.program.is_balanced
-    stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced and not demands.stances)
+    stance = Stance.of(
+        robot, start, feet, request.options.balance_margin_m, is_balanced and not demands.changes_contacts
+    )
     leaves = request.options.escape and demands.program is None
     inside = find_hull_overlaps(robot, start, demands.scene, feet) if leaves else []
     targets: tuple[Target, ...] = ()
@@ -166,9 +176,16 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         at_start = np.concatenate([start, demands.task.mechanism.start])
         neighbours = make_neighbour_allowances(augmented, demands.scene, at_start)
     changes = tuple[ContactPhase, ...]()
-    if demands.stances and request.task is not None and request.task.contacts is not None:
-        changes = list_contact_phases(demands.stances, has_finish=request.task.contacts.finish is not None)
-        lines = tuple(_compare_names([phase.name for phase in recorded.phases], [spec.name for spec in changes]))
+    stances, has_finish, forbidden = demands.stances, True, tuple[str, ...]()
+    if demands.egress is not None:
+        stances, forbidden = demands.egress.read_stances(recorded)
+    elif request.task is not None and request.task.contacts is not None:
+        has_finish = request.task.contacts.finish is not None
+    if stances:
+        changes = list_contact_phases(stances, has_finish=has_finish)
+        lines = forbidden + tuple(
+            _compare_names([phase.name for phase in recorded.phases], [spec.name for spec in changes])
+        )
         lines += tuple(_find_unmade(robot, recorded, changes))
     return _Promises(
         stance,

@@ -22,6 +22,7 @@ from service.demands import (
     list_planted_feet,
 )
 from service.demands.contacts.contact_task import make_stances
+from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
 from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism
 from service.demands.hands import list_robot_hands
@@ -115,7 +116,9 @@ def rebuild_demands(
     task = _rebuild_task(request, robot, start, surroundings)
     changing = None if request.task is None else request.task.contacts
     stances = () if changing is None else make_stances(changing, robot, scene, start)
-    demands = Demands(request, robot, start, scene, _get_program(program, robot), task, stances)
+    leaving = None if request.task is None else request.task.egress
+    egress = None if leaving is None else EgressDemand.of(leaving, robot, scene, start, request.folder)
+    demands = Demands(request, robot, start, scene, _get_program(program, robot), task, stances, egress)
     without = () if demands.program is None else demands.program.unproven
     return demands, Grounds(request_from, scene_from, robot_from, without)
 

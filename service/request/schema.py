@@ -15,7 +15,7 @@ from pydantic import Field, StrictInt
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
-from service.errors import UnplannedTaskError, shown
+from service.errors import shown
 from service.request.contact_patch import ContactPatchRequest
 from service.request.contacts import ContactsRequest
 from service.request.door import DoorRequest
@@ -42,7 +42,6 @@ from service.request.robot_hand import RobotHandRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 LEAST_STUCK_TURN_DEG = 10.0
-UNPLANNED = {"egress": "getting out of vehicles"}
 
 
 @dataclass(config=SECTION)
@@ -210,7 +209,7 @@ class ValveRequest(Section):
 
 @dataclass(config=SECTION)
 class TaskRequest(Section):
-    """The task; egress is not planned yet, ``trajopt`` is a problem as in its files (docs/trajopt.md)."""
+    """The task; ``trajopt`` is a problem as in its files (docs/trajopt.md)."""
 
     valve: ValveRequest | None = None
     door: DoorRequest | None = None
@@ -351,13 +350,3 @@ class PlanRequest(Section):
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""
         return self.folder / path
-
-
-def check_task_has_planner(request: PlanRequest) -> None:
-    """Refuse a task without a planner (UnplannedTaskError)."""
-    for name, words in UNPLANNED.items():
-        if request.task is not None and getattr(request.task, name) is not None:
-            raise UnplannedTaskError(
-                f"task.{name}: there is no planner for {words} yet; "
-                "task.valve, task.door, task.mechanism, task.contacts, task.trajopt and goals are planned"
-            )

@@ -185,7 +185,7 @@ class PlanHandler:
                     answer = await self._await_answer(handle, accepted, deadline)
             if isinstance(answer, Refused):
                 problems = _restore_names(answer.problems, accepted.request, accepted.local)
-                raise refuse_invalid(self._reader.robots.hide_paths(problems), WITHIN, answer.is_unplanned)
+                raise refuse_invalid(self._reader.robots.hide_paths(problems), WITHIN)
             if answer.verdict == Verdict.CANCELLED.value:
                 raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
             await self._store_answer(plan.plan_id, answer)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import grpc
 
-from service.errors import RequestError, UnplannedTaskError
+from service.errors import RequestError
 from service.store import (
     DiskError,
     NotStoredError,
@@ -35,17 +35,15 @@ STOPPING = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is stopping; try ano
 GOING_DOWN = Refusal(grpc.StatusCode.UNAVAILABLE, "the server is going down now; try another one, or later")
 
 
-def refuse_invalid(problems: Iterable[str], within: str = "", is_unplanned: bool = False) -> Refusal:
+def refuse_invalid(problems: Iterable[str], within: str = "") -> Refusal:
     """Make INVALID_ARGUMENT with a field violation per problem.
 
     Args:
         problems: one line each, beginning with the field.
         within: field of the message that holds the request.
-        is_unplanned: the request is valid, but no planner exists for its task: UNIMPLEMENTED.
     """
     lines = tuple(problems)
-    code = grpc.StatusCode.UNIMPLEMENTED if is_unplanned else grpc.StatusCode.INVALID_ARGUMENT
-    return Refusal(code, "; ".join(lines), details=[make_bad_request(lines, within)])
+    return Refusal(grpc.StatusCode.INVALID_ARGUMENT, "; ".join(lines), details=[make_bad_request(lines, within)])
 
 
 def refuse_overload(text: str, retry_after_s: float) -> Refusal:
@@ -58,7 +56,7 @@ def refuse_error(error: Exception, within: str = "") -> Refusal:
     if isinstance(error, Refusal):
         return error
     if isinstance(error, RequestError):
-        return refuse_invalid(error.problems, within, isinstance(error, UnplannedTaskError))
+        return refuse_invalid(error.problems, within)
     if isinstance(error, StoreError) and type(error) in STATUS_OF_STORE_ERROR:
         return Refusal(STATUS_OF_STORE_ERROR[type(error)], str(error))
     if isinstance(error, DiskError):  # its text names the server's files; the log has it

@@ -13,7 +13,7 @@ from costs.robot import bundled_robots
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.scene import MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, check_task_has_planner
+from service.request.schema import PlanRequest, RobotRequest
 from service.server.refusals import refuse_error, refuse_invalid
 from service.server.settings import ServerSettings
 from service.store import CloudStore, Scenes
@@ -97,11 +97,10 @@ class RequestReader:
         """Read and check a message.
 
         Raises:
-            Refusal: INVALID_ARGUMENT naming every wrong field, or UNIMPLEMENTED.
+            Refusal: INVALID_ARGUMENT naming every wrong field.
         """
         try:
             request = request_from_message(message)
-            check_task_has_planner(request)
         except RequestError as error:
             raise refuse_error(error, WITHIN) from None
         problems = [f"{field}: {problem}" for field, problem in self.folders.find_problems(request)]

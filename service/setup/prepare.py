@@ -17,6 +17,7 @@ from costs.stopping import Stopped, poll, stops_when
 from service.body.holds import KeptPose, make_kept_poses
 from service.demands import compose_scene
 from service.demands.contacts.contact_task import make_stances
+from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.contacts.stances import ContactStance
 from service.errors import RequestError
 from service.request.names import TakenNames, check_names
@@ -162,7 +163,9 @@ def prepare(
 def _read_stances(
     request: PlanRequest, robot: RobotModel, scene: Scene, start: Float[np.ndarray, "n"]
 ) -> tuple[ContactStance, ...]:
-    """Return the stances of a task that changes contacts; none for any other."""
+    """Return the stances of a task that changes contacts, of an egress that of the start; none for any other task."""
+    if request.task is not None and request.task.egress is not None:
+        return (EgressDemand.of(request.task.egress, robot, scene, start, request.folder).seat(),)
     if request.task is None or request.task.contacts is None:
         return ()
     return make_stances(request.task.contacts, robot, scene, start)

@@ -39,6 +39,11 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
 
         yield plan_contact_motion(solver, setup.stances, _find_finish(setup, request.task.contacts.finish))
         return
+    if request.task is not None and request.task.egress is not None:
+        from service.tasks.egress.task import plan_egress
+
+        yield from plan_egress(setup, solver, request.task.egress)
+        return
     lead = leave_start(solver, setup.overlaps)
     if lead.stuck is not None:
         yield lead
@@ -62,7 +67,7 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         mechanism = request.task.mechanism
         plans = _list_plans(solver, lambda: plan_mechanism(setup, solver, mechanism))
     else:
-        words = "task.valve, task.door, task.mechanism, task.contacts or task.trajopt"
+        words = "task.valve, task.door, task.mechanism, task.contacts, task.egress or task.trajopt"
         raise RequestError(f"request: expected a goal, {words}")
     for rest in plans:
         phases = (phase.for_body(rest.body) for phase in lead.phases)

@@ -43,7 +43,7 @@ KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
-DEPTH_SHARE = 0.45  # of an allowance that is aimed at, the rest is for the curve between waypoints
+DEPTH_RESERVE = 2e-3  # of an allowance, for the curve between waypoints [m]
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,8 @@ def plan_contact_motion(
             phases.append(walker.end_in(specs[-1], at, finish))
     except StuckError as error:
         stuck = None if error.stuck is None else replace(error.stuck, order=order)
-        attempt = PlannedPhase(error.step, np.stack([at, error.q]), False, body=first)
+        body = phases[-1].body if phases else first
+        attempt = PlannedPhase(error.step, np.stack([at, error.q]), False, body=body)
         obstacle = () if stuck is not None else error.reasons
         return TaskPlan(solver.body, (*phases, attempt), obstacle, stuck)
     return TaskPlan(solver.body, tuple(phases))
@@ -399,7 +400,7 @@ def _keep_sides(
                     contact.planted.link,
                     waypoints,
                     body.robot.contacts[contact.patch].normals.mean(axis=0),
-                    find_normals((contact.planted,)).mean(axis=0),
+                    contact.surface.normal,
                 ),
                 2,
                 MOST_LEAN + more,
@@ -445,7 +446,7 @@ def _finish(
 
 def _shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
     """Return allowances for the waypoints, which leave some of their depth for the curve between them."""
-    return tuple(replace(touch, depth=DEPTH_SHARE * touch.depth) for touch in touches)
+    return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in touches)
 
 
 def _as_contact(contact: StanceContact) -> Contact:

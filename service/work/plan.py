@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from costs.stopping import Stopped, stops_when
 from scopt import Iteration as Trial
-from service.errors import RequestError, UnplannedTaskError
+from service.errors import RequestError
 from service.executor import Control
 from service.executor.errors import JobCancelled
 from service.planner import plan
@@ -88,11 +88,9 @@ class Refused:
 
     Attributes:
         problems: one line each.
-        is_unplanned: the request is valid, but no planner exists for its task.
     """
 
     problems: tuple[str, ...]
-    is_unplanned: bool = False
 
 
 @contextmanager
@@ -125,7 +123,7 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
             see=perceive_cached,
         )
     except RequestError as error:
-        return Refused(error.problems, isinstance(error, UnplannedTaskError))
+        return Refused(error.problems)
     original = task.original or request
     notes = result.notes
     if request.options.seed != original.options.seed:

@@ -9,14 +9,14 @@ import numpy as np
 
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
+from service.demands.contacts.egress_demand import load_phases
+from service.demands.contacts.egress_surfaces import make_surfaces
 from service.request.egress import EgressRequest, PhaseRequest
 from service.request.file import load_request
 from service.setup.world import build_obstacles
 from service.start.robot import load_requested_robot
-from service.tasks.egress.plan import load_phases
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.stages import Stage, make_stages
-from service.tasks.egress.surfaces import make_surfaces
 
 REQUEST = Path(__file__).resolve().parents[2] / "examples" / "requests" / "egress.yaml"
 

@@ -55,13 +55,13 @@ def make_stances(
                 carried = ", ".join(held) or "nothing"
                 problems.append(f"{field}.release: {patch} is not in contact then; {carried} is")
             held.pop(patch, None)
-        for patch, place in stance.make.items():
+        for patch, place in sorted(stance.make.items()):
             line = _find_unknown(robot, surfaces, patch, place.surface, f"{field}.make")
             if line is not None:
                 problems.append(line)
                 continue
             contact = _place(robot, scene, surfaces[place.surface], patch, place)
-            off = _find_off(contact, scene, f"{field}.make.{patch}")
+            off = find_off(contact, scene, f"{field}.make.{patch}")
             problems += [off] if off else []
             # Another patch of the same link lets go.
             held = {k: v for k, v in held.items() if v.planted.link != contact.planted.link}
@@ -170,11 +170,11 @@ def _start_contacts(
     held, problems = dict[str, StanceContact](), list[str]()
     if not wanted:
         raise RequestError(f"task.contacts.start: {robot.name} names no feet; give the patches it stands on")
-    for patch, name in wanted.items():
+    for patch, name in sorted(wanted.items()):  # a message keeps no order
         line = _find_unknown(robot, surfaces, patch, name, "task.contacts.start")
         if line is None:
             held[patch] = face_pieces(place_patch_as_it_is(robot, start, patch, surfaces[name]), scene)
-            line = _find_off(held[patch], scene, f"task.contacts.start.{patch}")
+            line = find_off(held[patch], scene, f"task.contacts.start.{patch}")
         problems += [line] if line else []
     if problems:
         raise RequestError(problems)
@@ -215,7 +215,7 @@ def _find_unknown(
     return None
 
 
-def _find_off(contact: StanceContact, scene: Scene, field: str) -> str | None:
+def find_off(contact: StanceContact, scene: Scene, field: str) -> str | None:
     """Return a problem where a contact's points are off their surface, beyond its edges, or on nothing seen."""
     height = contact.surface.measure_height(contact.points)
     worst = int(np.abs(height).argmax())

@@ -3,6 +3,7 @@
 ``plan_poses`` does all of it; ``Chain`` is what motions between the poses are planned from.
 """
 
+from service.demands.contacts.egress_surfaces import make_surfaces
 from service.tasks.egress.chain import BrokenChain, Chain, Transition, link_poses
 from service.tasks.egress.plan import (
     EgressSequence,
@@ -11,14 +12,12 @@ from service.tasks.egress.plan import (
     StageCount,
     explain_missing,
     find_sequences,
-    load_phases,
     make_all_stages,
     plan_poses,
     solve_poses,
 )
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.stages import Stage, make_stages
-from service.tasks.egress.surfaces import make_surfaces
 
 __all__ = [
     "BrokenChain",
@@ -33,7 +32,6 @@ __all__ = [
     "explain_missing",
     "find_sequences",
     "link_poses",
-    "load_phases",
     "make_all_stages",
     "make_stages",
     "make_surfaces",

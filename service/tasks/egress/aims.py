@@ -59,26 +59,27 @@ class ContactAim:
             return [self._name("place", term)]
         if self.place is not None and self.yaw_rad is not None and len(patch.points) >= FLAT_POINTS:
             pose = self._find_link_pose(patch, self.place, self.yaw_rad)
-            return [self._name("place", FramePose(robot, patch.link, [0], pose), "m or rad")]
+            return [self._name("place", FramePose(robot, patch.link, [0], pose), "m or rad"), self._stay_inside(robot)]
         return self._make_free_constraints(robot, patch)
 
     def _make_free_constraints(self, robot: RobotModel, patch: Contact) -> list[Constraint[MotionState]]:
         """Return constraints of a patch that may turn or move on its surface."""
         surface = self.surface
-        normals, offsets = surface.list_edges()
         level = float(surface.normal @ surface.corners[0])
         on_plane = ContactPlace.on_plane(robot, patch.link, patch.points, [0], surface.normal, level)
-        inside = ContactPlace.inside(robot, patch.link, patch.points, [0], normals, offsets)
-        terms = [
-            self._name("plane", on_plane),
-            Constraint(f"{self.patch} within {surface.name}", inside, tolerance=PLACE_TOLERANCE_M, unit="m"),
-        ]
+        terms = [self._name("plane", on_plane), self._stay_inside(robot)]
         if self.place is not None:
             along = make_tangent_basis(surface.normal)
             mark = patch.points.mean(axis=0) if self.mark is None else self.mark
             at = ContactPlace(robot, patch.link, mark[None], [0], along, along @ self.place)
             terms.append(self._name("place", at))
         return terms
+
+    def _stay_inside(self, robot: RobotModel) -> Constraint[MotionState]:
+        """Return the constraint that the patch is not beyond the edges of its surface."""
+        patch, (normals, offsets) = robot.contacts[self.patch], self.surface.list_edges()
+        inside = ContactPlace.inside(robot, patch.link, patch.points, [0], normals, offsets)
+        return Constraint(f"{self.patch} within {self.surface.name}", inside, tolerance=PLACE_TOLERANCE_M, unit="m")
 
     def _find_link_pose(
         self, patch: Contact, place: Float[np.ndarray, "3"], yaw_rad: float
@@ -93,9 +94,3 @@ class ContactAim:
     def _name(self, what: str, term: Residual[MotionState], unit: str = "m") -> Constraint[MotionState]:
         words = f"{self.patch} on {self.surface.name}: {what}"
         return Constraint(words, term, Sense.EQUAL_ZERO, PLACE_TOLERANCE_M, unit=unit)
-
-
-def find_toe(patch: Contact) -> Float[np.ndarray, "3"]:
-    """Return the middle of a patch's points that are farthest along its link's x axis, in the link's frame [m]."""
-    x = patch.points[:, 0]
-    return np.asarray(patch.points[x >= x.max() - 1e-3].mean(axis=0))

@@ -17,17 +17,17 @@ from costs.contact_points import MovedPoints
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from service.body.equilibrium_pose import EquilibriumPose
-from service.request.egress import EgressRequest, PhaseRequest, PhasesFile
-from service.request.file import load_section
+from service.demands.contacts.egress_demand import load_phases
+from service.demands.contacts.egress_surfaces import make_surfaces
+from service.demands.contacts.stances import ContactStance
+from service.request.egress import EgressRequest, PhaseRequest
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.chain import BrokenChain, Chain, link_poses
 from service.tasks.egress.graph import PoseGraph, measure_connection
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.samples import draw_places
 from service.tasks.egress.stages import Stage, list_lasting, make_stages
-from service.tasks.egress.surfaces import make_surfaces
 
-SHIPPED_PHASES = Path(__file__).with_name("phases.yaml")
 SAME_POSE = 1e-2  # largest difference of a coordinate between poses that count as one [rad, m]
 SAME_PLACE_M = 1e-6
 LINKED = 20  # largest number of sequences that are linked before the search is given up
@@ -132,6 +132,7 @@ def plan_poses(
     seed: int = 0,
     map: Map = map,
     should_stop: Callable[[], bool] | None = None,
+    start: ContactStance | None = None,
 ) -> PosePlan:
     """Draw places, solve poses, and return the cheapest sequence whose poses can be linked.
 
@@ -143,11 +144,13 @@ def plan_poses(
         seed: of drawn places and starts.
         map: calls a function for every item, in order; that of an executor runs them in parallel.
         should_stop: polled before every trial step.
+        start: contacts of the robot as it sits; by default those of the first phase.
 
     Raises:
         RequestError: surfaces or phases that cannot be used.
     """
     stages = make_all_stages(robot, scene, request, load_phases(request, folder), seed)
+    stages = stages if start is None else anchor_stages(stages, start)
     solver = PoseSolver.of(robot, scene, request.torque_share, request.margin_n)
     solver = replace(solver, seed=seed, should_stop=should_stop)
     poses = solve_poses(solver, stages, map)
@@ -159,16 +162,18 @@ def plan_poses(
     return PosePlan(sequence, poses.counts, () if sequence is not None else tuple(dict.fromkeys(rejected)))
 
 
-def load_phases(request: EgressRequest, folder: Path = Path()) -> tuple[PhaseRequest, ...]:
-    """Return the request's phases, those of its file, or those that ship with the package.
+def anchor_stages(stages: Sequence[tuple[Stage, ...]], start: ContactStance) -> tuple[tuple[Stage, ...], ...]:
+    """Return stages whose first contacts are where a stance has them, for as long as they stay."""
+    own = {contact.patch: ContactAim.at(contact) for contact in start.contacts}
 
-    Raises:
-        RequestError: the file cannot be used.
-    """
-    if request.phases:
-        return request.phases
-    path = SHIPPED_PHASES if request.phases_file is None else folder / request.phases_file
-    return load_section(PhasesFile, path).phases
+    def anchor(sequence: tuple[Stage, ...]) -> tuple[Stage, ...]:
+        first = {id(aim) for aim in sequence[0].aims}
+        return tuple(
+            replace(stage, aims=tuple(own.get(aim.patch, aim) if id(aim) in first else aim for aim in stage.aims))
+            for stage in sequence
+        )
+
+    return tuple(anchor(sequence) for sequence in stages)
 
 
 def make_all_stages(

@@ -11,10 +11,11 @@ from jaxtyping import Float
 
 from costs.names import would_do
 from costs.robot import BASE_NAMES, RobotModel
+from service.demands.contacts.egress_demand import find_toe
 from service.demands.contacts.stances import Surface
 from service.errors import RequestError
 from service.request.egress import ContactRequest, PhaseRequest, PostureRequest
-from service.tasks.egress.aims import ContactAim, find_toe
+from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import Shape
 
 
@@ -117,7 +118,7 @@ def find_changes(stages: Sequence[Stage]) -> tuple[tuple[tuple[str, ...], tuple[
 def _make_aim(
     robot: RobotModel, patch: str, contact: ContactRequest, surface: Surface, drawn: Sequence[float], path: str
 ) -> ContactAim:
-    mark = find_toe(robot.contacts[patch]) if contact.toe is not None else None
+    mark = find_toe(robot.contacts[patch].points) if contact.toe is not None else None
     given = contact.at if contact.toe is None else contact.toe
     yaw = None if contact.yaw_deg is None else float(np.deg2rad(contact.yaw_deg))
     if given is None:

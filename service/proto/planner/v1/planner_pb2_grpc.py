@@ -29,8 +29,8 @@ class PlannerServiceStub(object):
     """Whole-body trajectories with certificates.
 
     Wrong input is INVALID_ARGUMENT with google.rpc.BadRequest (one field violation per problem); a full queue is
-    RESOURCE_EXHAUSTED with google.rpc.RetryInfo; a deadline that cannot be met is DEADLINE_EXCEEDED at once; a task
-    without a planner is UNIMPLEMENTED. That no motion was found is a verdict, not an error.
+    RESOURCE_EXHAUSTED with google.rpc.RetryInfo; a deadline that cannot be met is DEADLINE_EXCEEDED at once. That no
+    motion was found is a verdict, not an error.
     """
 
     def __init__(self, channel):
@@ -95,8 +95,8 @@ class PlannerServiceServicer(object):
     """Whole-body trajectories with certificates.
 
     Wrong input is INVALID_ARGUMENT with google.rpc.BadRequest (one field violation per problem); a full queue is
-    RESOURCE_EXHAUSTED with google.rpc.RetryInfo; a deadline that cannot be met is DEADLINE_EXCEEDED at once; a task
-    without a planner is UNIMPLEMENTED. That no motion was found is a verdict, not an error.
+    RESOURCE_EXHAUSTED with google.rpc.RetryInfo; a deadline that cannot be met is DEADLINE_EXCEEDED at once. That no
+    motion was found is a verdict, not an error.
     """
 
     def Plan(self, request, context):
@@ -234,8 +234,8 @@ class PlannerService(object):
     """Whole-body trajectories with certificates.
 
     Wrong input is INVALID_ARGUMENT with google.rpc.BadRequest (one field violation per problem); a full queue is
-    RESOURCE_EXHAUSTED with google.rpc.RetryInfo; a deadline that cannot be met is DEADLINE_EXCEEDED at once; a task
-    without a planner is UNIMPLEMENTED. That no motion was found is a verdict, not an error.
+    RESOURCE_EXHAUSTED with google.rpc.RetryInfo; a deadline that cannot be met is DEADLINE_EXCEEDED at once. That no
+    motion was found is a verdict, not an error.
     """
 
     @staticmethod

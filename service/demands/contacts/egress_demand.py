@@ -1,0 +1,170 @@
+"""What getting out of a vehicle demands of any motion: phases as data, and the places that a record chose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.names import would_do
+from costs.robot import RobotModel
+from costs.scene import Scene
+from service.demands.contacts.contact_task import face_pieces, find_off
+from service.demands.contacts.egress_surfaces import make_surfaces
+from service.demands.contacts.stances import (
+    ContactStance,
+    StanceContact,
+    Surface,
+    find_link_pose,
+    place_patch,
+    place_patch_as_it_is,
+)
+from service.errors import RequestError
+from service.request.egress import ContactRequest, EgressRequest, PhaseRequest, PhasesFile
+from service.request.file import load_section
+from service.verify import Motion, PlantedContact
+
+SHIPPED_PHASES = Path(__file__).with_name("egress_phases.yaml")
+SHIPPED_SIDE = "right"
+GIVEN_M = 1e-3  # by which a recorded contact may be off a place that the phases give
+TOE_M = 1e-3  # by which points of the toe differ along the link
+GIVEN_RAD = 1e-3  # the same of its turn
+
+
+def load_phases(request: EgressRequest, folder: Path = Path()) -> tuple[PhaseRequest, ...]:
+    """Return the request's phases, those of its file, or those that ship with the package.
+
+    Raises:
+        RequestError: the file cannot be used.
+    """
+    if request.phases:
+        return request.phases
+    path = SHIPPED_PHASES if request.phases_file is None else folder / request.phases_file
+    return load_section(PhasesFile, path).phases
+
+
+@dataclass(frozen=True)
+class EgressDemand:
+    """What the task of getting out demands.
+
+    Attributes:
+        robot: with contact patches.
+        scene: all pieces.
+        start: (n,) seated configuration.
+        surfaces: by name.
+        phases: of contacts, in their order.
+    """
+
+    robot: RobotModel
+    scene: Scene
+    start: Float[np.ndarray, "n"]
+    surfaces: dict[str, Surface]
+    phases: tuple[PhaseRequest, ...]
+
+    @staticmethod
+    def of(
+        request: EgressRequest, robot: RobotModel, scene: Scene, start: Float[np.ndarray, "n"], folder: Path = Path()
+    ) -> EgressDemand:
+        """Return the demands of a request.
+
+        Raises:
+            RequestError: surfaces or phases that cannot be used.
+        """
+        if not robot.is_floating:
+            raise RequestError("task.egress: this robot's base is fixed; it leaves no vehicle")
+        if request.side != SHIPPED_SIDE and not request.phases and request.phases_file is None:
+            raise RequestError(f"task.egress.phases: none ship for the {request.side} side; give phases or phases_file")
+        surfaces = make_surfaces(scene, request.surfaces, "task.egress.surfaces")
+        phases = load_phases(request, folder)
+        problems = list(_find_unknown(robot, surfaces, phases))
+        if problems:
+            raise RequestError(problems)
+        return EgressDemand(robot, scene, start, surfaces, phases)
+
+    def seat(self) -> ContactStance:
+        """Return the stance at the start: the contacts of the first phase where the start has them.
+
+        Raises:
+            RequestError: one line per contact that is off its surface.
+        """
+        first, contacts, problems = self.phases[0], [], list[str]()
+        for patch, contact in first.contacts.items():
+            placed = place_patch_as_it_is(self.robot, self.start, patch, self.surfaces[contact.surface])
+            contacts.append(face_pieces(placed, self.scene))
+            off = find_off(contacts[-1], self.scene, f"task.egress: '{first.name}': {patch}")
+            problems += [off] if off else []
+        if problems:
+            raise RequestError(problems)
+        return ContactStance(first.name, tuple(contacts))
+
+    def read_stances(self, recorded: Motion) -> tuple[tuple[ContactStance, ...], tuple[str, ...]]:
+        """Return the stances with the places that a record chose, and a sentence for each that the phases forbid."""
+        stances, problems = [self.seat()], list[str]()
+        for k, phase in enumerate(self.phases[1:], start=1):
+            before = {contact.patch: contact for contact in stances[-1].contacts}
+            contacts = []
+            for patch, contact in phase.contacts.items():
+                surface = self.surfaces[contact.surface]
+                is_placed = contact.at is not None or contact.toe is not None or contact.yaw_deg is not None
+                if not is_placed and patch in before and before[patch].surface.name == surface.name:
+                    contacts.append(before[patch])
+                    continue
+                planted = self._find_planted(recorded, k, patch)
+                if planted is None:
+                    problems.append(f"no phase of the record stands on {patch} after '{phase.name}'")
+                    continue
+                placed = place_patch(self.robot.contacts[patch], patch, surface, planted.pose_world_link)
+                contacts.append(face_pieces(placed, self.scene))
+                problems += self._find_forbidden(contacts[-1], contact, phase.name)
+            stances.append(ContactStance(phase.name, tuple(contacts)))
+        return tuple(stances), tuple(problems)
+
+    def _find_planted(self, recorded: Motion, k: int, patch: str) -> PlantedContact | None:
+        """Return a link's contact as the first recorded phase after stage ``k`` has it; None if none has."""
+        link = self.robot.contacts[patch].link
+        later = {phase.name for phase in self.phases[k + 1 :]} | {"finish"}
+        for phase in recorded.phases:
+            if phase.name.split(": ")[0] in later:
+                return next((contact for contact in phase.contacts if contact.link == link), None)
+        return None
+
+    def _find_forbidden(self, contact: StanceContact, request: ContactRequest, phase: str) -> Iterator[str]:
+        """Yield a sentence where a contact is off its surface, or not where the phases have it."""
+        words = f"{contact.patch} in '{phase}'"
+        off = find_off(contact, self.scene, words)
+        if off is not None:
+            yield off
+        patch, pose = self.robot.contacts[contact.patch], contact.planted.pose_world_link
+        given = request.at if request.toe is None else request.toe
+        if given is not None:
+            mark = patch.points.mean(axis=0) if request.toe is None else find_toe(patch.points)
+            away = np.abs(pose[:3, :3] @ mark + pose[:3, 3] - np.array(given))
+            room = np.full(3, GIVEN_M) if request.region is None else np.array([*request.region, 0.0]) / 2.0 + GIVEN_M
+            normal = np.abs(contact.surface.normal)  # a place is moved along the normal onto the surface
+            if np.any(away > room + normal * 1e3):
+                yield f"{words} is {away.max():.3f} m from the place that the phases give"
+        if request.yaw_deg is not None and len(patch.points) >= 3:
+            yaw = float(np.deg2rad(request.yaw_deg))
+            wanted = find_link_pose(patch, contact.surface, contact.points.mean(axis=0), yaw)
+            turn = np.arccos(np.clip((np.trace(wanted[:3, :3].T @ pose[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+            if turn > GIVEN_RAD:
+                yield f"{words} is turned by {np.rad2deg(turn):.1f} deg from what the phases give"
+
+
+def find_toe(points: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "3"]:
+    """Return the middle of the points of a patch that are farthest along its link's x axis [m]."""
+    return np.asarray(points[points[:, 0] >= points[:, 0].max() - TOE_M].mean(axis=0))
+
+
+def _find_unknown(robot: RobotModel, surfaces: dict[str, Surface], phases: Sequence[PhaseRequest]) -> Iterator[str]:
+    for k, phase in enumerate(phases):
+        for patch, contact in phase.contacts.items():
+            here = f"task.egress.phases[{k}].contacts.{patch}"
+            if patch not in robot.contacts:
+                yield f"{here}: unknown patch; {robot.name} has {would_do(patch, robot.contacts)}"
+            elif contact.surface not in surfaces:
+                known = would_do(contact.surface, surfaces)
+                yield f"{here}.surface: unknown surface '{contact.surface}'; expected {known}"

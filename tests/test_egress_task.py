@@ -1,0 +1,91 @@
+"""The task of getting out: its first step planned, certified and replayed, and requests that cannot be planned."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from service.demands.contacts.egress_demand import SHIPPED_PHASES, EgressDemand
+from service.errors import RequestError, ResultError
+from service.planner import plan
+from service.replay.replay import verify_result
+from service.request.file import parse_request
+from service.result.output import write_result
+from service.result.result import Verdict
+
+REQUEST = Path(__file__).resolve().parents[1] / "examples" / "requests" / "egress.yaml"
+
+
+def first_step():
+    """The shipped request with its first two phases, the hands free."""
+    data = yaml.safe_load(REQUEST.read_text())
+    phases = yaml.safe_load(SHIPPED_PHASES.read_text())["phases"][:2]
+    for patch in ("left_wrist", "right_wrist"):
+        del phases[1]["contacts"][patch]
+    data["task"]["egress"] |= {"phases": phases, "samples": 3}
+    return data
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory):
+    """The plan of the first step, and its folder."""
+    result = plan(parse_request(first_step()))
+    folder = tmp_path_factory.mktemp("egress") / "out"
+    write_result(result, folder)
+    return result, folder
+
+
+def test_the_right_foot_leaves_the_car_with_a_certificate(stepped):
+    result, folder = stepped
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    names = [phase.name for phase in result.motion.phases]
+    assert names == [f"right foot out: {part}" for part in ("shift", "lift", "swing", "land")] + ["finish"]
+    assert [contact.link for contact in result.motion.phases[2].contacts] == ["pelvis", "l_foot"]
+    assert verify_result(folder)["verdict"] == "CERTIFIED"
+
+
+def test_a_foot_that_the_phases_put_elsewhere_is_refused(stepped, tmp_path):
+    _, folder = stepped
+    data = json.loads((folder / "result.json").read_text())
+    for phase in data["request"]["task"]["egress"]["phases"][1:]:
+        phase["contacts"]["right_foot"]["toe"][1] -= 0.3
+    other = tmp_path / "out"
+    other.mkdir()
+    for path in folder.rglob("*"):
+        if path.is_file() and path.name != "result.json":
+            (other / path.relative_to(folder)).parent.mkdir(parents=True, exist_ok=True)
+            (other / path.relative_to(folder)).write_bytes(path.read_bytes())
+    (other / "result.json").write_text(json.dumps(data))
+    with pytest.raises(ResultError, match=r"right_foot in 'right foot out' is .* m from the place that the phases give"):
+        verify_result(other)
+
+
+def test_the_side_without_phases_is_refused():
+    data = yaml.safe_load(REQUEST.read_text())
+    data["task"]["egress"]["side"] = "left"
+    with pytest.raises(RequestError, match=r"task\.egress\.phases: none ship for the left side"):
+        plan(parse_request(data))
+
+
+def test_a_robot_that_does_not_sit_on_the_seat_is_refused_in_metres():
+    data = yaml.safe_load(REQUEST.read_text())
+    data["start"]["base"]["position"][2] += 0.05
+    with pytest.raises(RequestError, match=r"hip is 0\.05\d m above seat"):
+        plan(parse_request(data))
+
+
+def test_unknown_patches_and_surfaces_of_phases_are_refused(stepped):
+    result, _ = stepped
+    data = first_step()
+    contacts = data["task"]["egress"]["phases"][0]["contacts"]
+    contacts["knee"] = {"surface": "seat"}
+    contacts["hip"]["surface"] = "sofa"
+    request = parse_request(data).task.egress
+    with pytest.raises(RequestError) as refused:
+        EgressDemand.of(request, result.robot, result.scene, np.array(result.start))
+    assert any("contacts.knee: unknown patch" in line for line in refused.value.problems)
+    assert any("unknown surface 'sofa'" in line for line in refused.value.problems)
