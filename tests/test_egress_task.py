@@ -60,7 +60,7 @@ def test_a_foot_that_the_phases_put_elsewhere_is_refused(stepped, tmp_path):
             (other / path.relative_to(folder)).parent.mkdir(parents=True, exist_ok=True)
             (other / path.relative_to(folder)).write_bytes(path.read_bytes())
     (other / "result.json").write_text(json.dumps(data))
-    with pytest.raises(ResultError, match=r"right_foot in 'right foot out' is .* m from the place that the phases give"):
+    with pytest.raises(ResultError, match=r"right_foot in 'right foot out' is .* m from the place that the phases"):
         verify_result(other)
 
 
