@@ -62,7 +62,7 @@ def test_an_unknown_link_joint_or_posture_is_refused_by_name():
 
 
 def test_phases_that_share_no_contact_are_refused_by_name():
-    refuse((phases()[0], phases()[7]), "'left foot out' shares no contact", "'sit'")
+    refuse((phases()[0], phases()[9]), "'left foot out' shares no contact", "'sit'")
 
 
 def test_two_patches_of_one_link_are_refused():
@@ -111,16 +111,16 @@ def test_phases_of_a_file_are_read_beside_the_request(tmp_path):
 
 def test_a_contact_without_a_place_stays_where_it_was():
     left = [next((aim for aim in stage.aims if aim.patch == "left_foot"), None) for stage in stages()]
-    assert all(aim is left[0] for aim in left[:7])
-    assert left[7] is not left[0]
-    assert list_lasting(stages(), 0, "left_foot") == tuple(range(7))
-    assert "left_foot" not in stages()[7].kept
+    assert all(aim is left[0] for aim in left[:9])
+    assert left[9] is not left[0]
+    assert list_lasting(stages(), 0, "left_foot") == tuple(range(9))
+    assert "left_foot" not in stages()[9].kept
 
 
 def test_a_drawn_place_moves_every_contact_with_a_region_alike():
     robot, scene = car()
     for drawn in make_all_stages(robot, scene, replace(task(), samples=4), phases()):
-        out, turned = (next(a for a in drawn[k].aims if a.patch == "right_foot") for k in (1, 5))
+        out, turned = (next(a for a in drawn[k].aims if a.patch == "right_foot") for k in (1, 7))
         np.testing.assert_allclose(out.place, turned.place)
         assert (np.abs(out.place[:2] - [0.34, -0.73]) <= 0.1).all()
 

@@ -21,11 +21,9 @@ REQUEST = Path(__file__).resolve().parents[1] / "examples" / "requests" / "egres
 
 
 def first_step():
-    """The shipped request with its first two phases, the hands free."""
+    """The shipped request with its first two phases."""
     data = yaml.safe_load(REQUEST.read_text())
     phases = yaml.safe_load(SHIPPED_PHASES.read_text())["phases"][:2]
-    for patch in ("left_wrist", "right_wrist"):
-        del phases[1]["contacts"][patch]
     data["task"]["egress"] |= {"phases": phases, "samples": 3}
     return data
 

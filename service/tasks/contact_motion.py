@@ -234,7 +234,7 @@ class _Walker:
         return all(bool(np.any(supports[joint][limbs])) for joint in joints)
 
     def end_in(self, spec: ContactPhase, at: Float[np.ndarray, "n"], finish: Float[np.ndarray, "n"]) -> PlannedPhase:
-        """Return the phase that ends as near to a posture as the stance allows."""
+        """Return the phase that ends as near to a posture as the stance allows, perhaps around obstacles."""
         body = replace(self.stand_on(spec.contacts), nominal=finish)
         guess = finish.copy()
         guess[:6] = at[:6]
@@ -243,7 +243,7 @@ class _Walker:
         if not end.is_feasible:
             raise StuckError(spec.name, (), end.x[0], Stuck(spec.name, end))
         last = project_onto_holds(body.engine, end.x, body.holds())[0]
-        return self._move(spec, at, last, SWING_WAYPOINTS)
+        return self._swing(spec, spec.contacts, at, last)
 
     def _pose(
         self,
