@@ -134,7 +134,7 @@ def kind_of(request: PlanRequest) -> str:
     if request.goal is not None:
         goal = request.goal
         return "joint_goal" if goal.joints else "pose_goal" if goal.poses else "posture"
-    names = ("valve", "door", "contacts", "egress", "trajopt")
+    names = ("valve", "door", "mechanism", "contacts", "egress", "trajopt")
     return next((name for name in names if getattr(request.task, name) is not None), "unknown")
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from service.store import CloudLimits, StoreLimits
 
 KINDS = (
-    "default", "valve", "door", "contacts", "egress", "trajopt", "joint_goal", "pose_goal", "posture", "scene",
-    "detect", "verify",
+    "default", "valve", "door", "mechanism", "contacts", "egress", "trajopt", "joint_goal", "pose_goal", "posture",
+    "scene", "detect", "verify",
 )  # fmt: skip
 BUDGETS_S = {"default": 60.0, "egress": 300.0}
 WORKER_BYTES = 8 * 2**30  # of address space, of which libraries and threads reserve far more than they use
