@@ -230,7 +230,9 @@ def test_timed_peaks_hold_at_dense_samples_and_accelerations_are_reached(seed: i
     times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(path) / (speed[:-1] + speed[1:]))])
     law = TimeLaw(times, path, speed)
     peaks = measure_timed_peaks(curve, law)
-    s, ds, dds = law.at(np.linspace(0.0, times[-1], 20001)[:-1])
+    # Cells may be far shorter than others: each is sampled, just inside of its ends.
+    inside = np.linspace(1e-6, 1.0 - 1e-6, 2001)
+    s, ds, dds = law.at((times[:-1, None] + np.diff(times)[:, None] * inside).ravel())
     velocity = curve(s, 1) * ds[:, None]
     acceleration = curve(s, 1) * dds[:, None] + curve(s, 2) * (ds**2)[:, None]
     assert np.all(np.abs(velocity).max(axis=0) <= peaks.speed.max(axis=0) + 1e-9)
