@@ -17,7 +17,7 @@ from costs.robot.model import RobotModel
 from costs.scene import Scene
 from costs.stopping import poll
 
-# Where two faces touch within rounding coal gives up and returns the lowest number there is: it is asked again with one
+# Where two faces touch within rounding coal fails and returns the lowest double: it is called again with one
 # of them nudged by far less than any tolerance [m].
 _ABSURD = 1e6
 _NUDGES = [

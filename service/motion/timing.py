@@ -24,6 +24,7 @@ from service.verify.forces.dynamics import (
     compute_forces,
     compute_inverse_dynamics,
     find_limited_joints,
+    list_levers,
     list_sample_times,
     make_contact_share,
     make_joints,
@@ -266,7 +267,7 @@ def _compute_cone_slowdown(
     v, a = slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2
     moving = compute_inverse_dynamics(motion, q, v, a)
     limited, share = find_limited_joints(motion), make_contact_share(motion, phase)
-    joints = make_joints(motion, phase, moving.torque, moving.jacobians, limited)
+    joints = make_joints(motion, moving.torque, list_levers(motion.robot.model, phase, moving.jacobians))
     held = share.hold(moving.wrench, joints)
     beyond = np.flatnonzero(~is_held(held))
     if not len(beyond):
@@ -292,7 +293,7 @@ def _compare_with_rest(
     """
     times = list_sample_times(motion, law, first, last, time_step_s)
     robot, support = motion.robot, phase.support
-    rows = np.isfinite(robot.effort) & (robot.effort > 0.0)
+    rows = find_limited_joints(motion)
 
     def measure(timing: TimeLaw, at: Float[np.ndarray, "R"]) -> tuple[np.ndarray, np.ndarray]:
         loads = compute_forces(motion, timing, phase, at)

@@ -93,7 +93,7 @@ def _write_contact(contact: PlantedContact) -> dict[str, Any]:
         "link": contact.link,
         "position": pose[:3, 3].tolist(),
         "quaternion_wxyz": write_rotation(pose[:3, :3]),
-        "sole": (contact.sole @ pose[:3, :3].T + pose[:3, 3]).tolist(),
+        "sole": contact.points.tolist(),
         "tolerance_m": contact.tolerance_m,
         "knot_tolerance_m": contact.knot_tolerance_m,
         "friction": contact.friction,

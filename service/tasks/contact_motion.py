@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.allowance import Allowance
 from costs.contact import Contact
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
@@ -25,11 +24,13 @@ from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import FOOT_TOLERANCE, WholeBody
 from service.demands.contacts.stances import (
     LINE_M,
+    ContactChange,
     ContactPhase,
     ContactStance,
     StanceContact,
     list_contact_phases,
 )
+from service.tasks.sequence import shrink
 from service.verify.forces.loaded_balance import find_normals
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
@@ -128,7 +129,7 @@ class _Walker:
             StuckError: the contacts hold it nowhere.
         """
         spec = ContactPhase("", "shift", tuple(contacts), tuple(touching))
-        touches = _shrink(spec.list_allowances(self.start.robot))
+        touches = shrink(spec.list_allowances(self.start.robot), DEPTH_RESERVE)
         planted = tuple(contact.planted for contact in contacts)
         try:
             region = plan_contact_region(self.start.robot, planted)
@@ -174,30 +175,25 @@ class _Walker:
         at: Float[np.ndarray, "n"],
     ) -> Sequence[PlannedPhase]:
         """Return the phases from one stance to the next, which begin at a configuration."""
-        kept = before.keep_common(after)
-        leaving = tuple(contact for contact in before.contacts if contact not in kept)
-        arriving = tuple(contact for contact in after.contacts if not contact.is_kept_in(before))
         by_kind = {spec.kind: spec for spec in specs}
-        left, made = self._find_poses(after.name, kept, leaving, arriving, at)
+        left, made = self._find_poses(after.name, ContactChange.between(before, after), at)
         phases: list[PlannedPhase] = []
         here = at
         if left is not None:
             phases.append(self._move(by_kind["shift"], at, left, SHIFT_WAYPOINTS))
-            lifted = self._line(by_kind["lift"], kept, leaving, left, is_up=True)
+            lifted = self._line(by_kind["lift"], left, is_up=True)
             phases.append(lifted)
             here = lifted.q[-1]
         if made is not None:
-            landing = self._line(by_kind["land"], kept, arriving, made, is_up=False)
-            phases.append(self._swing(by_kind["swing"], kept, here, landing.q[0]))
+            landing = self._line(by_kind["land"], made, is_up=False)
+            phases.append(self._swing(by_kind["swing"], here, landing.q[0]))
             phases.append(landing)
         return phases
 
     def _find_poses(
         self,
         name: str,
-        kept: tuple[StanceContact, ...],
-        leaving: tuple[StanceContact, ...],
-        arriving: tuple[StanceContact, ...],
+        change: ContactChange,
         at: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"] | None, Float[np.ndarray, "n"] | None]:
         """Return the poses in which the old and the new contacts are in place, held by those kept; None without such.
@@ -206,6 +202,7 @@ class _Walker:
         swings.
         """
         monitor = self.solver.monitor
+        kept, leaving, arriving = change.kept, change.leaving, change.arriving
         known = self.guesses.leave.get(name), self.guesses.arrive.get(name)
         steps = f"{name}: pose on what stays", f"{name}: pose at the new places"
         left = made = None
@@ -237,13 +234,13 @@ class _Walker:
         """Return the phase that ends as near to a posture as the stance allows, perhaps around obstacles."""
         body = replace(self.stand_on(spec.contacts), nominal=finish)
         guess = finish.copy()
-        guess[:6] = at[:6]
+        guess[: len(BASE_NAMES)] = at[: len(BASE_NAMES)]
         with self.solver.monitor.step(spec.name, 0.6):
             end = replace(self.solver, body=body).solve_pose(spec.name, [guess, at], ())
         if not end.is_feasible:
             raise StuckError(spec.name, (), end.x[0], Stuck(spec.name, end))
         last = project_onto_holds(body.engine, end.x, body.holds())[0]
-        return self._swing(spec, spec.contacts, at, last)
+        return self._swing(spec, at, last)
 
     def _pose(
         self,
@@ -301,14 +298,12 @@ class _Walker:
     def _line(
         self,
         spec: ContactPhase,
-        kept: tuple[StanceContact, ...],
-        moving: tuple[StanceContact, ...],
         pose: Float[np.ndarray, "n"],
         *,
         is_up: bool,
     ) -> PlannedPhase:
         """Return the phase in which links leave their places, or arrive there, straight along their normals."""
-        body = self.stand_on(kept, moving)
+        body = self.stand_on(spec.contacts, spec.moving)
         at = 0 if is_up else LINE_WAYPOINTS - 1
         shares = {k: abs(k - at) / (LINE_WAYPOINTS - 1) for k in range(LINE_WAYPOINTS) if k != at}
         constraints = [
@@ -318,25 +313,24 @@ class _Walker:
                 tolerance=LINE_TOLERANCE,
                 unit="m or rad",
             )
-            for contact in moving
+            for contact in spec.moving
         ]
         start = np.tile(pose, (LINE_WAYPOINTS, 1))
         solver = replace(self.solver, body=body)
         with solver.monitor.step(spec.name, 0.4):
             inner = np.array(sorted(shares))
-            constraints += _keep_sides(body, kept, inner, MORE_LEAN)
+            constraints += _keep_sides(body, spec.contacts, inner, MORE_LEAN)
             solved = solver.solve_trajectory(spec.name, [start], {at: pose}, constraints=constraints)
         return _finish(spec, body, solved)
 
     def _swing(
         self,
         spec: ContactPhase,
-        kept: tuple[StanceContact, ...],
         first: Float[np.ndarray, "n"],
         last: Float[np.ndarray, "n"],
     ) -> PlannedPhase:
         """Return the free phase between two lines."""
-        body = self.stand_on(kept)
+        body = self.stand_on(spec.contacts)
         guide = replace(body, nominal=first)
         starts = [straight_path(first, last, SWING_WAYPOINTS)]
         starts += [path_via(first, guess, last, SWING_WAYPOINTS) for _, guess in posture_guesses(guide)[1:3]]
@@ -442,11 +436,6 @@ def _finish(
         resolve=resolve,
         body=replace(body, touches=spec.list_allowances(robot)),
     )
-
-
-def _shrink(touches: Sequence[Allowance]) -> tuple[Allowance, ...]:
-    """Return allowances for the waypoints, which leave some of their depth for the curve between them."""
-    return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in touches)
 
 
 def _as_contact(contact: StanceContact) -> Contact:

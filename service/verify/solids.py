@@ -20,7 +20,7 @@ from costs.stopping import poll
 _SCANNED = 32
 # A flat set is thinned out to this many extreme points: all of them are neighbours of each other.
 _FLAT = 128
-# Where two faces touch within rounding coal gives up and returns the lowest number there is: it is asked again with the
+# Where two faces touch within rounding coal fails and returns the lowest double: it is called again with the
 # mover nudged by far less than any tolerance [m].
 _ABSURD = 1e6
 _NUDGES = 1e-8 * np.array([[0.0, 0.0, 0.0], [0.61, -0.48, 0.63], [-0.43, 0.71, -0.56], [0.37, 0.52, -0.77]])

@@ -55,8 +55,7 @@ def _balance_check(proof: PhaseProof, support: SupportPolygon) -> Check:
 def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Check]:
     phase = proof.phase
     path = FramePath.of(proof.prepared, contact.link, contact.sole, proof.settings.rounding)
-    pose = contact.pose_world_link
-    planted = contact.sole @ pose[:3, :3].T + pose[:3, 3]
+    planted = contact.points
 
     def drift(s: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.norm(path.at(s)[0] - planted, axis=2).max(axis=1))

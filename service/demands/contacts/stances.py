@@ -7,7 +7,7 @@ stands on the contacts that both have at the same place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
@@ -107,14 +107,25 @@ class ContactStance:
     name: str
     contacts: tuple[StanceContact, ...]
 
-    @property
-    def planted(self) -> tuple[PlantedContact, ...]:
-        """The verifier's contacts."""
-        return tuple(contact.planted for contact in self.contacts)
-
     def keep_common(self, other: ContactStance) -> tuple[StanceContact, ...]:
         """Return the contacts that another stance has at the same place."""
         return tuple(contact for contact in self.contacts if contact.is_kept_in(other))
+
+
+@dataclass(frozen=True)
+class ContactChange:
+    """Contacts of two stances: those that stay where they are, those that leave, and those that arrive."""
+
+    kept: tuple[StanceContact, ...]
+    leaving: tuple[StanceContact, ...]
+    arriving: tuple[StanceContact, ...]
+
+    @staticmethod
+    def between(before: ContactStance, after: ContactStance) -> ContactChange:
+        """Return what changes from one stance to the next."""
+        kept = before.keep_common(after)
+        leaving = tuple(contact for contact in before.contacts if contact not in kept)
+        return ContactChange(kept, leaving, tuple(c for c in after.contacts if not c.is_kept_in(before)))
 
 
 def place_patch(
@@ -196,13 +207,6 @@ def find_unjoined(stances: Sequence[ContactStance]) -> str | None:
     return None
 
 
-def shift_contact(contact: StanceContact, by: Float[np.ndarray, "3"]) -> StanceContact:
-    """Return a contact moved by an offset in the world [m]."""
-    pose = contact.planted.pose_world_link.copy()
-    pose[:3, 3] += by
-    return replace(contact, planted=replace(contact.planted, pose_world_link=pose))
-
-
 def _make_frame(z: Float[np.ndarray, "3"], ahead: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Return axes as columns: ``z``, and x as near to ``ahead`` as it can be."""
     x = ahead - (ahead @ z) * z
@@ -262,15 +266,13 @@ def list_contact_phases(stances: Sequence[ContactStance], *, has_finish: bool) -
     """Return the phases that lead from the first stance through all others, and perhaps to a posture on the last."""
     phases: list[ContactPhase] = []
     for before, after in pairwise(stances):
-        kept = before.keep_common(after)
-        leaving = tuple(contact for contact in before.contacts if contact not in kept)
-        arriving = tuple(contact for contact in after.contacts if not contact.is_kept_in(before))
-        if leaving:
+        change = ContactChange.between(before, after)
+        if change.leaving:
             phases.append(ContactPhase(f"{after.name}: shift", "shift", before.contacts))
-            phases.append(ContactPhase(f"{after.name}: lift", "lift", kept, leaving))
-        if arriving:
-            phases.append(ContactPhase(f"{after.name}: swing", "swing", kept))
-            phases.append(ContactPhase(f"{after.name}: land", "land", kept, arriving))
+            phases.append(ContactPhase(f"{after.name}: lift", "lift", change.kept, change.leaving))
+        if change.arriving:
+            phases.append(ContactPhase(f"{after.name}: swing", "swing", change.kept))
+            phases.append(ContactPhase(f"{after.name}: land", "land", change.kept, change.arriving))
     if has_finish:
         phases.append(ContactPhase("finish", "finish", stances[-1].contacts))
     return tuple(phases)

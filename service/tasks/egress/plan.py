@@ -110,7 +110,7 @@ class EgressSequence:
 
 @dataclass(frozen=True)
 class PosePlan:
-    """What came of planning poses.
+    """Result of planning poses.
 
     Attributes:
         sequence: the cheapest that could be linked; None if there is none.

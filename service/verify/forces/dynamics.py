@@ -14,7 +14,7 @@ from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.contact_forces import ContactShare, Joints
 from service.verify.forces.hand_loads import list_load_cases
-from service.verify.forces.loaded_balance import GRAVITY, Ground
+from service.verify.forces.loaded_balance import GRAVITY, Ground, weigh
 from service.verify.frame_paths import find_mechanism_joints
 from service.verify.motion import Motion, Phase, SupportPolygon, VerifySettings
 from service.verify.polygons import describe_inside, outside_polygon
@@ -153,32 +153,21 @@ def _share_in_cones(
     jacobians: Float[np.ndarray, "S 6 n"],
 ) -> Float[np.ndarray, "S"]:
     """Take the torques of contact forces off ``torque``; return the force that the contacts lack [N]."""
-    limited = find_limited_joints(motion)
-    joints = make_joints(motion, phase, torque, jacobians, limited)
+    levers = list_levers(motion.robot.model, phase, jacobians)
+    joints = make_joints(motion, torque, levers)
     held = make_contact_share(motion, phase).hold(wrench, joints)
-    torque -= np.einsum(
-        "skc,sc->sk", list_levers(motion.robot.model, phase, jacobians), held.forces.reshape(len(wrench), -1)
-    )
+    torque -= np.einsum("skc,sc->sk", levers, held.forces.reshape(len(wrench), -1))
     return held.missing_n
 
 
 def make_contact_share(motion: Motion, phase: Phase) -> ContactShare:
     """Return the contacts of a phase as a whole that carries wrenches."""
-    apart = find_mechanism_joints(motion)
-    model: pin.Model = motion.robot.model
-    mass = float(sum(model.inertias[j].mass for j in range(1, model.njoints) if j not in apart))
-    return ContactShare(Ground.within_tilt(phase.contacts), mass * GRAVITY)
+    return ContactShare(Ground.within_tilt(phase.contacts), weigh(motion) * GRAVITY)
 
 
-def make_joints(
-    motion: Motion,
-    phase: Phase,
-    torque: Float[np.ndarray, "S n"],
-    jacobians: Float[np.ndarray, "S 6 n"],
-    limited: Int[np.ndarray, "k"],
-) -> Joints:
-    """Return the limited joints with the levers of a phase's contact points."""
-    levers = list_levers(motion.robot.model, phase, jacobians)
+def make_joints(motion: Motion, torque: Float[np.ndarray, "S n"], levers: Float[np.ndarray, "S n 3C"]) -> Joints:
+    """Return the limited joints, given the torques and levers of all coordinates."""
+    limited = find_limited_joints(motion)
     return Joints(torque[:, limited], levers[:, limited], motion.robot.effort[limited])
 
 

@@ -46,7 +46,7 @@ def check_loaded_balance(
         nan = float("nan")
         yield Check(f"equilibrium.{phase.name}", True, nan, 0.0, "1", text, where, Basis.UNPROVEN)
         return
-    mass = _weigh(prepared.motion)
+    mass = weigh(prepared.motion)
     proofs = [_prove(prepared.motion, phase, region, mass) for region in phase.regions]
     yield _equilibrium_check(prepared, phase, proofs)
     extremes = [
@@ -155,7 +155,8 @@ def _find_gap(phase: Phase, edges: Float[np.ndarray, "E"]) -> float | None:
     return None if phase.regions and abs(reached - phase.last) <= scale else reached
 
 
-def _weigh(motion: Motion) -> float:
+def weigh(motion: Motion) -> float:
+    """Return the mass of the robot with what it carries, without the mechanism [kg]."""
     model: pin.Model = motion.robot.model
     apart = find_mechanism_joints(motion)
     return float(sum(model.inertias[j].mass for j in range(1, model.njoints) if j not in apart))
