@@ -1,0 +1,1 @@
+"""Plans carried out on a robot: what it is told, what it measures, and who decides what comes next."""

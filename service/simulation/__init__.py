@@ -1,0 +1,1 @@
+"""Results carried out in a physics engine (MuJoCo, the extra `sim`)."""
