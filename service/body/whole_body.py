@@ -37,6 +37,7 @@ FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
 SELF_SHARE = 0.5  # of the margin between the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the clearance margin [m]
+TOUCHING_SHARE = 0.9  # of that tolerance by which an end may be deeper than a pair that may touch is aimed at
 ACCEPTABLE_SHARE = 0.3  # of the margin that may be missing when a solve takes long
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
@@ -135,7 +136,8 @@ class WholeBody:
             SELF_SHARE * self.aims.margin,
         )
         checker = SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
-        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE)
+        # A pair that may touch is not allowed more than its depth because it has it at an end.
+        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, -TOUCHING_SHARE * CLEARANCE_TOLERANCE)
 
     def make_pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
         """Return a checker of poses that requires a few millimetres, or a pair's distance at the ends if less."""
@@ -146,12 +148,16 @@ class WholeBody:
         return PoseChecker(self.robot, self.scene, fitting.margins)
 
     def _fit_margins(
-        self, checker: SweptCollisionChecker, ends: Sequence[Float[np.ndarray, "n"]], reserve: float
+        self,
+        checker: SweptCollisionChecker,
+        ends: Sequence[Float[np.ndarray, "n"]],
+        reserve: float,
+        touching_reserve: float | None = None,
     ) -> SweptCollisionChecker:
-        """Limit the margin of every pair to its distance at the given ends less a reserve [m]."""
+        """Limit the margin of every pair to its distance at the given ends less a reserve, others for touching [m]."""
         margins = checker.margins
         for q in ends:
-            margins = margins.relax_to(checker(self.engine(q[None])), reserve)
+            margins = margins.relax_to(checker(self.engine(q[None])), reserve, touching_reserve)
         return checker.with_margins(margins)
 
     def holds(self) -> tuple[Hold, ...]:

@@ -13,9 +13,10 @@ from costs.contact import Contact
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.static_region import StaticRegionError
-from costs.terms import AxisDirection, FramePose, Joined, JointTarget, NormWithin, WithinTolerance
+from costs.terms import FramePose, Joined, JointTarget, WithinTolerance
 from scopt import Constraint, Cost, Residual, Sense
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
+from service.body.facing import keep_facing
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import plan_contact_region
 from service.body.phases import PhaseSolver, path_via, posture_guesses, straight_path
@@ -38,13 +39,12 @@ TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the m
 # Of a link on its line, at the waypoints: how far it may be off, and the tolerance of that [m, rad].
 LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))])
 LINE_TOLERANCE = 2e-4
-MOST_LEAN = float(np.deg2rad(12.0))  # of a patch that may turn about its points, off its surface
-MORE_LEAN = float(np.deg2rad(3.0))  # the same between poses
 KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
-DEPTH_RESERVE = 2e-3  # of an allowance, for the curve between waypoints [m]
+SIDE_RESERVE = 1e-3  # of the depth behind a contact's surface in poses, for the motion between them [m]
+DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between waypoints [m]
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ class _Walker:
             )
             for contact in placed
         ]
-        constraints += _keep_sides(body, (*kept, *placed), one)
+        constraints += _keep_sides(body, (*kept, *placed), one, SIDE_RESERVE)
         contacts = [_as_contact(contact) for contact in kept]
         normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(kept)}
         limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
@@ -319,7 +319,7 @@ class _Walker:
         solver = replace(self.solver, body=body)
         with solver.monitor.step(spec.name, 0.4):
             inner = np.array(sorted(shares))
-            constraints += _keep_sides(body, spec.contacts, inner, MORE_LEAN)
+            constraints += _keep_sides(body, spec.contacts, inner)
             solved = solver.solve_trajectory(spec.name, [start], {at: pose}, constraints=constraints)
         return _finish(spec, body, solved)
 
@@ -364,7 +364,7 @@ class _Walker:
 
         def solve(starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
             last = len(starts[0]) - 1
-            sides = _keep_sides(body, spec.contacts, np.arange(1, last), MORE_LEAN)
+            sides = _keep_sides(body, spec.contacts, np.arange(1, last))
             return solver.solve_trajectory(spec.name, starts, {0: starts[0][0], last: starts[0][-1]}, constraints=sides)
 
         return solve
@@ -382,28 +382,20 @@ def _keep_on_line(body: WholeBody, contact: StanceContact, waypoint: int, height
 
 
 def _keep_sides(
-    body: WholeBody, contacts: Sequence[StanceContact], waypoints: Int[np.ndarray, "S"], more: float = 0.0
+    body: WholeBody, contacts: Sequence[StanceContact], waypoints: Int[np.ndarray, "S"], reserve_m: float = 0.0
 ) -> list[Constraint[MotionState]]:
-    """Return constraints that links which may turn about their contact points keep their patches on the surfaces."""
+    """Return constraints that links which may turn about their contact points stay in front of what they touch."""
     return [
-        Constraint(
-            f"side of {contact.patch}",
-            NormWithin(
-                AxisDirection(
-                    body.robot,
-                    contact.planted.link,
-                    waypoints,
-                    body.robot.contacts[contact.patch].normals.mean(axis=0),
-                    contact.surface.normal,
-                ),
-                2,
-                MOST_LEAN + more,
-            ),
-            tolerance=0.1 * MOST_LEAN,
-            unit="rad",
-        )
+        constraint
         for contact in contacts
-        if len(contact.planted.sole) < 3
+        for constraint in keep_facing(
+            body.robot,
+            contact.patch,
+            find_normals((contact.planted,)).mean(axis=0),
+            contact.points.mean(axis=0),
+            waypoints,
+            reserve_m,
+        )
     ]
 
 

@@ -81,7 +81,6 @@ def _measure_behind(prepared: PreparedMotion, phase: Phase, contact: PlantedCont
     frame = prepared.motion.robot.model.frames[prepared.motion.robot.model.getFrameId(contact.link)]
     points = contact.sole @ np.array(frame.placement.rotation).T + np.array(frame.placement.translation)
     normals = find_normals((contact,))
-    lean = np.sin(min(MOST_LEAN_RAD + contact.tilt_rad, 0.5 * np.pi))
     placed, rows = prepared.at(edges_within(prepared.edges, phase))
     worst = -np.inf
     for body in prepared.motion.robot.bodies:
@@ -91,9 +90,22 @@ def _measure_behind(prepared: PreparedMotion, phase: Phase, contact: PlantedCont
         rotation, _ = placed.relative(0, body.joint, rows)
         for index in touching.tolist():
             offsets = (body.vertices - points[index]) @ np.swapaxes(rotation, -1, -2)
-            beyond = -offsets @ normals[index] - lean * np.linalg.norm(offsets, axis=2)
-            worst = max(worst, float(beyond.max()) - TURNING_DEPTH_M)
+            worst = max(worst, measure_behind(offsets, normals[index], contact.tilt_rad) - TURNING_DEPTH_M)
     return worst
+
+
+def measure_behind(
+    offsets: Float[np.ndarray, "*a V 3"], normal: Float[np.ndarray, "3"], tilt_rad: float = 0.0
+) -> float:
+    """Return how far vertices reach behind a surface that leans as much as link and surface may [m].
+
+    Args:
+        offsets: (..., V, 3) of the vertices from a point on the surface [m].
+        normal: (3,) unit, of the surface.
+        tilt_rad: by which the surface may lean off it.
+    """
+    lean = np.sin(min(MOST_LEAN_RAD + tilt_rad, 0.5 * np.pi))
+    return float((-offsets @ normal - lean * np.linalg.norm(offsets, axis=-1)).max())
 
 
 def find_standing_contacts(motion: Motion, phase: Phase) -> tuple[PlantedContact, ...]:

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
-from costs.primitive import find_round_normals
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.demands.contacts.stances import (
@@ -87,8 +86,7 @@ def make_surfaces(requests: Mapping[str, SurfaceRequest], scene: Scene) -> dict[
     if floors:
         top = _find_side(floors[0], np.array([0.0, 0.0, 1.0]))
         if top is not None:
-            names = tuple(floor.name for floor in floors)
-            surfaces[FLOOR] = Surface(FLOOR, *top, 1.0, names)
+            surfaces[FLOOR] = Surface.on_pieces(FLOOR, *top, 1.0, floors)
     for name, request in requests.items():
         field = f"task.contacts.surfaces.{name}"
         behind = request.pieces if request.piece is None else (request.piece,)
@@ -106,7 +104,7 @@ def make_surfaces(requests: Mapping[str, SurfaceRequest], scene: Scene) -> dict[
         if side is None:
             problems.append(f"{field}: {request.piece or 'the polygon'} has no flat side along {list(request.normal)}")
             continue
-        surfaces[name] = Surface(name, *side, request.friction, behind)
+        surfaces[name] = Surface.on_pieces(name, *side, request.friction, [pieces[piece] for piece in behind])
     if problems:
         raise RequestError(problems)
     return surfaces
@@ -193,12 +191,7 @@ def face_pieces(contact: StanceContact, scene: Scene) -> StanceContact:
     On a round piece the normal is that of the round shape where the contact is; elsewhere it is the surface's.
     """
     behind = [piece for piece in scene.pieces if piece.name in contact.surface.pieces]
-    normal = contact.surface.normal
-    shapes = [piece.exact for piece in behind if piece.exact is not None]
-    if len(shapes) == 1 and len(behind) == 1:
-        mean = find_round_normals(contact.points, shapes[0]).mean(axis=0)
-        if mean @ normal > 0.5:
-            normal = mean / np.linalg.norm(mean)
+    normal = contact.surface.find_normal(contact.points)
     _, tilt = find_surface_gaps(contact.points, normal, behind)
     return replace(contact, planted=replace(contact.planted, normal=normal, tilt_rad=tilt + TILT_ROUNDING))
 

@@ -33,10 +33,12 @@ def make_surfaces(scene: Scene, requests: Mapping[str, SurfaceRequest], path: st
                 raise RequestError(f"{here}: unknown piece '{piece}'; the scene has {would_do(piece, pieces)}")
         if request.piece is not None and request.normal is not None:
             corners, normal = find_face(pieces[request.piece], np.array(request.normal), here)
-            surfaces[name] = Surface(name, corners, normal, request.friction, (request.piece,))
+            behind = [pieces[request.piece]]
         else:
             corners = np.array(request.corners)
-            surfaces[name] = Surface(name, corners, find_normal(corners, here), request.friction, request.pieces)
+            normal = find_normal(corners, here)
+            behind = [pieces[piece] for piece in request.pieces]
+        surfaces[name] = Surface.on_pieces(name, corners, normal, request.friction, behind)
     return surfaces
 
 

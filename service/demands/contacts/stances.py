@@ -18,10 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact
+from costs.primitive import Primitive, find_round_normals
 from costs.robot import RobotModel
+from costs.scene import ConvexPiece
 from service.verify import PlantedContact, RelativePoseTarget
 from service.verify.ground import STANDING_DEPTH_M, TURNING_DEPTH_M
 
+LEAST_FACING = 0.5  # cosine between a surface's normal and that of the round shape behind it
 SAME_PLACE_M = 1e-9  # of contact points that are kept
 LINE_M = 0.02  # of a link that leaves a surface or arrives there, straight along the surface's normal
 
@@ -36,6 +39,7 @@ class Surface:
         normal: (3,) unit, outwards: the direction in which it pushes.
         friction: coefficient.
         pieces: the scene's pieces behind it, which a link in contact may touch.
+        shape: the round shape behind it; None for a flat one.
     """
 
     name: str
@@ -43,6 +47,26 @@ class Surface:
     normal: Float[np.ndarray, "3"]
     friction: float
     pieces: tuple[str, ...] = ()
+    shape: Primitive | None = None
+
+    @staticmethod
+    def on_pieces(
+        name: str,
+        corners: Float[np.ndarray, "V 3"],
+        normal: Float[np.ndarray, "3"],
+        friction: float,
+        pieces: Sequence[ConvexPiece],
+    ) -> Surface:
+        """Return a surface in front of pieces of the scene."""
+        shape = pieces[0].exact if len(pieces) == 1 else None
+        return Surface(name, corners, normal, friction, tuple(piece.name for piece in pieces), shape)
+
+    def find_normal(self, points: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "3"]:
+        """Return the unit normal of what is behind it at points on it: that of a round shape, else its own."""
+        if self.shape is None:
+            return self.normal
+        mean = find_round_normals(points, self.shape).mean(axis=0)
+        return mean / np.linalg.norm(mean) if mean @ self.normal > LEAST_FACING else self.normal
 
     @property
     def middle(self) -> Float[np.ndarray, "3"]:

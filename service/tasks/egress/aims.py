@@ -13,10 +13,11 @@ from costs.rotation import make_tangent_basis
 from costs.state import MotionState
 from costs.terms import ContactPlace, FramePose
 from scopt import Constraint, Residual, Sense
+from service.body.facing import FLAT_POINTS, keep_facing
 from service.demands.contacts.stances import StanceContact, Surface, find_link_pose
 
+SIDE_RESERVE_M = 2e-3  # of the depth behind a surface, for the motions between the poses
 PLACE_TOLERANCE_M = 2e-5  # per row of a contact in its place
-FLAT_POINTS = 3  # from as many points on, a patch at its place fixes its link
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class ContactAim:
             if len(patch.points) >= FLAT_POINTS:
                 return [self._name("place", FramePose(robot, patch.link, [0], planted.pose_world_link), "m or rad")]
             term = ContactPlace.at(robot, patch.link, patch.points, [0], planted.points)
-            return [self._name("place", term)]
+            return [self._name("place", term), *self._face(robot)]
         if self.place is not None and self.yaw_rad is not None and len(patch.points) >= FLAT_POINTS:
             pose = self._find_link_pose(patch, self.place, self.yaw_rad)
             return [self._name("place", FramePose(robot, patch.link, [0], pose), "m or rad"), self._stay_inside(robot)]
@@ -67,13 +68,25 @@ class ContactAim:
         surface = self.surface
         level = float(surface.normal @ surface.corners[0])
         on_plane = ContactPlace.on_plane(robot, patch.link, patch.points, [0], surface.normal, level)
-        terms = [self._name("plane", on_plane), self._stay_inside(robot)]
+        terms = [self._name("plane", on_plane), self._stay_inside(robot), *self._face(robot)]
         if self.place is not None:
             along = make_tangent_basis(surface.normal)
             mark = patch.points.mean(axis=0) if self.mark is None else self.mark
             at = ContactPlace(robot, patch.link, mark[None], [0], along, along @ self.place)
             terms.append(self._name("place", at))
         return terms
+
+    @property
+    def normal(self) -> Float[np.ndarray, "3"]:
+        """(3,) unit normal of what it touches, where its place is known [-]."""
+        if self.fixed is not None:
+            return self.surface.find_normal(self.fixed.points)
+        return self.surface.normal if self.place is None else self.surface.find_normal(self.place[None])
+
+    def _face(self, robot: RobotModel) -> list[Constraint[MotionState]]:
+        place = self.surface.corners[0] if self.place is None else self.place
+        place = place if self.fixed is None else self.fixed.points.mean(axis=0)
+        return keep_facing(robot, self.patch, self.normal, place, np.zeros(1, dtype=int), SIDE_RESERVE_M)
 
     def _stay_inside(self, robot: RobotModel) -> Constraint[MotionState]:
         """Return the constraint that the patch is not beyond the edges of its surface."""

@@ -20,9 +20,10 @@ from costs.stopping import poll
 from costs.terms import AxisDirection, ContactForce, FramePose, JointTarget, PointHalfSpace, Positive
 from scopt import Cost, Residual, Settings, Status
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
+from service.body.facing import FLAT_POINTS
 from service.body.whole_body import Aims, WholeBody
 from service.request.egress import SideRequest, WeightsRequest
-from service.tasks.egress.aims import FLAT_POINTS, ContactAim
+from service.tasks.egress.aims import ContactAim
 from service.verify.ground import STANDING_DEPTH_M
 
 MARGIN_M = 0.01  # clearance from the world; half of it between the robot's own links
@@ -125,7 +126,7 @@ class PoseSolver:
         robot = self.body.robot
         bearing = [aim for aim in aims if loaded is None or aim.patch in loaded]
         contacts = [_make_contact(robot, aim) for aim in bearing]
-        normals = {k: aim.surface.normal for k, aim in enumerate(bearing)}
+        normals = {k: aim.normal for k, aim in enumerate(bearing)}
         places = [term for aim in aims for term in aim.make_constraints(robot)]
         costs = [*shape.make_costs(self.body, aims), *_face_surfaces(robot, aims, shape.weights.facing)]
         force_terms = _relieve_arms(robot, contacts, normals, shape.weights.hand_forces)
@@ -220,7 +221,7 @@ def _face_surfaces(robot: RobotModel, aims: Sequence[ContactAim], weight: float)
     for aim in aims:
         patch = robot.contacts[aim.patch]
         if weight > 0.0 and len(patch.points) < FLAT_POINTS:
-            term = AxisDirection(robot, patch.link, [0], patch.normals.mean(axis=0), aim.surface.normal)
+            term = AxisDirection(robot, patch.link, [0], patch.normals.mean(axis=0), aim.normal)
             costs.append(Cost(f"{aim.patch} faces {aim.surface.name}", term, weight))
     return costs
 
