@@ -44,7 +44,8 @@ TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000)) 
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
 SIDE_RESERVE = 1e-3  # of the depth behind a contact's surface in poses, for the motion between them [m]
-DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between waypoints [m]
+DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
+POSE_RESERVE = 2.5e-3  # of an allowance in poses, for the motion between them [m]
 
 
 @dataclass(frozen=True)
@@ -122,14 +123,19 @@ class _Walker:
     def start(self) -> WholeBody:
         return self.solver.body
 
-    def stand_on(self, contacts: Sequence[StanceContact], touching: Sequence[StanceContact] = ()) -> WholeBody:
-        """Return the robot on contacts, while others may touch.
+    def stand_on(
+        self,
+        contacts: Sequence[StanceContact],
+        touching: Sequence[StanceContact] = (),
+        reserve_m: float = DEPTH_RESERVE,
+    ) -> WholeBody:
+        """Return the robot on contacts, while others may touch; of what may touch, a reserve of depth is kept [m].
 
         Raises:
             StuckError: the contacts hold it nowhere.
         """
         spec = ContactPhase("", "shift", tuple(contacts), tuple(touching))
-        touches = shrink(spec.list_allowances(self.start.robot), DEPTH_RESERVE)
+        touches = shrink(spec.list_allowances(self.start.robot), reserve_m)
         planted = tuple(contact.planted for contact in contacts)
         try:
             region = plan_contact_region(self.start.robot, planted)
@@ -260,7 +266,7 @@ class _Walker:
         if not kept:
             raise StuckError(step, (f"{step}: no contact stays where it is",), at)
         robot, one = self.start.robot, np.zeros(1, dtype=int)
-        body = replace(self.stand_on(kept, placed), nominal=at if known is None else known)
+        body = replace(self.stand_on(kept, placed, POSE_RESERVE), nominal=at if known is None else known)
         guesses = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
         guesses = [np.clip(at + self.noise, robot.lower, robot.upper), *guesses]
         costs: list[Cost[MotionState]] = []

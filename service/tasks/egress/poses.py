@@ -24,8 +24,8 @@ from service.body.facing import FLAT_POINTS
 from service.body.whole_body import Aims, WholeBody
 from service.request.egress import SideRequest, WeightsRequest
 from service.tasks.egress.aims import ContactAim
-from service.verify.ground import STANDING_DEPTH_M
 
+TOUCHING_DEPTH_M = 4e-3  # aimed at in poses; less than what is allowed, for the motions between them [m]
 MARGIN_M = 0.01  # clearance from the world; half of it between the robot's own links
 EFFORT = Settings(max_iterations=60, max_penalty_raises=3, patience=25)
 STRICT = 100.0  # factor of the first penalty where a solve ended with violations that are merely acceptable
@@ -203,7 +203,7 @@ def _restore_solver(
 def make_allowances(robot: RobotModel, aims: Sequence[ContactAim]) -> tuple[Allowance, ...]:
     """Return the allowances of links that touch the pieces behind their surfaces."""
     return tuple(
-        Allowance(BodyRef.of_link(robot.contacts[aim.patch].link), BodyRef.of_piece(piece), STANDING_DEPTH_M)
+        Allowance(BodyRef.of_link(robot.contacts[aim.patch].link), BodyRef.of_piece(piece), TOUCHING_DEPTH_M)
         for aim in aims
         for piece in aim.surface.pieces
     )
