@@ -103,15 +103,21 @@ def test_every_pose_of_a_chain_is_in_equilibrium_within_limits_by_inverse_dynami
         assert (np.sqrt(np.maximum(across, 0.0)) <= pose.points.friction * normals + 1e-6).all(), name
 
 
+BAR_AXIS = np.array([0.45, 0.0, 1.285])  # a point of the wooden bar, which lies along y
+
+
 def find_normals(linked, pose):
-    """(C, 3) normal of the surface nearest to each point of a pose."""
+    """(C, 3) normal of the surface nearest to each point of a pose; on the round bar away from its axis."""
     contacts = [contact for stance in linked.stances for contact in stance.contacts]
-    return np.array(
-        [
-            min(contacts, key=lambda contact: np.linalg.norm(contact.points - place, axis=1).min()).surface.normal
-            for place in pose.places
-        ]
-    )
+
+    def find_normal(place):
+        nearest = min(contacts, key=lambda contact: np.linalg.norm(contact.points - place, axis=1).min())
+        if not nearest.surface.name.startswith("bar"):
+            return nearest.surface.normal
+        outwards = (place - BAR_AXIS) * [1.0, 0.0, 1.0]
+        return outwards / np.linalg.norm(outwards)
+
+    return np.array([find_normal(place) for place in pose.places])
 
 
 def test_the_shipped_phases_link_from_the_seat_to_standing_with_room_for_errors_of_forces():
@@ -121,7 +127,7 @@ def test_the_shipped_phases_link_from_the_seat_to_standing_with_room_for_errors_
     assert isinstance(found, Chain), found.reason
     assert [stance.name for stance in found.stances] == [phase.name for phase in phases()]
     named = found.list_poses()
-    assert len(named) == 33
+    assert len(named) == 37
     for name, pose in named:
         assert pose.reserve_n >= task().margin_n, name
         assert measure_imbalance(robot, pose)[0] < 1e-3, name
@@ -164,7 +170,8 @@ def test_a_solver_sent_to_another_process_finds_the_same_pose():
 
 def test_changes_between_stages_are_named():
     assert find_changes(stages())[0] == (("right_foot",), ("right_foot",))
-    assert find_changes(stages())[-1] == (("left_forearm", "right_forearm"), ())
+    assert (("left_forearm", "right_forearm"), ()) in find_changes(stages())
+    assert find_changes(stages())[-1] == ((), ())  # another pose on the same contacts
 
 
 def test_a_bar_on_two_points_shares_its_weight_by_the_levers():

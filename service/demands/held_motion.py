@@ -17,7 +17,7 @@ from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis, with_mechanism
 from costs.scene import Scene
 from service.demands.contacts.egress_demand import EgressDemand
-from service.demands.contacts.stances import ContactPhase, ContactStance, list_contact_phases
+from service.demands.contacts.stances import ContactPhase, ContactStance, ends_with_new_contacts, list_contact_phases
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
 from service.demands.recorded_task import RecordedTask, TaskDemand
@@ -176,9 +176,10 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         at_start = np.concatenate([start, demands.task.mechanism.start])
         neighbours = make_neighbour_allowances(augmented, demands.scene, at_start)
     changes = tuple[ContactPhase, ...]()
-    stances, has_finish, forbidden = demands.stances, True, tuple[str, ...]()
+    stances, has_finish, forbidden = demands.stances, False, tuple[str, ...]()
     if demands.egress is not None:
         stances, forbidden = demands.egress.read_stances(recorded)
+        has_finish = ends_with_new_contacts(stances)
     elif request.task is not None and request.task.contacts is not None:
         has_finish = request.task.contacts.finish is not None
     if stances:

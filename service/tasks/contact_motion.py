@@ -42,6 +42,7 @@ LINE_TOLERANCE = 2e-4
 KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 N_TRIES = 4  # of a change of contacts, from other guesses
+KNOWN_TRIES = 2  # of one whose poses are known already
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
 SIDE_RESERVE = 1e-3  # of the depth behind a contact's surface in poses, for the motion between them [m]
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
@@ -55,10 +56,12 @@ class PoseGuesses:
     Attributes:
         leave: in which the contacts that stay hold the robot alone, before the others leave.
         arrive: the same when the new contacts are in their places.
+        there: in which the stance holds the robot.
     """
 
     leave: Mapping[str, Float[np.ndarray, "n"]]
     arrive: Mapping[str, Float[np.ndarray, "n"]]
+    there: Mapping[str, Float[np.ndarray, "n"]]
 
 
 class StuckError(Exception):
@@ -87,7 +90,7 @@ def plan_contact_motion(
     """
     if guesses is not None:
         solver = replace(solver, body=replace(solver.body, is_comfortable=False))
-    walker = _Walker(solver, guesses or PoseGuesses({}, {}), np.zeros(solver.body.robot.n))
+    walker = _Walker(solver, guesses or PoseGuesses({}, {}, {}), np.zeros(solver.body.robot.n))
     specs = list_contact_phases(stances, has_finish=finish is not None)
     order = tuple(spec.name for spec in specs)
     phases: list[PlannedPhase] = []
@@ -161,7 +164,7 @@ class _Walker:
         first: StuckError | None = None
         rng = np.random.default_rng(self.solver.seed)
         is_known = after.name in self.guesses.arrive
-        for k in range(min(N_TRIES, self.solver.most_starts)):
+        for k in range(min(KNOWN_TRIES if is_known else N_TRIES, self.solver.most_starts)):
             noise = np.zeros(len(at)) if k < 2 else SPREAD * rng.normal(size=len(at))
             noise[: len(BASE_NAMES)] = 0.0
             try:
@@ -182,6 +185,11 @@ class _Walker:
     ) -> Sequence[PlannedPhase]:
         """Return the phases from one stance to the next, which begin at a configuration."""
         by_kind = {spec.kind: spec for spec in specs}
+        if "move" in by_kind:
+            step = f"{after.name}: pose"
+            with self.solver.monitor.step(step, 0.3):
+                pose = self._pose(step, after.contacts, (), at, self.guesses.there.get(after.name))
+            return [self._swing(by_kind["move"], at, pose)]
         left, made = self._find_poses(after.name, ContactChange.between(before, after), at)
         phases: list[PlannedPhase] = []
         here = at

@@ -238,7 +238,7 @@ def _make_frame(z: Float[np.ndarray, "3"], ahead: Float[np.ndarray, "3"]) -> Flo
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-PhaseKind = Literal["shift", "lift", "swing", "land", "finish"]
+PhaseKind = Literal["shift", "lift", "swing", "land", "move", "finish"]
 LINE_TOLERANCE_M, LINE_TILT_RAD = 0.012, float(np.deg2rad(7.0))  # of a link on its line along the normal
 
 
@@ -249,7 +249,7 @@ class ContactPhase:
     Attributes:
         name: as the user sees it.
         kind: ``shift`` moves the body over what stays, ``lift`` and ``land`` move what leaves or arrives straight along
-            its normal, ``swing`` is free, ``finish`` ends in a posture.
+            its normal, ``swing`` is free, ``move`` leads to another pose on the same contacts, ``finish`` to a posture.
         contacts: that carry the robot.
         moving: that leave or arrive.
     """
@@ -286,11 +286,18 @@ class ContactPhase:
         return tuple(targets)
 
 
+def ends_with_new_contacts(stances: Sequence[ContactStance]) -> bool:
+    """Return whether the last stance has contacts that no stance before it has: a last phase has to stand on them."""
+    return len(stances) > 1 and bool(ContactChange.between(stances[-2], stances[-1]).arriving)
+
+
 def list_contact_phases(stances: Sequence[ContactStance], *, has_finish: bool) -> tuple[ContactPhase, ...]:
     """Return the phases that lead from the first stance through all others, and perhaps to a posture on the last."""
     phases: list[ContactPhase] = []
     for before, after in pairwise(stances):
         change = ContactChange.between(before, after)
+        if not change.leaving and not change.arriving:
+            phases.append(ContactPhase(f"{after.name}: move", "move", change.kept))
         if change.leaving:
             phases.append(ContactPhase(f"{after.name}: shift", "shift", before.contacts))
             phases.append(ContactPhase(f"{after.name}: lift", "lift", change.kept, change.leaving))

@@ -22,7 +22,7 @@ from service.demands.contacts.egress_surfaces import make_surfaces
 from service.demands.contacts.stances import ContactStance
 from service.request.egress import EgressRequest, PhaseRequest
 from service.tasks.egress.aims import ContactAim
-from service.tasks.egress.chain import BrokenChain, Chain, link_poses
+from service.tasks.egress.chain import Chain, link_poses
 from service.tasks.egress.graph import PoseGraph, measure_connection
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.samples import draw_places
@@ -99,6 +99,7 @@ class EgressSequence:
         cost: of the chosen poses by eq. 4 of the paper.
         slip_m: farthest that a kept contact point moves between chosen poses; the chain has none.
         rejected: why cheaper sequences could not be linked, in sentences.
+        path: the chosen poses' indices among all nodes.
     """
 
     chain: Chain
@@ -106,6 +107,7 @@ class EgressSequence:
     cost: float
     slip_m: float
     rejected: tuple[str, ...]
+    path: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,11 +115,13 @@ class PosePlan:
     """Result of planning poses.
 
     Attributes:
-        sequence: the cheapest that could be linked; None if there is none.
+        search: of sequences, the cheapest first; None where a stage has no pose.
+        sequence: the first that could be linked; None if there is none.
         counts: poses of each stage that was sampled, with failures and duplicates.
         reasons: why there is no sequence, in sentences; empty if there is one.
     """
 
+    search: SequenceSearch | None
     sequence: EgressSequence | None
     counts: tuple[StageCount, ...]
     reasons: tuple[str, ...]
@@ -156,10 +160,11 @@ def plan_poses(
     poses = solve_poses(solver, stages, map)
     missing = explain_missing(poses)
     if missing:
-        return PosePlan(None, poses.counts, missing)
-    rejected: list[str] = []
-    sequence = next(find_sequences(solver, poses, rejected=rejected), None)
-    return PosePlan(sequence, poses.counts, () if sequence is not None else tuple(dict.fromkeys(rejected)))
+        return PosePlan(None, None, poses.counts, missing)
+    search = SequenceSearch(solver, poses)
+    sequence = search.find_next()
+    reasons = () if sequence is not None else tuple(dict.fromkeys(search.rejected))
+    return PosePlan(search, sequence, poses.counts, reasons)
 
 
 def anchor_stages(stages: Sequence[tuple[Stage, ...]], start: ContactStance) -> tuple[tuple[Stage, ...], ...]:
@@ -247,13 +252,72 @@ def make_graph(solver: PoseSolver, poses: PoseSet) -> PoseGraph:
     return PoseGraph(layer, np.array([node.cost for node in nodes]), edges)
 
 
+class SequenceSearch:
+    """Search for complete sequences through the graph of all poses, the cheapest first.
+
+    Attributes:
+        rejected: a sentence for each sequence that could not be linked.
+    """
+
+    def __init__(self, solver: PoseSolver, poses: PoseSet, most: int = LINKED) -> None:
+        """
+        Args:
+            solver: of poses.
+            poses: of all drawn places.
+            most: number of sequences that are linked at most.
+        """
+        self._solver, self._poses, self._left = solver, poses, most
+        is_complete = len({node.stage for node in poses.nodes}) == len(poses.counts)
+        self._graph = make_graph(solver, poses) if is_complete else None
+        self._without: set[tuple[int, int]] = set()
+        self.rejected: list[str] = []
+
+    def find_next(self) -> EgressSequence | None:
+        """Return the cheapest sequence that can be linked; None without another one.
+
+        A sequence that cannot be linked loses the edge at which it failed.
+        """
+        poses = self._poses
+        while self._graph is not None and self._left > 0:
+            self._left -= 1
+            path = self._graph.find_sequence(self._without)
+            if path is None:
+                return None
+            nodes = tuple(poses.nodes[i] for i in path)
+            stages = _choose_stages(poses.stages, nodes)
+            chain = link_poses(self._solver, stages, {node.stage: node.pose for node in nodes})
+            if isinstance(chain, Chain):
+                cost, slip = self._graph.measure_cost(path), measure_slip(self._solver, poses.stages[0], nodes)
+                return EgressSequence(chain, nodes, cost, slip, tuple(self.rejected), tuple(path))
+            self.rejected.append(chain.reason)
+            if not self._cut(tuple(path), chain.stage):
+                return None  # the first pose is in every sequence
+        return None
+
+    def drop(self, sequence: EgressSequence, stage: str | None = None) -> bool:
+        """Leave out the edge by which a sequence reaches a stage, or its first free edge.
+
+        Returns:
+            Whether another sequence is possible.
+        """
+        names = [stance.name for stance in sequence.chain.stances]
+        return self._cut(sequence.path, 0 if stage not in names else names.index(stage))
+
+    def _cut(self, path: tuple[int, ...], stage: int) -> bool:
+        stages = [self._poses.nodes[i].stage for i in path]
+        cut = next((k for k, own in enumerate(stages) if own >= stage), len(path) - 1)
+        if cut == 0:
+            if stage > 0 or len(path) < 3:
+                return False
+            cut = 2  # the first edge that is not the same in all sequences
+        self._without.add((path[cut - 1], path[cut]))
+        return True
+
+
 def find_sequences(
     solver: PoseSolver, poses: PoseSet, most: int = LINKED, rejected: list[str] | None = None
 ) -> Iterator[EgressSequence]:
-    """Yield complete sequences, the cheapest first.
-
-    A sequence that cannot be linked loses the edge at which it failed; one that can loses its first free edge, so that
-    the next differs from it.
+    """Yield complete sequences that differ, the cheapest first.
 
     Args:
         solver: of poses.
@@ -261,32 +325,13 @@ def find_sequences(
         most: number of sequences that are linked at most.
         rejected: filled with a sentence for each sequence that cannot be linked.
     """
-    if len({node.stage for node in poses.nodes}) < len(poses.counts):
-        return
-    graph = make_graph(solver, poses)
-    without: set[tuple[int, int]] = set()
-    rejected = [] if rejected is None else rejected
-    for _ in range(most):
-        path = graph.find_sequence(without)
-        if path is None:
+    search = SequenceSearch(solver, poses, most)
+    if rejected is not None:
+        search.rejected = rejected
+    while (sequence := search.find_next()) is not None:
+        yield sequence
+        if not search.drop(sequence):
             return
-        nodes = tuple(poses.nodes[i] for i in path)
-        stages = _choose_stages(poses.stages, nodes)
-        chain = link_poses(solver, stages, {node.stage: node.pose for node in nodes})
-        if isinstance(chain, BrokenChain):
-            rejected.append(chain.reason)
-            cut = next(k for k, node in enumerate(nodes) if node.stage >= chain.stage)
-            if cut == 0:
-                return  # the first pose is in every sequence
-            without.add((path[cut - 1], path[cut]))
-            continue
-        yield EgressSequence(
-            chain, nodes, graph.measure_cost(path), measure_slip(solver, poses.stages[0], nodes), tuple(rejected)
-        )
-        cut = min(1, len(path) - 2)
-        if cut < 0:
-            return
-        without.add((path[cut], path[cut + 1]))
 
 
 def explain_missing(poses: PoseSet) -> tuple[str, ...]:

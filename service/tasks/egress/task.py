@@ -8,9 +8,11 @@ from dataclasses import replace
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.demands.contacts.contact_task import face_pieces
+from service.demands.contacts.stances import ends_with_new_contacts
 from service.request.egress import EgressRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.contact_motion import PoseGuesses, plan_contact_motion
+from service.tasks.egress.chain import Chain
 from service.tasks.egress.plan import StageCount, plan_poses
 
 
@@ -29,10 +31,22 @@ def plan_egress(setup: PlanSetup, solver: PhaseSolver, request: EgressRequest) -
         )
         monitor.check()
     notes = tuple(_describe(count) for count in poses.counts)
-    if poses.sequence is None:
+    search, sequence = poses.search, poses.sequence
+    if search is None or sequence is None:
         yield TaskPlan(solver.body, (), poses.reasons, notes=notes)
         return
-    chain = poses.sequence.chain
+    while sequence is not None:
+        plan = _plan_motion(setup, solver, sequence.chain)
+        yield replace(plan, notes=(*notes, *plan.notes))
+        stuck = None if plan.is_feasible else plan.phases[-1].name.split(": ")[0]
+        if not search.drop(sequence, stuck):
+            return
+        with monitor.step("poses", 0.05):
+            sequence = search.find_next()
+
+
+def _plan_motion(setup: PlanSetup, solver: PhaseSolver, chain: Chain) -> TaskPlan:
+    """Return the motion along a chain of poses."""
     stances = [
         replace(stance, contacts=tuple(face_pieces(contact, setup.scene) for contact in stance.contacts))
         for stance in chain.stances
@@ -42,9 +56,10 @@ def plan_egress(setup: PlanSetup, solver: PhaseSolver, request: EgressRequest) -
     guesses = PoseGuesses(
         {name: step.leaving.q for name, step in steps if step.leaving is not None},
         {name: step.arriving.q for name, step in steps if step.arriving is not None},
+        {name: pose.q for name, pose in zip(names, chain.poses[1:], strict=True)},
     )
-    plan = plan_contact_motion(solver, stances, chain.poses[-1].q, guesses)
-    yield replace(plan, notes=(*notes, *plan.notes))
+    finish = chain.poses[-1].q if ends_with_new_contacts(stances) else None
+    return plan_contact_motion(solver, stances, finish, guesses)
 
 
 def _describe(count: StageCount) -> str:
