@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from costs.contact import Contact
+from costs.primitive import Primitive
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
 from service import RequestError, parse_request, prepare
@@ -24,6 +25,7 @@ from service.demands.contacts.stances import (
     ContactStance,
     StanceContact,
     Surface,
+    ends_with_new_contacts,
     find_link_pose,
     find_unjoined,
     list_contact_phases,
@@ -68,6 +70,21 @@ def test_a_link_lies_flat_on_its_surface_with_the_middle_of_its_points_at_the_pl
     assert np.allclose(pose[:3, :3] @ patch.normals[0], normal)
     off = contact.points.mean(axis=0) - place
     assert np.allclose(off - (off @ normal) * normal, 0.0, atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(turn=st.floats(-1.0, 1.0), along=st.floats(-0.4, 0.4))
+def test_the_normal_on_a_round_bar_points_away_from_its_axis(turn: float, along: float) -> None:
+    bar = Primitive("cylinder", 0.025, 1.0, np.eye(4))
+    points = 0.025 * np.stack([np.cos(np.linspace(0, 6, 12)), np.sin(np.linspace(0, 6, 12))], axis=1)
+    vertices = np.concatenate([np.column_stack([points, np.full(12, z)]) for z in (-0.5, 0.5)])
+    piece = ConvexPiece("bar", vertices, exact=bar)
+    corners = np.array([[0.025, -0.02, -0.5], [0.025, 0.02, -0.5], [0.025, 0.02, 0.5], [0.025, -0.02, 0.5]])
+    surface = Surface.on_pieces("side", corners, np.array([1.0, 0.0, 0.0]), 0.6, [piece])
+    outwards = np.array([np.cos(turn), np.sin(turn), 0.0])
+    np.testing.assert_allclose(surface.find_normal((0.025 * outwards + [0.0, 0.0, along])[None]), outwards, atol=1e-9)
+    flat = Surface.on_pieces("side", corners, np.array([1.0, 0.0, 0.0]), 0.6, [replace(piece, exact=None)])
+    np.testing.assert_allclose(flat.find_normal(corners), [1.0, 0.0, 0.0])
 
 
 def test_yaw_turns_a_foot_about_the_normal_and_0_points_it_along_x() -> None:
@@ -168,6 +185,10 @@ def test_phases_of_steps_shift_lift_swing_and_land_on_what_stays() -> None:
     ]
     carrying = [[contact.patch for contact in phase.contacts] for phase in phases]
     assert carrying == [["l", "r"], ["l"], ["l"], ["l"], ["l", "r"], ["l"], ["l"]]
+    again = list_contact_phases((stances[-1], stand("rise", left)), has_finish=False)
+    assert [(phase.name, phase.kind) for phase in again] == [("rise: move", "move")]
+    assert ends_with_new_contacts(stances[:2])
+    assert not ends_with_new_contacts(stances)
     assert phases[1].moving == (right,)
     assert phases[3].moving == (ahead,)
     (line,) = phases[3].list_targets()

@@ -132,6 +132,20 @@ def test_relaxed_margins_are_what_a_fixed_configuration_leaves():
     np.testing.assert_allclose(contacts.margin - contacts.distance, [-0.002], atol=1e-9)
 
 
+def test_a_pair_that_may_touch_gives_way_no_farther_than_its_own_reserve():
+    robot = chain(BASED)  # a cube from q to q + 0.2
+    wall = Scene((ConvexPiece("near", box([0.5, 0.0, 0.0], [0.1, 1.0, 1.0])),))  # from 0.45
+    margins = PairMargins.of(
+        robot, wall, 0.03, [Allowance(BodyRef.of_link(robot.bodies[0].link), BodyRef.of_piece("near"), 0.004)]
+    )
+    checker = SweptCollisionChecker(robot, wall, margins)
+    deep = checker(KinematicsEngine(robot)(np.array([[0.255]])))  # 5 mm inside, 4 mm are allowed
+    np.testing.assert_allclose(margins.relax_to(deep, 0.002).world[0, 0], -0.007, atol=1e-9)
+    np.testing.assert_allclose(margins.relax_to(deep, 0.002, -0.001).world[0, 0], -0.004, atol=1e-9)
+    deeper = checker(KinematicsEngine(robot)(np.array([[0.26]])))
+    np.testing.assert_allclose(margins.relax_to(deeper, 0.002, -0.001).world[0, 0], -0.009, atol=1e-9)
+
+
 def test_relaxed_margins_of_links_are_found_whichever_of_them_sweeps():
     robot = atlas()
     checker = checker_of(robot, Scene(), 0.5)
