@@ -41,6 +41,7 @@ LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))
 LINE_TOLERANCE = 2e-4
 KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
+LEAST_JOINTS = 3  # of a limb that goes around something
 N_TRIES = 4  # of a change of contacts, from other guesses
 KNOWN_TRIES = 2  # of one whose poses are known already
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
@@ -244,6 +245,13 @@ class _Walker:
         joints = [int(model.frames[model.getFrameId(contact.planted.link)].parentJoint) for contact in contacts]
         return all(bool(np.any(supports[joint][limbs])) for joint in joints)
 
+    def _has_free_limb(self, body: WholeBody) -> bool:
+        """Return whether all joints of one of the robot's groups carry nothing: only these move on a sampled path."""
+        free = set(free_coordinates(body).tolist())
+        columns = {name: i for i, name in enumerate(body.robot.joint_names)}
+        groups = [{columns[name] for name in names if name in columns} for names in body.robot.groups.values()]
+        return not groups or any(len(group) >= LEAST_JOINTS and group <= free for group in groups)
+
     def end_in(self, spec: ContactPhase, at: Float[np.ndarray, "n"], finish: Float[np.ndarray, "n"]) -> PlannedPhase:
         """Return the phase that ends as near to a posture as the stance allows, perhaps around obstacles."""
         body = replace(self.stand_on(spec.contacts), nominal=finish)
@@ -351,7 +359,7 @@ class _Walker:
         solve = self._solve_between(spec, body)
         with self.solver.monitor.step(spec.name, 0.5):
             solved = solve([_keep_contacts(body, start) for start in starts])
-            for tree in TREES:
+            for tree in TREES if self._has_free_limb(body) else ():
                 if solved.is_feasible:
                     break
                 path = replace(self.solver, body=body).sample_carried(first, last, tree)

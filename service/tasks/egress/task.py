@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from costs.stopping import Stopped
+from service.body.monitor import Interrupted
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.demands.contacts.contact_task import face_pieces
@@ -35,14 +37,26 @@ def plan_egress(setup: PlanSetup, solver: PhaseSolver, request: EgressRequest) -
     if search is None or sequence is None:
         yield TaskPlan(solver.body, (), poses.reasons, notes=notes)
         return
-    while sequence is not None:
-        plan = _plan_motion(setup, solver, sequence.chain)
-        yield replace(plan, notes=(*notes, *plan.notes))
-        stuck = None if plan.is_feasible else plan.phases[-1].name.split(": ")[0]
-        if not search.drop(sequence, stuck):
-            return
-        with monitor.step("poses", 0.05):
-            sequence = search.find_next()
+    failed: TaskPlan | None = None
+    try:
+        while sequence is not None:
+            plan = _plan_motion(setup, solver, sequence.chain)
+            plan = replace(plan, notes=(*notes, *plan.notes))
+            stuck = None
+            if plan.is_feasible:
+                yield plan
+            else:
+                failed = plan if failed is None or len(plan.phases) > len(failed.phases) else failed
+                stuck = plan.phases[-1].name.split(": ")[0]
+            if not search.drop(sequence, stuck):
+                break
+            with monitor.step("poses", 0.05):
+                sequence = search.find_next()
+    except (Interrupted, Stopped):
+        if failed is None:
+            raise
+    if failed is not None:
+        yield failed
 
 
 def _plan_motion(setup: PlanSetup, solver: PhaseSolver, chain: Chain) -> TaskPlan:
