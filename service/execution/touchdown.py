@@ -1,0 +1,231 @@
+"""Soft touchdown of a foot: it comes down with the toe up and a torque-free ankle, and stops where the ground is.
+
+Liu et al., Humanoids 2015, II.B: "we first tilt the foot up, and then set the desired ankle torques to be zero and the
+corresponding gains in K_f to be non zero before touchdown".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.robot import RobotModel
+from service.execution.driver import JointCommand, RobotReading
+from service.execution.errors import ExecutionError
+from service.execution.reference import ReferencePhase
+from service.execution.shift import Shift, ShiftLimits, step_shift
+
+MAX_TILT_RAD = 0.35
+
+
+class Stage(Enum):
+    """What an ankle does."""
+
+    STIFF = "stiff"  # follows its command
+    TILTED = "tilted"  # on its way down with the toe up
+    FREE = "free"  # no torque: about to touch, or just touched
+    SETTLED = "settled"  # stiff again, as the ground turned it
+
+
+@dataclass(frozen=True)
+class TouchdownSettings:
+    """How a foot is put down.
+
+    Attributes:
+        tilt_rad: angle of the sole, toe up, before it touches.
+        tilt_rate: of that angle while it comes and goes [rad/s].
+        free_s: time before the planned touch from which the ankle is free [s].
+        torque_gain: share of the measured ankle torque that is fed back: ``K_f`` of eq. 8, with a desired torque of 0.
+        touch_n: upright force at which the foot touches the ground [N].
+        touch_s: time for which it must be exceeded [s].
+        settle_s: time after the touch in which the sole comes flat [s].
+        probe_speed: of the foot that looks for ground below its planned place [m/s].
+        probe_m: how far it looks [m].
+        limits: of the displacement that stops the foot.
+    """
+
+    tilt_rad: float = 0.07
+    tilt_rate: float = 0.25
+    free_s: float = 0.1
+    torque_gain: float = 0.5
+    touch_n: float = 25.0
+    touch_s: float = 0.004
+    settle_s: float = 0.25
+    probe_speed: float = 0.03
+    probe_m: float = 0.03
+    limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=4.0))
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.tilt_rad <= MAX_TILT_RAD and 0.0 <= self.torque_gain <= 1.0):
+            raise ExecutionError(
+                f"touchdown: tilt_rad {self.tilt_rad:g}, torque_gain {self.torque_gain:g}; expected 0 to "
+                f"{MAX_TILT_RAD:g} rad and a gain of 0 to 1"
+            )
+
+
+@dataclass(frozen=True)
+class Ankle:
+    """Joints of a foot's ankle.
+
+    Attributes:
+        foot: link.
+        joints: indices in the order of the commands: the last two joints above the foot.
+        toe_up: (2,) change of the joints' angles per radian of toe-up tilt.
+    """
+
+    foot: str
+    joints: np.ndarray
+    toe_up: Float[np.ndarray, "2"]
+
+
+@dataclass(frozen=True)
+class TouchdownState:
+    """A foot on its way to the ground.
+
+    Attributes:
+        stage: of its ankle.
+        offset: (2,) of the ankle's joints from their command [rad].
+        tilt: toe-up angle now [rad].
+        pressed_s: time for which the foot has carried force [s].
+        since_s: time in this stage [s].
+        height: displacement of the foot's target along z, which holds it where it touched.
+        touched_z: z of the commanded foot where it touched [m]; nan before.
+        peak_n: largest upright force since the ankle was free [N].
+    """
+
+    stage: Stage
+    offset: Float[np.ndarray, "2"]
+    tilt: float
+    pressed_s: float
+    since_s: float
+    height: Shift
+    touched_z: float
+    peak_n: float
+
+    @staticmethod
+    def stiff() -> TouchdownState:
+        """Return the state of a foot that follows its command."""
+        return TouchdownState(Stage.STIFF, np.zeros(2), 0.0, 0.0, 0.0, Shift.zero(), np.nan, 0.0)
+
+    @property
+    def has_touched(self) -> bool:
+        """Whether the foot has found the ground."""
+        return bool(np.isfinite(self.touched_z))
+
+
+def find_ankle(robot: RobotModel, joint_names: Sequence[str], foot: str) -> Ankle:
+    """Return the ankle of a foot: the two joints above it, and how they tilt the toe up.
+
+    Raises:
+        ExecutionError: fewer than two joints carry the foot.
+    """
+    model = robot.model
+    frame = model.frames[model.getFrameId(foot)]
+    last = frame.parentJoint
+    above = [int(last), int(model.parents[last])]
+    names = [robot.joint_names[model.joints[joint].idx_v] for joint in above]
+    missing = [name for name in names if name not in joint_names]
+    if missing:
+        raise ExecutionError(f"{robot.name}: {foot} has no ankle of two joints; {missing[0]} is not commanded")
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    turns = pin.getFrameJacobian(model, data, model.getFrameId(foot), pin.ReferenceFrame.LOCAL)[3:]
+    columns = [model.joints[joint].idx_v for joint in above]
+    # Toe up is a negative turn about the foot's y axis.
+    toe_up = np.linalg.lstsq(turns[:, columns], np.array([0.0, -1.0, 0.0]), rcond=None)[0]
+    return Ankle(foot, np.array([list(joint_names).index(name) for name in names]), toe_up)
+
+
+def lands_next(phase: ReferencePhase, following: ReferencePhase | None, foot: str) -> bool:
+    """Return whether a foot is in the air in a phase and on the ground in the next one."""
+    planted = any(contact.link == foot for contact in phase.contacts)
+    return not planted and following is not None and any(contact.link == foot for contact in following.contacts)
+
+
+def step_touchdown(
+    settings: TouchdownSettings,
+    state: TouchdownState,
+    *,
+    lands: bool,
+    planted: bool,
+    left_s: float,
+    upright_n: float,
+    planned_z: float,
+    ankle_off: Float[np.ndarray, "2"],
+    toe_up: Float[np.ndarray, "2"],
+    period_s: float,
+) -> TouchdownState:
+    """Return the state of a foot one cycle later.
+
+    Args:
+        settings: how it is put down.
+        state: the earlier one.
+        lands: whether it is to be put down at the end of the present phase.
+        planted: whether the plan has it on the ground now.
+        left_s: time to the planned touch [s].
+        upright_n: measured upright force [N].
+        planned_z: height of the foot in the plan [m].
+        ankle_off: (2,) measured angles of the ankle less those of the plan [rad].
+        toe_up: (2,) of the ankle.
+        period_s: of the cycle [s].
+    """
+    pressed = state.pressed_s + period_s if upright_n >= settings.touch_n else 0.0
+    state = replace(state, pressed_s=pressed, since_s=state.since_s + period_s)
+    tilt_step = settings.tilt_rate * period_s
+    if not lands and not planted:  # in the air: the ankle goes back to its command
+        offset = state.offset - np.clip(state.offset, -tilt_step, tilt_step)
+        height = step_shift(replace(state.height, goal=np.zeros(3)), settings.limits, period_s)
+        return replace(TouchdownState.stiff(), offset=offset, height=height)
+    if state.stage is Stage.STIFF:
+        if not lands:
+            return replace(state, since_s=0.0)
+        state = replace(state, stage=Stage.TILTED, since_s=0.0)
+    if state.stage is Stage.TILTED:
+        tilt = min(state.tilt + tilt_step, settings.tilt_rad)
+        state = replace(state, tilt=tilt, offset=tilt * toe_up)
+        if left_s <= settings.free_s or pressed > settings.touch_s:
+            state = replace(state, stage=Stage.FREE, since_s=0.0)
+    if state.stage is Stage.FREE:
+        state = replace(state, offset=ankle_off, peak_n=max(state.peak_n, upright_n))
+        if not state.has_touched and pressed > settings.touch_s:
+            state = replace(state, touched_z=planned_z + state.height.offset[2], since_s=0.0)
+        if state.has_touched and state.since_s > settings.settle_s:
+            state = replace(state, stage=Stage.SETTLED, since_s=0.0)
+    return replace(state, height=_move_height(settings, state, left_s, planned_z, period_s))
+
+
+def _move_height(
+    settings: TouchdownSettings, state: TouchdownState, left_s: float, planned_z: float, period_s: float
+) -> Shift:
+    """Return the displacement that keeps a foot where it touched, or lets it look for lower ground."""
+    if state.has_touched:
+        return step_shift(
+            state.height.towards(np.array([0.0, 0.0, state.touched_z - planned_z])), settings.limits, period_s
+        )
+    if state.stage is Stage.FREE and left_s <= 0.0:
+        slow = replace(settings.limits, speed=settings.probe_speed)
+        return step_shift(state.height.towards(np.array([0.0, 0.0, -settings.probe_m])), slow, period_s)
+    return step_shift(state.height, settings.limits, period_s)
+
+
+def soften(
+    settings: TouchdownSettings, ankle: Ankle, state: TouchdownState, command: JointCommand, reading: RobotReading
+) -> JointCommand:
+    """Return a command with the ankle as the touchdown wants it.
+
+    A free ankle is commanded to be where it is, so that the servo makes no torque of its own, and the measured torque
+    is fed back towards zero: eq. 8 with ``K_p = K_d = 0`` and ``tau_d = 0``.
+    """
+    q, qd, tau = command.q.copy(), command.qd.copy(), command.tau.copy()
+    joints = ankle.joints
+    if state.stage is Stage.FREE:
+        q[joints], qd[joints] = reading.q[joints], reading.qd[joints]
+        tau[joints] = -settings.torque_gain * reading.torque[joints]
+    else:
+        q[joints] += state.offset
+    return JointCommand(q, qd, tau)
