@@ -1,0 +1,273 @@
+"""A robot in MuJoCo behind the interface of a robot's driver."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from service.execution.driver import JointCommand, RobotReading
+from service.simulation.model import TIME_STEP_S, PhysicsModel, import_mujoco
+from service.simulation.options import SimulationOptions
+from service.simulation.resistance import SPRING_TRAVEL
+
+# Standard deviations of the sensors at noise 1.
+POSITION_NOISE, SPEED_NOISE, TORQUE_NOISE = 1e-4, 1e-2, 0.01  # [rad], [rad/s], share of the effort
+TILT_NOISE, GYRO_NOISE, ACCELERATION_NOISE = 1e-3, 2e-3, 0.05  # [rad], [rad/s], [m/s^2]
+FORCE_NOISE, MOMENT_NOISE = 5.0, 0.5  # [N], [N m]
+LATCH_SHUT = 2e-3  # of a latched joint around 0, where the latch catches again [rad, m]
+
+
+@dataclass(frozen=True)
+class ContactForce:
+    """Force between two bodies at one point.
+
+    Attributes:
+        first, second: link or piece.
+        point: (3,) in the world [m].
+        force: (3,) on ``second``, world axes [N].
+    """
+
+    first: str
+    second: str
+    point: Float[np.ndarray, "3"]
+    force: Float[np.ndarray, "3"]
+
+
+class SimulatedRobot:
+    """A robot in physics; implements ``service.execution.RobotDriver``.
+
+    The servos' law is eq. 8 of Liu et al., Humanoids 2015, at the torque at which the valve rests:
+    ``Kp (q_d - q) + Kd (qd_d - qd) + Kf tau_d``, within the efforts. They follow at most the joints' speed limits.
+    """
+
+    def __init__(
+        self, model: PhysicsModel, start: Float[np.ndarray, "n"], options: SimulationOptions | None = None
+    ) -> None:
+        """Put the robot and its mechanism at a configuration of the plan, at rest.
+
+        Args:
+            model: from ``build_physics``.
+            start: (n,) configuration of the plan's model: base, joints, mechanism.
+            options: noise, delay, feed-forward.
+        """
+        self.mujoco = import_mujoco()
+        self.model, self.options = model, options or SimulationOptions()
+        self.data: Any = self.mujoco.MjData(model.mj)
+        self._random = np.random.default_rng(self.options.seed)
+        self._rest = np.zeros(len(model.moved_qpos))
+        self._springs = self._list_springs()
+        self._delayed: deque[JointCommand] = deque()
+        self._delay_steps = round(self.options.delay_ms * 1e-3 / TIME_STEP_S)
+        self._is_latched = [True] * len(model.latches)
+        self.place(start)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Actuated joints, in the order of every array."""
+        return self.model.joint_names
+
+    @property
+    def period_s(self) -> float:
+        """Seconds between two commands."""
+        return TIME_STEP_S
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since the robot was placed."""
+        return float(self.data.time)
+
+    def place(self, configuration: Float[np.ndarray, "n"]) -> None:
+        """Put robot and mechanism at rest at a configuration of the plan's model, at time 0."""
+        model, data = self.model, self.data
+        self.mujoco.mj_resetData(model.mj, data)
+        n_moved = len(model.moved_qpos)
+        n = len(configuration)
+        if model.base_qpos >= 0:
+            place = pin.Data(model.motion.robot.model)
+            pin.forwardKinematics(model.motion.robot.model, place, np.asarray(configuration, dtype=float))
+            base = place.oMi[1]
+            xyzw = pin.Quaternion(base.rotation).coeffs()
+            at = model.base_qpos
+            data.qpos[at : at + 3] = base.translation
+            data.qpos[at + 3 : at + 7] = [xyzw[3], *xyzw[:3]]
+        columns = [model.motion.robot.joint_names.index(name) for name in model.joint_names]
+        data.qpos[model.qpos] = configuration[columns]
+        data.qpos[model.moved_qpos] = configuration[n - n_moved :]
+        self._rest = np.array(configuration[n - n_moved :], dtype=float)
+        self._desired = data.qpos[model.qpos].copy()
+        self._is_latched = [True] * len(model.latches)
+        self._update_latches()
+        self._delayed.clear()
+        self.mujoco.mj_forward(model.mj, data)
+
+    def read(self) -> RobotReading:
+        """Return what the sensors say now."""
+        model, data = self.model, self.data
+        noise = self.options.noise
+        q, qd = data.qpos[model.qpos].copy(), data.qvel[model.dof].copy()
+        torque = data.actuator_force[model.actuator].copy()
+        rotation = self.pose_world_base[:3, :3]
+        gyro, acceleration = np.array(data.sensor("gyro").data), np.array(data.sensor("accelerometer").data)
+        wrenches = self.measure_contact_wrenches()
+        if noise > 0.0:
+            draw = self._random.standard_normal
+            q += noise * POSITION_NOISE * draw(len(q))
+            qd += noise * SPEED_NOISE * draw(len(qd))
+            torque += noise * TORQUE_NOISE * model.effort * draw(len(torque))
+            rotation = pin.exp3(noise * TILT_NOISE * draw(3)) @ rotation
+            gyro += noise * GYRO_NOISE * draw(3)
+            acceleration += noise * ACCELERATION_NOISE * draw(3)
+            sizes = np.array([FORCE_NOISE] * 3 + [MOMENT_NOISE] * 3)
+            wrenches = {link: wrench + noise * sizes * draw(6) for link, wrench in wrenches.items()}
+        return RobotReading(self.time_s, q, qd, rotation, gyro, acceleration, wrenches, torque)
+
+    def command(self, command: JointCommand) -> None:
+        """Hand a command to the servos; returns when the next one is due."""
+        self._delayed.append(command)
+        if len(self._delayed) > self._delay_steps:
+            self._apply(self._delayed.popleft())
+        self._oppose()
+        self.mujoco.mj_step(self.model.mj, self.data)
+
+    def _apply(self, command: JointCommand) -> None:
+        """Set the servos to follow a command, at most as fast as the joints may move."""
+        model = self.model
+        reach = model.velocity * TIME_STEP_S
+        self._desired = np.clip(command.q, self._desired - reach, self._desired + reach)
+        speed = np.clip(command.qd, -model.velocity, model.velocity)
+        control = model.stiffness * self._desired + model.damping * speed + self.options.feed_forward * command.tau
+        if self.options.noise > 0.0:  # the servos measure with the same sensors
+            draw = self._random.standard_normal
+            control -= self.options.noise * POSITION_NOISE * model.stiffness * draw(len(control))
+        self.data.ctrl[model.actuator] = control
+
+    def _list_springs(self) -> list[tuple[int, float, float]]:
+        springs = []
+        for k, name in enumerate(self.model.moved_names):
+            resistance = self.model.physics.joints.get(name)
+            if resistance is not None and (resistance.preload or resistance.stiffness):
+                springs.append((k, resistance.preload, resistance.stiffness))
+        return springs
+
+    def _oppose(self) -> None:
+        """Apply the springs of the mechanism, and its latches."""
+        model, data = self.model, self.data
+        for k, preload, stiffness in self._springs:
+            travel = float(data.qpos[model.moved_qpos[k]] - self._rest[k])
+            force = preload * float(np.clip(travel / SPRING_TRAVEL, -1.0, 1.0)) + stiffness * travel
+            data.qfrc_applied[model.moved_dof[k]] = -force
+        if model.latches:
+            self._update_latches()
+
+    def _update_latches(self) -> None:
+        """Lock a latched joint at 0 until its latch releases it, and again when it is back."""
+        model, values = self.model, self.mechanism
+        for k, (release, equality) in enumerate(zip(model.motion.releases, model.latches, strict=True)):
+            at = values[release.joint]
+            latch = values[release.latch]
+            is_released = latch * np.sign(release.latch_at) >= abs(release.latch_at)
+            if self._is_latched[k]:
+                self._is_latched[k] = not (is_released or abs(at) > release.free_beyond)
+            elif not is_released and abs(at) < LATCH_SHUT:
+                self._is_latched[k] = True
+            self.data.eq_active[equality] = self._is_latched[k]
+
+    @property
+    def pose_world_base(self) -> Float[np.ndarray, "4 4"]:
+        """(4, 4) true pose of the base link."""
+        pose = np.eye(4)
+        at = self.model.base_qpos
+        if at >= 0:
+            w, x, y, z = self.data.qpos[at + 3 : at + 7]
+            pose[:3, :3] = pin.Quaternion(w, x, y, z).normalized().matrix()
+            pose[:3, 3] = self.data.qpos[at : at + 3]
+        return pose
+
+    @property
+    def mechanism(self) -> dict[str, float]:
+        """True values of the mechanism's joints [rad, m]."""
+        values = self.data.qpos[self.model.moved_qpos]
+        return {name: float(value) for name, value in zip(self.model.moved_names, values, strict=True)}
+
+    @property
+    def torque(self) -> Float[np.ndarray, "k"]:
+        """(k,) true torques of the servos [N m, N]."""
+        return np.array(self.data.actuator_force[self.model.actuator])
+
+    def configuration(self) -> Float[np.ndarray, "n"]:
+        """Return the true configuration in the coordinates of the plan's model (n,)."""
+        robot = self.model.motion.robot
+        q = np.zeros(robot.n)
+        if self.model.base_qpos >= 0:
+            pose = self.pose_world_base
+            R = pose[:3, :3]
+            q[:3] = pose[:3, 3]
+            q[3] = np.arctan2(R[1, 0], R[0, 0])
+            q[4] = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+            q[5] = np.arctan2(R[2, 1], R[2, 2])
+        columns = [robot.joint_names.index(name) for name in self.model.joint_names]
+        q[columns] = self.data.qpos[self.model.qpos]
+        n_moved = len(self.model.moved_qpos)
+        q[robot.n - n_moved :] = self.data.qpos[self.model.moved_qpos]
+        return q
+
+    def list_contact_forces(self) -> list[ContactForce]:
+        """Return all contact forces of the last step; none between parts of the same link."""
+        pairs, points, forces = self._collect_contacts()
+        names = self.model.link_of_geom
+        return [
+            ContactForce(names[first], names[second], point, force)
+            for (first, second), point, force in zip(pairs.tolist(), points, forces, strict=True)
+        ]
+
+    def measure_contact_wrenches(self) -> dict[str, Float[np.ndarray, "6"]]:
+        """Return the true wrench of the world on every foot at its link's origin, world axes [N, N m].
+
+        Feet are the links that the plan plants in any phase.
+        """
+        model, data = self.model, self.data
+        wrenches = {link: np.zeros(6) for link in self._planted()}
+        pairs, points, forces = self._collect_contacts()
+        names = model.link_of_geom
+        for (first, second), point, force in zip(pairs.tolist(), points, forces, strict=True):
+            for link, other, on_link in ((names[first], second, -force), (names[second], first, force)):
+                if link in wrenches and not model.is_robot[other]:
+                    origin = np.array(data.body(f"link:{link}").xpos) + self._offset(link)
+                    wrenches[link][:3] += on_link
+                    wrenches[link][3:] += np.cross(point - origin, on_link)
+        return wrenches
+
+    def _planted(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(c.link for phase in self.model.motion.phases for c in phase.contacts))
+
+    def _offset(self, link: str) -> Float[np.ndarray, "3"]:
+        """Return the link's origin from that of the joint that carries it, in world axes [m]."""
+        frames = self.model.motion.robot.model
+        place = frames.frames[frames.getFrameId(link)].placement.translation
+        rotation = np.array(self.data.body(f"link:{link}").xmat).reshape(3, 3)
+        return np.asarray(rotation @ place)
+
+    def _collect_contacts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return geoms (K, 2), points (K, 3) and forces on the second geom (K, 3) in world axes."""
+        contact = self.data.contact
+        active = np.flatnonzero(np.asarray(contact.efc_address) >= 0)
+        if not len(active):
+            return np.zeros((0, 2), dtype=int), np.zeros((0, 3)), np.zeros((0, 3))
+        rows = np.asarray(contact.efc_address)[active][:, None] + np.arange(3)
+        local = np.asarray(self.data.efc_force)[rows]  # elliptic cones: normal and two tangents
+        frames = np.asarray(contact.frame)[active].reshape(-1, 3, 3)
+        forces = np.einsum("ki,kij->kj", local, frames)
+        return np.asarray(contact.geom)[active], np.asarray(contact.pos)[active], forces
+
+
+def hold_still(robot: SimulatedRobot, command: JointCommand, seconds: float) -> Mapping[str, float]:
+    """Let the robot follow one command for some time; return the mechanism's values after it."""
+    for _ in range(round(seconds / robot.period_s)):
+        robot.command(command)
+    return robot.mechanism
