@@ -18,6 +18,7 @@ from service.execution.kalman import SteadyKalmanFilter, make_steady_filter
 GRAVITY = np.array([0.0, 0.0, -9.81])
 PELVIS = "pelvis"  # name of the reference point on the floating base itself
 LOADED_SHARE = 0.05  # of the robot's weight, below which a foot counts as lifted
+REST_S = 0.5  # in which a foot that was put down comes to rest [s]
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ class PelvisEstimate:
         speed: (3,) [m/s].
         rotation: (3, 3) pelvis to world, as the IMU gives it.
         reference: name of the point that counts as at rest.
-        anchors: (3,) place in the world per point that has been at rest since it was last lifted [m].
+        anchors: (3,) place in the world per point that may be at rest [m].
+        loaded_s: time for which each of these points has carried force [s].
         joint_speeds: (n,) filtered.
     """
 
@@ -68,6 +70,7 @@ class PelvisEstimate:
     rotation: Float[np.ndarray, "3 3"]
     reference: str
     anchors: Mapping[str, np.ndarray]
+    loaded_s: Mapping[str, float]
     joint_speeds: Float[np.ndarray, "n"]
 
 
@@ -85,8 +88,8 @@ class PelvisEstimator:
     One steady-state filter per point: left toe, right toe, pelvis.  The state of each axis is position and speed of the
     pelvis, the input its acceleration from the IMU, the measurement the pelvis as the joints give it from the point
     that is at rest.  The pelvis itself is that point while both feet carry less than half of the weight, else the toe
-    with the larger upright force.  A point keeps its place in the world until its foot is lifted, so that changing
-    between two loaded feet does not drift.
+    with the larger upright force.  A foot has half a second to come to rest after it was put down; from then on its
+    toe keeps its place in the world until the foot is lifted, so that changing between two loaded feet does not drift.
     """
 
     def __init__(
@@ -130,48 +133,50 @@ class PelvisEstimator:
     def start(self, reading: RobotReading, position: Float[np.ndarray, "3"]) -> PelvisEstimate:
         """Return the estimate of a robot at rest with its pelvis at a known position [m]."""
         motions = self._measure(reading, reading.qd)
-        anchors = self._keep_anchors({}, position, motions, reading)
         reference = self.choose_reference(reading)
+        places = {name: np.asarray(position + motions[name].offset) for name in self._list_loaded(reading)}
         return PelvisEstimate(
-            np.asarray(position, dtype=float), np.zeros(3), reading.imu_rotation, reference, anchors, reading.qd
+            position=np.asarray(position, dtype=float),
+            speed=np.zeros(3),
+            rotation=reading.imu_rotation,
+            reference=reference,
+            anchors=places,
+            loaded_s=dict.fromkeys(places, REST_S),
+            joint_speeds=reading.qd,
         )
 
     def step(self, estimate: PelvisEstimate, reading: RobotReading) -> PelvisEstimate:
         """Return the estimate after one more reading."""
         speeds = low_pass(estimate.joint_speeds, reading.qd, self._share)
         motions = self._measure(reading, speeds)
-        predicted = estimate.position + self.period_s * estimate.speed
-        anchors = self._keep_anchors(estimate.anchors, predicted, motions, reading)
         reference = self.choose_reference(reading)
+        predicted = estimate.position + self.period_s * estimate.speed
+        loaded = {name: estimate.loaded_s.get(name, 0.0) + self.period_s for name in self._list_loaded(reading)}
+        anchors = {
+            name: estimate.anchors[name]
+            if name in estimate.anchors and (time > REST_S or name == estimate.reference)
+            else np.asarray(predicted + motions[name].offset)
+            for name, time in loaded.items()
+        }
         point = motions[reference]
         measured = np.stack([anchors[reference] - point.offset, -point.speed])
         acceleration = reading.imu_rotation @ reading.imu_acceleration + GRAVITY
         state = np.stack([estimate.position, estimate.speed])
         position, speed = self.filters[reference].step(state, acceleration[None], measured)
-        return PelvisEstimate(position, speed, reading.imu_rotation, reference, anchors, speeds)
+        return PelvisEstimate(position, speed, reading.imu_rotation, reference, anchors, loaded, speeds)
 
     def choose_reference(self, reading: RobotReading) -> str:
         """Return the name of the point that counts as at rest: a foot's link, or ``pelvis``."""
-        upright = {foot: float(reading.foot_wrenches[foot][2]) for foot in self.points}
+        upright = {foot: measure_upright(reading, foot) for foot in self.points}
         if sum(upright.values()) < 0.5 * self.weight_n:
             return PELVIS
         return max(upright, key=lambda foot: upright[foot])
 
-    def _keep_anchors(
-        self,
-        anchors: Mapping[str, np.ndarray],
-        position: Float[np.ndarray, "3"],
-        motions: Mapping[str, _PointMotion],
-        reading: RobotReading,
-    ) -> dict[str, np.ndarray]:
-        """Return the places of all points that may be at rest: earlier ones, and new ones of what was put down."""
-        loaded = {foot for foot in self.points if reading.foot_wrenches[foot][2] >= LOADED_SHARE * self.weight_n}
-        if self.choose_reference(reading) == PELVIS:
-            loaded.add(PELVIS)
-        return {
-            name: anchors[name] if name in anchors else np.asarray(position + motions[name].offset)
-            for name in sorted(loaded)
-        }
+    def _list_loaded(self, reading: RobotReading) -> tuple[str, ...]:
+        """Return the names of all points that may be at rest."""
+        least = LOADED_SHARE * self.weight_n
+        loaded = tuple(foot for foot in self.points if measure_upright(reading, foot) >= least)
+        return (*loaded, PELVIS) if self.choose_reference(reading) == PELVIS else loaded
 
     def _measure(self, reading: RobotReading, speeds: Float[np.ndarray, "n"]) -> dict[str, _PointMotion]:
         """Return offset and speed of each point relative to the pelvis, in world axes."""
@@ -222,3 +227,9 @@ def find_toe(robot: RobotModel, foot: str) -> ReferencePoint:
     points = (points - frame.placement.translation) @ frame.placement.rotation
     sole = points[points[:, 2] <= points[:, 2].min() + 5e-3]
     return ReferencePoint(foot, np.array([sole[:, 0].max(), sole[:, 1].mean(), sole[:, 2].min()]))
+
+
+def measure_upright(reading: RobotReading, foot: str) -> float:
+    """Return the upright force on a foot [N]; 0 for one that no sensor measures."""
+    wrench = reading.foot_wrenches.get(foot)
+    return 0.0 if wrench is None else float(wrench[2])

@@ -71,5 +71,18 @@ TABLE_I = PoseGains(
 )
 """Table I of Liu et al., Humanoids 2015, with eq. 6 as printed."""
 
-PRESETS = {"follow": PoseGains(**{**vars(TABLE_I), "feed_forward": 1.0}), "table-1": TABLE_I}
-"""Gains by name: ``table-1`` as printed, ``follow`` with the same values and the reference's speed fed forward."""
+# In eq. 6 the speed error is that of the earlier command, so that a change of the reference alternates with -kd from
+# cycle to cycle until it has faded; with the speed fed forward nothing is left for kd to do.
+FOLLOW = PoseGains(
+    joint=TaskGains(0.05, 2.0, 0.0),
+    pelvis=TaskGains(0.05, 4.0, 0.0),
+    foot=TaskGains(500.0, 4.0, 0.0),
+    hand=TaskGains(50.0, 4.0, 0.0),
+    com=TaskGains(5.0, 2.0, 0.0),
+    torso=TaskGains(500.0, 2.0, 0.0),
+    feed_forward=1.0,
+)
+"""Weights and kp of Table I, with the reference's speed fed forward in place of kd."""
+
+PRESETS = {"follow": FOLLOW, "table-1": TABLE_I}
+"""Gains by name."""

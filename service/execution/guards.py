@@ -52,8 +52,8 @@ class GuardSettings:
 
     touch_n: float = 25.0
     lost_share: float = 0.05
-    lost_n: float = 150.0
-    hold_s: float = 0.1
+    lost_n: float = 400.0
+    hold_s: float = 0.25
 
     def __post_init__(self) -> None:
         if not (self.touch_n > 0.0 and 0.0 <= self.lost_share < 1.0 and self.lost_n > 0.0 and self.hold_s >= 0.0):

@@ -128,11 +128,8 @@ class ExecutionMachine:
         Args:
             state: the earlier one.
             findings: what the guards found in this cycle.
-            order: of the operator, if any.
+            order: of the operator, if any; ignored once the execution is over or aborted.
             period_s: of the cycle [s].
-
-        Raises:
-            ExecutionError: the order makes no sense in this mode.
         """
         state = self._obey(state, order)
         if state.mode is Mode.ABORTED or state.mode is Mode.DONE:
@@ -148,13 +145,20 @@ class ExecutionMachine:
         wanted = self.settings.speed if state.mode is Mode.RUNNING else 0.0
         return self._go_on(replace(state, rate=self._approach(state.rate, wanted, period_s)), findings, period_s)
 
-    def _obey(self, state: MachineState, order: Order | None) -> MachineState:
-        if order is None:
-            return state
+    def check_order(self, state: MachineState, order: Order) -> None:
+        """Refuse an order that makes no sense in the present mode.
+
+        Raises:
+            ExecutionError: the execution is over, or was aborted.
+        """
         if state.is_over:
             raise ExecutionError(f"{order.value}: the execution is {state.mode.value}; plan again to go on")
         if state.mode is Mode.RETURNING:
             raise ExecutionError(f"{order.value}: the execution was aborted and returns to its last pose in balance")
+
+    def _obey(self, state: MachineState, order: Order | None) -> MachineState:
+        if order is None or state.is_over or state.mode is Mode.RETURNING:
+            return state
         if order is Order.ABORT:
             return self._abort(state, "aborted by the operator", ())
         if order is Order.PAUSE:

@@ -43,10 +43,12 @@ class TouchdownSettings:
         torque_gain: share of the measured ankle torque that is fed back: ``K_f`` of eq. 8, with a desired torque of 0.
         touch_n: upright force at which the foot touches the ground [N].
         touch_s: time for which it must be exceeded [s].
-        settle_s: time after the touch in which the sole comes flat [s].
+        settle_s: time after the touch in which the sole comes flat, and then time in which the ankle becomes stiff [s].
         probe_speed: of the foot that looks for ground below its planned place [m/s].
-        probe_m: how far it looks [m].
-        limits: of the displacement that stops the foot.
+        probe_m: how far the ground may be from where the plan has it [m].
+        ground_m: error of the ground's measured height, which is not corrected [m].
+        ground_rad: error of the ground's measured slope, to which the ankle does not stay adapted [rad].
+        limits: of the displacement of the foot.
     """
 
     tilt_rad: float = 0.07
@@ -58,6 +60,8 @@ class TouchdownSettings:
     settle_s: float = 0.25
     probe_speed: float = 0.03
     probe_m: float = 0.03
+    ground_m: float = 0.005
+    ground_rad: float = 0.03
     limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=4.0))
 
     def __post_init__(self) -> None:
@@ -84,38 +88,52 @@ class Ankle:
 
 
 @dataclass(frozen=True)
+class FootReading:
+    """A foot as the sensors show it, against the plan.
+
+    Attributes:
+        upright_n: measured upright force [N].
+        ground_off: height of its lowest point over the ground of the plan, where it is planted next or now [m].
+        slope: angle between its sole and that of the plan [rad].
+        ankle_off: (2,) measured angles of the ankle less the commanded ones [rad].
+    """
+
+    upright_n: float
+    ground_off: float
+    slope: float
+    ankle_off: Float[np.ndarray, "2"]
+
+
+@dataclass(frozen=True)
 class TouchdownState:
     """A foot on its way to the ground.
 
     Attributes:
         stage: of its ankle.
         offset: (2,) of the ankle's joints from their command [rad].
+        softness: 1 for an ankle without torque, 0 for one that follows its command.
         tilt: toe-up angle now [rad].
         pressed_s: time for which the foot has carried force [s].
-        since_s: time in this stage [s].
-        height: displacement of the foot's target along z, which holds it where it touched.
-        touched_z: z of the commanded foot where it touched [m]; nan before.
-        peak_n: largest upright force since the ankle was free [N].
+        since_s: time in this stage, or since the touch [s].
+        height: displacement of the foot's target along z.
+        has_touched: whether the foot has found the ground.
+        is_sloped: whether the ground has a slope of its own, to which the ankle stays adapted.
     """
 
     stage: Stage
     offset: Float[np.ndarray, "2"]
+    softness: float
     tilt: float
     pressed_s: float
     since_s: float
     height: Shift
-    touched_z: float
-    peak_n: float
+    has_touched: bool
+    is_sloped: bool
 
     @staticmethod
     def stiff() -> TouchdownState:
         """Return the state of a foot that follows its command."""
-        return TouchdownState(Stage.STIFF, np.zeros(2), 0.0, 0.0, 0.0, Shift.zero(), np.nan, 0.0)
-
-    @property
-    def has_touched(self) -> bool:
-        """Whether the foot has found the ground."""
-        return bool(np.isfinite(self.touched_z))
+        return TouchdownState(Stage.STIFF, np.zeros(2), 0.0, 0.0, 0.0, 0.0, Shift.zero(), False, False)
 
 
 def find_ankle(robot: RobotModel, joint_names: Sequence[str], foot: str) -> Ankle:
@@ -150,14 +168,12 @@ def lands_next(phase: ReferencePhase, following: ReferencePhase | None, foot: st
 def step_touchdown(
     settings: TouchdownSettings,
     state: TouchdownState,
+    ankle: Ankle,
+    foot: FootReading,
     *,
     lands: bool,
     planted: bool,
     left_s: float,
-    upright_n: float,
-    planned_z: float,
-    ankle_off: Float[np.ndarray, "2"],
-    toe_up: Float[np.ndarray, "2"],
     period_s: float,
 ) -> TouchdownState:
     """Return the state of a foot one cycle later.
@@ -165,49 +181,56 @@ def step_touchdown(
     Args:
         settings: how it is put down.
         state: the earlier one.
+        ankle: of the foot.
+        foot: as measured.
         lands: whether it is to be put down at the end of the present phase.
         planted: whether the plan has it on the ground now.
         left_s: time to the planned touch [s].
-        upright_n: measured upright force [N].
-        planned_z: height of the foot in the plan [m].
-        ankle_off: (2,) measured angles of the ankle less those of the plan [rad].
-        toe_up: (2,) of the ankle.
         period_s: of the cycle [s].
     """
-    pressed = state.pressed_s + period_s if upright_n >= settings.touch_n else 0.0
+    pressed = state.pressed_s + period_s if foot.upright_n >= settings.touch_n else 0.0
     state = replace(state, pressed_s=pressed, since_s=state.since_s + period_s)
-    tilt_step = settings.tilt_rate * period_s
-    if not lands and not planted:  # in the air: the ankle goes back to its command
-        offset = state.offset - np.clip(state.offset, -tilt_step, tilt_step)
-        height = step_shift(replace(state.height, goal=np.zeros(3)), settings.limits, period_s)
+    step = settings.tilt_rate * period_s
+    if not lands and not planted:  # in the air: the foot goes back to its command
+        offset = state.offset - np.clip(state.offset, -step, step)
+        height = step_shift(state.height.towards(np.zeros(3)), settings.limits, period_s)
         return replace(TouchdownState.stiff(), offset=offset, height=height)
-    if state.stage is Stage.STIFF:
-        if not lands:
-            return replace(state, since_s=0.0)
+    if state.stage is Stage.STIFF and lands:
         state = replace(state, stage=Stage.TILTED, since_s=0.0)
     if state.stage is Stage.TILTED:
-        tilt = min(state.tilt + tilt_step, settings.tilt_rad)
-        state = replace(state, tilt=tilt, offset=tilt * toe_up)
+        tilt = min(state.tilt + step, settings.tilt_rad)
+        state = replace(state, tilt=tilt, offset=tilt * ankle.toe_up)
         if left_s <= settings.free_s or pressed > settings.touch_s:
             state = replace(state, stage=Stage.FREE, since_s=0.0)
     if state.stage is Stage.FREE:
-        state = replace(state, offset=ankle_off, peak_n=max(state.peak_n, upright_n))
-        if not state.has_touched and pressed > settings.touch_s:
-            state = replace(state, touched_z=planned_z + state.height.offset[2], since_s=0.0)
-        if state.has_touched and state.since_s > settings.settle_s:
-            state = replace(state, stage=Stage.SETTLED, since_s=0.0)
-    return replace(state, height=_move_height(settings, state, left_s, planned_z, period_s))
+        state = _step_free(settings, state, foot, planted, left_s)
+    elif state.stage is Stage.SETTLED:
+        offset = state.offset if state.is_sloped else state.offset - np.clip(state.offset, -step, step)
+        state = replace(state, offset=offset, softness=max(state.softness - period_s / settings.settle_s, 0.0))
+    return replace(state, height=_move_height(settings, state, left_s, period_s))
 
 
-def _move_height(
-    settings: TouchdownSettings, state: TouchdownState, left_s: float, planned_z: float, period_s: float
-) -> Shift:
-    """Return the displacement that keeps a foot where it touched, or lets it look for lower ground."""
-    if state.has_touched:
-        return step_shift(
-            state.height.towards(np.array([0.0, 0.0, state.touched_z - planned_z])), settings.limits, period_s
-        )
-    if state.stage is Stage.FREE and left_s <= 0.0:
+def _step_free(
+    settings: TouchdownSettings, state: TouchdownState, foot: FootReading, planted: bool, left_s: float
+) -> TouchdownState:
+    """Return a foot with a free ankle, which touches, comes flat and becomes stiff again."""
+    state = replace(state, offset=foot.ankle_off, softness=1.0)
+    if state.has_touched and left_s <= 0.0 and state.pressed_s == 0.0 and state.since_s > settings.settle_s:
+        state = replace(state, has_touched=False)  # an edge was high, the ground below the sole is not: look further
+    if not state.has_touched and state.pressed_s > settings.touch_s:
+        # Heights within the error of the measurement are the plan's own.
+        off = foot.ground_off if abs(foot.ground_off) > settings.ground_m else 0.0
+        off = float(np.clip(off, -settings.probe_m, settings.probe_m)) if left_s > 0.0 else state.height.offset[2]
+        height = state.height.towards(np.array([0.0, 0.0, off]))
+        state = replace(state, has_touched=True, since_s=0.0, height=height)
+    if state.has_touched and state.since_s > settings.settle_s and planted:
+        return replace(state, stage=Stage.SETTLED, since_s=0.0, is_sloped=foot.slope > settings.ground_rad)
+    return state
+
+
+def _move_height(settings: TouchdownSettings, state: TouchdownState, left_s: float, period_s: float) -> Shift:
+    """Return the displacement of a foot, which looks for lower ground if there is none where the plan has it."""
+    if state.stage is Stage.FREE and not state.has_touched and left_s <= 0.0:
         slow = replace(settings.limits, speed=settings.probe_speed)
         return step_shift(state.height.towards(np.array([0.0, 0.0, -settings.probe_m])), slow, period_s)
     return step_shift(state.height, settings.limits, period_s)
@@ -222,10 +245,8 @@ def soften(
     is fed back towards zero: eq. 8 with ``K_p = K_d = 0`` and ``tau_d = 0``.
     """
     q, qd, tau = command.q.copy(), command.qd.copy(), command.tau.copy()
-    joints = ankle.joints
-    if state.stage is Stage.FREE:
-        q[joints], qd[joints] = reading.q[joints], reading.qd[joints]
-        tau[joints] = -settings.torque_gain * reading.torque[joints]
-    else:
-        q[joints] += state.offset
+    joints, soft = ankle.joints, state.softness
+    q[joints] = (1.0 - soft) * (q[joints] + state.offset) + soft * reading.q[joints]
+    qd[joints] = (1.0 - soft) * qd[joints] + soft * reading.qd[joints]
+    tau[joints] = (1.0 - soft) * tau[joints] - soft * settings.torque_gain * reading.torque[joints]
     return JointCommand(q, qd, tau)
