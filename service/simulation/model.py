@@ -237,6 +237,9 @@ class _Builder:
                 vertices = shrink_hull(vertices, self.physics.growth_m)
             owner = ("mechanism" if is_moved else "robot", link_body.link)
             self._add_hull(carried[link_body.link], link_body.name, owner, vertices)
+        bare = next((c.link for p in self.motion.phases for c in p.contacts if c.link not in carried), None)
+        if bare is not None:
+            raise ResultError(f"the plan plants '{bare}', which has no shape that could carry force")
         base = bodies[1] if self.robot.is_floating else fixed
         base.add_site(name=IMU)
         for name, kind in (("gyro", "mjSENS_GYRO"), ("accelerometer", "mjSENS_ACCELEROMETER")):
