@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
 from costs.robot import BASE_NAMES, RobotModel
@@ -134,6 +134,11 @@ class PlannedReference:
         tau, wrenches = self._tabulate_forces()
         self._links = tuple(wrenches)
         self._table = np.concatenate([q, v, tau, *wrenches.values()], axis=1)
+
+    @property
+    def joint_columns(self) -> Int[np.ndarray, "k"]:
+        """(k,) columns of the actuated joints in a configuration of the plan."""
+        return np.arange(self.robot.n)[self._columns]
 
     @staticmethod
     def read(folder: str | Path) -> PlannedReference:

@@ -113,6 +113,7 @@ class SimulatedRobot:
         data.qpos[model.moved_qpos] = configuration[n - n_moved :]
         self._rest = np.array(configuration[n - n_moved :], dtype=float)
         self._desired = data.qpos[model.qpos].copy()
+        data.ctrl[model.actuator] = model.stiffness * self._desired
         self._is_latched = [True] * len(model.latches)
         self._update_latches()
         self._delayed.clear()
@@ -237,6 +238,15 @@ class SimulatedRobot:
         return [
             ContactForce(names[first], names[second], point, force)
             for (first, second), point, force in zip(pairs.tolist(), points, forces, strict=True)
+        ]
+
+    def list_pair_forces(self) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
+        """Return per contact point a robot's link, what it touches, and the force on the link in world axes [N]."""
+        pairs, _, forces = self._collect_contacts()
+        names, is_robot = self.model.link_of_geom, self.model.is_robot
+        return [
+            (names[second], names[first], force) if is_robot[second] else (names[first], names[second], -force)
+            for (first, second), force in zip(pairs.tolist(), forces, strict=True)
         ]
 
     def measure_contact_wrenches(self) -> dict[str, Float[np.ndarray, "6"]]:
