@@ -85,10 +85,10 @@ class ReferenceState:
         q, qd, tau: (k,) positions, speeds and feed-forward torques of the actuated joints, in the order of
             ``PlannedReference.joint_names``.
         configuration, velocity: (n,) of the plan's model: base, joints, mechanism.
-        pose_world_base: (4, 4) of the base link.
         contact_wrenches: per link that carries force in this phase or an adjacent one, the force and moment (6,) of the
             surroundings at the link's origin, world axes [N, N m].
         mechanism: (m,) values of the mechanism's joints.
+        is_floating: whether the base is free.
     """
 
     time_s: float
@@ -97,9 +97,14 @@ class ReferenceState:
     tau: Float[np.ndarray, "k"]
     configuration: Float[np.ndarray, "n"]
     velocity: Float[np.ndarray, "n"]
-    pose_world_base: Float[np.ndarray, "4 4"]
     contact_wrenches: Mapping[str, Float[np.ndarray, "6"]]
     mechanism: Float[np.ndarray, "m"]
+    is_floating: bool
+
+    @property
+    def pose_world_base(self) -> Float[np.ndarray, "4 4"]:
+        """(4, 4) pose of the base link; the identity of a fixed base."""
+        return place_base(self.configuration) if self.is_floating else np.eye(4)
 
 
 class PlannedReference:
@@ -171,23 +176,10 @@ class PlannedReference:
             tau=tau[self._columns],
             configuration=q,
             velocity=v,
-            pose_world_base=self._place_base(q),
             contact_wrenches={link: rest[6 * i : 6 * i + 6] for i, link in enumerate(self._links)},
             mechanism=q[self._moved],
+            is_floating=self.robot.is_floating,
         )
-
-    def _place_base(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
-        pose = np.eye(4)
-        if not self.robot.is_floating:
-            return pose
-        (cy, cp, cr), (sy, sp, sr) = np.cos(q[3:6]), np.sin(q[3:6])
-        pose[:3, :3] = [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-        pose[:3, 3] = q[:3]
-        return pose
 
     def _read_phase(self, phase: Phase) -> ReferencePhase:
         begin, end = (float(t) - self._start_s for t in find_times(self._law, np.array([phase.first, phase.last])))
@@ -254,6 +246,19 @@ class PlannedReference:
         if k + 1 == len(phases) or not phases[k + 1].loads:
             share = np.minimum(share, (span.end_s - t) / ramp)
         return np.clip(share, 0.0, 1.0)
+
+
+def place_base(q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
+    """Return the pose (4, 4) of a floating base from its six coordinates: position, then yaw, pitch, roll."""
+    pose = np.eye(4)
+    (cy, cp, cr), (sy, sp, sr) = np.cos(q[3:6]), np.sin(q[3:6])
+    pose[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    pose[:3, 3] = q[:3]
+    return pose
 
 
 def check_executable(motion: Motion) -> TimeLaw:

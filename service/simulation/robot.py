@@ -60,6 +60,7 @@ class SimulatedRobot:
         self.model, self.options = model, options or SimulationOptions()
         self.data: Any = self.mujoco.MjData(model.mj)
         self._random = np.random.default_rng(self.options.seed)
+        self._columns = [model.motion.robot.joint_names.index(name) for name in model.joint_names]
         self._rest = np.zeros(len(model.moved_qpos))
         self._springs = self._list_springs()
         self._delayed: deque[JointCommand] = deque()
@@ -108,8 +109,7 @@ class SimulatedRobot:
             at = model.base_qpos
             data.qpos[at : at + 3] = base.translation
             data.qpos[at + 3 : at + 7] = [xyzw[3], *xyzw[:3]]
-        columns = [model.motion.robot.joint_names.index(name) for name in model.joint_names]
-        data.qpos[model.qpos] = configuration[columns]
+        data.qpos[model.qpos] = configuration[self._columns]
         data.qpos[model.moved_qpos] = configuration[n - n_moved :]
         self._rest = np.array(configuration[n - n_moved :], dtype=float)
         self._desired = data.qpos[model.qpos].copy()
@@ -153,8 +153,8 @@ class SimulatedRobot:
         """Set the servos to follow a command, at most as fast as the joints may move."""
         model = self.model
         reach = model.velocity * TIME_STEP_S
-        self._desired = np.clip(command.q, self._desired - reach, self._desired + reach)
-        speed = np.clip(command.qd, -model.velocity, model.velocity)
+        self._desired = np.minimum(np.maximum(command.q, self._desired - reach), self._desired + reach)
+        speed = np.minimum(np.maximum(command.qd, -model.velocity), model.velocity)
         control = model.stiffness * self._desired + model.damping * speed + self.options.feed_forward * command.tau
         if self.options.noise > 0.0:  # the servos measure with the same sensors
             draw = self._random.standard_normal
@@ -225,8 +225,7 @@ class SimulatedRobot:
             q[3] = np.arctan2(R[1, 0], R[0, 0])
             q[4] = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
             q[5] = np.arctan2(R[2, 1], R[2, 2])
-        columns = [robot.joint_names.index(name) for name in self.model.joint_names]
-        q[columns] = self.data.qpos[self.model.qpos]
+        q[self._columns] = self.data.qpos[self.model.qpos]
         n_moved = len(self.model.moved_qpos)
         q[robot.n - n_moved :] = self.data.qpos[self.model.moved_qpos]
         return q
