@@ -156,10 +156,11 @@ class PlannedReference:
 
     def find_phase(self, time_s: float) -> ReferencePhase:
         """Return the phase at a time; the later one at a border, the last one beyond the end."""
-        for phase in reversed(self.phases):
-            if time_s >= phase.begin_s:
-                return phase
-        return self.phases[0]
+        return self.phases[self.find_phase_number(time_s)]
+
+    def find_phase_number(self, time_s: float) -> int:
+        """Return the number of the phase at a time, from 0."""
+        return max((k for k, phase in enumerate(self.phases) if time_s >= phase.begin_s), default=0)
 
     def at(self, time_s: float) -> ReferenceState:
         """Return what the plan wants at a time, clipped to its duration [s]."""

@@ -47,8 +47,8 @@ def make_report(execution: Execution) -> dict[str, Any]:
         "explanation": [] if cause is None else [cause],
         "notes": [],
         "plan": {
-            "verdict": execution.data["verdict"],
-            "request_hash": execution.data["request_hash"],
+            "verdict": execution.verdict,
+            "request_hash": execution.request_hash,
             "duration_s": reference.duration_s,
         },
         "options": asdict(execution.options),

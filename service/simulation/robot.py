@@ -149,6 +149,12 @@ class SimulatedRobot:
         self._oppose()
         self.mujoco.mj_step(self.model.mj, self.data)
 
+    def hold_grips(self, phase: int | None) -> None:
+        """Close the grippers of a phase of the plan, by its number, and open all others; None opens all."""
+        for k, grips in enumerate(self.model.grips):
+            for index in grips:
+                self.data.eq_active[index] = k == phase
+
     def _apply(self, command: JointCommand) -> None:
         """Set the servos to follow a command, at most as fast as the joints may move."""
         model = self.model

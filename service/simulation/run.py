@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,11 +14,13 @@ from costs.stopping import poll
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference, ReferenceState
 from service.replay.replay import read_motion, read_request
+from service.request.schema import PlanRequest
 from service.result.folder import read_result, result_path
 from service.simulation.model import PhysicsModel, build_physics, import_mujoco
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import MechanismPhysics, read_mechanism_physics
+from service.simulation.resistance import read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
+from service.verify import Motion
 
 SAMPLE_STEPS = 10  # steps of the physics between two records
 FALLEN_M = 0.25  # of the base below its planned height [m]
@@ -63,14 +64,15 @@ class Execution:
         model: the physics.
         options: of the simulation.
         record: what was seen.
-        data: content of ``result.json``.
+        verdict, request_hash: of the plan.
     """
 
     reference: PlannedReference
     model: PhysicsModel
     options: SimulationOptions
     record: Record
-    data: dict[str, Any]
+    verdict: str
+    request_hash: str
 
 
 def execute_folder(
@@ -86,15 +88,28 @@ def execute_folder(
         ResultError: one line: the folder cannot be used, the plan has no time law, the robot lacks masses or efforts,
             or MuJoCo is not installed.
     """
-    options = options or SimulationOptions()
     import_mujoco()
     data = read_result(path)
     folder = result_path(path).parent
-    reference = PlannedReference(read_motion(data, folder))
-    physics = read_mechanism_physics(read_request(data, folder)) if data["movables"] else MechanismPhysics({})
-    model = build_physics(reference.motion, physics, options)
+    motion = read_motion(data, folder)
+    request = read_request(data, folder)
+    return execute_motion(motion, request, str(data["verdict"]), str(data["request_hash"]), options, report)
+
+
+def execute_motion(
+    motion: Motion,
+    request: PlanRequest,
+    verdict: str,
+    request_hash: str,
+    options: SimulationOptions | None = None,
+    report: Callable[[str, float | None], None] | None = None,
+) -> Execution:
+    """Carry out a motion in physics; ``request`` says what its mechanism opposes (ResultError as above)."""
+    options = options or SimulationOptions()
+    reference = PlannedReference(motion)
+    model = build_physics(motion, read_mechanism_physics(request), options)
     record = execute(reference, SimulatedRobot(model, reference.at(0.0).configuration, options), report)
-    return Execution(reference, model, options, record, data)
+    return Execution(reference, model, options, record, verdict, request_hash)
 
 
 def execute(
@@ -114,6 +129,7 @@ def execute(
         if (k + n_settle) % SAMPLE_STEPS == 0:
             poll()
             watch.look(k * step, state)
+            robot.hold_grips(reference.find_phase_number(k * step))
             if watch.fell_at_s is not None and k * step > watch.fell_at_s + SHOWN_AFTER_FALL_S:
                 break
             if report is not None and k % 500 == 0:
