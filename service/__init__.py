@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from service.result.output import write_result
     from service.result.result import PlanResult
     from service.setup.prepare import PlanSetup, prepare
+    from service.simulation.options import SimulationOptions
+    from service.simulation.simulate import simulate
     from service.tasks.stance import StanceSearch, find_stance
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
     "RequestError",
     "ResultError",
     "ServiceError",
+    "SimulationOptions",
     "StanceSearch",
     "find_stance",
     "load_request",
@@ -34,6 +37,7 @@ __all__ = [
     "prepare",
     "read_result",
     "request_hash",
+    "simulate",
     "write_result",
 ]
 
@@ -46,6 +50,8 @@ _MODULES = {
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),
     "setup.prepare": ("PlanSetup", "prepare"),
+    "simulation.options": ("SimulationOptions",),
+    "simulation.simulate": ("simulate",),
     "tasks.stance": ("StanceSearch", "find_stance"),
 }
 

@@ -14,7 +14,13 @@ HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
 NAMED_LINKS = 3  # links without shape that are named in the verdict's line
 SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/test_cli_report.py compares them)
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
-_COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
+_COLOURS = {
+    "CERTIFIED": "green",
+    "STOOD": "green",
+    "FEASIBLE_AT_SAMPLES": "yellow",
+    "TIME_LIMIT": "yellow",
+    "CANCELLED": "yellow",
+}
 
 
 def print_result(out: Console, summary: Mapping[str, Any], lines: Mapping[str, object] | None = None) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
 from costs.robot import BASE_NAMES, RobotModel
@@ -85,10 +85,10 @@ class ReferenceState:
         q, qd, tau: (k,) positions, speeds and feed-forward torques of the actuated joints, in the order of
             ``PlannedReference.joint_names``.
         configuration, velocity: (n,) of the plan's model: base, joints, mechanism.
-        pose_world_base: (4, 4) of the base link.
         contact_wrenches: per link that carries force in this phase or an adjacent one, the force and moment (6,) of the
             surroundings at the link's origin, world axes [N, N m].
         mechanism: (m,) values of the mechanism's joints.
+        is_floating: whether the base is free.
     """
 
     time_s: float
@@ -97,9 +97,14 @@ class ReferenceState:
     tau: Float[np.ndarray, "k"]
     configuration: Float[np.ndarray, "n"]
     velocity: Float[np.ndarray, "n"]
-    pose_world_base: Float[np.ndarray, "4 4"]
     contact_wrenches: Mapping[str, Float[np.ndarray, "6"]]
     mechanism: Float[np.ndarray, "m"]
+    is_floating: bool
+
+    @property
+    def pose_world_base(self) -> Float[np.ndarray, "4 4"]:
+        """(4, 4) pose of the base link; the identity of a fixed base."""
+        return place_base(self.configuration) if self.is_floating else np.eye(4)
 
 
 class PlannedReference:
@@ -135,6 +140,11 @@ class PlannedReference:
         self._links = tuple(wrenches)
         self._table = np.concatenate([q, v, tau, *wrenches.values()], axis=1)
 
+    @property
+    def joint_columns(self) -> Int[np.ndarray, "k"]:
+        """(k,) columns of the actuated joints in a configuration of the plan."""
+        return np.arange(self.robot.n)[self._columns]
+
     @staticmethod
     def read(folder: str | Path) -> PlannedReference:
         """Read a result folder as ``scopt verify`` reads it.
@@ -146,10 +156,11 @@ class PlannedReference:
 
     def find_phase(self, time_s: float) -> ReferencePhase:
         """Return the phase at a time; the later one at a border, the last one beyond the end."""
-        for phase in reversed(self.phases):
-            if time_s >= phase.begin_s:
-                return phase
-        return self.phases[0]
+        return self.phases[self.find_phase_number(time_s)]
+
+    def find_phase_number(self, time_s: float) -> int:
+        """Return the number of the phase at a time, from 0."""
+        return max((k for k, phase in enumerate(self.phases) if time_s >= phase.begin_s), default=0)
 
     def at(self, time_s: float) -> ReferenceState:
         """Return what the plan wants at a time, clipped to its duration [s]."""
@@ -166,23 +177,10 @@ class PlannedReference:
             tau=tau[self._columns],
             configuration=q,
             velocity=v,
-            pose_world_base=self._place_base(q),
             contact_wrenches={link: rest[6 * i : 6 * i + 6] for i, link in enumerate(self._links)},
             mechanism=q[self._moved],
+            is_floating=self.robot.is_floating,
         )
-
-    def _place_base(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
-        pose = np.eye(4)
-        if not self.robot.is_floating:
-            return pose
-        (cy, cp, cr), (sy, sp, sr) = np.cos(q[3:6]), np.sin(q[3:6])
-        pose[:3, :3] = [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-        pose[:3, 3] = q[:3]
-        return pose
 
     def _read_phase(self, phase: Phase) -> ReferencePhase:
         begin, end = (float(t) - self._start_s for t in find_times(self._law, np.array([phase.first, phase.last])))
@@ -249,6 +247,19 @@ class PlannedReference:
         if k + 1 == len(phases) or not phases[k + 1].loads:
             share = np.minimum(share, (span.end_s - t) / ramp)
         return np.clip(share, 0.0, 1.0)
+
+
+def place_base(q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
+    """Return the pose (4, 4) of a floating base from its six coordinates: position, then yaw, pitch, roll."""
+    pose = np.eye(4)
+    (cy, cp, cr), (sy, sp, sr) = np.cos(q[3:6]), np.sin(q[3:6])
+    pose[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    pose[:3, 3] = q[:3]
+    return pose
 
 
 def check_executable(motion: Motion) -> TimeLaw:

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from costs.robot import read_joint_axis
+from costs.robot import RobotHand, read_joint_axis
 from costs.robot.servo import DAMPING_S, default_stiffness, list_servo_joints
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
@@ -30,6 +30,10 @@ SELF_FRICTION = 0.5  # between links of the robot
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
 LEAST_VOLUME = 1e-9  # of a hull that gets a shape [m^3]
 IMU = "imu"
+SPOKE = "/spoke/"  # in the names of a wheel's bodies
+SPOKE_SIZE = (0.01, 0.05, 0.03)  # of an assumed spoke: across, along the radius, along the axis [m]
+SPOKE_APART = 0.01  # nearer places of loads share an assumed spoke [m]
+PEG_RADIUS = RobotHand.peg_radius + 5e-4  # from a peg's middle to what it presses [m]
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ class PhysicsModel:
         is_mechanism: (G,) whether it belongs to the mechanism.
         stiffness, damping, effort, velocity: (k,) of the servos.
         latches: per release of the motion the index of the equality that locks its joint.
+        grips: per phase of the motion the indices of the equalities that hold a gripper at the mechanism.
         physics: what the mechanism opposes.
         base_link: the link that carries the inertial unit.
     """
@@ -70,6 +75,7 @@ class PhysicsModel:
     effort: Float[np.ndarray, "k"]
     velocity: Float[np.ndarray, "k"]
     latches: tuple[int, ...]
+    grips: tuple[tuple[int, ...], ...]
     physics: MechanismPhysics
     base_link: str
 
@@ -122,6 +128,7 @@ def build_physics(
     effort = motion.robot.effort[columns]
     builder.add_servos(names, kp, kd, effort)
     latches = builder.add_latches()
+    grips = builder.add_grips()
     try:
         mj = builder.spec.compile()
     except ValueError as error:
@@ -134,6 +141,8 @@ def build_physics(
 
     places = [address(name) for name in names]
     moved = [address(motion.robot.joint_names[column]) for column in builder.moved_columns]
+    for index, anchors in (part for parts in grips for part in parts):
+        mj.eq_data[index, :6] = anchors  # the compiler takes the second one from the pose at 0
     mj.dof_damping[[place[1] for place in moved]] = MECHANISM_DAMPING  # versions differ in the field of a spec
     base = address(BASE) if motion.robot.is_floating else (-1, -1)
     owners = [builder.owner_of_geom[mj.geom(k).name] for k in range(mj.ngeom)]
@@ -158,6 +167,7 @@ def build_physics(
         effort=effort,
         velocity=motion.robot.velocity[columns],
         latches=latches,
+        grips=tuple(tuple(index for index, _ in parts) for parts in grips),
         physics=physics,
         base_link=builder.base_link,
     )
@@ -237,6 +247,10 @@ class _Builder:
                 vertices = shrink_hull(vertices, self.physics.growth_m)
             owner = ("mechanism" if is_moved else "robot", link_body.link)
             self._add_hull(carried[link_body.link], link_body.name, owner, vertices)
+        self._add_assumed_spokes(bodies)
+        bare = next((c.link for p in self.motion.phases for c in p.contacts if c.link not in carried), None)
+        if bare is not None:
+            raise ResultError(f"the plan plants '{bare}', which has no shape that could carry force")
         base = bodies[1] if self.robot.is_floating else fixed
         base.add_site(name=IMU)
         for name, kind in (("gyro", "mjSENS_GYRO"), ("accelerometer", "mjSENS_ACCELEROMETER")):
@@ -284,6 +298,53 @@ class _Builder:
             )
             equality.data[:5] = 0.0
         return tuple(range(len(self.motion.releases)))
+
+    def add_grips(self) -> list[list[tuple[int, Float[np.ndarray, "6"]]]]:
+        """Add an equality per load of a closed gripper; return per phase their indices and anchors in both bodies."""
+        phases: list[list[tuple[int, np.ndarray]]] = [[] for _ in self.motion.phases]
+        if not self.physics.is_gripped:
+            return phases
+        index, model = len(self.motion.releases), self.robot.model
+        for phase, grips in zip(self.motion.phases, phases, strict=True):
+            for load in phase.loads:
+                tool, link = (model.frames[model.getFrameId(name)] for name in (load.tool, load.link))
+                anchors = np.concatenate([tool.placement.translation, link.placement.act(load.place)])
+                self.spec.add_equality(
+                    type=self.mujoco.mjtEq.mjEQ_CONNECT,
+                    objtype=self.mujoco.mjtObj.mjOBJ_BODY,
+                    name1=f"joint:{model.names[tool.parentJoint]}",
+                    name2=f"joint:{model.names[link.parentJoint]}",
+                    active=False,
+                )
+                grips.append((index, anchors))
+                index += 1
+        return phases
+
+    def _add_assumed_spokes(self, bodies: Mapping[int, Any]) -> None:
+        """Add the spokes that a peg presses where the record shows none: a thin box before each place of a load."""
+        if not self.physics.has_assumed_spokes or any(SPOKE in body.name for body in self.robot.bodies):
+            return
+        model = self.robot.model
+        places: list[np.ndarray] = []
+        for load in (load for phase in self.motion.phases for load in phase.loads):
+            if any(np.linalg.norm(load.place - place) < SPOKE_APART for place in places):
+                continue
+            places.append(load.place)
+            frame = model.frames[model.getFrameId(load.link)]
+            push = load.force / np.linalg.norm(load.force)
+            axis = read_joint_axis(self.robot, int(frame.parentJoint))[3:]
+            along = np.cross(axis, push)
+            middle = load.place + (PEG_RADIUS + 0.5 * SPOKE_SIZE[0]) * push
+            name = f"assumed spoke {len(places)}"
+            self._add_geom(
+                bodies[int(frame.parentJoint)],
+                name,
+                ("mechanism", load.link),
+                type=self.mujoco.mjtGeom.mjGEOM_BOX,
+                size=[0.5 * side for side in SPOKE_SIZE],
+                pos=middle,
+                quat=_quaternion(np.column_stack([push, along / np.linalg.norm(along), axis])),
+            )
 
     def _add_inertia(self, body: Any, joint: int, is_moved: bool) -> None:
         body.explicitinertial = True

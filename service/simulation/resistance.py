@@ -36,10 +36,14 @@ class MechanismPhysics:
     Attributes:
         joints: resistance by joint; none where a joint is missing.
         growth_m: by which the recorded bodies are larger than the mechanism itself [m].
+        is_gripped: whether a closed gripper holds the mechanism: it does not slip while its load acts.
+        has_assumed_spokes: whether the hand presses a spoke that the plan assumes where the record shows none.
     """
 
     joints: Mapping[str, Resistance]
     growth_m: float = 0.0
+    is_gripped: bool = False
+    has_assumed_spokes: bool = False
 
 
 def read_mechanism_physics(request: PlanRequest) -> MechanismPhysics:
@@ -52,7 +56,9 @@ def read_mechanism_physics(request: PlanRequest) -> MechanismPhysics:
     if task is None:
         return MechanismPhysics({})
     if task.valve is not None:
-        return MechanismPhysics({VALVE_JOINT: Resistance(friction=task.valve.torque_nm)}, GROWTH_M)
+        is_gripped = task.valve.mode == "grasp"
+        wheel = {VALVE_JOINT: Resistance(friction=task.valve.torque_nm)}
+        return MechanismPhysics(wheel, GROWTH_M, is_gripped, has_assumed_spokes=not is_gripped)
     if task.door is not None:
         door = task.door
         leaf = Resistance(preload=door.hinge_nm) if door.stays else Resistance(friction=door.hinge_nm)
