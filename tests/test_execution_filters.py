@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
 
 

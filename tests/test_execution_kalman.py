@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 from service.execution.estimator import make_pelvis_filter
 from service.execution.kalman import make_steady_filter, solve_riccati
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from costs.robot import load_robot
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 from service.execution.gains import PRESETS, TABLE_I, PoseGains, TaskGains
 from service.execution.pose_control import Command, PoseController
 from service.execution.shift import LARGEST_SHIFT_M, Shift, ShiftLimits, step_shift

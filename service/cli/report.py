@@ -17,6 +17,7 @@ MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residu
 _COLOURS = {
     "CERTIFIED": "green",
     "STOOD": "green",
+    "TRACKED": "green",
     "FEASIBLE_AT_SAMPLES": "yellow",
     "TIME_LIMIT": "yellow",
     "CANCELLED": "yellow",

@@ -10,8 +10,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from service.errors import ExecutionError
 from service.execution.driver import RobotReading
-from service.execution.errors import ExecutionError
 from service.execution.filters import find_share, low_pass
 from service.execution.kalman import SteadyKalmanFilter, make_steady_filter
 

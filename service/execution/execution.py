@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot.poses import matrix_rpy
+from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
-from service.execution.errors import ExecutionError
 from service.execution.estimator import PelvisEstimate, PelvisEstimator, SensorNoise
-from service.execution.filters import PidGains, PidState, step_pid
+from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
 from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
-from service.execution.guards import Finding, Guards, GuardSettings
+from service.execution.guards import Finding, Guards, GuardSettings, Severity
 from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
 from service.execution.pose_control import Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
@@ -36,6 +36,7 @@ from service.execution.touchdown import (
 from service.verify import PlantedContact
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
+HAND_CUTOFF_HZ = 3.0  # of the low-pass filter of the hands' measured errors
 CONTINUE_TOLERANCE = 0.02  # between the last command and the start of another plan [rad, m]
 
 
@@ -59,7 +60,7 @@ class ExecutionSettings:
     guards: GuardSettings = field(default_factory=GuardSettings)
     touchdown: TouchdownSettings | None = field(default_factory=TouchdownSettings)
     shifts: ShiftLimits = field(default_factory=ShiftLimits)
-    hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.2, ki=2.0, limit=0.05))
+    hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.0, ki=2.0, limit=0.05))
     noise: SensorNoise = field(default_factory=SensorNoise)
 
 
@@ -148,12 +149,19 @@ class Execution:
             self._hands = ()
         self._corrections = {hand: PidState.zero((3,)) for hand in self._hands}
         self._corrected = {hand: np.zeros(3) for hand in self._hands}
+        self._hand_errors: dict[str, np.ndarray] = {}
+        self._hand_share = find_share(HAND_CUTOFF_HZ, driver.period_s)
         self._estimator = None
         self._data = robot.model.createData()
         if self._has_forces:
             self._estimator = PelvisEstimator(robot, driver.joint_names, driver.period_s, settings.noise)
             if self._estimate is None:
                 self._estimate = self._estimator.start(reading, reference.at(0.0).pose_world_base[:3, 3])
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the plan's clock stands still."""
+        return self.state.rate == 0.0 and self.state.mode is not Mode.RETURNING
 
     def give(self, order: Order) -> None:
         """Give an order, which the next cycle obeys.
@@ -163,6 +171,16 @@ class Execution:
         """
         self.machine.check_order(self.state, order)
         self._order = order
+
+    def give_up(self, reason: str) -> None:
+        """End an execution that is at rest, where it is.
+
+        Raises:
+            ExecutionError: something still moves.
+        """
+        if not self.is_at_rest:
+            raise ExecutionError(f"the execution is {self.state.mode.value} and moves; pause it first")
+        self.state = replace(self.state, mode=Mode.ABORTED, reason=reason)
 
     def shift(self, link: str, offset: Float[np.ndarray, "3"]) -> None:
         """Displace the target of a foot or a hand from the plan, in world axes [m]; it goes there smoothly.
@@ -179,7 +197,7 @@ class Execution:
         Raises:
             ExecutionError: something still moves, or the plan starts elsewhere.
         """
-        if abs(self.state.rate) > 0.0 or self.state.mode is Mode.RETURNING:
+        if not self.is_at_rest:
             raise ExecutionError(f"the execution is {self.state.mode.value} and moves; pause it before another plan")
         if reference.joint_names != self.reference.joint_names:
             raise ExecutionError("the other plan has other joints")
@@ -210,7 +228,7 @@ class Execution:
         if self._estimator is not None and self._estimate is not None:
             self._estimate = self._estimator.step(self._estimate, reading)
         phase, following = self._current_phases()
-        findings, self._guards = self._guards.check(
+        found, self._guards = self._guards.check(
             phase,
             following,
             self._forces.upright,
@@ -218,6 +236,7 @@ class Execution:
             {link: float(wrench[2]) for link, wrench in wanted.contact_wrenches.items()},
             period,
         )
+        findings = (*found, *self._find_fall(reading, wanted))
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
         phase, following = self._current_phases()
@@ -227,7 +246,7 @@ class Execution:
         self._correct_hands(phase, reading, wanted)
         control = time.perf_counter()
         self.command = self.controller.step(
-            self.command, wanted.configuration, self.state.rate * wanted.velocity, self._list_shifts()
+            self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
         )
         control_s = time.perf_counter() - control
         sent = self._send(wanted, reading)
@@ -248,20 +267,17 @@ class Execution:
         )
 
     def run(self, on_cycle: Callable[[Cycle], None] | None = None, settle_s: float = 0.0) -> MachineState:
-        """Carry out cycles until the plan is done, aborted, or paused for good, and ``settle_s`` longer.
+        """Carry out cycles until the plan is done or aborted, and ``settle_s`` longer; return the last state.
 
-        An operator acts through ``on_cycle``, which is called after every cycle; a pause that nobody resumes there
-        ends the run.
+        An operator acts through ``on_cycle``, which is called after every cycle.
         """
         after = 0.0
-        while True:
+        while after <= settle_s:
             cycle = self.step()
             if on_cycle is not None:
                 on_cycle(cycle)
-            is_still = self.state.mode is Mode.PAUSED and self.state.rate == 0.0 and self._order is None
-            after = after + self.driver.period_s if self.state.is_over or is_still else 0.0
-            if after > settle_s:
-                return self.state
+            after = after + self.driver.period_s if self.state.is_over else 0.0
+        return self.state
 
     def _current_phases(self) -> tuple[ReferencePhase, ReferencePhase | None]:
         phases, k = self.reference.phases, self.state.phase
@@ -276,6 +292,16 @@ class Execution:
                 f"the robot is not at the plan's start: {self.driver.joint_names[worst]} is {measured[worst]:.3f}, the "
                 f"plan starts with {start.configuration[self._columns][worst]:.3f}"
             )
+
+    def _find_fall(self, reading: RobotReading, wanted: ReferenceState) -> tuple[Finding, ...]:
+        """Return a finding if the pelvis leans far off the plan."""
+        if not self._has_forces:
+            return ()
+        up = reading.imu_rotation[:, 2] @ wanted.pose_world_base[:3, 2]
+        lean = float(np.arccos(np.clip(up, -1.0, 1.0)))
+        if lean <= self.settings.guards.fall_rad:
+            return ()
+        return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
 
     def _step_touchdown(
         self,
@@ -341,10 +367,12 @@ class Execution:
             shift = self._shifts.get(hand)
             target = places[hand] if shift is None else places[hand] + shift.offset
             error = target - self._data.oMf[model.getFrameId(hand)].translation
+            error = low_pass(self._hand_errors.get(hand), error, self._hand_share)
+            self._hand_errors[hand] = error
             output, state = step_pid(gains, self._corrections[hand], error, self.driver.period_s)
             self._corrections[hand], self._corrected[hand] = state, output
 
-    def _list_shifts(self) -> Mapping[str, Shift]:
+    def list_shifts(self) -> Mapping[str, Shift]:
         """Return the displacements of all targets: the operator's, of corrected hands, and of feet on the ground."""
         shifts = dict(self._shifts)
         for hand, correction in self._corrected.items():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 
 
 def low_pass(previous: np.ndarray | None, sample: np.ndarray, share: float) -> np.ndarray:

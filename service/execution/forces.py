@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from costs.robot import BASE_NAMES, RobotModel
 from costs.robot.poses import matrix_rpy
+from service.errors import ExecutionError
 from service.execution.driver import RobotReading
-from service.execution.errors import ExecutionError
 from service.execution.filters import find_share, low_pass
 
 FOOT_CUTOFF_HZ = 30.0

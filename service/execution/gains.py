@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 
 
 @dataclass(frozen=True)

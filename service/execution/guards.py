@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 from service.execution.reference import ReferencePhase
 
 
@@ -16,6 +16,7 @@ class Severity(Enum):
     NOTE = "note"  # reported only
     WAIT = "wait"  # the next phase may not begin
     ABORT = "abort"
+    STOP = "stop"  # the robot falls: no way back
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,14 @@ class GuardSettings:
         lost_share: a foot counts as lost below this share of the upright force that the plan expects of it.
         lost_n: feet that the plan expects less of are not compared [N].
         hold_s: time for which a limit must be exceeded [s].
+        fall_rad: angle between the pelvis and that of the plan at which the robot falls [rad].
     """
 
     touch_n: float = 25.0
     lost_share: float = 0.05
     lost_n: float = 400.0
     hold_s: float = 0.25
+    fall_rad: float = 0.35
 
     def __post_init__(self) -> None:
         if not (self.touch_n > 0.0 and 0.0 <= self.lost_share < 1.0 and self.lost_n > 0.0 and self.hold_s >= 0.0):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 
 MAX_DOUBLINGS, TOLERANCE = 60, 1e-13
 

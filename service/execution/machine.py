@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
-from service.execution.errors import ExecutionError
 from service.execution.guards import Finding, Severity
 
 
@@ -25,6 +25,7 @@ class Mode(Enum):
     WAITING = "waiting"  # at the end of a phase, for what the next phase needs
     RETURNING = "returning"  # aborted, on the way back to the last pose in balance
     ABORTED = "aborted"  # there, at rest; only a new plan goes on
+    FALLEN = "fallen"  # nothing is commanded any more but the last pose
     DONE = "done"
 
 
@@ -99,7 +100,7 @@ class MachineState:
     @property
     def is_over(self) -> bool:
         """Whether nothing more moves without a new plan."""
-        return self.mode in (Mode.DONE, Mode.ABORTED)
+        return self.mode in (Mode.DONE, Mode.ABORTED, Mode.FALLEN)
 
 
 class ExecutionMachine:
@@ -132,8 +133,11 @@ class ExecutionMachine:
             period_s: of the cycle [s].
         """
         state = self._obey(state, order)
-        if state.mode is Mode.ABORTED or state.mode is Mode.DONE:
+        if state.is_over:
             return replace(state, rate=0.0)
+        stopping = [finding for finding in findings if finding.severity is Severity.STOP]
+        if stopping:
+            return replace(state, mode=Mode.FALLEN, rate=0.0, reason=stopping[0].sentence)
         aborting = [finding for finding in findings if finding.severity is Severity.ABORT]
         if aborting and state.mode is not Mode.RETURNING:
             lost = [finding.link for finding in findings if finding.is_lost]

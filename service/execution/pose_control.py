@@ -10,9 +10,8 @@ import pinocchio as pin
 from jaxtyping import Bool, Float
 
 from costs.robot import BASE_NAMES, RobotModel
-from service.errors import would_do
+from service.errors import ExecutionError, would_do
 from service.execution.box_qp import BoxQPError, solve_box_qp
-from service.execution.errors import ExecutionError
 from service.execution.gains import PRESETS, PoseGains, TaskGains
 from service.execution.shift import Shift
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from service.execution.errors import ExecutionError
+from service.errors import ExecutionError
 
 LARGEST_SHIFT_M = 0.3  # a plan's clearances and balance say nothing about farther targets
 

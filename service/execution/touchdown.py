@@ -15,8 +15,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from service.errors import ExecutionError
 from service.execution.driver import JointCommand, RobotReading
-from service.execution.errors import ExecutionError
 from service.execution.reference import ReferencePhase
 from service.execution.shift import Shift, ShiftLimits, step_shift
 
