@@ -4,8 +4,8 @@
 [--feed-forward K] [--noise K] [--each] [--out FILE]``
 
 The examples are the files of ``examples/requests``; reaches are those of ``benchmarks.whole_body`` among 60 boxes,
-valves and doors those of ``benchmarks.tasks`` from the place that ``scopt stance`` finds.  ``--long`` plans 160 reaches,
-24 valves and 16 doors.
+valves and doors those of ``benchmarks.tasks`` from the place that ``scopt stance`` finds.  ``--long`` plans 160
+reaches, 24 valves and 16 doors.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ REFERENCE_MASS = 160.0  # of Atlas [kg]
 MECHANISM_DENSITY = 500.0  # of a mechanism's bodies [kg/m^3]
 MECHANISM_ARMATURE = 0.01  # [kg m^2, kg]
 MECHANISM_DAMPING = 0.2  # [N m s/rad, N s/m]
+HELD_BY_FRICTION = 0.9999  # impedance of dry friction in joints: what it holds does not creep
 MECHANISM_FRICTION = 0.3  # between a hand and what it moves
 SELF_FRICTION = 0.5  # between links of the robot
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
@@ -143,6 +144,7 @@ def build_physics(
     moved = [address(motion.robot.joint_names[column]) for column in builder.moved_columns]
     for index, anchors in (part for parts in grips for part in parts):
         mj.eq_data[index, :6] = anchors  # the compiler takes the second one from the pose at 0
+    mj.dof_solimp[:, :2] = HELD_BY_FRICTION
     mj.dof_damping[[place[1] for place in moved]] = MECHANISM_DAMPING  # versions differ in the field of a spec
     base = address(BASE) if motion.robot.is_floating else (-1, -1)
     owners = [builder.owner_of_geom[mj.geom(k).name] for k in range(mj.ngeom)]
@@ -361,6 +363,7 @@ class _Builder:
             mass = max(MECHANISM_DENSITY * volume, LEAST_MASS)
             body.mass, body.ipos = mass, middle
             body.inertia = np.maximum(mass * spread, LEAST_INERTIA)
+            body.gravcomp = 1.0  # the request's loads are all that a mechanism opposes
             return
         inertia = self.robot.model.inertias[joint]
         mass = float(inertia.mass)
