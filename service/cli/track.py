@@ -52,6 +52,9 @@ def track_command(
         ),
     ] = None,
     rest: Annotated[Path | None, typer.Option(help="Result folder of that plan; by default NAME-rest.")] = None,
+    abort_share: Annotated[
+        float, typer.Option(help="Where between its expected force and its cap a hand's force aborts, 0 to 1.")
+    ] = 0.5,
     stiff: Annotated[bool, typer.Option("--stiff", help="Without soft touchdown.")] = False,
     noise: Annotated[float, typer.Option(help="Of the sensors in physics; 1 is usual, 0 is none.")] = 0.0,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File for the report (JSON).")] = None,
@@ -70,13 +73,16 @@ def track_command(
         from service.errors import ExecutionError, would_do
         from service.execution.execution import Execution, ExecutionSettings
         from service.execution.gains import PRESETS
+        from service.execution.guards import GuardSettings
         from service.execution.machine import MachineSettings
         from service.execution.replan import plan_rest, read_certified, write_state
         from service.execution.tracking import KinematicRobot, track
 
         if gains not in PRESETS:
             raise ExecutionError(f"--gains: unknown preset {gains!r}; expected {would_do(gains, PRESETS)}")
-        settings = ExecutionSettings(gains=PRESETS[gains], machine=MachineSettings(speed=speed))
+        settings = ExecutionSettings(
+            gains=PRESETS[gains], machine=MachineSettings(speed=speed), guards=GuardSettings(load_share=abort_share)
+        )
         if stiff:
             settings = replace(settings, touchdown=None)
         actions = _list_actions(shift or [], pause or [], resume or [], abort, adjust)

@@ -231,9 +231,9 @@ class Execution:
         found, self._guards = self._guards.check(
             phase,
             following,
-            self._forces.upright,
+            self._forces.contacts,
             self._forces.sizes,
-            {link: float(wrench[2]) for link, wrench in wanted.contact_wrenches.items()},
+            wanted.contact_wrenches,
             period,
         )
         findings = (*found, *self._find_fall(reading, wanted))
@@ -329,7 +329,7 @@ class Execution:
                 settings,
                 self._touchdown[foot],
                 ankle,
-                FootReading(forces.upright[foot], off, slope, ankle_off),
+                FootReading(float(forces.contacts[foot][2]), off, slope, ankle_off),
                 lands=lands[foot],
                 planted=own is not None,
                 left_s=left_s if own is None else 0.0,

@@ -1,4 +1,4 @@
-"""Measured forces: upright forces of the feet, and forces of the hands estimated from the torques of the arms."""
+"""Measured forces: those of contacts with a sensor, and forces of the hands estimated from the torques of the arms."""
 
 from __future__ import annotations
 
@@ -25,12 +25,17 @@ class MeasuredForces:
     """Filtered forces of one instant.
 
     Attributes:
-        upright: upright force per foot [N].
+        contacts: force (3,) of the surroundings on each link with a sensor, world axes [N].
         hands: force (3,) of the surroundings on each tool, world axes [N].
     """
 
-    upright: Mapping[str, float]
+    contacts: Mapping[str, Float[np.ndarray, "3"]]
     hands: Mapping[str, Float[np.ndarray, "3"]]
+
+    @property
+    def upright(self) -> dict[str, float]:
+        """Upright force per link with a sensor [N]."""
+        return {link: float(force[2]) for link, force in self.contacts.items()}
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -71,15 +76,15 @@ class ForceMeter:
             accelerations: commanded, in the order of the readings' joints, per second squared.
         """
         foot, hand = self._shares
-        upright = {
-            link: float(low_pass(None if earlier is None else np.asarray(earlier.upright[link]), wrench[2:3], foot)[0])
+        contacts = {
+            link: low_pass(None if earlier is None else earlier.contacts.get(link), wrench[:3], foot)
             for link, wrench in reading.foot_wrenches.items()
         }
         raw = self._estimate_hands(reading, accelerations) if self._arms else {}
         hands = {
             tool: low_pass(None if earlier is None else earlier.hands[tool], force, hand) for tool, force in raw.items()
         }
-        return MeasuredForces(upright, hands)
+        return MeasuredForces(contacts, hands)
 
     def _estimate_hands(
         self, reading: RobotReading, accelerations: Float[np.ndarray, "k"]
