@@ -228,6 +228,8 @@ def track(
 
     def act(cycle: Cycle) -> None:
         watch.look(execution, cycle)
+        if execution.state.mode is Mode.PAUSED and execution.is_at_rest and not pending:
+            execution.give_up(f"paused at {execution.state.time_s:.2f} s and never resumed")
         now = len(watch.cycle_s) * execution.driver.period_s
         while pending and pending[0].at_s <= now and not execution.state.is_over:
             action = pending[0]
@@ -239,8 +241,6 @@ def track(
             else:
                 execution.shift(action.link, action.offset)
             pending.pop(0)
-        if execution.state.mode is Mode.PAUSED and execution.is_at_rest and not pending:
-            execution.give_up(f"paused at {execution.state.time_s:.2f} s and never resumed")
         if on_cycle is not None:
             on_cycle(cycle)
 
