@@ -116,7 +116,9 @@ def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
     touching = any(entry["deepest_m"] > SEEN_TOUCH_M for entry in summary.get("exempt") or [])
     aside = ", pairs that may touch aside" if touching else ""
     out.print(f"clearance        {_format_mm(clearance)}{between}{aside}", markup=False)
-    out.print(f"balance margin   {_format_mm(summary.get('min_balance_margin_m'))}", markup=False)
+    left = (summary.get("servo") or {}).get("margin_after_sag_m")
+    sagged = "" if left is None else f", {_format_mm(left)} after the sag of the servos"
+    out.print(f"balance margin   {_format_mm(summary.get('min_balance_margin_m'))}{sagged}", markup=False)
 
 
 def _name_phase(phase: Mapping[str, Any]) -> str:

@@ -25,6 +25,8 @@ REFERENCE_MASS = 160.0  # of Atlas [kg]
 MECHANISM_DENSITY = 500.0  # of a mechanism's bodies [kg/m^3]
 MECHANISM_ARMATURE = 0.01  # [kg m^2, kg]
 MECHANISM_DAMPING = 0.2  # [N m s/rad, N s/m]
+# Of the world's surfaces: with MuJoCo's defaults the feet turn in the floor almost as easily as the robot tips.
+STIFF: Mapping[str, list[float]] = {"solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
 HELD_BY_FRICTION = 0.9999  # impedance of dry friction in joints: what it holds does not creep
 MECHANISM_FRICTION = 0.3  # between a hand and what it moves
 SELF_FRICTION = 0.5  # between links of the robot
@@ -419,6 +421,7 @@ class _Builder:
             friction=[friction, 0.005, 1e-4],
             density=0.0,
             condim=3,
+            **(STIFF if kind == "world" else {}),
             **fields,
         )
         self.owner_of_geom[f"{kind}:{name}"] = owner

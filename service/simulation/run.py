@@ -20,6 +20,7 @@ from service.simulation.model import PhysicsModel, build_physics, import_mujoco
 from service.simulation.options import SimulationOptions
 from service.simulation.resistance import read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
+from service.start.robot import resolve_stiffness
 from service.verify import Motion
 
 SAMPLE_STEPS = 10  # steps of the physics between two records
@@ -104,10 +105,11 @@ def execute_motion(
     options: SimulationOptions | None = None,
     report: Callable[[str, float | None], None] | None = None,
 ) -> Execution:
-    """Carry out a motion in physics; ``request`` says what its mechanism opposes (ResultError as above)."""
+    """Carry out a motion in physics, with the mechanism and the servos of a request (ResultError as above)."""
     options = options or SimulationOptions()
     reference = PlannedReference(motion)
-    model = build_physics(motion, read_mechanism_physics(request), options)
+    stiffness = resolve_stiffness(motion.robot, request)
+    model = build_physics(motion, read_mechanism_physics(request), options, stiffness)
     record = execute(reference, SimulatedRobot(model, reference.at(0.0).configuration, options), report)
     return Execution(reference, model, options, record, verdict, request_hash)
 
