@@ -51,7 +51,7 @@ class ExecutionSettings:
         touchdown: of feet that land; None lands them stiff.
         shifts: how fast operator's displacements of targets come.
         hand_gains: PID control that corrects where the hands are measured to be [m per m]; None for none.  It rests
-            while a hand presses on a mechanism.
+            while a hand is planted, and while hands press on a mechanism.
         noise: of the sensors, for the pelvis estimator.
     """
 
@@ -102,9 +102,19 @@ class Execution:
     """
 
     def __init__(
-        self, reference: PlannedReference, driver: RobotDriver, settings: ExecutionSettings | None = None
+        self,
+        reference: PlannedReference,
+        driver: RobotDriver,
+        settings: ExecutionSettings | None = None,
+        begin_s: float = 0.0,
     ) -> None:
         """Prepare the control of a plan on a robot that stands at its start.
+
+        Args:
+            reference: the plan.
+            driver: the robot.
+            settings: gains, guards and limits.
+            begin_s: time of the plan to begin at; the robot rests in that pose [s].
 
         Raises:
             ExecutionError: the driver has other joints than the plan, or the robot is not at the plan's start.
@@ -119,13 +129,13 @@ class Execution:
         self._forces: MeasuredForces | None = None
         self._estimate: PelvisEstimate | None = None
         self._order: Order | None = None
-        self._load(reference)
-        start = reference.at(0.0)
+        self._load(reference, begin_s)
+        start = reference.at(begin_s)
         self._check_start(start)
         self.command = Command.at_rest(start.configuration)
 
-    def _load(self, reference: PlannedReference) -> None:
-        """Take a plan from its beginning."""
+    def _load(self, reference: PlannedReference, begin_s: float = 0.0) -> None:
+        """Take a plan, from a time of its own on."""
         settings, driver, robot = self.settings, self.driver, reference.robot
         self.reference = reference
         self._columns = np.array([robot.joint_names.index(name) for name in driver.joint_names], dtype=int)
@@ -133,7 +143,7 @@ class Execution:
         self.controller = PoseController(robot, settings.gains, driver.period_s)
         balance = PlannedBalance.of(reference) if robot.is_floating else None
         self.machine = ExecutionMachine(reference.phases, balance, settings.machine)
-        self.state = MachineState()
+        self.state = MachineState(time_s=begin_s, phase=reference.find_phase_number(begin_s))
         self._guards = Guards(settings.guards)
         feet, reading = robot.link_groups.get("feet", ()), driver.read()
         self._has_forces = robot.is_floating and all(foot in reading.foot_wrenches for foot in feet) and len(feet) == 2
@@ -156,7 +166,7 @@ class Execution:
         if self._has_forces:
             self._estimator = PelvisEstimator(robot, driver.joint_names, driver.period_s, settings.noise)
             if self._estimate is None:
-                self._estimate = self._estimator.start(reading, reference.at(0.0).pose_world_base[:3, 3])
+                self._estimate = self._estimator.start(reading, reference.at(begin_s).pose_world_base[:3, 3])
 
     @property
     def is_at_rest(self) -> bool:
@@ -363,7 +373,11 @@ class Execution:
         self._place(wanted.configuration)
         places = {hand: self._data.oMf[model.getFrameId(hand)].translation.copy() for hand in self._hands}
         self._place(self._read_configuration(reading, wanted))
+        frames = model.frames
+        held = {frames[model.getFrameId(contact.link)].parentJoint for contact in phase.contacts}
         for hand in self._hands:
+            if frames[model.getFrameId(hand)].parentJoint in held:
+                continue  # it would press on what it holds
             shift = self._shifts.get(hand)
             target = places[hand] if shift is None else places[hand] + shift.offset
             error = target - self._data.oMf[model.getFrameId(hand)].translation
