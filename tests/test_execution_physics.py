@@ -1,6 +1,7 @@
 """Executions in physics: a foot that lands on other ground than planned, and an abort on one leg."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +20,7 @@ from service.simulation.robot import SimulatedRobot
 
 FOOT = "r_foot"
 BEFORE_S = 0.4  # that the robot has stood on one leg when the phase begins in which the foot comes down
+SECONDS = 1.5
 LANDING_S = 0.4  # from the first touch on, in which the forces of a landing are compared
 
 
@@ -29,18 +31,17 @@ def reference():
 
 @dataclass
 class Landing:
-    """What physics showed: largest upright force [N] and tilt [rad] after the first touch, pelvis error, last mode."""
+    """What physics showed: upright force [N], tilt after the touch [rad], error of the pelvis [m], last mode."""
 
     peak_n: float
     tilt: float
     pelvis_off: float
     mode: Mode
-    force_at_end: float
     execution: Execution
 
 
-def uneven(reference, rise, slope):
-    """Return the plan's motion with the stone below the right foot's first landing raised [m] and sloped."""
+def uneven(reference, rise):
+    """Return the plan's motion with the stone below the right foot's first landing raised [m], and that phase."""
     land = next(k for k, phase in enumerate(reference.phases) if phase.name.endswith("land"))
     contact = next(contact for contact in reference.phases[land + 1].contacts if contact.link == FOOT)
     middle = contact.points.mean(axis=0)
@@ -48,9 +49,7 @@ def uneven(reference, rise, slope):
     for piece in reference.motion.scene.pieces:
         low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
         if np.all(low[:2] < middle[:2]) and np.all(middle[:2] < high[:2]) and abs(high[2] - middle[2]) < 0.02:
-            moved = piece.vertices + np.array([0.0, 0.0, rise])
-            moved[:, 2] += slope * (moved[:, 0] - middle[0])
-            piece = replace(piece, vertices=moved)
+            piece = replace(piece, vertices=piece.vertices + np.array([0.0, 0.0, rise]))
         pieces.append(piece)
     return replace(reference.motion, scene=replace(reference.motion.scene, pieces=tuple(pieces))), land
 
@@ -62,56 +61,53 @@ def stand(reference, motion, begin, settings=None):
     return Execution(reference, robot, settings, begin)
 
 
-def land(reference, *, soft, rise=0.0, slope=0.0, seconds=1.7):
-    motion, phase = uneven(reference, rise, slope)
+@cache
+def land(reference, *, soft, rise):
+    """Let the right foot land on the first stone, which is higher than planned by ``rise`` [m]."""
+    motion, phase = uneven(reference, rise)
     settings = ExecutionSettings() if soft else ExecutionSettings(touchdown=None)
     execution = stand(reference, motion, reference.phases[phase].begin_s - BEFORE_S, settings)
     robot, data = execution.driver, reference.robot.model.createData()
     frame = reference.robot.model.getFrameId(FOOT)
-    up = np.array([-slope, 0.0, 1.0]) / np.hypot(1.0, slope)
     forces, tilts, off = [], [], 0.0
-    for k in range(round(seconds / robot.period_s)):
+    for _ in range(round(SECONDS / robot.period_s)):
         cycle = execution.step()
         forces.append(robot.measure_contact_wrenches()[FOOT][2])
-        if k % 10 == 0:
+        if len(forces) % 10 == 0:
             pin.framesForwardKinematics(reference.robot.model, data, robot.configuration())
-            tilt = np.arccos(np.clip(data.oMf[frame].rotation[:, 2] @ up, -1.0, 1.0))
             off = max(off, float(np.linalg.norm(cycle.estimate.position - robot.pose_world_base[:3, 3])))
-        tilts.append(float(tilt))
+        tilts.append(float(np.arccos(np.clip(data.oMf[frame].rotation[2, 2], -1.0, 1.0))))
     touched = np.flatnonzero(np.array(forces) > 5.0)
     first = int(touched[0]) if len(touched) else len(forces) - 1
-    window = slice(first, first + round(LANDING_S / robot.period_s))
-    last = min(window.stop, len(tilts)) - 1
-    return Landing(max(forces[window]), tilts[last], off, execution.state.mode, forces[-1], execution)
+    last = min(first + round(LANDING_S / robot.period_s), len(forces))
+    return Landing(max(forces[first:last]), tilts[last - 1], off, execution.state.mode, execution)
 
 
-@pytest.mark.parametrize(("rise", "slope"), [(0.01, 0.0), (0.0, -0.06)])
-def test_a_soft_landing_on_other_ground_has_less_force_and_tilt_than_a_stiff_one(reference, rise, slope):
-    soft, stiff = (land(reference, soft=soft, rise=rise, slope=slope) for soft in (True, False))
+def test_a_soft_landing_on_ground_that_is_a_centimetre_higher_has_less_force_and_tilt_than_a_stiff_one(reference):
+    soft, stiff = (land(reference, soft=soft, rise=0.01) for soft in (True, False))
     assert soft.peak_n < 0.5 * stiff.peak_n
     assert soft.tilt < 0.5 * stiff.tilt
     assert soft.mode is Mode.RUNNING
-    assert soft.force_at_end > 100.0
 
 
 def test_a_foot_finds_ground_that_is_a_centimetre_lower(reference):
-    soft = land(reference, soft=True, rise=-0.01, seconds=2.2)
+    soft = land(reference, soft=True, rise=-0.01)
     height = soft.execution.list_shifts()[FOOT].offset[2]
     assert height == pytest.approx(-0.01, abs=4e-3)
     assert soft.peak_n < 400.0
     assert soft.mode is Mode.RUNNING
-    assert soft.force_at_end > 100.0
 
 
-def test_the_estimated_pelvis_is_the_true_one_while_the_robot_changes_feet(reference):
-    assert land(reference, soft=True).pelvis_off < 6e-3
+@pytest.mark.parametrize("rise", [0.01, -0.01])
+def test_the_estimated_pelvis_is_the_true_one_while_the_robot_changes_feet(reference, rise):
+    assert land(reference, soft=True, rise=rise).pelvis_off < 6e-3
 
 
 def test_an_abort_on_one_leg_ends_standing_in_balance(reference):
     swing = next(phase for phase in reference.phases if phase.name.endswith("swing"))
     execution = stand(reference, reference.motion, swing.begin_s + 0.2)
     robot = execution.driver
-    for k in range(1500):
+    for k in range(1200):
         if k == 150:
             execution.give(Order.ABORT)
         cycle = execution.step()
