@@ -32,25 +32,28 @@ def test_the_solution_agrees_with_cvxpy(seed):
     np.testing.assert_allclose(own, x.value, atol=1e-5 * (1.0 + np.abs(own).max()))
 
 
-@given(seed=st.integers(0, 100_000), warm=st.booleans())
-def test_the_solution_is_in_the_box_and_no_coordinate_alone_improves_it(seed, warm):
+@given(seed=st.integers(0, 100_000))
+def test_the_solution_is_in_the_box_and_no_coordinate_alone_improves_it(seed):
     P, c, lower, upper = random_program(seed)
-    start = np.random.default_rng(seed + 1).normal(size=len(c)) if warm else None
-    solution = solve_box_qp(P, c, lower, upper, start)
+    solution = solve_box_qp(P, c, lower, upper)
     x, gradient = solution.x, P @ solution.x + c
     assert np.all(lower <= x)
     assert np.all(x <= upper)
-    slack = 1e-7 * np.abs(c).max()
+    slack = (1e-7 if solution.is_polished else 1e-4) * np.abs(c).max()
     assert np.all(gradient[x < upper] >= -slack)
     assert np.all(gradient[x > lower] <= slack)
     assert np.all(((x == lower) | (x == upper))[solution.is_bound])
+
+
+def test_nearly_all_solutions_are_exact():
+    assert np.mean([solve_box_qp(*random_program(seed)).is_polished for seed in range(200)]) > 0.95
 
 
 def test_without_active_bounds_the_solution_is_that_of_the_linear_system():
     P, c, _, _ = random_program(0)
     wide = solve_box_qp(P, c, np.full(36, -1e9), np.full(36, 1e9))
     np.testing.assert_allclose(P @ wide.x, -c, atol=1e-8)
-    assert wide.iterations == 1
+    assert wide.is_polished
     assert not wide.is_bound.any()
 
 

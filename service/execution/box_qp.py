@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import piqp
 from jaxtyping import Bool, Float
 from scipy.linalg.lapack import dposv
 
-TOLERANCE = 1e-9  # of the gradient, relative to the largest entry of the linear term (or to 1)
-MAX_ITERATIONS = 100
-DECREASE, SHRINK, SMALLEST_STEP = 0.1, 0.5, 1e-12
+TOLERANCE = 1e-9  # of PIQP, and of the polished solution relative to the largest entry of the linear term (or to 1)
+
+MAX_EXCHANGES = 6  # of variables at their bounds, before the answer of PIQP is taken as it is
 
 
 class BoxQPError(ValueError):
@@ -24,12 +25,12 @@ class BoxSolution:
     Attributes:
         x: (n,) the minimiser.
         is_bound: (n,) whether a variable is at its bound and pushes against it.
-        iterations: number of factorisations.
+        is_polished: whether the optimality conditions hold to rounding; otherwise to the tolerance of PIQP.
     """
 
     x: Float[np.ndarray, "n"]
     is_bound: Bool[np.ndarray, "n"]
-    iterations: int
+    is_polished: bool
 
 
 def solve_box_qp(
@@ -37,60 +38,67 @@ def solve_box_qp(
     c: Float[np.ndarray, "n"],
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
-    x0: Float[np.ndarray, "n"] | None = None,
 ) -> BoxSolution:
     """Minimise ``1/2 x' P x + c' x`` subject to ``lower <= x <= upper``.
 
-    The unbounded minimiser is tried first; it is the answer in most control cycles.  Otherwise projected Newton steps:
-    variables that push against their bound are held, the others take a Newton step whose projection decreases the
-    function (Bertsekas 1982; Tassa et al., ICRA 2014, II.B).  The active set settles after finitely many steps.
+    The unbounded minimiser is tried first; one Cholesky factorisation gives it, and it is the answer in most control
+    cycles.  Else PIQP's dense solver says which variables are at their bounds, and one more factorisation of the others
+    makes the answer exact.
 
     Args:
         P: symmetric and positive definite.
         c: linear term.
         lower, upper: bounds; infinite where there is none.
-        x0: start, for instance the solution of the cycle before; clipped to the box.
 
     Raises:
-        BoxQPError: the box is empty, P is not positive definite, or the steps do not converge.
+        BoxQPError: the box is empty, P is not positive definite, a number is not finite, or PIQP fails.
     """
-    if not np.all(lower <= upper):
+    if not (lower <= upper).all():
         worst = int(np.argmax(np.where(np.isnan(lower - upper), np.inf, lower - upper)))
         raise BoxQPError(f"lower[{worst}] {lower[worst]:g} is above upper[{worst}] {upper[worst]:g}")
     free = _solve(P, -c)
-    if np.all(lower <= free) and np.all(free <= upper):
-        return BoxSolution(free, np.zeros(len(c), dtype=bool), 1)
-    x = np.clip(free if x0 is None else x0, lower, upper)
+    if not np.isfinite(free).all():
+        raise BoxQPError("P or c is not finite")
+    if (lower <= free).all() and (free <= upper).all():
+        return BoxSolution(free, np.zeros(len(c), dtype=bool), True)
+    solver = piqp.DenseSolver()
+    solver.settings.eps_abs = solver.settings.eps_rel = TOLERANCE
+    solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = TOLERANCE
+    solver.setup(P, c, x_l=lower, x_u=upper)
+    status = solver.solve()
+    if status != piqp.PIQP_SOLVED:
+        raise BoxQPError(f"PIQP ended with {status.name}; is P positive definite and well scaled?")
+    result = solver.result
+    below, above = result.z_bl > result.x - lower, result.z_bu > upper - result.x
+    polished = _polish(P, c, lower, upper, below, above)
+    return polished or BoxSolution(np.clip(result.x, lower, upper), below | above, False)
+
+
+def _polish(
+    P: np.ndarray, c: np.ndarray, lower: np.ndarray, upper: np.ndarray, below: np.ndarray, above: np.ndarray
+) -> BoxSolution | None:
+    """Return the exact minimiser for nearly the right variables at their bounds; None if it is not found soon.
+
+    Variables that violate a bound are put there, and those that do not push against theirs are released (Hintermueller,
+    Ito and Kunisch, SIAM J. Optim. 2003).
+
+    Args:
+        P, c, lower, upper: the program.
+        below, above: variables that are thought to be at their lower, upper bound.
+    """
     largest = TOLERANCE * max(1.0, float(np.abs(c).max()))
-    for iteration in range(2, MAX_ITERATIONS):
+    for _ in range(MAX_EXCHANGES):
+        x = np.where(below, lower, np.where(above, upper, 0.0))
+        moves = np.flatnonzero(~(below | above))
+        if len(moves):
+            x[moves] = _solve(P[np.ix_(moves, moves)], -(c + P @ x)[moves])
         gradient = P @ x + c
-        is_bound = ((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))
-        moves = np.flatnonzero(~is_bound)
-        if not len(moves) or np.abs(gradient[moves]).max() <= largest:
-            return BoxSolution(x, is_bound, iteration - 1)
-        step = np.zeros_like(x)
-        step[moves] = _solve(P[np.ix_(moves, moves)], -gradient[moves])
-        x = _search_line(P, c, (lower, upper), x, gradient, step)
-    raise BoxQPError(f"no solution after {MAX_ITERATIONS} steps; is P positive definite and well scaled?")
-
-
-def _search_line(
-    P: np.ndarray,
-    c: np.ndarray,
-    box: tuple[np.ndarray, np.ndarray],
-    x: np.ndarray,
-    gradient: np.ndarray,
-    step: np.ndarray,
-) -> Float[np.ndarray, "n"]:
-    """Return the first point on the projected step that decreases the function enough."""
-    length = 1.0
-    while length > SMALLEST_STEP:
-        trial = np.clip(x + length * step, *box)
-        change = trial - x
-        if change @ (gradient + 0.5 * (P @ change)) <= DECREASE * (gradient @ change):
-            return np.asarray(trial)
-        length *= SHRINK
-    return np.asarray(trial)
+        too_low, too_high = x < lower, x > upper
+        pulls_up, pulls_down = below & (gradient < -largest), above & (gradient > largest)
+        if not (too_low | too_high | pulls_up | pulls_down).any():
+            return BoxSolution(x, below | above, True)
+        below, above = (below & ~pulls_up) | too_low, (above & ~pulls_down) | too_high
+    return None
 
 
 def _solve(P: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "n"]:

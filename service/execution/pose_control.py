@@ -120,13 +120,22 @@ class PoseController:
         Raises:
             ExecutionError: the program has no solution (a configuration that is not finite).
         """
-        hessian, linear = self._sum_tasks(command, desired_q, desired_qd, shifts or {})
-        lower, upper = self.bound_speeds(command)
+        program = self.make_program(command, desired_q, desired_qd, shifts or {})
         try:
-            solution = solve_box_qp(hessian, linear, lower, upper, command.qd)
+            solution = solve_box_qp(*program)
         except BoxQPError as error:
             raise ExecutionError(f"pose control has no solution: {error}") from None
         return Command(command.q + self.period_s * solution.x, solution.x, solution.is_bound)
+
+    def make_program(
+        self,
+        command: Command,
+        desired_q: Float[np.ndarray, "n"],
+        desired_qd: Float[np.ndarray, "n"],
+        shifts: Mapping[str, Shift],
+    ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Return matrix, linear term and bounds of the quadratic program of a cycle; arguments as of ``step``."""
+        return (*self._sum_tasks(command, desired_q, desired_qd, shifts), *self.bound_speeds(command))
 
     def bound_speeds(self, command: Command) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Return the lowest and the highest speed of each coordinate in the cycle after a command.
