@@ -25,7 +25,6 @@ from service.execution.reference import PlannedReference, ReferencePhase, Refere
 from service.execution.shift import Shift, ShiftLimits, step_shift
 from service.execution.touchdown import (
     FootReading,
-    Stage,
     TouchdownSettings,
     TouchdownState,
     find_ankle,
@@ -36,6 +35,7 @@ from service.execution.touchdown import (
 from service.verify import PlantedContact
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
+HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
 HAND_CUTOFF_HZ = 3.0  # of the low-pass filter of the hands' measured errors
 CONTINUE_TOLERANCE = 0.02  # between the last command and the start of another plan [rad, m]
 
@@ -129,6 +129,7 @@ class Execution:
         self._forces: MeasuredForces | None = None
         self._estimate: PelvisEstimate | None = None
         self._order: Order | None = None
+        self._n_cycles = 0
         self._load(reference, begin_s)
         start = reference.at(begin_s)
         self._check_start(start)
@@ -144,6 +145,7 @@ class Execution:
         balance = PlannedBalance.of(reference) if robot.is_floating else None
         self.machine = ExecutionMachine(reference.phases, balance, settings.machine)
         self.state = MachineState(time_s=begin_s, phase=reference.find_phase_number(begin_s))
+        self._wanted = reference.at(begin_s)
         self._guards = Guards(settings.guards)
         feet, reading = robot.link_groups.get("feet", ()), driver.read()
         self._has_forces = robot.is_floating and all(foot in reading.foot_wrenches for foot in feet) and len(feet) == 2
@@ -160,7 +162,7 @@ class Execution:
         self._corrections = {hand: PidState.zero((3,)) for hand in self._hands}
         self._corrected = {hand: np.zeros(3) for hand in self._hands}
         self._hand_errors: dict[str, np.ndarray] = {}
-        self._hand_share = find_share(HAND_CUTOFF_HZ, driver.period_s)
+        self._hand_share = find_share(HAND_CUTOFF_HZ, HAND_CYCLES * driver.period_s)
         self._estimator = None
         self._data = robot.model.createData()
         if self._has_forces:
@@ -232,7 +234,7 @@ class Execution:
         period, settings = self.driver.period_s, self.settings
         reading = self.driver.read()
         waited = time.perf_counter() - begin
-        wanted = self.reference.at(self.state.time_s)
+        wanted = self._wanted
         gain = np.zeros(len(self._columns))
         self._forces = self._meter.step(self._forces, reading, gain)
         if self._estimator is not None and self._estimate is not None:
@@ -250,10 +252,12 @@ class Execution:
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
         phase, following = self._current_phases()
-        wanted = self.reference.at(self.state.time_s)
+        wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
         self._step_touchdown(phase, following, reading, wanted)
-        self._correct_hands(phase, reading, wanted)
+        self._n_cycles += 1
+        if self._n_cycles % HAND_CYCLES == 0:
+            self._correct_hands(phase, reading, wanted, HAND_CYCLES * period)
         control = time.perf_counter()
         self.command = self.controller.step(
             self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
@@ -325,11 +329,13 @@ class Execution:
         if settings is None or forces is None or self._estimate is None or not self._ankles:
             return
         lands = {foot: lands_next(phase, following, foot) for foot in self._ankles}
-        is_measured = any(lands.values()) or any(s.stage is not Stage.STIFF for s in self._touchdown.values())
+        is_measured = any(lands.values()) or not all(state.is_idle for state in self._touchdown.values())
         if is_measured:
             self._place(self._read_configuration(reading, wanted))
         left_s = (phase.end_s - self.state.time_s) / max(self.state.rate, 0.01)
         for foot, ankle in self._ankles.items():
+            if self._touchdown[foot].is_idle and not lands[foot]:
+                continue
             own = next((contact for contact in phase.contacts if contact.link == foot), None)
             after = () if following is None else following.contacts
             ground = own or next((contact for contact in after if contact.link == foot), None)
@@ -364,7 +370,9 @@ class Execution:
     def _place(self, q: Float[np.ndarray, "n"]) -> None:
         pin.framesForwardKinematics(self.reference.robot.model, self._data, q)
 
-    def _correct_hands(self, phase: ReferencePhase, reading: RobotReading, wanted: ReferenceState) -> None:
+    def _correct_hands(
+        self, phase: ReferencePhase, reading: RobotReading, wanted: ReferenceState, period_s: float
+    ) -> None:
         """Advance the corrections of hands that are measured elsewhere than the plan has them."""
         gains = self.settings.hand_gains
         if not self._hands or gains is None or self._estimate is None or phase.loads:
@@ -383,7 +391,7 @@ class Execution:
             error = target - self._data.oMf[model.getFrameId(hand)].translation
             error = low_pass(self._hand_errors.get(hand), error, self._hand_share)
             self._hand_errors[hand] = error
-            output, state = step_pid(gains, self._corrections[hand], error, self.driver.period_s)
+            output, state = step_pid(gains, self._corrections[hand], error, period_s)
             self._corrections[hand], self._corrected[hand] = state, output
 
     def list_shifts(self) -> Mapping[str, Shift]:

@@ -44,12 +44,14 @@ class _Task:
 
     Attributes:
         frame: index in the model; -1 for the centre of mass.
-        rows: of the six rows of a link's twist, those that count.
+        part: of the six rows of a link's twist, those that count.
+        rows: of the quadratic program's least squares.
         gains: of the task.
         link: name; shifts are given by it.
     """
 
     frame: int
+    part: slice
     rows: slice
     gains: TaskGains
     link: str
@@ -86,6 +88,8 @@ class PoseController:
             raise ExecutionError(f"period_s {period_s:g}; expected 1e-5 to 0.1 s")
         self.robot, self.gains, self.period_s, self.has_rate_limits = robot, gains, period_s, has_rate_limits
         self._tasks = tuple(_list_tasks(robot, gains))
+        sizes = [task.rows.stop - task.rows.start for task in self._tasks]
+        self._weights = np.repeat([task.gains.weight for task in self._tasks], sizes)
         self._actual, self._wanted = robot.model.createData(), robot.model.createData()
 
     @property
@@ -185,34 +189,32 @@ class PoseController:
         shifts: Mapping[str, Shift],
     ) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
         """Return Jacobian, weights and wanted speeds of the tasks' rows."""
-        model, actual, wanted = self.robot.model, self._actual, self._wanted
-        for data, q in ((actual, command.q), (wanted, desired_q)):
-            pin.computeJointJacobians(model, data, q)
-            pin.updateFramePlacements(model, data)
-        rows, weights, speeds = [], [], []
+        model, actual, wanted, gains = self.robot.model, self._actual, self._wanted, self.gains
+        pin.computeJointJacobians(model, actual, command.q)
+        pin.forwardKinematics(model, wanted, desired_q, desired_qd)
+        jacobians, speeds = np.empty((len(self._weights), self.robot.n)), np.empty(len(self._weights))
         for task in self._tasks:
+            rows, g = task.rows, task.gains
             if task.frame < 0:
                 jacobian = pin.jacobianCenterOfMass(model, actual, command.q, False)
-                goal = pin.jacobianCenterOfMass(model, wanted, desired_q, False) @ desired_qd
-                error = wanted.com[0] - actual.com[0]
+                pin.centerOfMass(model, wanted, desired_q, desired_qd, False)
+                error, goal = wanted.com[0] - actual.com[0], wanted.vcom[0]
             else:
-                place, target = actual.oMf[task.frame], wanted.oMf[task.frame]
-                jacobian = pin.getFrameJacobian(model, actual, task.frame, WORLD_AXES)
-                goal = pin.getFrameJacobian(model, wanted, task.frame, WORLD_AXES) @ desired_qd
+                place = pin.updateFramePlacement(model, actual, task.frame)
+                target = pin.updateFramePlacement(model, wanted, task.frame)
+                jacobian = pin.getFrameJacobian(model, actual, task.frame, WORLD_AXES)[task.part]
+                goal = pin.getFrameVelocity(model, wanted, task.frame, WORLD_AXES).vector[task.part]
                 turn = pin.log3(target.rotation @ place.rotation.T)
-                error = np.concatenate([target.translation - place.translation, turn])
+                error = np.concatenate([target.translation - place.translation, turn])[task.part]
                 shift = shifts.get(task.link)
                 if shift is not None:
                     error[:3] += shift.offset
                     goal[:3] += shift.speed
-                jacobian, error, goal = jacobian[task.rows], error[task.rows], goal[task.rows]
-            g = task.gains
-            rows.append(jacobian)
-            weights.append(np.full(len(error), g.weight))
-            speeds.append(g.kp * error + g.kd * (goal - jacobian @ command.qd) + self.gains.feed_forward * goal)
-        if not rows:
-            return np.zeros((0, self.robot.n)), np.zeros(0), np.zeros(0)
-        return np.vstack(rows), np.concatenate(weights), np.concatenate(speeds)
+            jacobians[rows] = jacobian
+            speeds[rows] = g.kp * error + gains.feed_forward * goal
+            if g.kd:
+                speeds[rows] += g.kd * (goal - jacobian @ command.qd)
+        return jacobians, self._weights, speeds
 
 
 def _stop_within(
@@ -230,15 +232,19 @@ def _list_tasks(robot: RobotModel, gains: PoseGains) -> list[_Task]:
     """Return the tasks that a robot has links for."""
     model, groups = robot.model, robot.link_groups
     position, rotation, both = slice(0, 3), slice(3, 6), slice(0, 6)
-    tasks = []
+    listed: list[tuple[int, slice, TaskGains, str]] = []
     if robot.is_floating:
         base = next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == 1)
         torso = (groups.get("upright") or (base,))[-1]
-        tasks += [
-            _Task(model.getFrameId(base), position, gains.pelvis, ""),
-            _Task(model.getFrameId(torso), rotation, gains.torso, ""),
-            _Task(-1, position, gains.com, ""),
+        listed += [
+            (model.getFrameId(base), position, gains.pelvis, ""),
+            (model.getFrameId(torso), rotation, gains.torso, ""),
+            (-1, position, gains.com, ""),
         ]
     for kind, of_kind in (("feet", gains.foot), ("hands", gains.hand)):
-        tasks += [_Task(model.getFrameId(link), both, of_kind, link) for link in groups.get(kind, ())]
-    return tasks
+        listed += [(model.getFrameId(link), both, of_kind, link) for link in groups.get(kind, ())]
+    ends = np.cumsum([0] + [part.stop - part.start for _, part, _, _ in listed]).tolist()
+    return [
+        _Task(frame, part, slice(first, last), of_task, link)
+        for (frame, part, of_task, link), first, last in zip(listed, ends, ends[1:], strict=False)
+    ]

@@ -130,6 +130,13 @@ class TouchdownState:
     has_touched: bool
     is_sloped: bool
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether the foot follows its command, without any displacement that is left."""
+        height = self.height
+        moves = self.offset.any() or height.offset.any() or height.speed.any() or height.goal.any()
+        return self.stage is Stage.STIFF and not moves
+
     @staticmethod
     def stiff() -> TouchdownState:
         """Return the state of a foot that follows its command."""
@@ -244,6 +251,8 @@ def soften(
     A free ankle is commanded to be where it is, so that the servo makes no torque of its own, and the measured torque
     is fed back towards zero: eq. 8 with ``K_p = K_d = 0`` and ``tau_d = 0``.
     """
+    if state.softness == 0.0 and not state.offset.any():
+        return command
     q, qd, tau = command.q.copy(), command.qd.copy(), command.tau.copy()
     joints, soft = ankle.joints, state.softness
     q[joints] = (1.0 - soft) * (q[joints] + state.offset) + soft * reading.q[joints]
