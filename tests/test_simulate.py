@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -73,6 +74,23 @@ def test_a_reach_stands_and_its_hand_arrives(reached: Path, tmp_path: Path) -> N
     assert made["balance"]["margin_m"] > 0.5 * made["balance"]["planned_margin_m"]
     assert json.loads((tmp_path / "there.json").read_text()) == made
     assert not (reached / "simulation.json").exists()
+
+
+def test_the_page_holds_the_robot_in_physics_beside_the_planned_one(reached: Path, tmp_path: Path) -> None:
+    simulate(reached, output=tmp_path / "there.json")
+    page = (tmp_path / "there.html").read_text()
+    payload = json.loads(page.split('id="payload">')[1].split("</script>")[0])
+    simulated = payload["simulated"]
+    frames = simulated["times"]["shape"][0]
+    assert simulated["verdict"] == "STOOD"
+    assert simulated["positions"]["shape"] == [frames, len(payload["links"]), 3]
+    assert simulated["rotations"]["shape"] == [frames, len(payload["links"]), 4]
+    ground = np.frombuffer(base64.b64decode(simulated["ground"]["data"]), "<f4").reshape(frames, 2)
+    assert ground.mean(axis=0) == pytest.approx(ground.mean(), rel=0.05)  # planned and in physics
+    # The certified page knows nothing of it.
+    assert "simulated" not in json.loads(
+        (reached / "viewer.html").read_text().split('id="payload">')[1].split("</script>")[0]
+    )
 
 
 def test_the_ground_carries_the_weight_in_physics_and_in_the_plan(reached: Path) -> None:

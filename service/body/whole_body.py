@@ -73,6 +73,7 @@ class WholeBody:
         kept: relative poses that hold in every phase.
         has_default_costs: whether to move smoothly and near the nominal posture.
         is_comfortable: whether to keep upright and well balanced besides, as far as these are worth it.
+        wants_reserve: whether to keep a balance margin besides by which position servos may sag.
         sight: distance beyond its margin at which a pair enters the problem [m].
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
@@ -89,6 +90,7 @@ class WholeBody:
     kept: tuple[KeptPose, ...] = ()
     has_default_costs: bool = True
     is_comfortable: bool = True
+    wants_reserve: bool = False
     sight: float = 0.03
     releases: tuple[Release, ...] = ()
     touches: tuple[Allowance, ...] | None = None
@@ -337,7 +339,7 @@ class WholeBody:
         else:
             return ()
         comfort = Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere))
-        if self.region is not None:  # small regions between changes of contacts: a second pull makes phases fail
+        if not self.wants_reserve:
             return (comfort,)
         return (comfort, Cost("balance for servos", Positive(inside), RESERVE_WEIGHT / len(everywhere)))
 

@@ -62,12 +62,13 @@ def simulate_command(
     if as_json:
         print_json({key: value for key, value in made.items() if key != "track"})
     else:
-        print_simulation(stdout, made)
+        file = output or (result if result.is_dir() else result.parent) / "simulation.json"
+        print_simulation(stdout, made, {"page": file.with_suffix(".html")})
     return str(made["verdict"])
 
 
-def print_simulation(out: Console, made: Mapping[str, Any]) -> None:
-    """Print what ``service.simulate`` returned: phases with forces, errors, notes and the verdict."""
+def print_simulation(out: Console, made: Mapping[str, Any], lines: Mapping[str, object] | None = None) -> None:
+    """Print what ``service.simulate`` returned: phases with forces, errors, notes, ``lines`` and the verdict."""
     print_table(out, TABLE, [row for phase in made["phases"] for row in _list_rows(phase)])
     print_findings(out, {"explanation": made["explanation"], "notes": made["notes"]})
     for joint in made["mechanism"]:
@@ -84,6 +85,8 @@ def print_simulation(out: Console, made: Mapping[str, Any]) -> None:
         print_line(out, "balance margin", f"{true:.1f} mm, planned {planned:.1f} mm")
     saturated = [joint["joint"] for joint in made["saturation"]]
     print_line(out, "torque limit", ", ".join(saturated) if saturated else "never reached")
+    for label, value in (lines or {}).items():
+        print_line(out, label, value)
     speed = f"computed in {made['computing_s']:.2f} s, {made['times_real_time']:.1f} times real time"
     ended = made["explanation"] or [f"to the end of {made['plan']['duration_s']:.1f} s; {speed}"]
     print_verdict(out, {"verdict": made["verdict"], "explanation": ended})

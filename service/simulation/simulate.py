@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from service.errors import ResultError
-from service.result.folder import SIMULATION_NAME, result_path
+from service.result.folder import SIMULATION_NAME, read_result, result_path
 from service.simulation.options import SimulationOptions
+from service.simulation.page import write_page
 from service.simulation.report import make_report
 from service.simulation.run import execute_folder
+from service.viewer.files import replace_file
 
 
 def simulate(
@@ -31,15 +31,23 @@ def simulate(
     Args:
         path: the folder or its ``result.json``.
         options: friction, feed-forward, noise, delay.
-        output: file to write; None for ``simulation.json`` in the folder.
+        output: file to write; None for ``simulation.json`` in the folder. A page of the same name ends in ``.html``.
         report: called with a step and the share that is done.
 
     Raises:
         ResultError: one line: the folder cannot be used or written, the plan has no time law, the robot lacks masses
             or efforts, or MuJoCo is not installed.
     """
-    made = make_report(execute_folder(path, options, report))
-    write_simulation(made, result_path(path).parent / SIMULATION_NAME if output is None else Path(output))
+    file = result_path(path).parent / SIMULATION_NAME if output is None else Path(output)
+    execution = execute_folder(path, options, report)
+    made = make_report(execution)
+    write_simulation(made, file)
+    if report is not None:
+        report("write page", 1.0)
+    try:
+        write_page(read_result(path), execution, made, file.with_suffix(".html"))
+    except OSError as error:
+        raise ResultError(f"{file.with_suffix('.html')} cannot be written: {error.strerror}") from None
     return made
 
 
@@ -51,8 +59,6 @@ def write_simulation(report: dict[str, Any], path: Path) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            file.write(json.dumps(report, allow_nan=False))
-        os.replace(file.name, path)
+        replace_file(path, json.dumps(report, allow_nan=False).encode("utf-8"))
     except OSError as error:
         raise ResultError(f"{path} cannot be written: {error.strerror}") from None
