@@ -19,7 +19,7 @@ from service.verify.timeline import list_phases
 
 FORMAT = "scopt-simulation/1"
 STOOD, FELL = "STOOD", "FELL"
-FILTER_SAMPLES = 5  # samples of 10 ms whose mean is a force's value
+FILTER_SAMPLES = 3  # samples of 20 ms whose mean is a force's value
 SATURATED = 0.999  # share of the effort limit that counts as saturation
 SLIP_M = 0.02  # from which a slip is named [m]
 TOUCH_N = 20.0  # from which an unplanned touch is named [N]
