@@ -412,7 +412,7 @@ def _column(wrench: Float[np.ndarray, "S 6"], rows: np.ndarray) -> Float[np.ndar
 
 
 def _write_notes(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for everything that a person should know of a simulation; after a fall only of what was moved."""
+    """Yield sentences on what a person should know of a simulation; after a fall only of what was moved."""
     for joint in report["mechanism"]:
         if joint["share"] < LEAST_SHARE:
             yield f"{joint['joint']} moved {100.0 * joint['share']:.0f} % of its planned travel"
