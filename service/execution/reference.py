@@ -182,6 +182,21 @@ class PlannedReference:
             is_floating=self.robot.is_floating,
         )
 
+    def tabulate_commands(
+        self, times: Float[np.ndarray, "T"]
+    ) -> tuple[Float[np.ndarray, "T k"], Float[np.ndarray, "T k"], Float[np.ndarray, "T k"]]:
+        """Return q, qd and tau of the actuated joints at many times, clipped to the duration [s]."""
+        step, n = self._grid[1] - self._grid[0], self.robot.n
+        clipped = np.clip(times, 0.0, self.duration_s)
+        k = np.minimum((clipped / step).astype(int), len(self._grid) - 2)
+        u = ((clipped - self._grid[k]) / step)[:, None]
+        columns = self.joint_columns
+        q, qd, tau = (
+            (1.0 - u) * self._table[np.ix_(k, part * n + columns)] + u * self._table[np.ix_(k + 1, part * n + columns)]
+            for part in range(3)
+        )
+        return q, qd, tau
+
     def _read_phase(self, phase: Phase) -> ReferencePhase:
         begin, end = (float(t) - self._start_s for t in find_times(self._law, np.array([phase.first, phase.last])))
         return ReferencePhase(phase.name, begin, end, phase.contacts, limit_loads(self.motion, phase))

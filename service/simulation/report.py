@@ -19,12 +19,13 @@ from service.verify.timeline import list_phases
 
 FORMAT = "scopt-simulation/1"
 STOOD, FELL = "STOOD", "FELL"
-FILTER_SAMPLES = 5  # samples of 10 ms whose mean is a force's value
+FILTER_SAMPLES = 3  # samples of 20 ms whose mean is a force's value
 SATURATED = 0.999  # share of the effort limit that counts as saturation
 SLIP_M = 0.02  # from which a slip is named [m]
 TOUCH_N = 20.0  # from which an unplanned touch is named [N]
 LONG_S = 0.05  # for which a torque has to be saturated to be named [s]
 BEFORE_FALL_S = 3.0  # in which the cause of a fall is looked for
+EARLIER_S = 0.5  # before a fall without an unusual event, when the centre of mass is reported
 LEAST_SHARE = 0.9  # of a mechanism's planned travel; less is named
 LEAST_TRAVEL = 1e-3  # of a mechanism's joint that counts as moved [rad, m]
 TRACK_PERIOD_S = 0.02
@@ -40,7 +41,7 @@ def make_report(execution: Execution) -> dict[str, Any]:
     saturation = _list_saturation(execution)
     mechanism = _report_mechanism(execution)
     touches = _list_touches(execution)
-    cause = None if record.fell_at_s is None else _find_cause(execution, slips, saturation, touches)
+    cause = None if record.fell_at_s is None else _find_cause(execution, frames, slips, saturation, touches)
     report: dict[str, Any] = {
         "format": FORMAT,
         "verdict": STOOD if record.fell_at_s is None else FELL,
@@ -298,8 +299,9 @@ def _list_touches(execution: Execution) -> list[dict[str, Any]]:
     for (link, other), force in record.touches.items():
         smooth = _smooth(force)
         rows = []
-        for phase, span, pairs in zip(planned, reference.phases, allowed, strict=True):
-            if any(contact.link == link for contact in phase.contacts) or (link, other) in pairs:
+        for k, (span, pairs) in enumerate(zip(reference.phases, allowed, strict=True)):
+            near = planned[max(k - 1, 0) : k + 2]  # a foot lands before its contact begins
+            if any(contact.link == link for phase in near for contact in phase.contacts) or (link, other) in pairs:
                 continue
             rows += _rows(record, span).tolist()
         strong = [row for row in rows if smooth[row] > TOUCH_N]
@@ -342,6 +344,7 @@ def _report_balance(execution: Execution, frames: _Frames) -> dict[str, Any]:
 
 def _find_cause(
     execution: Execution,
+    frames: _Frames,
     slips: Mapping[str, tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"]]],
     saturation: list[dict[str, Any]],
     touches: list[dict[str, Any]],
@@ -371,7 +374,9 @@ def _find_cause(
     recent = sorted(event for event in events if event[0] > fell - BEFORE_FALL_S)
     words = f"fell at {fell:.2f} s in phase '{phase}'"
     if not recent:
-        return f"{words}; nothing else was unusual before: the balance margin is smaller than the servos' sag"
+        earlier = int(np.abs(record.times - (fell - EARLIER_S)).argmin())
+        off = 1e3 * float(np.linalg.norm((frames.com() - frames.com(True))[earlier, :2]))
+        return f"{words}; {EARLIER_S:g} s before, the centre of mass was {off:.0f} mm off the plan"
     return f"{words}; before that, at {recent[0][0]:.2f} s, {recent[0][1]}"
 
 
@@ -407,10 +412,12 @@ def _column(wrench: Float[np.ndarray, "S 6"], rows: np.ndarray) -> Float[np.ndar
 
 
 def _write_notes(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for everything that a person should know of a simulation."""
+    """Yield sentences on what a person should know of a simulation; after a fall only of what was moved."""
     for joint in report["mechanism"]:
         if joint["share"] < LEAST_SHARE:
             yield f"{joint['joint']} moved {100.0 * joint['share']:.0f} % of its planned travel"
+    if report["fell_at_s"] is not None:
+        return
     for phase in report["phases"]:
         for load in phase["loads"]:
             if load["is_exceeded"]:

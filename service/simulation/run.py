@@ -23,7 +23,7 @@ from service.simulation.robot import SimulatedRobot
 from service.start.robot import resolve_stiffness
 from service.verify import Motion
 
-SAMPLE_STEPS = 10  # steps of the physics between two records
+SAMPLE_STEPS = 20  # steps of the physics between two records
 FALLEN_M = 0.25  # of the base below its planned height [m]
 FALLEN_TILT = float(np.deg2rad(30.0))  # of the base against its planned pose
 SHOWN_AFTER_FALL_S = 0.5  # that the simulation goes on, for those who look at it
@@ -124,19 +124,19 @@ def execute(
     options, step = robot.options, robot.period_s
     n_settle, n_plan, n_after = (round(s / step) for s in (options.settle_s, reference.duration_s, options.after_s))
     started = time.process_time()
-    end = n_plan + n_after
-    for k in range(-n_settle, end + 1):
-        state = reference.at(k * step)
-        is_moving = 0 <= k <= n_plan
-        if (k + n_settle) % SAMPLE_STEPS == 0:
+    steps = np.arange(-n_settle, n_plan + n_after + 1)
+    q, qd, tau = reference.tabulate_commands(steps * step)
+    qd[(steps < 0) | (steps > n_plan)] = 0.0
+    for i, k in enumerate(steps.tolist()):
+        if i % SAMPLE_STEPS == 0:
             poll()
-            watch.look(k * step, state)
+            watch.look(k * step, reference.at(k * step))
             robot.hold_grips(reference.find_phase_number(k * step))
             if watch.fell_at_s is not None and k * step > watch.fell_at_s + SHOWN_AFTER_FALL_S:
                 break
             if report is not None and k % 500 == 0:
-                report("simulate", (k + n_settle) / (end + n_settle + 1))
-        robot.command(JointCommand(state.q, state.qd if is_moving else np.zeros_like(state.qd), state.tau))
+                report("simulate", i / len(steps))
+        robot.command(JointCommand(q[i], qd[i], tau[i]))
     return watch.finish(time.process_time() - started)
 
 
