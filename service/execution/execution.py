@@ -28,7 +28,7 @@ from service.execution.touchdown import (
     TouchdownSettings,
     TouchdownState,
     find_ankle,
-    lands_next,
+    find_landing,
     soften,
     step_touchdown,
 )
@@ -251,10 +251,10 @@ class Execution:
         findings = (*found, *self._find_fall(reading, wanted))
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
-        phase, following = self._current_phases()
+        phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
-        self._step_touchdown(phase, following, reading, wanted)
+        self._step_touchdown(phase, reading, wanted)
         self._n_cycles += 1
         if self._n_cycles % HAND_CYCLES == 0:
             self._correct_hands(phase, reading, wanted, HAND_CYCLES * period)
@@ -320,7 +320,6 @@ class Execution:
     def _step_touchdown(
         self,
         phase: ReferencePhase,
-        following: ReferencePhase | None,
         reading: RobotReading,
         wanted: ReferenceState,
     ) -> None:
@@ -328,27 +327,30 @@ class Execution:
         settings, forces = self.settings.touchdown, self._forces
         if settings is None or forces is None or self._estimate is None or not self._ankles:
             return
-        lands = {foot: lands_next(phase, following, foot) for foot in self._ankles}
-        is_measured = any(lands.values()) or not all(state.is_idle for state in self._touchdown.values())
-        if is_measured:
+        phases, rate = self.reference.phases, max(self.state.rate, 0.01)
+        landings = {foot: find_landing(phases, self.state.phase, foot) for foot in self._ankles}
+        left = {
+            foot: np.inf if landing is None else (landing.begin_s - self.state.time_s) / rate
+            for foot, landing in landings.items()
+        }
+        moving = [foot for foot in self._ankles if left[foot] <= settings.lead_s or not self._touchdown[foot].is_idle]
+        if moving:
             self._place(self._read_configuration(reading, wanted))
-        left_s = (phase.end_s - self.state.time_s) / max(self.state.rate, 0.01)
-        for foot, ankle in self._ankles.items():
-            if self._touchdown[foot].is_idle and not lands[foot]:
-                continue
+        for foot in moving:
+            ankle, landing = self._ankles[foot], landings[foot]
             own = next((contact for contact in phase.contacts if contact.link == foot), None)
-            after = () if following is None else following.contacts
+            after = () if landing is None else landing.contacts
             ground = own or next((contact for contact in after if contact.link == foot), None)
-            off, slope = (0.0, 0.0) if ground is None or not is_measured else self._compare_sole(ground)
+            off, slope = (0.0, 0.0) if ground is None else self._compare_sole(ground)
             ankle_off = reading.q[ankle.joints] - self.command.q[self._columns][ankle.joints]
             self._touchdown[foot] = step_touchdown(
                 settings,
                 self._touchdown[foot],
                 ankle,
                 FootReading(float(forces.contacts[foot][2]), off, slope, ankle_off),
-                lands=lands[foot],
+                lands=left[foot] <= settings.lead_s,
                 planted=own is not None,
-                left_s=left_s if own is None else 0.0,
+                left_s=left[foot] if own is None else 0.0,
                 period_s=self.driver.period_s,
             )
 

@@ -39,8 +39,10 @@ class TouchdownSettings:
     Attributes:
         tilt_rad: angle of the sole, toe up, before it touches.
         tilt_rate: of that angle while it comes and goes [rad/s].
+        lead_s: time before the planned touch from which the sole is tilted [s].
         free_s: time before the planned touch from which the ankle is free [s].
         torque_gain: share of the measured ankle torque that is fed back: ``K_f`` of eq. 8, with a desired torque of 0.
+        damping_share: of the servo's damping that a free ankle keeps, so that it does not swing.
         touch_n: upright force at which the foot touches the ground [N].
         touch_s: time for which it must be exceeded [s].
         settle_s: time after the touch in which the sole comes flat, and then time in which the ankle becomes stiff [s].
@@ -51,10 +53,12 @@ class TouchdownSettings:
         limits: of the displacement of the foot.
     """
 
-    tilt_rad: float = 0.07
+    tilt_rad: float = 0.05
     tilt_rate: float = 0.25
-    free_s: float = 0.1
-    torque_gain: float = 0.5
+    lead_s: float = 0.7
+    free_s: float = 0.25
+    torque_gain: float = 0.8
+    damping_share: float = 0.02
     touch_n: float = 25.0
     touch_s: float = 0.004
     settle_s: float = 0.25
@@ -166,10 +170,12 @@ def find_ankle(robot: RobotModel, joint_names: Sequence[str], foot: str) -> Ankl
     return Ankle(foot, np.array([list(joint_names).index(name) for name in names]), toe_up)
 
 
-def lands_next(phase: ReferencePhase, following: ReferencePhase | None, foot: str) -> bool:
-    """Return whether a foot is in the air in a phase and on the ground in the next one."""
-    planted = any(contact.link == foot for contact in phase.contacts)
-    return not planted and following is not None and any(contact.link == foot for contact in following.contacts)
+def find_landing(phases: Sequence[ReferencePhase], index: int, foot: str) -> ReferencePhase | None:
+    """Return the next phase that plants a foot which is in the air in a phase; None if it is planted or stays up."""
+    if any(contact.link == foot for contact in phases[index].contacts):
+        return None
+    later = (phase for phase in phases[index + 1 :] if any(contact.link == foot for contact in phase.contacts))
+    return next(later, None)
 
 
 def step_touchdown(
@@ -190,7 +196,7 @@ def step_touchdown(
         state: the earlier one.
         ankle: of the foot.
         foot: as measured.
-        lands: whether it is to be put down at the end of the present phase.
+        lands: whether it is in the air and to be put down soon.
         planted: whether the plan has it on the ground now.
         left_s: time to the planned touch [s].
         period_s: of the cycle [s].
@@ -248,14 +254,17 @@ def soften(
 ) -> JointCommand:
     """Return a command with the ankle as the touchdown wants it.
 
-    A free ankle is commanded to be where it is, so that the servo makes no torque of its own, and the measured torque
-    is fed back towards zero: eq. 8 with ``K_p = K_d = 0`` and ``tau_d = 0``.
+    A free ankle is commanded to be where it is, so that the servo makes no torque of its own but a little damping, and
+    the measured torque is fed back: eq. 8 with ``K_p = 0``.  The desired torque is that of the plan in the air, which carries the
+    foot's weight, and zero from the touch on.
     """
     if state.softness == 0.0 and not state.offset.any():
         return command
     q, qd, tau = command.q.copy(), command.qd.copy(), command.tau.copy()
     joints, soft = ankle.joints, state.softness
     q[joints] = (1.0 - soft) * (q[joints] + state.offset) + soft * reading.q[joints]
-    qd[joints] = (1.0 - soft) * qd[joints] + soft * reading.qd[joints]
-    tau[joints] = (1.0 - soft) * tau[joints] - soft * settings.torque_gain * reading.torque[joints]
+    qd[joints] = (1.0 - soft) * qd[joints] + soft * (1.0 - settings.damping_share) * reading.qd[joints]
+    wanted = np.zeros(len(joints)) if state.has_touched else tau[joints]
+    fed_back = wanted + settings.torque_gain * (wanted - reading.torque[joints])
+    tau[joints] = (1.0 - soft) * tau[joints] + soft * fed_back
     return JointCommand(q, qd, tau)
