@@ -255,8 +255,8 @@ def soften(
     """Return a command with the ankle as the touchdown wants it.
 
     A free ankle is commanded to be where it is, so that the servo makes no torque of its own but a little damping, and
-    the measured torque is fed back: eq. 8 with ``K_p = 0``.  The desired torque is that of the plan in the air, which carries the
-    foot's weight, and zero from the touch on.
+    the measured torque is fed back: eq. 8 with ``K_p = 0``.  The desired torque is that of the plan in the air, which
+    carries the foot's weight, and zero from the touch on.
     """
     if state.softness == 0.0 and not state.offset.any():
         return command
