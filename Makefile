@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | bench-tasks | bench-egress | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | bench-tasks | bench-egress | bench-physics | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -15,7 +15,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # Two processes that steal tests from each other; one thread each, or their linear algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
-.PHONY: help setup demo test test-fast test-ray coverage check bench bench-service bench-egress attack gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check bench bench-service bench-tasks bench-egress bench-physics attack gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -28,6 +28,7 @@ help:
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
 	@echo "make bench-tasks    doors and valves from the best stance, certified or not, as a table; half an hour"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
+	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
 	@echo "make gallery   a film strip of a motion per task, in out/gallery"
 	@echo "make clean     remove .venv, .venv-ray, out and caches"
@@ -77,6 +78,10 @@ bench-tasks: $(READY)
 
 bench-egress: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.egress $(BENCH_ARGS)
+
+# BENCH_ARGS=--long simulates 200 plans and takes an hour, BENCH_ARGS="--feed-forward 0" is for pure position servos.
+bench-physics: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics $(BENCH_ARGS)
 
 attack: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack

@@ -9,7 +9,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from service.errors import RequestError, ResultError, ServiceError
+    from service.errors import ExecutionError, RequestError, ResultError, ServiceError
+    from service.execution.driver import JointCommand, RobotDriver, RobotReading
+    from service.execution.execution import Execution, ExecutionSettings
+    from service.execution.machine import Order
+    from service.execution.reference import PlannedReference
+    from service.execution.tracking import Action, track
     from service.planner import plan
     from service.request.file import load_request, parse_request, request_hash
     from service.request.schema import PlanRequest
@@ -17,15 +22,27 @@ if TYPE_CHECKING:
     from service.result.output import write_result
     from service.result.result import PlanResult
     from service.setup.prepare import PlanSetup, prepare
+    from service.simulation.options import SimulationOptions
+    from service.simulation.simulate import simulate
     from service.tasks.stance import StanceSearch, find_stance
 
 __all__ = [
+    "Action",
+    "Execution",
+    "ExecutionError",
+    "ExecutionSettings",
+    "JointCommand",
+    "Order",
     "PlanRequest",
     "PlanResult",
     "PlanSetup",
+    "PlannedReference",
     "RequestError",
     "ResultError",
+    "RobotDriver",
+    "RobotReading",
     "ServiceError",
+    "SimulationOptions",
     "StanceSearch",
     "find_stance",
     "load_request",
@@ -34,11 +51,18 @@ __all__ = [
     "prepare",
     "read_result",
     "request_hash",
+    "simulate",
+    "track",
     "write_result",
 ]
 
 _MODULES = {
-    "errors": ("RequestError", "ResultError", "ServiceError"),
+    "errors": ("ExecutionError", "RequestError", "ResultError", "ServiceError"),
+    "execution.driver": ("JointCommand", "RobotDriver", "RobotReading"),
+    "execution.execution": ("Execution", "ExecutionSettings"),
+    "execution.machine": ("Order",),
+    "execution.reference": ("PlannedReference",),
+    "execution.tracking": ("Action", "track"),
     "planner": ("plan",),
     "request.file": ("load_request", "parse_request", "request_hash"),
     "request.schema": ("PlanRequest",),
@@ -46,6 +70,8 @@ _MODULES = {
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),
     "setup.prepare": ("PlanSetup", "prepare"),
+    "simulation.options": ("SimulationOptions",),
+    "simulation.simulate": ("simulate",),
     "tasks.stance": ("StanceSearch", "find_stance"),
 }
 

@@ -33,6 +33,10 @@ class ResultError(ServiceError):
     """A result folder that cannot be written or read."""
 
 
+class ExecutionError(ServiceError):
+    """A plan, a robot or settings that cannot be executed; the message names field, value and reason."""
+
+
 def shown(value: object) -> str:
     """Quote a value, cut to one short line."""
     text = " ".join(repr(_beginning(value, iter(range(1, MAX_VALUE_CHARACTERS)))).split())

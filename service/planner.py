@@ -29,11 +29,13 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
+from service.motion.servo_sag import measure_sag
 from service.motion.timing import TimingSettings
 from service.request.schema import PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup, prepare
+from service.start.robot import resolve_stiffness
 from service.tasks import plan_task
 from service.verify import Motion, Status, verify
 
@@ -94,7 +96,16 @@ def plan(
         except (Interrupted, Stopped) as interruption:
             status = interruption.status if isinstance(interruption, Interrupted) else monitor.stop_reason()
             _record_interruption(attempt, status, request, monitor)
-        return attempt.to_result(setup, monitor)
+        return _expect_sag(attempt.to_result(setup, monitor))
+
+
+def _expect_sag(result: PlanResult) -> PlanResult:
+    """Return the result of a complete plan with the sag of its centre of mass on the request's servos."""
+    if result.motion is None or result.verdict not in (Verdict.CERTIFIED, Verdict.FEASIBLE_AT_SAMPLES):
+        return result
+    proven = None if result.certificate is None else result.certificate.min_balance_margin_m
+    sag = measure_sag(result.motion, resolve_stiffness(result.robot, result.request), proven)
+    return result if sag is None else replace(result, servo=sag.to_json(), notes=(*result.notes, *sag.list_notes()))
 
 
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:

@@ -169,6 +169,12 @@ def test_scenes_detections_verifications_and_robots(
         assert client.detect(str(path), "door", hint=(1.0, 0.0, 1.0)).hits[0].kind == "door"
         client.verify(PLAN_ID)
         client.verify(tmp_path / "plan")
+        assert client.simulate(PLAN_ID, {"noise": 0.5, "seed": 3}).has_stood
+        assert client.simulate(tmp_path / "plan").has_stood
+        with pytest.raises(
+            RequestError, match="noize: unknown option of a simulation; expected delay_ms, feed_forward"
+        ):
+            client.simulate(PLAN_ID, {"noize": 0.5})
         assert client.robots()[0].name == "atlas"
         assert client.status().workers[0].jobs_done == 17
         with pytest.raises(RequestError, match="unknown: expected free, occupied, got 'green'"):
@@ -186,6 +192,9 @@ def test_scenes_detections_verifications_and_robots(
     assert built.clouds.clouds[0].file == detected.clouds.clouds[0].file == cloud_id
     assert (list(built.detect), list(detected.hint), by_id.plan_id) == (["valve"], [1.0, 0.0, 1.0], PLAN_ID)
     assert {file.path: file.is_last for file in by_files.files} == {"result.json": True, "robot/robot.urdf": True}
+    by_id, by_files = (message for message in stand_in.requests if isinstance(message, pb.SimulatePlanRequest))
+    assert (by_id.plan_id, by_id.noise, by_id.seed, by_id.HasField("friction")) == (PLAN_ID, 0.5, 3, False)
+    assert {file.path for file in by_files.files} == {"result.json", "robot/robot.urdf"}
 
 
 def test_a_review_is_bound_to_the_hashes_of_the_record(

@@ -54,6 +54,15 @@ def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
     assert "is concave" in lines[2]
 
 
+def test_a_driver_is_told_a_plan_with_a_pause_and_a_moved_target(tmp_path):
+    lines = run("06_drive_a_robot.py", tmp_path).splitlines()
+    assert lines[0] == "CERTIFIED"
+    assert sum("l_arm_elx" in line for line in lines) >= 4
+    modes = [re.search(r" s  (\w+) +reach", line).group(1) for line in lines if "reach" in line]
+    assert modes == ["running", "paused", "running", "done"]
+    assert lines[-1].startswith("TRACKED")
+
+
 @pytest.fixture
 def planning_server(tmp_path):
     """Address of a running server with one worker."""

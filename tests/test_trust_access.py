@@ -105,9 +105,9 @@ def test_every_method_of_the_planner_has_its_role() -> None:
     needs = {method.rpartition("/")[2]: ROLE_NEEDED[method] for method in methods}
     assert {name for name, roles in needs.items() if Role.PLAN not in roles} == {"ReviewPlan", "GetStatus"}
     assert (needs["ReviewPlan"], needs["GetStatus"]) == ((Role.REVIEW,), (Role.ADMIN,))
-    # Who reviews a plan can look at it, and have it checked anew.
+    # Who reviews a plan can look at it, and have it checked anew and simulated.
     assert {name for name, roles in needs.items() if Role.REVIEW in roles} == {
-        "ReviewPlan", "GetPlan", "GetScene", "Verify",
+        "ReviewPlan", "GetPlan", "GetScene", "SimulatePlan", "Verify",
     }  # fmt: skip
     assert not OPEN_TO_ALL & set(ROLE_NEEDED)
 

@@ -4,6 +4,7 @@ Plans a valve turn and a door from the shipped scans, a given door with a push b
 
     python tools/gallery.py                           # out/gallery/valve.png, door.png, push_bar.png, reach.png
     python tools/gallery.py out/valve --frames 8      # out/gallery/valve.png of a result folder
+    python tools/gallery.py out/valve --simulated     # of the page that `scopt simulate out/valve` wrote
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ def main() -> int:
     parser.add_argument("folders", nargs="*", type=Path, help="result folders; without any, one request per task")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "gallery", help="folder of the pictures")
     parser.add_argument("--frames", type=int, default=6, help="pictures per strip")
+    parser.add_argument("--simulated", action="store_true", help="pictures of simulation.html instead of viewer.html")
     options = parser.parse_args()
+    page = "simulation.html" if options.simulated else "viewer.html"
     browser = next((found for found in map(shutil.which, BROWSERS) if found), None)
     if browser is None:
         print(f"the gallery needs a browser: none of {', '.join(BROWSERS)} is installed", file=sys.stderr)
@@ -80,7 +83,7 @@ def main() -> int:
                 status = 1
                 continue
             path = options.out / f"{name}.png"
-            render_strip(browser, folder, name, options.frames, Path(scratch)).save(path)
+            render_strip(browser, folder, name, options.frames, Path(scratch), page).save(path)
             print(f"{path}  {result['verdict']}")
     return status
 
@@ -104,7 +107,9 @@ def plan_tasks(scratch: Path) -> Iterator[tuple[str, Path]]:
         yield name, folder
 
 
-def render_strip(browser: str, folder: Path, name: str, n_frames: int, scratch: Path) -> Image.Image:
+def render_strip(
+    browser: str, folder: Path, name: str, n_frames: int, scratch: Path, page: str = "viewer.html"
+) -> Image.Image:
     """Return pictures of a result's page at even times, with their times and phases below and a title above."""
     result = read_result(folder)
     times = result["trajectory"]["times"]
@@ -114,7 +119,7 @@ def render_strip(browser: str, folder: Path, name: str, n_frames: int, scratch: 
     title = f"{result['robot']['name']} · {name} · {result['verdict']}"
     draw.text((12, 7), title, "black", font)
     for column, time in enumerate(np.linspace(times[0], times[-1], n_frames)):
-        strip.paste(take_picture(browser, folder / "viewer.html", float(time), scratch), (column * width, BAR))
+        strip.paste(take_picture(browser, folder / page, float(time), scratch), (column * width, BAR))
         draw.text((column * width + 12, height + BAR + 7), f"{time:.2f} s  {find_phase(result, time)}", "black", font)
         draw.line([(column * width, BAR), (column * width, height + 2 * BAR)], "#c8cfd9", 2)
     return strip

@@ -176,7 +176,7 @@ def is_invalid(method: str, sent: list[bytes]) -> bool | None:
         return _is_plan_invalid(message)
     if isinstance(message, wire.UploadCloudRequest):
         return True if message.WhichOneof("part") != "header" else None
-    if isinstance(message, wire.VerifyRequest):
+    if isinstance(message, wire.VerifyRequest | wire.SimulatePlanRequest):
         return True if bool(message.plan_id) == bool(message.files) else None
     if isinstance(message, wire.GetPlanRequest):
         return True if not message.plan_id else None

@@ -80,6 +80,8 @@ def seeds(cloud_id: str) -> dict[str, list[tuple[Message, ...]]]:
                        (wire.BuildSceneRequest(clouds=here),)],
         "Detect": [*[(wire.DetectRequest(clouds=nowhere, kind="valve", hint=[1.0, 0.0, 1.0]),)] * 7,
                    (wire.DetectRequest(clouds=here, kind="valve"),)],
+        "SimulatePlan": [(wire.SimulatePlanRequest(plan_id="0" * 32, noise=1.0),),
+                         (wire.SimulatePlanRequest(files=[{"path": "result.json", "data": b"{}", "is_last": True}]),)],  # type: ignore[list-item]
         "Verify": [(wire.VerifyRequest(plan_id="0" * 32),),
                    (wire.VerifyRequest(files=[{"path": "result.json", "data": b"{}", "is_last": True}]),)],  # type: ignore[list-item]
         "ListRobots": [(wire.ListRobotsRequest(),)],
@@ -89,8 +91,8 @@ def seeds(cloud_id: str) -> dict[str, list[tuple[Message, ...]]]:
     }  # fmt: skip
 
 
-SHARES = {"Plan": 60, "UploadCloud": 8, "BuildScene": 6, "Detect": 6, "Verify": 6, "ListRobots": 2, "GetPlan": 5,
-          "ReviewPlan": 5, "GetStatus": 2}  # fmt: skip
+SHARES = {"Plan": 60, "UploadCloud": 8, "BuildScene": 6, "Detect": 6, "Verify": 6, "SimulatePlan": 3, "ListRobots": 2,
+          "GetPlan": 5, "ReviewPlan": 5, "GetStatus": 2}  # fmt: skip
 
 
 def hostile(count: int, number: int, cloud_id: str) -> Iterator[tuple[str, list[bytes]]]:

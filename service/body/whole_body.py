@@ -24,6 +24,7 @@ from costs.terms import (
     Joined,
     JointDifference,
     JointTarget,
+    Positive,
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Residual, Sense
@@ -43,6 +44,8 @@ LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the cu
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
+RESERVE_M = 0.045  # balance margin that is enough for position servos, and a little for the curve between waypoints [m]
+RESERVE_WEIGHT = 2000.0  # of what is missing of it, averaged over the waypoints [cost/m^2]
 SAMPLING_CLEARANCE = 5e-3  # of a sampled start; the optimiser adds the rest of the margin [m]
 BASE_MOBILITY = 0.01  # of the base when a step is corrected: legs and arms move instead
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
@@ -71,6 +74,7 @@ class WholeBody:
         kept: relative poses that hold in every phase.
         has_default_costs: whether to move smoothly and near the nominal posture.
         is_comfortable: whether to keep upright and well balanced besides, as far as these are worth it.
+        wants_reserve: whether to keep a balance margin besides by which position servos may sag.
         sight: distance beyond its margin at which a pair enters the problem [m].
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
@@ -87,6 +91,7 @@ class WholeBody:
     kept: tuple[KeptPose, ...] = ()
     has_default_costs: bool = True
     is_comfortable: bool = True
+    wants_reserve: bool = False
     sight: float = 0.03
     releases: tuple[Release, ...] = ()
     touches: tuple[Allowance, ...] | None = None
@@ -320,8 +325,12 @@ class WholeBody:
         )
 
     def _comfort(self, everywhere: np.ndarray, regions: Sequence[PlannedRegion]) -> tuple[Cost[MotionState], ...]:
-        """Return a cost that keeps the centre of mass near the middle of where the feet hold it, for faster motions."""
+        """Return costs that keep the centre of mass near the middle of where the feet hold it, and off its edges.
+
+        The first makes motions faster; the second leaves position servos a margin to sag by.
+        """
         middle: Residual[MotionState]
+        inside: Residual[MotionState]
         if regions:
             middle = Joined(
                 [
@@ -329,11 +338,16 @@ class WholeBody:
                     for planned in regions
                 ]
             )
+            inside = Joined([_keep_in_region(planned, everywhere, RESERVE_M) for planned in regions])
         elif self.polygon is not None:
             middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
+            inside = CentreOfMassInPolygon(self.polygon, everywhere, RESERVE_M)
         else:
             return ()
-        return (Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere)),)
+        comfort = Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere))
+        if not self.wants_reserve:
+            return (comfort,)
+        return (comfort, Cost("balance for servos", Positive(inside), RESERVE_WEIGHT / len(everywhere)))
 
 
 def _keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:

@@ -16,15 +16,21 @@ from service.cli.request import request_command
 from service.cli.review import review_command
 from service.cli.scene import detect_command, scene_command
 from service.cli.serve import serve_command, token_command
+from service.cli.simulate import simulate_command
 from service.cli.stance import stance_command
 from service.cli.top import top_command
+from service.cli.track import track_command
 
 EXIT_CODE_HELP = (
     "Exit codes: 0 CERTIFIED, 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, {}70 internal error, "
     "{}130 CANCELLED."
 )
+TRACK_EXIT_CODES = (
+    "Exit codes: 0 TRACKED, 2 usage, 3 INVALID_REQUEST, 7 FELL, 8 ABORTED, 70 internal error, 130 CANCELLED."
+)
 LOCAL_EXIT_CODES = EXIT_CODE_HELP.format("", "")
 REMOTE_EXIT_CODES = EXIT_CODE_HELP.format("6 OVERLOADED, 69 UNAVAILABLE, ", "77 NOT_ALLOWED, ")
+SIMULATION_EXIT_CODES = "Exit codes: 0 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 70 internal error, 130 CANCELLED."
 app = typer.Typer(
     name="scopt",
     help="Whole-body trajectories for humanoids, with a certificate that a stranger can replay.",
@@ -37,6 +43,8 @@ app = typer.Typer(
 )
 app.command("plan", epilog=LOCAL_EXIT_CODES)(plan_command)
 app.command("verify", epilog=LOCAL_EXIT_CODES)(verify_command)
+app.command("simulate", epilog=SIMULATION_EXIT_CODES)(simulate_command)
+app.command("track", epilog=TRACK_EXIT_CODES)(track_command)
 app.command("stance")(stance_command)
 app.command("view")(view_command)
 app.command("bench")(bench_command)

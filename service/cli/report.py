@@ -14,7 +14,14 @@ HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
 NAMED_LINKS = 3  # links without shape that are named in the verdict's line
 SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/test_cli_report.py compares them)
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
-_COLOURS = {"CERTIFIED": "green", "FEASIBLE_AT_SAMPLES": "yellow", "TIME_LIMIT": "yellow", "CANCELLED": "yellow"}
+_COLOURS = {
+    "CERTIFIED": "green",
+    "STOOD": "green",
+    "TRACKED": "green",
+    "FEASIBLE_AT_SAMPLES": "yellow",
+    "TIME_LIMIT": "yellow",
+    "CANCELLED": "yellow",
+}
 
 
 def print_result(out: Console, summary: Mapping[str, Any], lines: Mapping[str, object] | None = None) -> None:
@@ -109,7 +116,9 @@ def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
     touching = any(entry["deepest_m"] > SEEN_TOUCH_M for entry in summary.get("exempt") or [])
     aside = ", pairs that may touch aside" if touching else ""
     out.print(f"clearance        {_format_mm(clearance)}{between}{aside}", markup=False)
-    out.print(f"balance margin   {_format_mm(summary.get('min_balance_margin_m'))}", markup=False)
+    left = (summary.get("servo") or {}).get("margin_after_sag_m")
+    sagged = "" if left is None else f", {_format_mm(left)} after the sag of the servos"
+    out.print(f"balance margin   {_format_mm(summary.get('min_balance_margin_m'))}{sagged}", markup=False)
 
 
 def _name_phase(phase: Mapping[str, Any]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
 from contextlib import aclosing
 from pathlib import Path
 from types import TracebackType
@@ -27,6 +27,7 @@ from service.client.messages import (
     make_plan_message,
     make_review_message,
     make_scene_message,
+    make_simulation_message,
     make_verify_message,
 )
 from service.client.received import receive_files
@@ -46,6 +47,7 @@ from service.proto.planner.v1.planner_pb2 import (
     PlanResponse,
     Review,
     RobotInfo,
+    SimulatePlanResponse,
     VerifyResponse,
 )
 from service.proto.planner.v1.request_pb2 import MotionRequest
@@ -259,6 +261,18 @@ class AsyncPlannerClient:
     async def verify(self, plan: str | Path, *, deadline_s: float | None = None) -> VerifyResponse:
         """Verify a motion again: that of a plan on the server (id as str) or of a local result folder (``Path``)."""
         reply: VerifyResponse = await self._call("Verify", make_verify_message(plan), deadline_s)
+        return reply
+
+    async def simulate(
+        self, plan: str | Path, options: Mapping[str, float] | None = None, *, deadline_s: float | None = None
+    ) -> SimulatePlanResponse:
+        """Carry out a motion in physics: that of a plan on the server (id as str) or of a local folder (``Path``).
+
+        ``options`` are the fields of ``SimulatePlanRequest``: friction, feed_forward, stiffness_scale, noise, delay_ms,
+        joint_friction, seed.
+        """
+        message = make_simulation_message(plan, options or {})
+        reply: SimulatePlanResponse = await self._call("SimulatePlan", message, deadline_s)
         return reply
 
     async def robots(self) -> tuple[RobotInfo, ...]:

@@ -124,6 +124,7 @@ class PlannerClient:
     get_scene = _block(AsyncPlannerClient.get_scene)
     detect = _block(AsyncPlannerClient.detect)
     verify = _block(AsyncPlannerClient.verify)
+    simulate = _block(AsyncPlannerClient.simulate)
     robots = _block(AsyncPlannerClient.robots)
     get_plan = _block(AsyncPlannerClient.get_plan)
     review = _block(AsyncPlannerClient.review)

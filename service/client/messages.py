@@ -22,6 +22,7 @@ from service.proto.planner.v1.planner_pb2 import (
     PlanRecord,
     PlanState,
     ReviewPlanRequest,
+    SimulatePlanRequest,
     VerifyRequest,
 )
 from service.proto.planner.v1.planner_pb2 import PlanRequest as PlanMessage
@@ -154,7 +155,7 @@ def check_size(message: Message) -> None:
     if n_bytes <= MAX_SENT_BYTES:
         return
     problem = f"the message has {_mib(n_bytes)}; a server accepts at most {_mib(MAX_SENT_BYTES)}"
-    if isinstance(message, VerifyRequest) and message.files:
+    if isinstance(message, VerifyRequest | SimulatePlanRequest) and message.files:
         largest = max(message.files, key=lambda file: len(file.data))
         problem = (
             f"files: {problem} and {largest.path} alone has {_mib(len(largest.data))}; verify the folder here, or "
@@ -169,17 +170,36 @@ def make_verify_message(plan: str | Path) -> VerifyRequest:
     Raises:
         ResultError: the folder is no result folder.
     """
-    if isinstance(plan, str):
-        return VerifyRequest(plan_id=plan)
-    read_result(plan)
-    paths = [plan / RESULT_NAME, plan / TRAJECTORY_NAME, *sorted((plan / ROBOT_NAME).rglob("*"))]
-    return VerifyRequest(
-        files=[
-            FileChunk(path=path.relative_to(plan).as_posix(), data=path.read_bytes(), is_last=True)
-            for path in paths
-            if path.is_file()
-        ]
-    )
+    return VerifyRequest(plan_id=plan) if isinstance(plan, str) else VerifyRequest(files=_read_motion_files(plan))
+
+
+def make_simulation_message(plan: str | Path, options: Mapping[str, float]) -> SimulatePlanRequest:
+    """Return the message for a plan's id (str), or for a local result folder (``Path``), with options by field name.
+
+    Raises:
+        ResultError: the folder is no result folder.
+        RequestError: an option is unknown.
+    """
+    message = SimulatePlanRequest(plan_id=plan) if isinstance(plan, str) else SimulatePlanRequest()
+    known = sorted(set(SimulatePlanRequest.DESCRIPTOR.fields_by_name) - {"plan_id", "files"})
+    for name, value in options.items():
+        if name not in known:
+            raise RequestError(f"{name}: unknown option of a simulation; expected {', '.join(known)}")
+        setattr(message, name, value)
+    if isinstance(plan, Path):
+        message.files.extend(_read_motion_files(plan))
+    return message
+
+
+def _read_motion_files(folder: Path) -> list[FileChunk]:
+    """Return the files of a result folder that describe its motion (ResultError where it is no result folder)."""
+    read_result(folder)
+    paths = [folder / RESULT_NAME, folder / TRAJECTORY_NAME, *sorted((folder / ROBOT_NAME).rglob("*"))]
+    return [
+        FileChunk(path=path.relative_to(folder).as_posix(), data=path.read_bytes(), is_last=True)
+        for path in paths
+        if path.is_file()
+    ]
 
 
 def make_review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewPlanRequest:

@@ -39,6 +39,7 @@ from service.request.fields import (
 from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
 from service.request.robot_hand import RobotHandRequest
+from service.request.robot_servo import RobotServoRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 LEAST_STUCK_TURN_DEG = 10.0
@@ -51,7 +52,8 @@ class RobotRequest(Section):
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed); ``tool_distance_m`` is the
     distance of the bundled robot's hook from the hand's origin; ``hand`` is what the bundled robot has on its hands.
     ``contacts`` are patches by name that may carry force, besides those of a bundled robot or in their place; ``hands``
-    the hands of a robot that hold mechanisms.
+    the hands of a robot that hold mechanisms. ``servo`` is the stiffness of its joints' servos, from which the expected
+    sag of the centre of mass follows.
     """
 
     name: Label | None = None
@@ -63,6 +65,7 @@ class RobotRequest(Section):
     contacts: Annotated[dict[Label, ContactPatchRequest], at_most(100)] = field(default_factory=dict)
     hand: Literal["hook", "gripper"] | None = None
     hands: Annotated[dict[Literal["left", "right"], RobotHandRequest], at_most(2)] = field(default_factory=dict)
+    servo: RobotServoRequest | None = None
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))

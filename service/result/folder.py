@@ -21,7 +21,10 @@ VIEWER_NAME = "viewer.html"
 GLB_NAME = "scene.glb"
 OPENRAVE_NAME = "openrave"
 ROBOT_NAME = "robot"
-WRITTEN = {RESULT_NAME, TRAJECTORY_NAME, VIEWER_NAME, GLB_NAME, OPENRAVE_NAME, ROBOT_NAME}
+SIMULATION_NAME, SIMULATION_PAGE = "simulation.json", "simulation.html"  # written by `scopt simulate`
+WRITTEN = {
+    RESULT_NAME, TRAJECTORY_NAME, VIEWER_NAME, GLB_NAME, OPENRAVE_NAME, ROBOT_NAME, SIMULATION_NAME, SIMULATION_PAGE,
+}  # fmt: skip
 MAX_RESULT_BYTES = 512 * 2**20
 BEGINNING = b'{"format": "' + FORMAT.rsplit("/", 1)[0].encode()
 

@@ -50,7 +50,8 @@ class PlanResult:
         found_from: start of the optimiser that led to the motion; empty if there was only one.
         notes: what was adjusted, assumed or detected.
         planning_time_s: wall time of the plan; ``timings`` maps its steps to seconds.
-        figures, detections: numbers reported by the task, and objects in the scan (JSON-ready).
+        servo: stiffness of the joints' servos and the expected sag of the centre of mass (JSON-ready), or None.
+    figures, detections: numbers reported by the task, and objects in the scan (JSON-ready).
         obstruction: the requested end of a motion that was not found (JSON-ready).
         cloud: (N, 3) obstacle points to draw [m].
     """
@@ -70,6 +71,7 @@ class PlanResult:
     notes: tuple[str, ...] = ()
     planning_time_s: float = 0.0
     timings: Mapping[str, float] = field(default_factory=dict)
+    servo: Mapping[str, Any] | None = None
     figures: Mapping[str, Any] = field(default_factory=dict)
     detections: tuple[Mapping[str, Any], ...] = ()
     obstruction: Mapping[str, Any] | None = None

@@ -81,6 +81,7 @@ def _summarize(result: PlanResult) -> dict[str, Any]:
         "planning_time_s": result.planning_time_s,
         "timings": to_json_data(result.timings),
         **proof_summary(result.certificate),
+        "servo": to_json_data(result.servo),
         "figures": to_json_data(result.figures),
         "detections": to_json_data(result.detections),
     }

@@ -52,6 +52,9 @@ class Servicer:
     async def Verify(self, message: wire.VerifyRequest, context: Context) -> wire.VerifyResponse:
         return await self.queries.verify(message, context)
 
+    async def SimulatePlan(self, message: wire.SimulatePlanRequest, context: Context) -> wire.SimulatePlanResponse:
+        return await self.queries.simulate(message, context)
+
     async def ListRobots(self, message: wire.ListRobotsRequest, context: Context) -> wire.ListRobotsResponse:
         return await self.queries.list_robots(message, context)
 

@@ -32,6 +32,7 @@ from service.trust.rpc import Context, Refusal, deadline_of
 from service.wire.results import checks_to_messages, encode_verdict
 from service.work.look import describe_robots, verify
 from service.work.plan import Refused
+from service.work.simulate import SIMULATION_FIELDS, simulate
 
 _STATES = {
     PlanState.ACCEPTED: wire.PLAN_STATE_QUEUED,
@@ -119,13 +120,7 @@ class QueryHandlers:
         Raises:
             Refusal: there is no motion, or it cannot be read.
         """
-        if bool(message.plan_id) == bool(message.files):
-            raise refuse_invalid(["plan_id: expected either a plan_id or files"])
-        if message.plan_id:
-            record = self._find_record(message.plan_id)
-            files = await asyncio.to_thread(read_files, self._store, record.plan_id)
-        else:
-            files = _join_chunks(message.files)
+        files = await self._read_plan(message)
         answer = await self._jobs.run(
             "verify", verify, files, deadline=deadline_of(context), budget_s=self._settings.budget_s("verify")
         )
@@ -140,6 +135,39 @@ class QueryHandlers:
             min_balance_margin_m=answer["min_balance_margin_m"],
             held_to=answer["held_to"] or "",
         )
+
+    async def _read_plan(self, message: wire.VerifyRequest | wire.SimulatePlanRequest) -> dict[str, bytes]:
+        """Return the files of the plan that a message names or holds, by path (Refusal where there is none)."""
+        if bool(message.plan_id) == bool(message.files):
+            raise refuse_invalid(["plan_id: expected either a plan_id or files"])
+        if not message.plan_id:
+            return _join_chunks(message.files)
+        record = self._find_record(message.plan_id)
+        return await asyncio.to_thread(read_files, self._store, record.plan_id)
+
+    async def simulate(self, message: wire.SimulatePlanRequest, context: Context) -> wire.SimulatePlanResponse:
+        """Carry out the recorded motion of a plan or of the message's files in physics.
+
+        Raises:
+            Refusal: there is no motion, or it cannot be carried out, or an option is out of range.
+        """
+        files = await self._read_plan(message)
+        given = {name: getattr(message, name) for name in SIMULATION_FIELDS if message.HasField(name)}
+        answer = await self._jobs.run(
+            "simulate",
+            simulate,
+            files,
+            given,
+            deadline=deadline_of(context),
+            budget_s=self._settings.budget_s("simulate"),
+        )
+        if isinstance(answer, Refused):
+            raise refuse_invalid(answer.problems)
+        response = wire.SimulatePlanResponse(
+            has_stood=answer["verdict"] == "STOOD", explanation=answer["explanation"], notes=answer["notes"]
+        )
+        response.figures.update(answer)
+        return response
 
     async def list_robots(self, message: wire.ListRobotsRequest, context: Context) -> wire.ListRobotsResponse:
         """List the robots that requests may name; the folder of own robots is read at every call."""

@@ -11,7 +11,7 @@ from service.store import CloudLimits, StoreLimits
 
 KINDS = (
     "default", "valve", "door", "mechanism", "contacts", "egress", "trajopt", "joint_goal", "pose_goal", "posture",
-    "scene", "detect", "verify",
+    "scene", "detect", "verify", "simulate",
 )  # fmt: skip
 BUDGETS_S = {"default": 60.0, "egress": 300.0}
 WORKER_BYTES = 8 * 2**30  # of address space, of which libraries and threads reserve far more than they use

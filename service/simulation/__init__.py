@@ -1,1 +1,1 @@
-"""Results carried out in a physics engine (MuJoCo, the extra `sim`)."""
+"""Plans in a physics engine: the robot, its scene and its mechanism in MuJoCo, and what became of the plan."""

@@ -21,6 +21,7 @@ from costs.robot import (
     with_attached,
     with_contacts,
 )
+from costs.robot.servo import list_servo_joints, make_stiffness
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
 
@@ -51,7 +52,7 @@ def add_request_parts(robot: RobotModel, request: PlanRequest) -> RobotModel:
     """Return the robot with the contact patches and hands that a request gives it.
 
     Raises:
-        RequestError: a patch is not on the robot's surface, or a hand's frame is unknown.
+        RequestError: a patch is not on the robot's surface, or a hand's frame or a servo's joint is unknown.
     """
     robot = add_contact_patches(robot, request)
     frames = sorted({frame.name for frame in robot.model.frames} - {"universe"})
@@ -63,7 +64,22 @@ def add_request_parts(robot: RobotModel, request: PlanRequest) -> RobotModel:
                 words = f"unknown link {frame!r}; {robot.name} has {would_do(frame, frames)}"
                 raise RequestError(f"robot.hands.{side}.{key}: {words}")
         hands[side] = RobotHand(hand.link, hand.hook, hand.tool, hand.peg or "", hand.stub or "", hand.peg_radius_m)
+    try:
+        resolve_stiffness(robot, request)
+    except ValueError as error:
+        raise RequestError(f"robot.servo.stiffness: {error}") from None
     return dataclasses.replace(robot, hands=hands)
+
+
+def resolve_stiffness(robot: RobotModel, request: PlanRequest) -> dict[str, float]:
+    """Return the stiffness of the robot's servos by joint, those that the request gives and defaults [N m/rad, N/m].
+
+    Raises:
+        ValueError: the request names a group that no joint belongs to.
+    """
+    servo = request.robot.servo
+    values = make_stiffness(robot, {} if servo is None else servo.stiffness)
+    return dict(zip(list_servo_joints(robot), values.tolist(), strict=True))
 
 
 def add_contact_patches(robot: RobotModel, request: PlanRequest) -> RobotModel:

@@ -65,7 +65,15 @@ class PhaseSequence:
         check_moves(self.specs)
 
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
-        """Plan all phases from configuration ``at``; return those that were solved, and the step that was not."""
+        """Plan all phases from configuration ``at``; return those that were solved, and the step that was not.
+
+        A margin of balance for the servos is tried first; where the phases fail with it, they are planned without it.
+        """
+        careful = replace(self, solver=replace(self.solver, body=replace(self.solver.body, wants_reserve=True)))
+        phases, stuck = careful._plan_all(at)
+        return (phases, stuck) if stuck is None else self._plan_all(at)
+
+    def _plan_all(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         phases: tuple[PlannedPhase, ...] = ()
         specs, stuck = self.specs, None
         if self.is_held:

@@ -62,6 +62,7 @@ ROLE_NEEDED: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         f"{_PLANNER}/GetScene": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/Detect": (Role.PLAN,),
         f"{_PLANNER}/Verify": (Role.PLAN, Role.REVIEW),
+        f"{_PLANNER}/SimulatePlan": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/ListRobots": (Role.PLAN,),
         f"{_PLANNER}/GetPlan": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/ReviewPlan": (Role.REVIEW,),

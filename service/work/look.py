@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,13 @@ def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | 
     """Verify a result folder, given as its files by path; returns what ``scopt verify`` prints."""
     from service.replay.replay import verify_result
 
+    return with_result_folder(files, verify_result, control)
+
+
+def with_result_folder(
+    files: Mapping[str, bytes], work: Callable[[Path], Mapping[str, Any]], control: Control
+) -> Mapping[str, Any] | Refused:
+    """Return what a function makes of a result folder, given as its files by path."""
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
         folder = Path(scratch)
         for name, content in files.items():
@@ -92,7 +99,7 @@ def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | 
                 return Refused((f"files: {shown(name)} is no path of a file",))
         try:
             with stops_with(control):
-                return verify_result(folder)
+                return work(folder)
         except (ResultError, RequestError) as error:
             # Name the files as the client does, without the temporary folder.
             lines = (line.removeprefix(f"{folder}: ").replace(f"{folder}/", "") for line in str(error).splitlines())

@@ -185,6 +185,10 @@ class PlannerStandIn(PlannerServiceServicer):
         self._record(request, context)
         return pb.DetectResponse(hits=[{"kind": request.kind, "confidence": 0.9}])  # type: ignore[list-item]
 
+    def SimulatePlan(self, request: Any, context: grpc.ServicerContext) -> pb.SimulatePlanResponse:
+        self._record(request, context)
+        return pb.SimulatePlanResponse(has_stood=True)
+
     def Verify(self, request: Any, context: grpc.ServicerContext) -> pb.VerifyResponse:
         self._record(request, context)
         return pb.VerifyResponse(verdict=Verdict.VERDICT_CERTIFIED)

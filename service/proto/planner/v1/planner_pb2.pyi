@@ -332,6 +332,40 @@ class VerifyResponse(_message.Message):
     held_to: str
     def __init__(self, verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[_result_pb2.Check, _Mapping]]] = ..., min_clearance_m: _Optional[float] = ..., min_balance_margin_m: _Optional[float] = ..., held_to: _Optional[str] = ...) -> None: ...
 
+class SimulatePlanRequest(_message.Message):
+    __slots__ = ("plan_id", "files", "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed")
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    FILES_FIELD_NUMBER: _ClassVar[int]
+    FRICTION_FIELD_NUMBER: _ClassVar[int]
+    FEED_FORWARD_FIELD_NUMBER: _ClassVar[int]
+    STIFFNESS_SCALE_FIELD_NUMBER: _ClassVar[int]
+    NOISE_FIELD_NUMBER: _ClassVar[int]
+    DELAY_MS_FIELD_NUMBER: _ClassVar[int]
+    JOINT_FRICTION_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    plan_id: str
+    files: _containers.RepeatedCompositeFieldContainer[_result_pb2.FileChunk]
+    friction: float
+    feed_forward: float
+    stiffness_scale: float
+    noise: float
+    delay_ms: float
+    joint_friction: float
+    seed: int
+    def __init__(self, plan_id: _Optional[str] = ..., files: _Optional[_Iterable[_Union[_result_pb2.FileChunk, _Mapping]]] = ..., friction: _Optional[float] = ..., feed_forward: _Optional[float] = ..., stiffness_scale: _Optional[float] = ..., noise: _Optional[float] = ..., delay_ms: _Optional[float] = ..., joint_friction: _Optional[float] = ..., seed: _Optional[int] = ...) -> None: ...
+
+class SimulatePlanResponse(_message.Message):
+    __slots__ = ("has_stood", "explanation", "notes", "figures")
+    HAS_STOOD_FIELD_NUMBER: _ClassVar[int]
+    EXPLANATION_FIELD_NUMBER: _ClassVar[int]
+    NOTES_FIELD_NUMBER: _ClassVar[int]
+    FIGURES_FIELD_NUMBER: _ClassVar[int]
+    has_stood: bool
+    explanation: _containers.RepeatedScalarFieldContainer[str]
+    notes: _containers.RepeatedScalarFieldContainer[str]
+    figures: _struct_pb2.Struct
+    def __init__(self, has_stood: bool = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., figures: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
+
 class ListRobotsRequest(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...

@@ -69,6 +69,11 @@ class PlannerServiceStub(object):
                 request_serializer=planner_dot_v1_dot_planner__pb2.VerifyRequest.SerializeToString,
                 response_deserializer=planner_dot_v1_dot_planner__pb2.VerifyResponse.FromString,
                 _registered_method=True)
+        self.SimulatePlan = channel.unary_unary(
+                '/planner.v1.PlannerService/SimulatePlan',
+                request_serializer=planner_dot_v1_dot_planner__pb2.SimulatePlanRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_planner__pb2.SimulatePlanResponse.FromString,
+                _registered_method=True)
         self.ListRobots = channel.unary_unary(
                 '/planner.v1.PlannerService/ListRobots',
                 request_serializer=planner_dot_v1_dot_planner__pb2.ListRobotsRequest.SerializeToString,
@@ -141,6 +146,13 @@ class PlannerServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def SimulatePlan(self, request, context):
+        """Carries out the motion of a plan in a physics engine.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def ListRobots(self, request, context):
         """The robots that can be named.
         """
@@ -201,6 +213,11 @@ def add_PlannerServiceServicer_to_server(servicer, server):
                     servicer.Verify,
                     request_deserializer=planner_dot_v1_dot_planner__pb2.VerifyRequest.FromString,
                     response_serializer=planner_dot_v1_dot_planner__pb2.VerifyResponse.SerializeToString,
+            ),
+            'SimulatePlan': grpc.unary_unary_rpc_method_handler(
+                    servicer.SimulatePlan,
+                    request_deserializer=planner_dot_v1_dot_planner__pb2.SimulatePlanRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_planner__pb2.SimulatePlanResponse.SerializeToString,
             ),
             'ListRobots': grpc.unary_unary_rpc_method_handler(
                     servicer.ListRobots,
@@ -390,6 +407,33 @@ class PlannerService(object):
             '/planner.v1.PlannerService/Verify',
             planner_dot_v1_dot_planner__pb2.VerifyRequest.SerializeToString,
             planner_dot_v1_dot_planner__pb2.VerifyResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def SimulatePlan(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/SimulatePlan',
+            planner_dot_v1_dot_planner__pb2.SimulatePlanRequest.SerializeToString,
+            planner_dot_v1_dot_planner__pb2.SimulatePlanResponse.FromString,
             options,
             channel_credentials,
             insecure,

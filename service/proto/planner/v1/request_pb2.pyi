@@ -209,7 +209,7 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand", "hands")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand", "hands", "servo")
     class ContactsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -233,6 +233,7 @@ class Robot(_message.Message):
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     HANDS_FIELD_NUMBER: _ClassVar[int]
+    SERVO_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
@@ -242,7 +243,21 @@ class Robot(_message.Message):
     contacts: _containers.MessageMap[str, ContactPatch]
     hand: HandKind
     hands: _containers.MessageMap[str, RobotHand]
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ...) -> None: ...
+    servo: RobotServo
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ..., servo: _Optional[_Union[RobotServo, _Mapping]] = ...) -> None: ...
+
+class RobotServo(_message.Message):
+    __slots__ = ("stiffness",)
+    class StiffnessEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    STIFFNESS_FIELD_NUMBER: _ClassVar[int]
+    stiffness: _containers.ScalarMap[str, float]
+    def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class RobotHand(_message.Message):
     __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m")

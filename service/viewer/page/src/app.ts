@@ -16,6 +16,7 @@ import { Panel } from "./panel";
 import { Forces, Regions } from "./regions";
 import { Robot } from "./robot";
 import { Shapeless } from "./shapeless";
+import { SimulatedRobot } from "./simulated";
 import { Stage, Subject, View } from "./stage";
 import { Targets } from "./targets";
 import { THEMES } from "./theme";
@@ -84,7 +85,9 @@ export class App implements Player {
       new Cones(result), new Regions(result, z), new Forces(result), loads, this.goal,
       new Shapeless(result.shapeless, motion), this.marks,
       new Cloud(result.cloud), new Floor(result, z, centre, reach),
+      ...(result.simulated ? [new SimulatedRobot(result, [...result.bodies, ...this.movedBodies()], result.simulated)] : []),
     ];
+    if (result.simulated) this.ghosts.group.visible = false;
     for (const label of [...targets.labels, ...this.movables.labels, ...loads.labels, ...this.goal.labels]) this.labels.add(label);
     for (const layer of this.layers) this.stage.scene.add(layer.group);
     this.panel = new Panel(result, this.layers, (index) => this.chooseCheck(index), (layer) => this.toggle(layer));

@@ -123,6 +123,20 @@ function joint(result: Result, movable: Movable, start: number, end: number): Pl
   return [drawn];
 }
 
+// The ground's force that the plan expects, and what it was in physics [N].
+function ground(result: Result, start: number, end: number): Plot[] {
+  if (!result.simulated || result.simulated.ground.length < 4) return [];
+  const { times, ground: forces } = result.simulated;
+  const column = (k: number): Point[] => Array.from(times, (t, i): Point => [t, forces[2 * i + k]]).filter(([t]) => t <= end + 1e-6);
+  const lines: Line[] = [
+    { name: "ground in physics", kind: "value", points: column(1) }, { name: "ground planned", kind: "second", points: column(0) },
+  ];
+  const range = [Math.min(...finite([lines[0]])), Math.max(...finite([lines[0]]))].map((value) => figure(Math.round(value), "N"));
+  const drawn = plot(lines, [], start, end, `ground in physics: ${range.join(" to ")}; thin: planned`, "");
+  drawn.element.classList.add("moved");
+  return [drawn];
+}
+
 export function curves(result: Result, start: number, end: number): Plot[] {
-  return [...clearance(result, start, end), ...balance(result, start, end), ...result.movables.flatMap((movable) => joint(result, movable, start, end))];
+  return [...clearance(result, start, end), ...balance(result, start, end), ...ground(result, start, end), ...result.movables.flatMap((movable) => joint(result, movable, start, end))];
 }

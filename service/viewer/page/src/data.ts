@@ -44,6 +44,12 @@ export interface Check {
   text: string | null; where?: Where | null; basis?: string;
 }
 
+// The same links as physics carried the plan out, and the ground's force, planned and in physics [N].
+export interface Simulated {
+  verdict: string; times: Float32Array; positions: Float32Array; rotations: Int16Array; ground: Float32Array;
+}
+interface PackedSimulated { verdict: string; times: Packed; positions: Quantized; rotations: Packed; ground: Packed }
+
 interface Payload {
   verdict: string; robot: string; task: string; explanation: string[]; notes: string[];
   figures: Record<string, unknown>; timings: Record<string, number>; planning_time_s: number | null;
@@ -56,11 +62,13 @@ interface Payload {
   movables: (MovedJoint & { bodies: PackedNamedHull[]; angles: Packed })[];
   phases: (Omit<Phase, "regions"> & { regions: (Omit<Region, "forces"> & { forces: Packed })[] })[];
   waypoints: number[]; support: (Omit<Support, "zmp"> & { zmp: Packed })[]; com: Packed; clearance: Packed; cloud: Quantized;
+  simulated?: PackedSimulated | null;
 }
 
 export interface Result extends Omit<
-  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "phases" | "support" | "com" | "clearance" | "cloud"
+  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "phases" | "support" | "com" | "clearance" | "cloud" | "simulated"
 > {
+  simulated?: Simulated;
   times: Float32Array; positions: Float32Array; rotations: Int16Array; bodies: Body[]; pieces: NamedHull[];
   movables: Movable[]; phases: Phase[]; support: Support[]; com: Float32Array; clearance: Float32Array; cloud: Float32Array;
 }
@@ -108,6 +116,13 @@ export function readPayload(): Result {
     support: payload.support.map((support) => ({ ...support, zmp: new Float64Array(bytesOf(support.zmp)) })),
     clearance: floats(payload.clearance),
     cloud: points(payload.cloud),
+    simulated: payload.simulated ? {
+      verdict: payload.simulated.verdict,
+      times: floats(payload.simulated.times),
+      positions: points(payload.simulated.positions),
+      rotations: new Int16Array(bytesOf(payload.simulated.rotations)),
+      ground: floats(payload.simulated.ground),
+    } : undefined,
   };
 }
 

@@ -1,0 +1,418 @@
+"""Execution of a plan: reads the robot, moves the plan's clock, and commands the joints, once per control cycle."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.robot.poses import matrix_rpy
+from service.errors import ExecutionError
+from service.execution.balance import PlannedBalance
+from service.execution.driver import JointCommand, RobotDriver, RobotReading
+from service.execution.estimator import PelvisEstimate, PelvisEstimator, SensorNoise
+from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
+from service.execution.forces import ForceMeter, MeasuredForces
+from service.execution.gains import PRESETS, PoseGains
+from service.execution.guards import Finding, Guards, GuardSettings, Severity
+from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
+from service.execution.pose_control import Command, PoseController
+from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
+from service.execution.shift import Shift, ShiftLimits, step_shift
+from service.execution.touchdown import (
+    FootReading,
+    TouchdownSettings,
+    TouchdownState,
+    find_ankle,
+    find_landing,
+    soften,
+    step_touchdown,
+)
+from service.verify import PlantedContact
+
+START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
+HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
+HAND_CUTOFF_HZ = 3.0  # of the low-pass filter of the hands' measured errors
+CONTINUE_TOLERANCE = 0.02  # between the last command and the start of another plan [rad, m]
+
+
+@dataclass(frozen=True)
+class ExecutionSettings:
+    """Settings of an execution.
+
+    Attributes:
+        gains: of the pose control.
+        machine: of the plan's clock.
+        guards: limits of the guards.
+        touchdown: of feet that land; None lands them stiff.
+        shifts: how fast operator's displacements of targets come.
+        hand_gains: PID control that corrects where the hands are measured to be [m per m]; None for none.  It rests
+            while a hand is planted, and while hands press on a mechanism.
+        noise: of the sensors, for the pelvis estimator.
+    """
+
+    gains: PoseGains = PRESETS["follow"]
+    machine: MachineSettings = field(default_factory=MachineSettings)
+    guards: GuardSettings = field(default_factory=GuardSettings)
+    touchdown: TouchdownSettings | None = field(default_factory=TouchdownSettings)
+    shifts: ShiftLimits = field(default_factory=ShiftLimits)
+    hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.0, ki=2.0, limit=0.05))
+    noise: SensorNoise = field(default_factory=SensorNoise)
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What happened in one control cycle.
+
+    Attributes:
+        state: of the state machine.
+        phase: name of the phase.
+        wanted: what the plan wants.
+        command: of the pose control.
+        sent: what was handed to the driver.
+        reading: of the sensors.
+        estimate: of the pelvis; None without floating base or foot forces.
+        forces: measured.
+        findings: of the guards.
+        control_s: computing time of the pose control [s].
+        cycle_s: computing time of everything but the driver [s].
+    """
+
+    state: MachineState
+    phase: str
+    wanted: ReferenceState
+    command: Command
+    sent: JointCommand
+    reading: RobotReading
+    estimate: PelvisEstimate | None
+    forces: MeasuredForces
+    findings: tuple[Finding, ...]
+    control_s: float
+    cycle_s: float
+
+
+class Execution:
+    """A plan on its way through a driver.
+
+    One call of :meth:`step` is one cycle.  Orders and displacements take effect in the next cycle.
+    """
+
+    def __init__(
+        self,
+        reference: PlannedReference,
+        driver: RobotDriver,
+        settings: ExecutionSettings | None = None,
+        begin_s: float = 0.0,
+    ) -> None:
+        """Prepare the control of a plan on a robot that stands at its start.
+
+        Args:
+            reference: the plan.
+            driver: the robot.
+            settings: gains, guards and limits.
+            begin_s: time of the plan to begin at; the robot rests in that pose [s].
+
+        Raises:
+            ExecutionError: the driver has other joints than the plan, or the robot is not at the plan's start.
+        """
+        self.settings = settings or ExecutionSettings()
+        self.driver = driver
+        if set(driver.joint_names) != set(reference.joint_names):
+            other = sorted(set(driver.joint_names) ^ set(reference.joint_names))
+            raise ExecutionError(f"the driver's joints are not those of the plan: {', '.join(other[:3])}")
+        self._touchdown: dict[str, TouchdownState] = {}
+        self._shifts: dict[str, Shift] = {}
+        self._forces: MeasuredForces | None = None
+        self._estimate: PelvisEstimate | None = None
+        self._order: Order | None = None
+        self._n_cycles = 0
+        self._load(reference, begin_s)
+        start = reference.at(begin_s)
+        self._check_start(start)
+        self.command = Command.at_rest(start.configuration)
+
+    def _load(self, reference: PlannedReference, begin_s: float = 0.0) -> None:
+        """Take a plan, from a time of its own on."""
+        settings, driver, robot = self.settings, self.driver, reference.robot
+        self.reference = reference
+        self._columns = np.array([robot.joint_names.index(name) for name in driver.joint_names], dtype=int)
+        self._order_of_plan = np.array([reference.joint_names.index(name) for name in driver.joint_names], dtype=int)
+        self.controller = PoseController(robot, settings.gains, driver.period_s)
+        balance = PlannedBalance.of(reference) if robot.is_floating else None
+        self.machine = ExecutionMachine(reference.phases, balance, settings.machine)
+        self.state = MachineState(time_s=begin_s, phase=reference.find_phase_number(begin_s))
+        self._wanted = reference.at(begin_s)
+        self._guards = Guards(settings.guards)
+        feet, reading = robot.link_groups.get("feet", ()), driver.read()
+        self._has_forces = robot.is_floating and all(foot in reading.foot_wrenches for foot in feet) and len(feet) == 2
+        self._ankles = {}
+        if settings.touchdown is not None and self._has_forces:
+            self._ankles = {foot: find_ankle(robot, driver.joint_names, foot) for foot in feet}
+        self._touchdown = {foot: self._touchdown.get(foot, TouchdownState.stiff()) for foot in self._ankles}
+        tools = sorted({load.tool for phase in reference.phases for load in phase.loads}) if self._has_forces else []
+        self._meter = ForceMeter(robot, driver.joint_names, tools, driver.period_s)
+        self._forces = None
+        self._hands = tuple(robot.link_groups.get("hands", ())) if self._has_forces else ()
+        if settings.hand_gains is None:
+            self._hands = ()
+        self._corrections = {hand: PidState.zero((3,)) for hand in self._hands}
+        self._corrected = {hand: np.zeros(3) for hand in self._hands}
+        self._hand_errors: dict[str, np.ndarray] = {}
+        self._hand_share = find_share(HAND_CUTOFF_HZ, HAND_CYCLES * driver.period_s)
+        self._estimator = None
+        self._data = robot.model.createData()
+        if self._has_forces:
+            self._estimator = PelvisEstimator(robot, driver.joint_names, driver.period_s, settings.noise)
+            if self._estimate is None:
+                self._estimate = self._estimator.start(reading, reference.at(begin_s).pose_world_base[:3, 3])
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the plan's clock stands still."""
+        return self.state.rate == 0.0 and self.state.mode is not Mode.RETURNING
+
+    def give(self, order: Order) -> None:
+        """Give an order, which the next cycle obeys.
+
+        Raises:
+            ExecutionError: the execution is over, or on its way back after an abort.
+        """
+        self.machine.check_order(self.state, order)
+        self._order = order
+
+    def give_up(self, reason: str) -> None:
+        """End an execution that is at rest, where it is.
+
+        Raises:
+            ExecutionError: something still moves.
+        """
+        if not self.is_at_rest:
+            raise ExecutionError(f"the execution is {self.state.mode.value} and moves; pause it first")
+        self.state = replace(self.state, mode=Mode.ABORTED, reason=reason)
+
+    def shift(self, link: str, offset: Float[np.ndarray, "3"]) -> None:
+        """Displace the target of a foot or a hand from the plan, in world axes [m]; it goes there smoothly.
+
+        Raises:
+            ExecutionError: the link is no foot or hand, or the displacement makes no sense.
+        """
+        self.controller.check_link(link)
+        self._shifts[link] = self._shifts.get(link, Shift.zero()).towards(np.asarray(offset, dtype=float))
+
+    def replace_plan(self, reference: PlannedReference) -> None:
+        """Go on with another plan, which starts where this execution stands.
+
+        Raises:
+            ExecutionError: something still moves, or the plan starts elsewhere.
+        """
+        if not self.is_at_rest:
+            raise ExecutionError(f"the execution is {self.state.mode.value} and moves; pause it before another plan")
+        if reference.joint_names != self.reference.joint_names:
+            raise ExecutionError("the other plan has other joints")
+        start, n = reference.at(0.0).configuration, len(self._columns)
+        columns = np.array([reference.robot.joint_names.index(name) for name in self.driver.joint_names], dtype=int)
+        off = np.abs(start[columns] - self.command.q[self._columns])
+        if off.max(initial=0.0) > CONTINUE_TOLERANCE:
+            worst = int(off.argmax())
+            raise ExecutionError(
+                f"the other plan starts with {self.driver.joint_names[worst]} {off[worst]:.3g} off the last command; "
+                f"expected at most {CONTINUE_TOLERANCE:g} for all {n} joints"
+            )
+        self._shifts = {}
+        self._load(reference)
+        first = reference.at(0.0).configuration.copy()
+        first[columns] = self.command.q[self._columns]
+        self.command = Command.at_rest(first)
+
+    def step(self) -> Cycle:
+        """Carry out one control cycle."""
+        begin = time.perf_counter()
+        period, settings = self.driver.period_s, self.settings
+        reading = self.driver.read()
+        waited = time.perf_counter() - begin
+        wanted = self._wanted
+        gain = np.zeros(len(self._columns))
+        self._forces = self._meter.step(self._forces, reading, gain)
+        if self._estimator is not None and self._estimate is not None:
+            self._estimate = self._estimator.step(self._estimate, reading)
+        phase, following = self._current_phases()
+        found, self._guards = self._guards.check(
+            phase,
+            following,
+            self._forces.contacts,
+            self._forces.sizes,
+            wanted.contact_wrenches,
+            period,
+        )
+        findings = (*found, *self._find_fall(reading, wanted))
+        order, self._order = self._order, None
+        self.state = self.machine.step(self.state, findings, order, period)
+        phase, _ = self._current_phases()
+        wanted = self._wanted = self.reference.at(self.state.time_s)
+        self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
+        self._step_touchdown(phase, reading, wanted)
+        self._n_cycles += 1
+        if self._n_cycles % HAND_CYCLES == 0:
+            self._correct_hands(phase, reading, wanted, HAND_CYCLES * period)
+        control = time.perf_counter()
+        self.command = self.controller.step(
+            self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
+        )
+        control_s = time.perf_counter() - control
+        sent = self._send(wanted, reading)
+        cycle_s = time.perf_counter() - begin - waited
+        self.driver.command(sent)
+        return Cycle(
+            self.state,
+            phase.name,
+            wanted,
+            self.command,
+            sent,
+            reading,
+            self._estimate,
+            self._forces,
+            findings,
+            control_s,
+            cycle_s,
+        )
+
+    def run(self, on_cycle: Callable[[Cycle], None] | None = None, settle_s: float = 0.0) -> MachineState:
+        """Carry out cycles until the plan is done or aborted, and ``settle_s`` longer; return the last state.
+
+        An operator acts through ``on_cycle``, which is called after every cycle.
+        """
+        after = 0.0
+        while after <= settle_s:
+            cycle = self.step()
+            if on_cycle is not None:
+                on_cycle(cycle)
+            after = after + self.driver.period_s if self.state.is_over else 0.0
+        return self.state
+
+    def _current_phases(self) -> tuple[ReferencePhase, ReferencePhase | None]:
+        phases, k = self.reference.phases, self.state.phase
+        return phases[k], phases[k + 1] if k + 1 < len(phases) else None
+
+    def _check_start(self, start: ReferenceState) -> None:
+        measured = self.driver.read().q
+        off = np.abs(measured - start.configuration[self._columns])
+        if off.max(initial=0.0) > START_TOLERANCE:
+            worst = int(off.argmax())
+            raise ExecutionError(
+                f"the robot is not at the plan's start: {self.driver.joint_names[worst]} is {measured[worst]:.3f}, the "
+                f"plan starts with {start.configuration[self._columns][worst]:.3f}"
+            )
+
+    def _find_fall(self, reading: RobotReading, wanted: ReferenceState) -> tuple[Finding, ...]:
+        """Return a finding if the pelvis leans far off the plan."""
+        if not self._has_forces:
+            return ()
+        up = reading.imu_rotation[:, 2] @ wanted.pose_world_base[:3, 2]
+        lean = float(np.arccos(np.clip(up, -1.0, 1.0)))
+        if lean <= self.settings.guards.fall_rad:
+            return ()
+        return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
+
+    def _step_touchdown(
+        self,
+        phase: ReferencePhase,
+        reading: RobotReading,
+        wanted: ReferenceState,
+    ) -> None:
+        """Advance the feet that come down."""
+        settings, forces = self.settings.touchdown, self._forces
+        if settings is None or forces is None or self._estimate is None or not self._ankles:
+            return
+        phases, rate = self.reference.phases, max(self.state.rate, 0.01)
+        landings = {foot: find_landing(phases, self.state.phase, foot) for foot in self._ankles}
+        left = {
+            foot: np.inf if landing is None else (landing.begin_s - self.state.time_s) / rate
+            for foot, landing in landings.items()
+        }
+        moving = [foot for foot in self._ankles if left[foot] <= settings.lead_s or not self._touchdown[foot].is_idle]
+        if moving:
+            self._place(self._read_configuration(reading, wanted))
+        for foot in moving:
+            ankle, landing = self._ankles[foot], landings[foot]
+            own = next((contact for contact in phase.contacts if contact.link == foot), None)
+            after = () if landing is None else landing.contacts
+            ground = own or next((contact for contact in after if contact.link == foot), None)
+            off, slope = (0.0, 0.0) if ground is None else self._compare_sole(ground)
+            ankle_off = reading.q[ankle.joints] - self.command.q[self._columns][ankle.joints]
+            self._touchdown[foot] = step_touchdown(
+                settings,
+                self._touchdown[foot],
+                ankle,
+                FootReading(float(forces.contacts[foot][2]), off, slope, ankle_off),
+                lands=left[foot] <= settings.lead_s,
+                planted=own is not None,
+                left_s=left[foot] if own is None else 0.0,
+                period_s=self.driver.period_s,
+            )
+
+    def _compare_sole(self, contact: PlantedContact) -> tuple[float, float]:
+        """Return the height of a placed sole's lowest point over the plan's ground [m], and its slope there [rad]."""
+        place = self._data.oMf[self.reference.robot.model.getFrameId(contact.link)]
+        points = contact.sole @ place.rotation.T + place.translation
+        cosine = float(place.rotation[:, 2] @ contact.pose_world_link[:3, 2])
+        return float(points[:, 2].min() - contact.points[:, 2].mean()), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    def _read_configuration(self, reading: RobotReading, wanted: ReferenceState) -> Float[np.ndarray, "n"]:
+        """Return the configuration that sensors and estimator show."""
+        q = wanted.configuration.copy()
+        q[self._columns] = reading.q
+        if self._estimate is not None:
+            q[:3], q[3:6] = self._estimate.position, matrix_rpy(self._estimate.rotation)[::-1]
+        return q
+
+    def _place(self, q: Float[np.ndarray, "n"]) -> None:
+        pin.framesForwardKinematics(self.reference.robot.model, self._data, q)
+
+    def _correct_hands(
+        self, phase: ReferencePhase, reading: RobotReading, wanted: ReferenceState, period_s: float
+    ) -> None:
+        """Advance the corrections of hands that are measured elsewhere than the plan has them."""
+        gains = self.settings.hand_gains
+        if not self._hands or gains is None or self._estimate is None or phase.loads:
+            return
+        model = self.reference.robot.model
+        self._place(wanted.configuration)
+        places = {hand: self._data.oMf[model.getFrameId(hand)].translation.copy() for hand in self._hands}
+        self._place(self._read_configuration(reading, wanted))
+        frames = model.frames
+        held = {frames[model.getFrameId(contact.link)].parentJoint for contact in phase.contacts}
+        for hand in self._hands:
+            if frames[model.getFrameId(hand)].parentJoint in held:
+                continue  # it would press on what it holds
+            shift = self._shifts.get(hand)
+            target = places[hand] if shift is None else places[hand] + shift.offset
+            error = target - self._data.oMf[model.getFrameId(hand)].translation
+            error = low_pass(self._hand_errors.get(hand), error, self._hand_share)
+            self._hand_errors[hand] = error
+            output, state = step_pid(gains, self._corrections[hand], error, period_s)
+            self._corrections[hand], self._corrected[hand] = state, output
+
+    def list_shifts(self) -> Mapping[str, Shift]:
+        """Return the displacements of all targets: the operator's, of corrected hands, and of feet on the ground."""
+        shifts = dict(self._shifts)
+        for hand, correction in self._corrected.items():
+            own = shifts.get(hand, Shift.zero())
+            shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
+        for foot, state in self._touchdown.items():
+            own, height = shifts.get(foot, Shift.zero()), state.height
+            shifts[foot] = Shift(own.offset + height.offset, own.speed + height.speed, own.goal)
+        return shifts
+
+    def _send(self, wanted: ReferenceState, reading: RobotReading) -> JointCommand:
+        """Return the command for the driver: the pose control's, with the plan's torques and the ankles' law."""
+        command = JointCommand(
+            self.command.q[self._columns], self.command.qd[self._columns], wanted.tau[self._order_of_plan]
+        )
+        if self.settings.touchdown is not None:
+            for foot, ankle in self._ankles.items():
+                command = soften(self.settings.touchdown, ankle, self._touchdown[foot], command, reading)
+        return command

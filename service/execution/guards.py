@@ -1,0 +1,181 @@
+"""Guards of an execution: forces that a phase expects, caps and thresholds at which it is aborted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+
+from service.errors import ExecutionError
+from service.execution.reference import ReferencePhase
+from service.verify import PlantedContact
+
+
+class Severity(Enum):
+    """What a finding means for the execution."""
+
+    NOTE = "note"  # reported only
+    WAIT = "wait"  # the next phase may not begin
+    ABORT = "abort"
+    STOP = "stop"  # the robot falls: no way back
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a guard found.
+
+    Attributes:
+        severity: what follows.
+        link: the foot or the hand.
+        force_n: measured force [N].
+        limit_n: the limit that it is compared with [N].
+        sentence: for the operator.
+        is_lost: whether the link should be planted and is not.
+    """
+
+    severity: Severity
+    link: str
+    force_n: float
+    limit_n: float
+    sentence: str
+    is_lost: bool = False
+
+
+@dataclass(frozen=True)
+class GuardSettings:
+    """Limits of the guards.
+
+    Attributes:
+        touch_n: upright force at which a foot counts as put down [N].
+        hand_touch_n: the same of any other link, along the normal of what it is put on [N].
+        load_share: where between expected force and cap a hand's force aborts.
+        lost_share: a foot counts as lost below this share of the upright force that the plan expects of it.
+        lost_n: feet that the plan expects less of are not compared [N].
+        hold_s: time for which a limit must be exceeded [s].
+        fall_rad: angle between the pelvis and that of the plan at which the robot falls [rad].
+    """
+
+    touch_n: float = 25.0
+    hand_touch_n: float = 5.0
+    load_share: float = 0.5
+    lost_share: float = 0.05
+    lost_n: float = 400.0
+    hold_s: float = 0.25
+    fall_rad: float = 0.35
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.load_share <= 1.0:
+            raise ExecutionError(f"guards: load_share {self.load_share:g}; expected 0 to 1")
+        if not (
+            min(self.touch_n, self.hand_touch_n) > 0.0
+            and 0.0 <= self.lost_share < 1.0
+            and self.lost_n > 0.0
+            and self.hold_s >= 0.0
+        ):
+            raise ExecutionError(
+                f"guards: touch_n {self.touch_n:g}, lost_share {self.lost_share:g}, lost_n {self.lost_n:g}, hold_s "
+                f"{self.hold_s:g}; expected positive forces, a share below 1 and a time of 0 or more"
+            )
+
+
+@dataclass(frozen=True)
+class Guards:
+    """Guards with the time for which each limit has been exceeded.
+
+    Attributes:
+        settings: limits.
+        exceeded_s: by link and limit [s].
+    """
+
+    settings: GuardSettings = field(default_factory=GuardSettings)
+    exceeded_s: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+    def check(
+        self,
+        phase: ReferencePhase,
+        following: ReferencePhase | None,
+        contacts: Mapping[str, Float[np.ndarray, "3"]],
+        hands: Mapping[str, float],
+        expected: Mapping[str, Float[np.ndarray, "6"]],
+        period_s: float,
+    ) -> tuple[tuple[Finding, ...], Guards]:
+        """Return what is wrong in this cycle, and the guards of the next one.
+
+        Args:
+            phase, following: the present phase and the next one, if any.
+            contacts: measured force (3,) per link, world axes [N]; links without a sensor are missing and not guarded.
+            hands: measured size of the force per tool that presses on a mechanism [N].
+            expected: wrench (6,) that the plan expects per link [N, N m].
+            period_s: of the cycle [s].
+        """
+        over = {**self._check_contacts(phase, contacts, expected), **self._check_loads(phase, hands)}
+        exceeded = {key: self.exceeded_s.get(key, 0.0) + period_s for key in over}
+        findings = [finding for key, finding in over.items() if exceeded[key] > self.settings.hold_s]
+        findings += self._list_missing(phase, following, contacts)
+        return tuple(findings), replace(self, exceeded_s=exceeded)
+
+    def _check_contacts(
+        self,
+        phase: ReferencePhase,
+        contacts: Mapping[str, Float[np.ndarray, "3"]],
+        expected: Mapping[str, Float[np.ndarray, "6"]],
+    ) -> dict[tuple[str, str], Finding]:
+        """Return the links that press with more than their cap, or with much less than expected."""
+        limits, over = self.settings, {}
+        for contact in phase.contacts:
+            link = contact.link
+            if link not in contacts:
+                continue
+            force, cap = press_on(contact, contacts[link]), contact.force_cap_n * len(contact.sole)
+            wanted = press_on(contact, expected[link][:3]) if link in expected else 0.0
+            if force > cap:
+                words = f"{link} carries {force:.0f} N in '{phase.name}', its cap is {cap:.0f} N"
+                over[link, "cap"] = Finding(Severity.ABORT, link, force, cap, words)
+            least = limits.lost_share * wanted
+            if wanted >= limits.lost_n and force < least:
+                words = f"{link} carries {force:.0f} N in '{phase.name}'; the plan expects {wanted:.0f} N"
+                over[link, "lost"] = Finding(Severity.ABORT, link, force, least, words, True)
+        return over
+
+    def _check_loads(self, phase: ReferencePhase, hands: Mapping[str, float]) -> dict[tuple[str, str], Finding]:
+        """Return the hands that press harder on a mechanism than they may."""
+        over = {}
+        for load in phase.loads:
+            force = hands.get(load.tool, 0.0)
+            limit = load.expected_n + self.settings.load_share * (load.cap_n - load.expected_n)
+            if force > limit:
+                words = (
+                    f"{load.tool} presses with {force:.0f} N in '{phase.name}'; expected {load.expected_n:.0f} N, "
+                    f"abort at {limit:.0f} N, cap {load.cap_n:.0f} N"
+                )
+                over[load.tool, "load"] = Finding(Severity.ABORT, load.tool, force, limit, words)
+        return over
+
+    def _list_missing(
+        self,
+        phase: ReferencePhase,
+        following: ReferencePhase | None,
+        contacts: Mapping[str, Float[np.ndarray, "3"]],
+    ) -> list[Finding]:
+        """Return the links that the next phase plants and that do not press on anything yet."""
+        planted, missing = {contact.link for contact in phase.contacts}, []
+        if following is None:
+            return []
+        for contact in following.contacts:
+            link = contact.link
+            if link in planted or link not in contacts:
+                continue
+            force = press_on(contact, contacts[link])
+            least = self.settings.touch_n if contact.normal is None else self.settings.hand_touch_n
+            if force < least:
+                words = f"{link} carries {force:.0f} N; '{following.name}' needs it in contact with {least:.0f} N"
+                missing.append(Finding(Severity.WAIT, link, force, least, words, True))
+        return missing
+
+
+def press_on(contact: PlantedContact, force: Float[np.ndarray, "3"]) -> float:
+    """Return the part of a force along the normal of a contact [N]; of a sole on level ground the upright part."""
+    return float(force[2] if contact.normal is None else force @ contact.normal)

@@ -1,0 +1,433 @@
+"""The physics model of a robot, its scene and its mechanism, built for MuJoCo from the recorded motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float, Int
+
+from costs.robot import RobotHand, read_joint_axis
+from costs.robot.servo import DAMPING_S, default_stiffness, list_servo_joints
+from service.errors import ResultError
+from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
+from service.simulation.options import SimulationOptions
+from service.simulation.resistance import MechanismPhysics
+from service.verify import Motion
+from service.verify.frame_paths import find_mechanism_joints
+
+TIME_STEP_S = 1e-3
+ARMATURE = 0.1  # of a joint of a robot of the reference mass [kg m^2]
+REFERENCE_MASS = 160.0  # of Atlas [kg]
+MECHANISM_DENSITY = 500.0  # of a mechanism's bodies [kg/m^3]
+MECHANISM_ARMATURE = 0.01  # [kg m^2, kg]
+MECHANISM_DAMPING = 0.2  # [N m s/rad, N s/m]
+# Of the world's surfaces: with MuJoCo's defaults the feet turn in the floor almost as easily as the robot tips.
+STIFF: Mapping[str, list[float]] = {"solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
+HELD_BY_FRICTION = 0.9999  # impedance of dry friction in joints: what it holds does not creep
+MECHANISM_FRICTION = 0.3  # between a hand and what it moves
+SELF_FRICTION = 0.5  # between links of the robot
+LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
+LEAST_VOLUME = 1e-9  # of a hull that gets a shape [m^3]
+IMU = "imu"
+SPOKE = "/spoke/"  # in the names of a wheel's bodies
+SPOKE_SIZE = (0.01, 0.05, 0.03)  # of an assumed spoke: across, along the radius, along the axis [m]
+SPOKE_APART = 0.01  # nearer places of loads share an assumed spoke [m]
+PEG_RADIUS = RobotHand.peg_radius + 5e-4  # from a peg's middle to what it presses [m]
+
+
+@dataclass(frozen=True)
+class PhysicsModel:
+    """A compiled MuJoCo model and where the quantities of a plan are in it.
+
+    Attributes:
+        mj: the ``mujoco.MjModel``.
+        motion: the motion whose robot, scene and mechanism it holds.
+        joint_names: actuated joints in the order of the servos.
+        qpos, dof, actuator: (k,) addresses of the actuated joints.
+        base_qpos, base_dof: addresses of the floating base, or -1.
+        moved_qpos, moved_dof: (m,) addresses of the mechanism's joints, in the order of the plan's last columns.
+        link_of_geom: per geom the robot's or mechanism's link, or the piece that it belongs to.
+        is_robot: (G,) whether a geom belongs to the robot.
+        is_mechanism: (G,) whether it belongs to the mechanism.
+        stiffness, damping, effort, velocity: (k,) of the servos.
+        latches: per release of the motion the index of the equality that locks its joint.
+        grips: per phase of the motion the indices of the equalities that hold a gripper at the mechanism.
+        physics: what the mechanism opposes.
+        base_link: the link that carries the inertial unit.
+    """
+
+    mj: Any
+    motion: Motion
+    joint_names: tuple[str, ...]
+    qpos: Int[np.ndarray, "k"]
+    dof: Int[np.ndarray, "k"]
+    actuator: Int[np.ndarray, "k"]
+    base_qpos: int
+    base_dof: int
+    moved_qpos: Int[np.ndarray, "m"]
+    moved_dof: Int[np.ndarray, "m"]
+    link_of_geom: tuple[str, ...]
+    is_robot: np.ndarray
+    is_mechanism: np.ndarray
+    stiffness: Float[np.ndarray, "k"]
+    damping: Float[np.ndarray, "k"]
+    effort: Float[np.ndarray, "k"]
+    velocity: Float[np.ndarray, "k"]
+    latches: tuple[int, ...]
+    grips: tuple[tuple[int, ...], ...]
+    physics: MechanismPhysics
+    base_link: str
+
+    @property
+    def moved_names(self) -> tuple[str, ...]:
+        """The mechanism's joints."""
+        return self.motion.robot.joint_names[self.motion.robot.n - len(self.moved_qpos) :]
+
+
+def import_mujoco() -> Any:
+    """Return the module ``mujoco`` (ResultError, one line, where it is not installed)."""
+    try:
+        import mujoco
+    except ImportError:
+        raise ResultError("a simulation needs MuJoCo, which is not installed; pip install 'scopt[sim]'") from None
+    return mujoco
+
+
+def build_physics(
+    motion: Motion,
+    physics: MechanismPhysics,
+    options: SimulationOptions,
+    stiffness: Mapping[str, float] | None = None,
+) -> PhysicsModel:
+    """Build the physics model of a motion's robot, scene and mechanism.
+
+    Joints carry their links as convex hulls. Robot and world touch, robot and mechanism touch, links of the robot touch
+    unless the robot's description excludes the pair; the mechanism passes through the world, as its certificate covers
+    what it meets. The floor is a plane.
+
+    Args:
+        motion: as recorded.
+        physics: what the mechanism opposes.
+        options: friction and factors of the servos.
+        stiffness: per servo joint [N m/rad, N/m]; that of ``costs.robot.servo.default_stiffness`` by default.
+
+    Raises:
+        ResultError: MuJoCo is not installed, or cannot use the robot.
+    """
+    mujoco = import_mujoco()
+    builder = _Builder(mujoco, motion, physics, options)
+    builder.add_world()
+    builder.add_joints()
+    builder.exclude_pairs()
+    table = {**default_stiffness(motion.robot), **(stiffness or {})}
+    names = list_servo_joints(motion.robot)
+    kp = np.array([table[name] for name in names]) * options.stiffness_scale
+    kd = DAMPING_S * kp
+    columns = [motion.robot.joint_names.index(name) for name in names]
+    effort = motion.robot.effort[columns]
+    builder.add_servos(names, kp, kd, effort)
+    latches = builder.add_latches()
+    grips = builder.add_grips()
+    try:
+        mj = builder.spec.compile()
+    except ValueError as error:
+        line = " ".join(str(error).split())
+        raise ResultError(f"robot '{motion.robot.name}' cannot be simulated: {line}") from None
+
+    def address(name: str) -> tuple[int, int]:
+        joint = mj.joint(name)
+        return int(joint.qposadr[0]), int(joint.dofadr[0])
+
+    places = [address(name) for name in names]
+    moved = [address(motion.robot.joint_names[column]) for column in builder.moved_columns]
+    for index, anchors in (part for parts in grips for part in parts):
+        mj.eq_data[index, :6] = anchors  # the compiler takes the second one from the pose at 0
+    mj.dof_solimp[:, :2] = HELD_BY_FRICTION
+    mj.dof_damping[[place[1] for place in moved]] = MECHANISM_DAMPING  # versions differ in the field of a spec
+    base = address(BASE) if motion.robot.is_floating else (-1, -1)
+    owners = [builder.owner_of_geom[mj.geom(k).name] for k in range(mj.ngeom)]
+    robot_geoms = np.array([owner[0] == "robot" for owner in owners], dtype=bool)
+    mechanism_geoms = np.array([owner[0] == "mechanism" for owner in owners], dtype=bool)
+    return PhysicsModel(
+        mj=mj,
+        motion=motion,
+        joint_names=names,
+        qpos=np.array([place[0] for place in places], dtype=int),
+        dof=np.array([place[1] for place in places], dtype=int),
+        actuator=np.array([mj.actuator(name).id for name in names], dtype=int),
+        base_qpos=base[0],
+        base_dof=base[1],
+        moved_qpos=np.array([place[0] for place in moved], dtype=int),
+        moved_dof=np.array([place[1] for place in moved], dtype=int),
+        link_of_geom=tuple(owner[1] for owner in owners),
+        is_robot=robot_geoms,
+        is_mechanism=mechanism_geoms,
+        stiffness=kp,
+        damping=kd,
+        effort=effort,
+        velocity=motion.robot.velocity[columns],
+        latches=latches,
+        grips=tuple(tuple(index for index, _ in parts) for parts in grips),
+        physics=physics,
+        base_link=builder.base_link,
+    )
+
+
+BASE = "base"
+
+
+class _Builder:
+    """MjSpec of a motion, part by part."""
+
+    def __init__(self, mujoco: Any, motion: Motion, physics: MechanismPhysics, options: SimulationOptions) -> None:
+        self.mujoco, self.motion, self.robot = mujoco, motion, motion.robot
+        self.physics, self.options = physics, options
+        self.spec = mujoco.MjSpec()
+        self.spec.compiler.balanceinertia = True
+        self.spec.compiler.degree = False
+        self.spec.option.timestep = TIME_STEP_S
+        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        self.spec.option.impratio = 10.0
+        self.apart = find_mechanism_joints(motion)
+        self.owner_of_geom: dict[str, tuple[str, str]] = {}
+        self.body_of_link: dict[str, str] = {}
+        model: pin.Model = self.robot.model
+        self.moved_columns = [int(model.joints[j].idx_q) for j in range(1, model.njoints) if j in self.apart]
+        mass = sum(float(model.inertias[j].mass) for j in range(1, model.njoints) if j not in self.apart)
+        self.armature = ARMATURE * mass / REFERENCE_MASS
+        self.base_link = ""
+
+    def add_world(self) -> None:
+        """Add the pieces of the scene: level floors as planes, others as hulls."""
+        floors = [find_level_top(piece.vertices) for piece in self.motion.scene.pieces if piece.kind == "floor"]
+        tops = [top for top in floors if top is not None]
+        for piece in self.motion.scene.pieces:
+            top = find_level_top(piece.vertices) if piece.kind == "floor" else None
+            if top is not None and top <= min(tops) + 1e-9:
+                middle = piece.vertices.mean(axis=0)
+                self._add_geom(
+                    self.spec.worldbody,
+                    piece.name,
+                    ("world", piece.name),
+                    type=self.mujoco.mjtGeom.mjGEOM_PLANE,
+                    size=[*(0.5 * np.ptp(piece.vertices[:, :2], axis=0)), 1.0],
+                    pos=[middle[0], middle[1], top],
+                )
+            else:
+                self._add_hull(self.spec.worldbody, piece.name, ("world", piece.name), piece.vertices)
+
+    def add_joints(self) -> None:
+        """Add a body per joint of robot and mechanism, with its inertia, and a body per link with its shapes."""
+        model: pin.Model = self.robot.model
+        bodies = {0: self.spec.worldbody}
+        fixed = self.spec.worldbody.add_body(name="joint:fixed")
+        for joint in range(1, model.njoints):
+            place = model.jointPlacements[joint]
+            parent = bodies[int(model.parents[joint])]
+            body = parent.add_body(
+                name=f"joint:{model.names[joint]}", pos=np.array(place.translation), quat=_quaternion(place.rotation)
+            )
+            bodies[joint] = body
+            is_moved = joint in self.apart
+            self._add_inertia(body, joint, is_moved)
+            if self.robot.is_floating and joint == 1:
+                body.add_freejoint(name=BASE)
+            else:
+                self._add_joint(body, joint, is_moved)
+        carried: dict[str, Any] = {}
+        for link_body in self.robot.bodies:
+            holder = fixed if link_body.joint == 0 else bodies[link_body.joint]
+            is_moved = link_body.link in self.robot.mechanism_links
+            if link_body.link not in carried:
+                carried[link_body.link] = holder.add_body(name=f"link:{link_body.link}")
+                self.body_of_link[link_body.link] = f"link:{link_body.link}"
+            vertices = link_body.vertices
+            if is_moved:
+                vertices = shrink_hull(vertices, self.physics.growth_m)
+            owner = ("mechanism" if is_moved else "robot", link_body.link)
+            self._add_hull(carried[link_body.link], link_body.name, owner, vertices)
+        self._add_assumed_spokes(bodies)
+        bare = next((c.link for p in self.motion.phases for c in p.contacts if c.link not in carried), None)
+        if bare is not None:
+            raise ResultError(f"the plan plants '{bare}', which has no shape that could carry force")
+        base = bodies[1] if self.robot.is_floating else fixed
+        base.add_site(name=IMU)
+        for name, kind in (("gyro", "mjSENS_GYRO"), ("accelerometer", "mjSENS_ACCELEROMETER")):
+            self.spec.add_sensor(
+                name=name,
+                type=getattr(self.mujoco.mjtSensor, kind),
+                objtype=self.mujoco.mjtObj.mjOBJ_SITE,
+                objname=IMU,
+            )
+        at_base = [body.link for body in self.robot.bodies if body.joint == (1 if self.robot.is_floating else 0)]
+        self.base_link = at_base[0] if at_base else ""
+
+    def exclude_pairs(self) -> None:
+        """Exclude the pairs of links that the robot's description leaves out."""
+        for first, second in sorted(self.robot.ignored_pairs):
+            if first in self.body_of_link and second in self.body_of_link:
+                self.spec.add_exclude(bodyname1=self.body_of_link[first], bodyname2=self.body_of_link[second])
+
+    def add_servos(
+        self,
+        names: tuple[str, ...],
+        kp: Float[np.ndarray, "k"],
+        kd: Float[np.ndarray, "k"],
+        effort: Float[np.ndarray, "k"],
+    ) -> None:
+        """Add an actuator per joint: ``ctrl - kp q - kd qd``, within the effort."""
+        for name, p, d, most in zip(names, kp, kd, effort, strict=True):
+            actuator = self.spec.add_actuator(
+                name=name,
+                target=name,
+                trntype=self.mujoco.mjtTrn.mjTRN_JOINT,
+                gaintype=self.mujoco.mjtGain.mjGAIN_FIXED,
+                biastype=self.mujoco.mjtBias.mjBIAS_AFFINE,
+                forcerange=[-float(most), float(most)],
+                forcelimited=True,
+            )
+            actuator.gainprm[0] = 1.0
+            actuator.biasprm[:3] = [0.0, -float(p), -float(d)]
+
+    def add_latches(self) -> tuple[int, ...]:
+        """Add an equality per release that holds its joint at 0; return their indices."""
+        for release in self.motion.releases:
+            equality = self.spec.add_equality(
+                type=self.mujoco.mjtEq.mjEQ_JOINT, name1=release.joint, objtype=self.mujoco.mjtObj.mjOBJ_JOINT
+            )
+            equality.data[:5] = 0.0
+        return tuple(range(len(self.motion.releases)))
+
+    def add_grips(self) -> list[list[tuple[int, Float[np.ndarray, "6"]]]]:
+        """Add an equality per load of a closed gripper; return per phase their indices and anchors in both bodies."""
+        phases: list[list[tuple[int, np.ndarray]]] = [[] for _ in self.motion.phases]
+        if not self.physics.is_gripped:
+            return phases
+        index, model = len(self.motion.releases), self.robot.model
+        for phase, grips in zip(self.motion.phases, phases, strict=True):
+            for load in phase.loads:
+                tool, link = (model.frames[model.getFrameId(name)] for name in (load.tool, load.link))
+                anchors = np.concatenate([tool.placement.translation, link.placement.act(load.place)])
+                self.spec.add_equality(
+                    type=self.mujoco.mjtEq.mjEQ_CONNECT,
+                    objtype=self.mujoco.mjtObj.mjOBJ_BODY,
+                    name1=f"joint:{model.names[tool.parentJoint]}",
+                    name2=f"joint:{model.names[link.parentJoint]}",
+                    active=False,
+                )
+                grips.append((index, anchors))
+                index += 1
+        return phases
+
+    def _add_assumed_spokes(self, bodies: Mapping[int, Any]) -> None:
+        """Add the spokes that a peg presses where the record shows none: a thin box before each place of a load."""
+        if not self.physics.has_assumed_spokes or any(SPOKE in body.name for body in self.robot.bodies):
+            return
+        model = self.robot.model
+        places: list[np.ndarray] = []
+        for load in (load for phase in self.motion.phases for load in phase.loads):
+            if any(np.linalg.norm(load.place - place) < SPOKE_APART for place in places):
+                continue
+            places.append(load.place)
+            frame = model.frames[model.getFrameId(load.link)]
+            push = load.force / np.linalg.norm(load.force)
+            axis = read_joint_axis(self.robot, int(frame.parentJoint))[3:]
+            along = np.cross(axis, push)
+            middle = load.place + (PEG_RADIUS + 0.5 * SPOKE_SIZE[0]) * push
+            name = f"assumed spoke {len(places)}"
+            self._add_geom(
+                bodies[int(frame.parentJoint)],
+                name,
+                ("mechanism", load.link),
+                type=self.mujoco.mjtGeom.mjGEOM_BOX,
+                size=[0.5 * side for side in SPOKE_SIZE],
+                pos=middle,
+                quat=_quaternion(np.column_stack([push, along / np.linalg.norm(along), axis])),
+            )
+
+    def _add_inertia(self, body: Any, joint: int, is_moved: bool) -> None:
+        body.explicitinertial = True
+        if is_moved:
+            volume, middle, spread = 0.0, np.zeros(3), np.full(3, LEAST_INERTIA)
+            parts = [b.vertices for b in self.robot.bodies if b.joint == joint]
+            volumes = [measure_volume(part) for part in parts]
+            volume = sum(volumes)
+            if volume > 0.0:
+                middle = np.sum([v * p.mean(axis=0) for v, p in zip(volumes, parts, strict=True)], axis=0) / volume
+                everything = np.concatenate(parts)
+                sides = np.ptp(everything, axis=0) ** 2
+                spread = (sides.sum() - sides) / 12.0  # of a box that contains them
+            mass = max(MECHANISM_DENSITY * volume, LEAST_MASS)
+            body.mass, body.ipos = mass, middle
+            body.inertia = np.maximum(mass * spread, LEAST_INERTIA)
+            body.gravcomp = 1.0  # the request's loads are all that a mechanism opposes
+            return
+        inertia = self.robot.model.inertias[joint]
+        mass = float(inertia.mass)
+        body.mass = max(mass, LEAST_MASS)
+        body.ipos = np.array(inertia.lever)
+        values, axes = np.linalg.eigh(np.array(inertia.inertia))
+        if np.linalg.det(axes) < 0.0:
+            axes[:, 0] = -axes[:, 0]
+        body.inertia = np.maximum(values, LEAST_INERTIA)
+        body.iquat = _quaternion(axes)
+
+    def _add_joint(self, body: Any, joint: int, is_moved: bool) -> None:
+        model = self.robot.model
+        name = str(model.names[joint])
+        column = int(model.joints[joint].idx_q)
+        axis = read_joint_axis(self.robot, joint)
+        is_turning = bool(np.any(axis[3:]))
+        kind = self.mujoco.mjtJoint
+        low, high = float(self.robot.lower[column]), float(self.robot.upper[column])
+        limited = bool(np.isfinite([low, high]).all())
+        made = body.add_joint(
+            name=name,
+            type=kind.mjJNT_HINGE if is_turning else kind.mjJNT_SLIDE,
+            axis=axis[3:] if is_turning else axis[:3],
+            limited=limited,
+            range=[low, high] if limited else [0.0, 0.0],
+        )
+        if is_moved:
+            made.armature, made.frictionloss = MECHANISM_ARMATURE, self._resist(name)
+        else:
+            made.armature = self.armature
+            made.frictionloss = self.options.joint_friction * float(self.robot.effort[column])
+
+    def _resist(self, name: str) -> float:
+        resistance = self.physics.joints.get(name)
+        return 0.0 if resistance is None else resistance.friction
+
+    def _add_hull(self, body: Any, name: str, owner: tuple[str, str], vertices: Float[np.ndarray, "V 3"]) -> None:
+        if measure_volume(vertices) < LEAST_VOLUME:
+            return
+        mesh = self.spec.add_mesh(name=f"mesh:{name}")
+        mesh.uservert = np.asarray(vertices, dtype=float).ravel()
+        self._add_geom(body, name, owner, type=self.mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh:{name}")
+
+    def _add_geom(self, body: Any, name: str, owner: tuple[str, str], **fields: Any) -> None:
+        kind = owner[0]
+        friction = {"robot": SELF_FRICTION, "mechanism": MECHANISM_FRICTION, "world": self.options.friction}[kind]
+        body.add_geom(
+            name=f"{kind}:{name}",
+            contype=1 if kind == "robot" else 0,
+            conaffinity=1,
+            priority=0 if kind == "robot" else 1,
+            friction=[friction, 0.005, 1e-4],
+            density=0.0,
+            condim=3,
+            **(STIFF if kind == "world" else {}),
+            **fields,
+        )
+        self.owner_of_geom[f"{kind}:{name}"] = owner
+
+
+def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """Return a rotation as (w, x, y, z)."""
+    xyzw = pin.Quaternion(np.asarray(rotation)).coeffs()
+    return np.array([xyzw[3], xyzw[0], xyzw[1], xyzw[2]])

@@ -1,0 +1,204 @@
+"""A recorded plan carried out in physics, open loop, and what was seen meanwhile."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.stopping import poll
+from service.execution.driver import JointCommand
+from service.execution.reference import PlannedReference, ReferenceState
+from service.replay.replay import read_motion, read_request
+from service.request.schema import PlanRequest
+from service.result.folder import read_result, result_path
+from service.simulation.model import PhysicsModel, build_physics, import_mujoco
+from service.simulation.options import SimulationOptions
+from service.simulation.resistance import read_mechanism_physics
+from service.simulation.robot import SimulatedRobot
+from service.start.robot import resolve_stiffness
+from service.verify import Motion
+
+SAMPLE_STEPS = 20  # steps of the physics between two records
+FALLEN_M = 0.25  # of the base below its planned height [m]
+FALLEN_TILT = float(np.deg2rad(30.0))  # of the base against its planned pose
+SHOWN_AFTER_FALL_S = 0.5  # that the simulation goes on, for those who look at it
+
+
+@dataclass(frozen=True)
+class Record:
+    """What was seen at ``S`` times of a simulation.
+
+    Attributes:
+        times: (S,) on the plan's clock; negative before the plan begins, beyond its duration after it [s].
+        configuration, planned: (S, n) true and planned configurations of the plan's model.
+        torque_share: (S, k) servo torques relative to the effort limits.
+        planned_wrenches, wrenches: by planted link (S, 6), planned and true [N, N m].
+        mechanism_force: by robot link and mechanism link (S,) size of the force between them [N].
+        touches: by (robot link, piece or robot link) (S,) size of the force between them [N].
+        computing_s: processor time of the physics and its commands.
+        fell_at_s: when the robot fell, or None.
+    """
+
+    times: Float[np.ndarray, "S"]
+    configuration: Float[np.ndarray, "S n"]
+    planned: Float[np.ndarray, "S n"]
+    torque_share: Float[np.ndarray, "S k"]
+    planned_wrenches: dict[str, Float[np.ndarray, "S 6"]]
+    wrenches: dict[str, Float[np.ndarray, "S 6"]]
+    mechanism_force: dict[tuple[str, str], Float[np.ndarray, "S"]]
+    touches: dict[tuple[str, str], Float[np.ndarray, "S"]]
+    computing_s: float
+    fell_at_s: float | None
+
+
+@dataclass(frozen=True)
+class Execution:
+    """A plan and its record.
+
+    Attributes:
+        reference: the plan as functions of time.
+        model: the physics.
+        options: of the simulation.
+        record: what was seen.
+        verdict, request_hash: of the plan.
+    """
+
+    reference: PlannedReference
+    model: PhysicsModel
+    options: SimulationOptions
+    record: Record
+    verdict: str
+    request_hash: str
+
+
+def execute_folder(
+    path: str | Path,
+    options: SimulationOptions | None = None,
+    report: Callable[[str, float | None], None] | None = None,
+) -> Execution:
+    """Carry out the plan of a result folder in physics.
+
+    The folder is read like ``scopt verify`` reads it; its robot files must be inside it.
+
+    Raises:
+        ResultError: one line: the folder cannot be used, the plan has no time law, the robot lacks masses or efforts,
+            or MuJoCo is not installed.
+    """
+    import_mujoco()
+    data = read_result(path)
+    folder = result_path(path).parent
+    motion = read_motion(data, folder)
+    request = read_request(data, folder)
+    return execute_motion(motion, request, str(data["verdict"]), str(data["request_hash"]), options, report)
+
+
+def execute_motion(
+    motion: Motion,
+    request: PlanRequest,
+    verdict: str,
+    request_hash: str,
+    options: SimulationOptions | None = None,
+    report: Callable[[str, float | None], None] | None = None,
+) -> Execution:
+    """Carry out a motion in physics, with the mechanism and the servos of a request (ResultError as above)."""
+    options = options or SimulationOptions()
+    reference = PlannedReference(motion)
+    stiffness = resolve_stiffness(motion.robot, request)
+    model = build_physics(motion, read_mechanism_physics(request), options, stiffness)
+    record = execute(reference, SimulatedRobot(model, reference.at(0.0).configuration, options), report)
+    return Execution(reference, model, options, record, verdict, request_hash)
+
+
+def execute(
+    reference: PlannedReference,
+    robot: SimulatedRobot,
+    report: Callable[[str, float | None], None] | None = None,
+) -> Record:
+    """Let a simulated robot stand on the first pose, follow the plan, and stand on the last pose."""
+    watch = _Watch(reference, robot)
+    options, step = robot.options, robot.period_s
+    n_settle, n_plan, n_after = (round(s / step) for s in (options.settle_s, reference.duration_s, options.after_s))
+    started = time.process_time()
+    steps = np.arange(-n_settle, n_plan + n_after + 1)
+    q, qd, tau = reference.tabulate_commands(steps * step)
+    qd[(steps < 0) | (steps > n_plan)] = 0.0
+    for i, k in enumerate(steps.tolist()):
+        if i % SAMPLE_STEPS == 0:
+            poll()
+            watch.look(k * step, reference.at(k * step))
+            robot.hold_grips(reference.find_phase_number(k * step))
+            if watch.fell_at_s is not None and k * step > watch.fell_at_s + SHOWN_AFTER_FALL_S:
+                break
+            if report is not None and k % 500 == 0:
+                report("simulate", i / len(steps))
+        robot.command(JointCommand(q[i], qd[i], tau[i]))
+    return watch.finish(time.process_time() - started)
+
+
+class _Watch:
+    """Samples of a simulation as it goes."""
+
+    def __init__(self, reference: PlannedReference, robot: SimulatedRobot) -> None:
+        self.reference, self.robot = reference, robot
+        self.fell_at_s: float | None = None
+        self._times: list[float] = []
+        self._configuration: list[np.ndarray] = []
+        self._planned: list[np.ndarray] = []
+        self._shares: list[np.ndarray] = []
+        self._wrenches: list[dict[str, np.ndarray]] = []
+        self._planned_wrenches: list[dict[str, np.ndarray]] = []
+        self._pairs: dict[tuple[str, str], dict[int, float]] = {}
+        self._moved: dict[tuple[str, str], dict[int, float]] = {}
+
+    def look(self, time_s: float, state: ReferenceState) -> None:
+        """Record one sample."""
+        robot, k = self.robot, len(self._times)
+        self._times.append(time_s)
+        self._configuration.append(robot.configuration())
+        self._planned.append(state.configuration)
+        self._shares.append(robot.torque / robot.model.effort)
+        self._wrenches.append(robot.measure_contact_wrenches())
+        self._planned_wrenches.append(dict(state.contact_wrenches))
+        sums: dict[tuple[str, str], np.ndarray] = {}
+        for first, second, force in robot.list_pair_forces():
+            sums[first, second] = sums.get((first, second), np.zeros(3)) + force
+        moved = robot.model.motion.mechanism_links
+        for (link, other), force in sums.items():
+            table = self._moved if other in moved else self._pairs
+            table.setdefault((link, other), {})[k] = float(np.linalg.norm(force))
+        if self.fell_at_s is None and self.reference.robot.is_floating:
+            pose, wanted = robot.pose_world_base, state.pose_world_base
+            tilt = np.arccos(np.clip(float(pose[:3, 2] @ wanted[:3, 2]), -1.0, 1.0))
+            is_down = pose[2, 3] < wanted[2, 3] - FALLEN_M or tilt > FALLEN_TILT
+            if is_down or not np.isfinite(pose).all():
+                self.fell_at_s = time_s
+
+    def finish(self, computing_s: float) -> Record:
+        """Return the samples as arrays."""
+        n = len(self._times)
+
+        def spread(table: dict[tuple[str, str], dict[int, float]]) -> dict[tuple[str, str], np.ndarray]:
+            arrays = {}
+            for pair, values in table.items():
+                arrays[pair] = np.zeros(n)
+                arrays[pair][list(values)] = list(values.values())
+            return arrays
+
+        links = list(self._wrenches[0])
+        return Record(
+            times=np.array(self._times),
+            configuration=np.stack(self._configuration),
+            planned=np.stack(self._planned),
+            torque_share=np.stack(self._shares),
+            planned_wrenches={link: np.stack([w[link] for w in self._planned_wrenches]) for link in links},
+            wrenches={link: np.stack([w[link] for w in self._wrenches]) for link in links},
+            mechanism_force=spread(self._moved),
+            touches=spread(self._pairs),
+            computing_s=computing_s,
+            fell_at_s=self.fell_at_s,
+        )
