@@ -345,7 +345,7 @@ class WholeBody:
         else:
             return ()
         comfort = Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere))
-        if not self.wants_reserve:
+        if not self.wants_reserve or len(everywhere) == 1:  # single poses would take half as long again
             return (comfort,)
         return (comfort, Cost("balance for servos", Positive(inside), RESERVE_WEIGHT / len(everywhere)))
 

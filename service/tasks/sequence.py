@@ -54,12 +54,14 @@ class PhaseSequence:
         mechanism: whose joints are the last coordinates.
         specs: the phases.
         is_held: whether they begin with the hand at its place: the first phases are then solved forwards.
+        wants_reserve: whether to try first with a margin of balance for the servos.
     """
 
     solver: PhaseSolver
     mechanism: Mechanism
     specs: tuple[PhaseSpec, ...]
     is_held: bool = False
+    wants_reserve: bool = False
 
     def __post_init__(self) -> None:
         check_moves(self.specs)
@@ -67,8 +69,10 @@ class PhaseSequence:
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan all phases from configuration ``at``; return those that were solved, and the step that was not.
 
-        A margin of balance for the servos is tried first; where the phases fail with it, they are planned without it.
+        Where the phases fail with a margin of balance for the servos, they are planned without it.
         """
+        if not self.wants_reserve:
+            return self._plan_all(at)
         careful = replace(self, solver=replace(self.solver, body=replace(self.solver.body, wants_reserve=True)))
         phases, stuck = careful._plan_all(at)
         return (phases, stuck) if stuck is None else self._plan_all(at)
