@@ -23,7 +23,7 @@ from perception.detect.lever import detect_lever
 from perception.detect.panel.detector import detect_panel
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.faces import FacesInSight
-from perception.detect.valve.detector import detect_valve
+from perception.detect.valve.detector import detect_turnable, detect_valve
 from perception.detect.valve.wheel import detect_wheels
 from perception.detect.vehicle.opening import detect_opening
 from perception.detect.vehicle.seat import detect_seat
@@ -56,7 +56,8 @@ DETECTORS: Mapping[str, Detector] = {
     "panel": Detector(detect_panel, needs_faces=True),
     "seat": Detector(detect_seat),
     "opening": Detector(detect_opening),
-    # Valves that a plan can turn.
+    # Valves that a plan can turn: wheels and levers; wheels alone.
+    "turnable": Detector(detect_turnable, is_offered=False),
     "wheel": Detector(detect_wheels, is_offered=False),
 }
 KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.is_offered)

@@ -213,7 +213,7 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
     if isinstance(valve, str):
         return valve
     hooks = valve_task.choose_hands(body, task.valve, valve)
-    wheel = make_wheel(valve, task.valve.mode)
+    wheel = make_wheel(valve, task.valve)
     near = valve_task.list_clearances(hooks)
     note = f"valve at {np.round(valve.centre, 3).tolist()}, rim radius {valve.rim_radius:.3f} m"
     return ValveStance(wheel, hooks, task.valve, near), (note,)

@@ -422,7 +422,7 @@ class ContactPlace(_message.Message):
     def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
 
 class Valve(_message.Message):
-    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m")
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m", "lever", "stops_deg")
     MODE_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     TURN_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -435,6 +435,8 @@ class Valve(_message.Message):
     STUCK_FIELD_NUMBER: _ClassVar[int]
     SPOKES_DEG_FIELD_NUMBER: _ClassVar[int]
     SPOKE_WIDTH_M_FIELD_NUMBER: _ClassVar[int]
+    LEVER_FIELD_NUMBER: _ClassVar[int]
+    STOPS_DEG_FIELD_NUMBER: _ClassVar[int]
     mode: HoldMode
     hand: Hand
     turn_deg: float
@@ -447,7 +449,21 @@ class Valve(_message.Message):
     stuck: bool
     spokes_deg: _containers.RepeatedScalarFieldContainer[float]
     spoke_width_m: float
-    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ...) -> None: ...
+    lever: Lever
+    stops_deg: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ..., lever: _Optional[_Union[Lever, _Mapping]] = ..., stops_deg: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Lever(_message.Message):
+    __slots__ = ("direction", "length_m", "radius_m", "grip_m")
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    GRIP_M_FIELD_NUMBER: _ClassVar[int]
+    direction: _containers.RepeatedScalarFieldContainer[float]
+    length_m: float
+    radius_m: float
+    grip_m: float
+    def __init__(self, direction: _Optional[_Iterable[float]] = ..., length_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., grip_m: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
     __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays")
