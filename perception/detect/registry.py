@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -56,6 +57,9 @@ DETECTORS: Mapping[str, Detector] = {
     "panel": Detector(detect_panel, needs_faces=True),
     "seat": Detector(detect_seat),
     "opening": Detector(detect_opening),
+    # Doors whose hinges are on a side that a person states.
+    "door_left": Detector(partial(detect_door, hinge_on="left"), is_offered=False),
+    "door_right": Detector(partial(detect_door, hinge_on="right"), is_offered=False),
     # Valves that a plan can turn: wheels and levers; wheels alone.
     "turnable": Detector(detect_turnable, is_offered=False),
     "wheel": Detector(detect_wheels, is_offered=False),

@@ -205,7 +205,13 @@ def _open_at_handle(
         count = max(int(np.ceil(abs(pressed[1] - start[1]) / TURN_STEP)) + 1, 4)
         phases.append(
             PhaseSpec(
-                name, start, pressed, held.at_rest(start), held.touches, held.press_loads(), n_waypoints=count,
+                name,
+                start,
+                pressed,
+                held.at_rest(start),
+                held.touches,
+                held.press_loads(),
+                n_waypoints=count,
                 torque_share=TORQUE_SHARE,
             )
         )
@@ -224,7 +230,13 @@ def _open_at_handle(
         name = "let the handle go"
         phases.append(
             PhaseSpec(
-                name, opened, released, held.at_rest(start), held.touches, held.press_loads(), n_waypoints=count,
+                name,
+                opened,
+                released,
+                held.at_rest(start),
+                held.touches,
+                held.press_loads(),
+                n_waypoints=count,
                 torque_share=TORQUE_SHARE,
             )
         )

@@ -37,10 +37,12 @@ class SeenDoor:
     Attributes:
         geometry: leaf and handle.
         confidence: 0 to 1.
+        knows_hinge: whether the scan shows on which side the hinges are.
     """
 
     geometry: DoorGeometry
     confidence: float
+    knows_hinge: bool = True
 
 
 def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.ndarray, "3"]) -> DoorGeometry | str:
@@ -57,8 +59,16 @@ def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.
     if not seen:
         return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
     geometry, confidence = seen[0].geometry, seen[0].confidence
+    place = np.round(geometry.hinge + 0.5 * geometry.width * geometry.along, 2).tolist()
+    side = "right" if np.cross(UP, geometry.normal) @ geometry.along < 0.0 else "left"
+    if not seen[0].knows_hinge and request.hinge == "auto":
+        return (
+            f"the scan shows a door at {place}, shut, and not on which side its hinges are; say it in task.door.hinge "
+            "(left or right, as seen by the robot)"
+        )
+    if confidence >= SURE and request.hinge not in ("auto", side):
+        return f"the scan shows the hinges of the door at {place} on its {side}; task.door.hinge is {request.hinge}"
     if confidence < SURE:
-        place = np.round(geometry.hinge + 0.5 * geometry.width * geometry.along, 2).tolist()
         return (
             f"no door was found with confidence: the best candidate, at {place}, has {confidence:.2f} of the {SURE} "
             "needed; task.door.hint (a point near it) would help, or leaf and handle"

@@ -153,7 +153,8 @@ def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
                 vectors = {name: np.array(handle[name], dtype=float) for name in ("centre", "direction")}
                 handle = HandleGeometry(**{**handle, **vectors})
             vectors = {name: np.array(geometry[name], dtype=float) for name in ("hinge", "along", "normal")}
-            doors.append(SeenDoor(DoorGeometry(**{**geometry, **vectors, "handle": handle}), float(hit["confidence"])))
+            door = DoorGeometry(**{**geometry, **vectors, "handle": handle})
+            doors.append(SeenDoor(door, float(hit["confidence"]), bool(hit.get("knows_hinge", True))))
     return tuple(doors)
 
 

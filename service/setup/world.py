@@ -135,7 +135,11 @@ def _perceive_scan(
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
     valves = select_turnable(seen.detections)
-    doors = tuple(SeenDoor(read_door(hit), hit.confidence) for hit in seen.detections if hit.kind == "door")
+    doors = tuple(
+        SeenDoor(read_door(hit), hit.confidence, hit.residuals["hinge_share"] > 0.0)
+        for hit in seen.detections
+        if hit.kind == "door"
+    )
     return Surroundings(seen.scene.pieces, valves, seen.shown, seen.notes, seen.matches, doors)
 
 
@@ -144,7 +148,9 @@ def _list_kinds(request: PlanRequest) -> tuple[str, ...]:
     task = request.task
     if task is not None and task.valve is not None:
         return ("turnable",)
-    return ("door",) if task is not None and task.door is not None else ()
+    if task is None or task.door is None:
+        return ()
+    return ("door" if task.door.hinge == "auto" else f"door_{task.door.hinge}",)
 
 
 def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
