@@ -202,7 +202,7 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
         door, note = found
         hands = door_task.choose_hands(body, task.door, door)
         target = float(np.deg2rad(task.door.open_deg))
-        shut = door_task.find_shut(task.door, door)
+        shut = door_task.find_shut(task.door, door) or door_task.find_narrow_lever(body, door, hands)
         if shut is not None:
             return shut
         near = door_task.list_clearances(hands, door)
@@ -212,6 +212,9 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
     valve = valve_task.find_valve(setup, task.valve)
     if isinstance(valve, str):
         return valve
+    refused = valve_task.refuse_lever(valve, task.valve)
+    if refused is not None:
+        return refused
     hooks = valve_task.choose_hands(body, task.valve, valve)
     wheel = make_wheel(valve, task.valve)
     near = valve_task.list_clearances(hooks)
