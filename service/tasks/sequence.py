@@ -88,7 +88,10 @@ class PhaseSequence:
         """Try with little effort whether a phase's first pose exists, whatever comes before it."""
         compiler = _Compiler(self.solver, self.mechanism)
         guesses = [*guesses, *compiler.list_guesses(self.solver.body.nominal)][:QUICK_GUESSES]
-        return compiler.solve_pose(step, spec, guesses, QUICK_EFFORT)
+        light = compiler.solve_pose(step, replace(spec, torque_share=None), guesses, QUICK_EFFORT)
+        if not light.is_feasible or compiler.is_strong_enough(spec, light.x):
+            return light
+        return compiler.solve_pose(step, spec, [light.x[0]], QUICK_EFFORT)
 
     def _plan_forwards(
         self, specs: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
@@ -304,11 +307,11 @@ class _Compiler:
             unloaded = self._solve(light, starts, fixed, values, (), pinned)
             starts = [unloaded.x, *starts] if unloaded.is_feasible else starts
         solved = self._solve(light, starts, fixed, values, regions, pinned)
-        if not solved.is_feasible or self._is_strong_enough(spec, solved.x):
+        if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
             return solved
         return self._solve(spec, [solved.x], fixed, values, regions, pinned)
 
-    def _is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
+    def is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
         """Return whether a phase's loads cost no more torque at its waypoints than it may use."""
         state = MotionState(self.solver.body.engine(q), Contacts.none())
         limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
