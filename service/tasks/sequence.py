@@ -305,7 +305,9 @@ class _Compiler:
         regions = self.find_regions(spec, values)
         if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
             unloaded = self._solve(light, starts, fixed, values, (), pinned)
-            starts = [unloaded.x, *starts] if unloaded.is_feasible else starts
+            if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
+                return unloaded
+            starts = [unloaded.x, *starts]
         solved = self._solve(light, starts, fixed, values, regions, pinned)
         if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
             return solved
