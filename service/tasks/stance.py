@@ -135,6 +135,8 @@ def find_stance(
     should_stop: Callable[[], bool] | None = None,
     robot: RobotModel | None = None,
     see: Callable[..., Perceived] | None = None,
+    *,
+    takes_first: bool = False,
 ) -> StanceSearch:
     """Search for places to stand from which a request's door or valve can be moved farthest.
 
@@ -149,6 +151,7 @@ def find_stance(
         should_stop: polled often; once it returns True the search ends with what it has.
         robot: the request's robot if it is loaded already.
         see: ``perception.perceive``, or a function that caches its results.
+        takes_first: whether the first place that has all poses ends the search; the request's own place comes first.
 
     Raises:
         RequestError: another task, a robot with a fixed base or without hands, or a problem of the request.
@@ -179,7 +182,7 @@ def find_stance(
             grid = _Grid(setup, sought, radius_m)
             ranked = grid.rank(request.options.seed)
             n_ranked = len(ranked)
-            _search(_Examiner(setup, sought, monitor), grid, ranked, candidates)
+            _search(_Examiner(setup, sought, monitor), grid, ranked, candidates, takes_first)
             is_complete = True
     except (Interrupted, Stopped):
         pass
@@ -469,9 +472,18 @@ class _Examiner:
 
 
 def _search(
-    examiner: _Examiner, grid: _Grid, ranked: Float[np.ndarray, "N 3"], candidates: list[StanceCandidate]
+    examiner: _Examiner,
+    grid: _Grid,
+    ranked: Float[np.ndarray, "N 3"],
+    candidates: list[StanceCandidate],
+    takes_first: bool,
 ) -> None:
-    """Check the most promising places, then finer steps about the best; what was checked is added in place."""
+    """Check the most promising places, then finer steps about the best; what was checked is added in place.
+
+    Args:
+        examiner, grid, ranked, candidates: of the search.
+        takes_first: whether the first place that has all poses ends it.
+    """
     monitor = examiner.monitor
     total = ENOUGH_GOOD + FINE * FINE_ROUNDS
 
@@ -479,7 +491,7 @@ def _search(
         """Check places that are apart from those before, until enough of them do or most were checked by poses."""
         checked = good = 0
         for pose in poses:
-            if checked >= most or good >= enough:
+            if checked >= most or good >= enough or (takes_first and _has_all_poses(candidates)):
                 return
             if any(_is_near(pose, known.base, apart if known.outcome is not None else 0.99) for known in candidates):
                 continue
@@ -499,6 +511,12 @@ def _search(
         good = sorted((c for c in candidates if c.score > 0.0), key=lambda c: -c.score)[:FINE_PARENTS]
         if good:
             examine(grid.refine([c.base for c in good], 0.5**level), FINE, 0.9 * 0.5**level, FINE)
+
+
+def _has_all_poses(candidates: Sequence[StanceCandidate]) -> bool:
+    """Return whether the task can be done from the last place, as far as single poses show."""
+    outcome = candidates[-1].outcome if candidates else None
+    return outcome is not None and not outcome.missing
 
 
 def _is_near(pose: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], share: float) -> bool:
