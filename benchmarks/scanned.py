@@ -187,7 +187,7 @@ def run_displaced(case: ScannedCase, robot: RobotModel, rng: np.random.Generator
         base = data["start"]["base"]
         state = Path(scratch) / "state.json"
         state.write_text(json.dumps({"joints": joints, "base": base, "mechanism": movable}))
-        rest = make_rest_request(folder, "reach", state)
+        rest = make_rest_request(folder, result.motion.phases[0].name, state)
         task = displace(case.true, rng)
         again = parse_request({**data, "task": task})
         if rest.resume is None or again.task is None:
