@@ -22,6 +22,7 @@ from service.verify import Motion
 
 ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
 LEAST_FIRST = np.deg2rad(10.0)  # opening at the handle that is worth a regrasp
+AT_HANDLE_ALONE = np.deg2rad(35.0)  # openings up to it are tried at the handle alone first
 EARLY_FIRST = np.deg2rad(20.0)  # opening at the handle of a door that is then pushed, tried before larger ones
 MOST_EARLIER = 2  # plans that leave the handle earlier, where a plan could not be certified
 FEW_ANGLES = 2  # are tried from the largest on
@@ -95,7 +96,8 @@ class DoorOpening:
         """Yield the plan that opens the leaf farthest, then plans that leave the handle later, and earlier."""
         plan = self.plan()
         yield plan
-        if plan.is_feasible and self.door.is_push and self.door.is_latched and not self.is_patient:
+        is_early = self.door.is_push and self.target > self.door.geometry.ajar + AT_HANDLE_ALONE
+        if plan.is_feasible and is_early and self.door.is_latched and not self.is_patient:
             plan = replace(self, is_patient=True).plan()
             yield plan
         for _ in range(MOST_EARLIER):
@@ -136,7 +138,7 @@ class DoorOpening:
         phases: tuple[PlannedPhase, ...] = ()
         stuck: Stuck | None = None
         reached = start
-        if self.door.is_push and choice.first > start + EARLY_FIRST and not self.is_patient:
+        if self.door.is_push and choice.first > start + AT_HANDLE_ALONE and not self.is_patient:
             early = replace(self, is_patient=True, most_at_handle=start + EARLY_FIRST)
             with suppress(StaticRegionError):  # a larger opening may be held elsewhere
                 plan, reached = early._plan_choice(choice)
