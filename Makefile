@@ -26,7 +26,7 @@ help:
 	@echo "make check     ruff, mypy, import-linter"
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
-	@echo "make bench-tasks    doors and valves from the best stance, certified or not, as a table; half an hour"
+	@echo "make bench-tasks    doors and valves, given and from simulated scans, certified or not, as tables; an hour"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
@@ -75,6 +75,7 @@ bench-service: $(READY)
 # BENCH_ARGS="--count 4" takes a quick look, BENCH_ARGS=--long adds random stances.
 bench-tasks: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks $(BENCH_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.scanned $(SCAN_ARGS)
 
 bench-egress: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.egress $(BENCH_ARGS)

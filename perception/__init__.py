@@ -27,10 +27,12 @@ from perception.detect.valve.bodies import (
     ValveDetection,
     has_clear_spokes,
     rim_bodies,
+    select_turnable,
     select_wheels,
     valve_bodies,
     wheel_points,
 )
+from perception.detect.valve.lever_valve import LeverDetection, lever_bodies
 from perception.detect.valve.ring import wheel_basis
 from perception.detect.valve.wheel import detect_valves
 from perception.errors import CloudError, PerceptionError
@@ -57,6 +59,7 @@ __all__ = [
     "Evidence",
     "FloorPlane",
     "HandleGeometry",
+    "LeverDetection",
     "Memory",
     "Perceived",
     "PerceptionError",
@@ -76,6 +79,7 @@ __all__ = [
     "has_clear_spokes",
     "inliers",
     "inside_hulls",
+    "lever_bodies",
     "make_cloud",
     "make_view",
     "on_floor",
@@ -86,6 +90,7 @@ __all__ = [
     "read_door",
     "rigid_pose",
     "rim_bodies",
+    "select_turnable",
     "select_wheels",
     "update",
     "valve_bodies",

@@ -7,6 +7,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from benchmarks.scanned import displace, make_request
+from benchmarks.scanned_cases import make_scanned_doors, make_scanned_valves
 from benchmarks.task_cases import N_DOORS, N_VALVES, make_doors, make_valves
 from costs.robot import load_robot, with_mechanism
 from service.body.whole_body import Aims, WholeBody
@@ -28,6 +30,37 @@ def test_cases_are_valid_and_the_same_for_the_same_seed() -> None:
     assert set(Counter(case.group for case in doors).values()) == {N_DOORS // 6}
     radii = [case.request["task"]["valve"]["radius"] for case in valves]
     assert (min(radii), max(radii)) == (0.1, 0.25)
+
+
+def test_scanned_cases_are_valid_and_the_same_for_the_same_seed() -> None:
+    valves, doors = list(make_scanned_valves(8, 3)), list(make_scanned_doors(16, 3))
+    for made, again in ((valves, make_scanned_valves(8, 3)), (doors, make_scanned_doors(16, 3))):
+        assert [(case.name, case.true, case.seen) for case in made] == [(c.name, c.true, c.seen) for c in again]
+    assert [case.group for case in valves[:4]] == ["hook", "lever", "grasp", "crank"]
+    for case in (*valves, *doors):
+        for task in (case.true, case.seen):
+            parse_request(make_request(case, task, 0))
+    axes = [np.array(case.true["valve"]["axis"]) for case in valves if case.group == "crank"]
+    assert [float(np.rad2deg(np.arcsin(axis[2]))) for axis in axes] == pytest.approx([34.0, 34.0], abs=0.01)
+    bars = [case for case in doors if case.group == "push push_bar"]
+    assert [case.seen["door"]["hinge"] for case in bars] == ["right", "left"]
+
+
+@pytest.mark.parametrize("kind", ["valve", "door"])
+def test_an_object_is_moved_by_as_much_as_stated(kind: str) -> None:
+    case = next(iter(make_scanned_valves(2, 1) if kind == "valve" else make_scanned_doors(1, 1)))
+    moved = displace(case.true, np.random.default_rng(0))[kind]
+    true = case.true[kind]
+    if kind == "door":
+        shifts = [
+            np.subtract(moved[a][b], true[a][b]) for a, b in (("leaf", "hinge"), ("leaf", "edge"), ("handle", "centre"))
+        ]
+        np.testing.assert_allclose(shifts, np.tile(shifts[0], (3, 1)), atol=1e-12)
+        assert np.linalg.norm(shifts[0]) == pytest.approx(0.01)
+        assert shifts[0][2] == 0.0
+        return
+    assert np.linalg.norm(np.subtract(moved["centre"], true["centre"])) == pytest.approx(0.01)
+    assert 0.0 < np.rad2deg(np.arccos(np.dot(moved["axis"], true["axis"]))) <= 3.0 + 1e-6
 
 
 @pytest.mark.parametrize("number", range(6))

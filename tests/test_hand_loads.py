@@ -76,7 +76,7 @@ def test_every_load_on_a_stretch_is_in_the_hull_of_its_corners(
     motion = motion_of(values)
     corners = list_load_wrenches(motion, (push, press), 0.0, 1.0)
     q = motion.curve(np.array([share]))
-    moved = replace(push, place=push.place + (2.0 * share - 1.0) * push.slide)
+    moved = replace(push, place=push.place + (2.0 * share - 1.0) * push.slide, slide=None)
     cases = list_load_cases(motion.robot, q, (moved, press))
     wrench = sizes[0] * cases[2].wrench[0] + sizes[1] * cases[1].wrench[0]
     assert _distance(wrench, corners) < 1e-6
@@ -86,6 +86,22 @@ def test_two_joints_that_move_at_once_cannot_be_followed() -> None:
     load = HandLoad("l_tool", "lever", np.zeros(3), np.array([0.0, 0.0, -20.0]))
     with pytest.raises(VerifyError, match="opening, turning move at once"):
         list_load_wrenches(motion_of(np.array([[0.0, 0.0], [0.3, 0.3]])), (load,), 0.0, 1.0)
+
+
+def test_a_load_that_slides_acts_where_the_tool_is() -> None:
+    motion = motion_of(np.array([[0.3, 0.0], [0.3, 0.0]]))
+    q = motion.curve(np.array([0.5]))
+    model, data = motion.robot.model, motion.robot.model.createData()
+    pin.framesForwardKinematics(model, data, q[0])
+    leaf, tool = (data.oMf[model.getFrameId(name)] for name in ("leaf", "l_tool"))
+    off = leaf.rotation.T @ (tool.translation - leaf.translation)
+    along = off / np.linalg.norm(off)
+    force = np.cross(along, [0.0, 0.0, 1.0])
+    for beyond, wanted in ((0.05, 0.05), (-0.05, -0.05), (0.3, 0.1)):  # on the slide, and past its end
+        load = HandLoad("l_tool", "leaf", off - beyond * along, force, 0.1 * along)
+        ((_, parts),) = ((case.wrench, case.parts) for case in list_load_cases(motion.robot, q, (load,))[1:])
+        place = leaf.rotation @ (load.place + wanted * along) + leaf.translation
+        np.testing.assert_allclose(parts[0][1][0, 3:], np.cross(place, -leaf.rotation @ force), atol=1e-9)
 
 
 def test_a_load_by_hand() -> None:

@@ -158,6 +158,22 @@ def test_a_knob_is_refused_by_name() -> None:
     assert any("knob" in line for line in result.explanation)
 
 
+def test_a_pulled_lever_too_near_to_its_leaf_is_refused_with_the_millimetres() -> None:
+    request = door_request(opens="pull")
+    request["task"]["door"]["handle"]["centre"][0] = 0.7 - 0.0504
+    result = plan(parse_request(request))
+    assert result.verdict is Verdict.NOT_FOUND
+    words = "the middle of the lever is 50 mm off the leaf; the peg behind it, with the hand above it, needs 52 mm"
+    assert words in result.explanation
+
+
+def test_a_heavy_door_is_planned_within_the_torques() -> None:
+    result = _plan(kind="push_bar", x=0.75, open_deg=30.0, hinge_nm=90.0)
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    shares = {check.name: check.value for check in result.certificate.checks if check.name.startswith("torque.")}
+    assert shares["torque.open"] <= 0.93
+
+
 @pytest.mark.parametrize(("kind", "words"), [("knob", "knob"), (None, "no handle to pull it by")])
 def test_a_pulled_leaf_that_is_ajar_needs_a_handle_that_a_hand_can_hold(kind: str | None, words: str) -> None:
     request = door_request(opens="pull")

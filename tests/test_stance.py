@@ -108,6 +108,15 @@ def test_the_requests_own_place_is_checked_first(search: StanceSearch) -> None:
     assert any(np.allclose(candidate.base, 0.0) for candidate in search.candidates)
 
 
+def test_a_place_that_has_all_poses_ends_the_search_for_a_first_one(search: StanceSearch) -> None:
+    assert search.best is not None
+    base = {"position": list(search.best.position), "quaternion_wxyz": list(search.best.quaternion_wxyz)}
+    request = parse_request({**REQUEST, "start": {"posture": "reach_ready", "base": base}})
+    first = find_stance(request, limit_s=300.0, takes_first=True)
+    assert [candidate.outcome.missing for candidate in first.candidates if candidate.outcome] == [""]
+    assert len(first.candidates) == 1
+
+
 def test_stance_for_a_goal_is_refused() -> None:
     request = parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "reach_ready"}})
     with pytest.raises(RequestError, match=r"expected task.door or task.valve"):

@@ -153,11 +153,12 @@ def test_hands_of_robots_that_are_not_bundled_and_unknown_ones_are_refused():
 def test_the_choice_of_a_record_is_read_back_and_another_hand_is_refused(grasped):
     result, _ = grasped
     valve = result.request.task.valve
-    wheel = make_wheel(read_given_valve(valve), "grasp")
+    wheel = make_wheel(read_given_valve(valve), valve)
     stroke = ValveDemand(wheel, valve).read_stroke(result.motion)
     assert (stroke.hand, stroke.strokes) == ("left", 1)
     assert stroke.gap_rad in wheel.gaps
     other = ValveDemand(wheel, replace(valve, hand="right")).read_stroke(result.motion)
     assert "no hand that the task permits" in other
-    as_hook = ValveDemand(make_wheel(read_given_valve(valve), "hook"), replace(valve, mode="hook"))
+    hooked = replace(valve, mode="hook")
+    as_hook = ValveDemand(make_wheel(read_given_valve(valve), hooked), hooked)
     assert "no hand that the task permits" in as_hook.read_stroke(result.motion)

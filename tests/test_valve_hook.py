@@ -125,7 +125,7 @@ def test_only_the_peg_may_touch_and_only_the_pressed_spoke_and_the_rim(turned):
 )
 def test_a_peg_is_placed_on_the_face_that_it_moves_towards(seed, n_spokes, radius, width, sense):
     valve = make_request(np.random.default_rng(seed), n_spokes, 90.0, radius=radius, spoke_width_m=width)
-    wheel = make_wheel(read_given_valve(ValveRequest(**valve)), "hook")
+    wheel = make_wheel(read_given_valve(ValveRequest(**valve)), ValveRequest(**valve))
     for spoke in wheel.spokes:
         held = place_peg(wheel, HANDS["left"], spoke.angle, sense)
         if isinstance(held, str):
@@ -155,7 +155,7 @@ def test_unknown_spokes_are_said_and_known_ones_too():
     for spokes, words in (((), "a spoke is assumed to meet the side of the peg"), ((0.0, 180.0), "2 spokes are known")):
         request = ValveRequest(**bare, spokes_deg=spokes)
         valve = read_given_valve(request)
-        assert any(words in note for note in describe_valve(valve, make_wheel(valve, "hook"), request))
+        assert any(words in note for note in describe_valve(valve, make_wheel(valve, request), request))
 
 
 def list_turns(result: PlanResult) -> list[tuple[float, float, float]]:

@@ -33,6 +33,15 @@ VALVE = {
 }
 
 
+LEVER = {
+    "hand": "left",
+    "turn_deg": 90.0,
+    "centre": [0.72, 0.2, 1.12],
+    "axis": [-1.0, 0.0, 0.0],
+    "lever": {"direction": [0.0, 0.0, 1.0], "length_m": 0.22},
+}
+
+
 def request_of(name: str, folder: Path) -> dict[str, Any]:
     """Return the request of a base as new plain data; write the files it names to ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -53,6 +62,8 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
             return _atlas("stand", obstacles, goal={"poses": [pose]})
         case "valve":
             return _atlas("reach_ready", [WALL], task={"valve": VALVE})
+        case "lever":
+            return _atlas("reach_ready", [WALL], task={"valve": LEVER})
         case "carry":
             return dict(yaml.safe_load((ROOT / "examples" / "requests" / "carry.yaml").read_text()))
         case "steps" | "chair" | "stair":

@@ -12,6 +12,7 @@ from typing import Any
 from benchmarks.attack import bases, judges
 from benchmarks.attack.edits_certificate import CERTIFICATE
 from benchmarks.attack.edits_contacts import CONTACTS
+from benchmarks.attack.edits_lever import LEVER
 from benchmarks.attack.edits_motion import MOTION
 from benchmarks.attack.edits_promises import PROMISES
 from benchmarks.attack.edits_request import REQUEST
@@ -29,7 +30,7 @@ def attacks() -> list[Attack]:
     """Return edits by kind, texts that are not valid results, replaced files, and scans of something else."""
     edits: list[Edit] = [
         edit
-        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, STANCES, WORLD, MOTION)
+        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, LEVER, STANCES, WORLD, MOTION)
         for edit in registry.edits
     ]
     return [

@@ -29,9 +29,18 @@ from service.verify import Motion, VerifyError, verify
 from service.verify.hashes import link_vertices
 
 ROBOT_HERE = "the robot in this folder"
-LONG_BASES = ("valve", "scan", "steps", "chair", "stair", "rail")  # slow: the short version has few edits of them
+LONG_BASES = (
+    "valve",
+    "lever",
+    "scan",
+    "steps",
+    "chair",
+    "stair",
+    "rail",
+)  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",
+    "lever turned the other way",
     "turn six times as far",
     "valve of the request moved by 4 mm",
     "circle moved by 4 mm",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -23,7 +24,7 @@ from perception.detect.lever import detect_lever
 from perception.detect.panel.detector import detect_panel
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.faces import FacesInSight
-from perception.detect.valve.detector import detect_valve
+from perception.detect.valve.detector import detect_turnable, detect_valve
 from perception.detect.valve.wheel import detect_wheels
 from perception.detect.vehicle.opening import detect_opening
 from perception.detect.vehicle.seat import detect_seat
@@ -56,7 +57,11 @@ DETECTORS: Mapping[str, Detector] = {
     "panel": Detector(detect_panel, needs_faces=True),
     "seat": Detector(detect_seat),
     "opening": Detector(detect_opening),
-    # Valves that a plan can turn.
+    # Doors whose hinges are on a side that a person states.
+    "door_left": Detector(partial(detect_door, hinge_on="left"), is_offered=False),
+    "door_right": Detector(partial(detect_door, hinge_on="right"), is_offered=False),
+    # Valves that a plan can turn: wheels and levers; wheels alone.
+    "turnable": Detector(detect_turnable, is_offered=False),
     "wheel": Detector(detect_wheels, is_offered=False),
 }
 KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.is_offered)

@@ -36,6 +36,7 @@ ABOVE_LEVER = 3e-3  # of the hand's front, which leans [m]
 PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg leans [m]
 PEG_ACROSS = np.deg2rad(40.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
+TORQUE_SHARE = 0.9  # of the joints before the hand; the rest is for the motion [-]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
 
 
@@ -203,14 +204,23 @@ def _open_at_handle(
         name = "turn the handle" if door.handle is not None and door.handle.kind == "lever" else "press the bar"
         count = max(int(np.ceil(abs(pressed[1] - start[1]) / TURN_STEP)) + 1, 4)
         phases.append(
-            PhaseSpec(name, start, pressed, held.at_rest(start), held.touches, held.press_loads(), n_waypoints=count)
+            PhaseSpec(
+                name,
+                start,
+                pressed,
+                held.at_rest(start),
+                held.touches,
+                held.press_loads(),
+                n_waypoints=count,
+                torque_share=TORQUE_SHARE,
+            )
         )
     count = max(int(np.ceil((choice.first - start[0]) / OPEN_STEP)) + 1, 3)
     loads = (*held.open_loads(on_leaf), *(held.press_loads() if presses else ()))
     phases.append(
         PhaseSpec(
             "open", pressed, opened, on_leaf, held.touches, loads,
-            is_anchor=True, aims_at_end=True, step=step, n_waypoints=count,
+            is_anchor=True, aims_at_end=True, step=step, n_waypoints=count, torque_share=TORQUE_SHARE,
         )
     )  # fmt: skip
     if choice.stays and choice.push is None:
@@ -219,7 +229,16 @@ def _open_at_handle(
         count = max(int(np.ceil(abs(opened[1] - released[1]) / TURN_STEP)) + 1, 4)
         name = "let the handle go"
         phases.append(
-            PhaseSpec(name, opened, released, held.at_rest(start), held.touches, held.press_loads(), n_waypoints=count)
+            PhaseSpec(
+                name,
+                opened,
+                released,
+                held.at_rest(start),
+                held.touches,
+                held.press_loads(),
+                n_waypoints=count,
+                torque_share=TORQUE_SHARE,
+            )
         )
     away = replace(held.line(held.at_rest(start)), leaves=True)
     phases.append(PhaseSpec("retract", released, released, away, held.touches, n_waypoints=LINE_WAYPOINTS))
@@ -260,6 +279,7 @@ def _push_leaf(
             step="pose on the leaf",
             n_waypoints=count,
             aims_at_end=True,
+            torque_share=TORQUE_SHARE,
         ),
     ]
     if not choice.stays:

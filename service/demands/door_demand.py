@@ -14,9 +14,19 @@ from costs.robot import Mechanism, RobotModel
 from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening
-from service.demands.door import LEAST_GRIP, Door, DoorChoice, Push, hold_handle, make_door_phases
+from service.demands.door import (
+    LEAST_GRIP,
+    PEG_LEAN,
+    PEG_SPACE,
+    TOUCH_DEPTH,
+    Door,
+    DoorChoice,
+    Push,
+    hold_handle,
+    make_door_phases,
+)
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase_spec import DEPTH_RESERVE, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.door import DoorRequest, HandleRequest
@@ -37,10 +47,12 @@ class SeenDoor:
     Attributes:
         geometry: leaf and handle.
         confidence: 0 to 1.
+        knows_hinge: whether the scan shows on which side the hinges are.
     """
 
     geometry: DoorGeometry
     confidence: float
+    knows_hinge: bool = True
 
 
 def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.ndarray, "3"]) -> DoorGeometry | str:
@@ -57,8 +69,16 @@ def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.
     if not seen:
         return "no door was found in the scan; task.door.hint (a point near it) would help, or leaf and handle"
     geometry, confidence = seen[0].geometry, seen[0].confidence
+    place = np.round(geometry.hinge + 0.5 * geometry.width * geometry.along, 2).tolist()
+    side = "right" if np.cross(UP, geometry.normal) @ geometry.along < 0.0 else "left"
+    if not seen[0].knows_hinge and request.hinge == "auto":
+        return (
+            f"the scan shows a door at {place}, shut, and not on which side its hinges are; say it in task.door.hinge "
+            "(left or right, as seen by the robot)"
+        )
+    if confidence >= SURE and request.hinge not in ("auto", side):
+        return f"the scan shows the hinges of the door at {place} on its {side}; task.door.hinge is {request.hinge}"
     if confidence < SURE:
-        place = np.round(geometry.hinge + 0.5 * geometry.width * geometry.along, 2).tolist()
         return (
             f"no door was found with confidence: the best candidate, at {place}, has {confidence:.2f} of the {SURE} "
             "needed; task.door.hint (a point near it) would help, or leaf and handle"
@@ -124,6 +144,33 @@ def measure_peg(robot: RobotModel, hand: Hand) -> float:
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     tool, stub = (data.oMf[model.getFrameId(frame)].translation for frame in (hand.tool, hand.stub))
     return float(np.linalg.norm(tool - stub))
+
+
+def measure_lever_room(robot: RobotModel, hand: Hand, radius: float) -> float:
+    """Return how far a pulled lever's middle has to be off its leaf for the peg behind it and the hand above it [m].
+
+    The hand may turn about its axis; the peg may be as deep in the leaf as the waypoints allow it.
+
+    Args:
+        robot: the robot.
+        hand: the hand.
+        radius: half the lever's thickness [m].
+    """
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    stub = data.oMf[model.getFrameId(hand.stub)]
+    behind = (radius + hand.peg_radius + PEG_SPACE) / np.cos(PEG_LEAN)
+    turns = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    sides = np.stack([np.cos(turns), np.sin(turns)])
+    room = 0.0
+    for body in robot.bodies:
+        if body.link in (hand.link, hand.hook):
+            pose = data.oMi[body.joint]
+            points = (body.vertices @ pose.rotation.T + pose.translation - stub.translation) @ stub.rotation
+            reach = points[:, :2] @ sides * np.cos(PEG_LEAN) + points[:, 2:] * np.sin(PEG_LEAN)
+            allowed = TOUCH_DEPTH - DEPTH_RESERVE if body.link == hand.hook else 0.0
+            room = max(room, behind + float(reach.max(axis=0).min()) - allowed)
+    return room
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ LEAST_GAP = 0.012  # free beside the peg, towards the next spoke [m]
 AWAY, AWAY_SHARE = 0.05, 0.5  # of the line that leads to the spoke, sideways: most, and of what is free [m]
 FRONT_SPACE = 0.012  # between the hand's front and the wheel's bodies [m]
 LEAST_BEYOND = 5e-3  # of the peg's end beyond the rim's plane [m]
+BEYOND_BAR = 4e-3  # of the peg's end beyond a lever, towards what is behind it [m]
 ABOVE = 0.03  # of the peg's end before the wheel's bodies, where the line begins [m]
 
 
@@ -52,6 +53,8 @@ def place_peg(wheel: Wheel, hand: Hand, entry: float, sense: float) -> PegPlace 
         entry: one of the wheel's entries in hook mode [rad].
         sense: 1 if the wheel turns right-handed about its axis, else -1.
     """
+    if wheel.is_lever:
+        return _place_beside_lever(wheel, hand, sense)
     radius = hand.peg_radius
     farthest = wheel.inner_radius - radius - LEAST_RIM_SPACE
     nearest = wheel.hub + radius + LEAST_HUB_SPACE
@@ -81,6 +84,24 @@ def place_peg(wheel: Wheel, hand: Hand, entry: float, sense: float) -> PegPlace 
     push = sense * np.cross(wheel.axis, wheel.radial(entry))
     arm = float(np.sqrt(distance**2 - aside**2))
     return PegPlace(flat + height * wheel.axis, push, arm, apart - flat + out, spoke)
+
+
+def _place_beside_lever(wheel: Wheel, hand: Hand, sense: float) -> PegPlace | str:
+    """Return where a peg pushes a lever near its end, or a crank's grip; a sentence where it cannot."""
+    radius, (bar,) = hand.peg_radius, wheel.spokes
+    aside = bar.half_width + radius + PEG_SPACE
+    nearest = wheel.hub + radius + LEAST_HUB_SPACE
+    if wheel.radius < nearest:
+        return f"the lever leaves {1e3 * wheel.radius:.0f} mm from its spindle to push at; expected {1e3 * nearest:.0f}"
+    least = max(0.0, wheel.front + FRONT_SPACE - FREE_BEFORE)  # the hand's front stays before the lever
+    height = least if wheel.grip > 0.0 else max(least, PEG_FROM_END - bar.half_width - BEYOND_BAR)
+    if wheel.grip == 0.0 and height > PEG_FROM_END - LEAST_BEYOND:
+        return f"the valve stands {wheel.front:.3f} m out before its lever; the peg of the hook does not reach it"
+    direction = wheel.radial(bar.angle)
+    push = sense * np.cross(wheel.axis, direction)
+    out = (wheel.front + PEG_FROM_END + ABOVE - height) * wheel.axis
+    place = wheel.radius * direction - aside * push + height * wheel.axis
+    return PegPlace(place, push, wheel.radius, out - AWAY * push, bar)
 
 
 def make_peg_allowances(wheel: Wheel, hand: Hand, held: PegPlace) -> tuple[Allowance, ...]:

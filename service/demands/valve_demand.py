@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from costs.robot import Mechanism
 from service.demands.hands import HANDS, Hand
@@ -30,7 +31,7 @@ from service.request.schema import ValveRequest
 from service.verify import Motion, Phase, RelativePoseTarget
 
 if TYPE_CHECKING:
-    from perception import ValveDetection
+    from perception import LeverDetection, ValveDetection
 
 SAME_PLACE_M = 1e-6
 TURNED_ROUNDING_DEG = 3.0  # the tool may be off its place in the wheel
@@ -133,11 +134,15 @@ def read_kept_choice(demand: ValveDemand, resume: ResumeRequest) -> TurnChoice:
     return TurnChoice(hand, entry, stroke.strokes, stroke.is_flipped)
 
 
-def turn_back(valve: ValveDetection, resume: ResumeRequest | None) -> ValveDetection:
-    """Return a detected valve with its spokes as the earlier plan found them."""
+def turn_back(valve: ValveDetection | LeverDetection, resume: ResumeRequest | None) -> ValveDetection | LeverDetection:
+    """Return a detected valve with its spokes, or its lever, as the earlier plan found them."""
     if resume is None or not resume.is_rescanned:
         return valve
     turned = resume.mechanism.get(VALVE_JOINT, 0.0)
+    from perception import LeverDetection  # slow to import
+
+    if isinstance(valve, LeverDetection):
+        return replace(valve, direction=Rotation.from_rotvec(-turned * valve.axis).apply(valve.direction))
     return replace(valve, spoke_angles=tuple(angle - turned for angle in valve.spoke_angles))
 
 

@@ -2,6 +2,7 @@
 
 The contact surface is the wheel as it was seen or given; the collision bodies contain it grown by ``GROWTH_M``.  A hand
 presses the surface, so that it is as deep in a body as the body is grown; everything else keeps clear of the bodies.
+The lever of a valve is a wheel with one spoke, without a rim, between its stops; a crank has a grip at its end.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from jaxtyping import Float
 
 from costs.robot import Mechanism, MechanismJoint
 from service.request.names import VALVE_JOINT, VALVE_LINK
+from service.request.schema import ValveRequest
 
 if TYPE_CHECKING:
-    from perception import ValveDetection
+    from perception import LeverDetection, ValveDetection
 
 Mode = Literal["hook", "grasp"]
 
@@ -29,6 +31,9 @@ MIN_HUB = 0.01  # [m]
 GAPS_WITHOUT_SPOKES = np.deg2rad([0.0, 90.0, 180.0, 270.0])
 LEAST_RANGE = 2.5 * np.pi  # of the wheel's joint to either side [rad]
 RANGE_BEYOND = 0.5 * np.pi  # the turn [rad]
+QUARTER = 0.5 * np.pi  # by which a lever turns between its stops [rad]
+STOP_ROUNDING = 2e-3  # by which a lever may pass its stop [rad]
+FROM_END = 0.03  # of the peg at a lever's side, from the lever's end [m]
 # From the rim's inner edge inwards, free for the hand where spokes were not seen clearly [m].
 ROOMS: Mapping[Mode, float] = {"hook": 0.034, "grasp": 0.036}
 
@@ -64,6 +69,10 @@ class Wheel:
         spokes: best first; empty where they were not seen clearly.
         hub: largest distance of the hub's body from the axis [m].
         front: highest place of a body along the axis, from the rim's centre [m].
+        stops: least and largest angle of a lever from where it is; None for what turns freely [rad].
+        is_lever: whether it is a lever or a crank; ``radius`` is then where the hand presses the only spoke, the bar
+            or the crank's grip, and ``rim`` is what else the hand may touch.
+        grip: length of a crank's grip along the axis, from the bar; 0 without one [m].
     """
 
     centre: Float[np.ndarray, "3"]
@@ -77,6 +86,9 @@ class Wheel:
     spokes: tuple[Spoke, ...] = ()
     hub: float = 0.0
     front: float = 0.0
+    stops: tuple[float, float] | None = None
+    is_lever: bool = False
+    grip: float = 0.0
 
     @property
     def inner_radius(self) -> float:
@@ -99,15 +111,19 @@ class Wheel:
         return self.gaps
 
 
-def make_wheel(valve: ValveDetection, mode: Mode) -> Wheel:
-    """Return the wheel of a detected or given valve; spokes and gaps in the order of their angles."""
+def make_wheel(valve: ValveDetection | LeverDetection, request: ValveRequest) -> Wheel:
+    """Return the wheel, or the lever, of a detected or given valve; spokes and gaps in the order of their angles."""
     from perception import (  # slow to import, and needed for valves only
+        LeverDetection,
         has_clear_spokes,
         rim_bodies,
         valve_bodies,
         wheel_basis,
     )
 
+    if isinstance(valve, LeverDetection):
+        return _make_lever(valve, request)
+    mode = request.mode
     first, _, axis = wheel_basis(valve.axis)
     solids = valve_bodies(valve, margin=GROWTH_M)
     spokes: tuple[Spoke, ...] = ()
@@ -137,17 +153,67 @@ def make_wheel(valve: ValveDetection, mode: Mode) -> Wheel:
     )
 
 
+def _make_lever(lever: LeverDetection, request: ValveRequest) -> Wheel:
+    """Return a lever or a crank as a wheel with one spoke."""
+    from perception import lever_bodies, wheel_basis
+
+    first, _, axis = wheel_basis(lever.axis)
+    solids = lever_bodies(lever, margin=GROWTH_M)
+    has_grip = lever.grip_length > 0.0
+    heights = np.concatenate([(vertices - lever.centre) @ axis for vertices in solids.values()])
+    half = max(lever.radius, lever.grip_radius) if has_grip else lever.radius
+    return Wheel(
+        lever.centre,
+        axis,
+        lever.length if has_grip else lever.length - FROM_END,
+        0.0,
+        first,
+        (),
+        {f"{VALVE_LINK}/{name}": vertices for name, vertices in solids.items()},
+        (f"{VALVE_LINK}/bar",) if has_grip else (),
+        (Spoke(lever.angle, half, f"{VALVE_LINK}/{'grip' if has_grip else 'bar'}"),),
+        lever.hub_radius + GROWTH_M,
+        float(heights.max()),
+        find_stops(request, has_grip=has_grip),
+        is_lever=True,
+        grip=lever.grip_length,
+    )
+
+
+def find_stops(request: ValveRequest, *, has_grip: bool) -> tuple[float, float] | None:
+    """Return the angles at which a lever stops, from where it is; None for a crank without stops [rad].
+
+    Stops that the request does not state are a quarter turn from where the lever is: on the side of the turn, or on
+    both sides where it is tried or rocked against the turn as well.
+    """
+    if request.stops_deg is not None:
+        low, high = np.deg2rad(request.stops_deg).tolist()
+        return low, high
+    if has_grip:
+        return None
+    is_both = request.sense == "unknown" or request.stuck
+    return (
+        -QUARTER if is_both or request.turn_deg < 0.0 else 0.0,
+        QUARTER if is_both or request.turn_deg > 0.0 else 0.0,
+    )
+
+
 def make_wheel_mechanism(wheel: Wheel, turn: float) -> Mechanism:
-    """Return the wheel as a mechanism whose only coordinate is its angle, with room for a turn [rad]."""
+    """Return the wheel as a mechanism whose only coordinate is its angle.
+
+    It has room for a turn [rad]; a lever turns between its stops.
+    """
     most = max(LEAST_RANGE, abs(turn) + RANGE_BEYOND)
+    low, high = (-most, most) if wheel.stops is None else wheel.stops
+    beyond = 0.0 if wheel.stops is None else STOP_ROUNDING
     joint = MechanismJoint(
         VALVE_JOINT,
         VALVE_LINK,
         wheel.centre,
         wheel.axis,
         wheel.bodies,
-        lower=-most,
-        upper=most,
+        lower=low - beyond,
+        upper=high + beyond,
         velocity=WHEEL_SPEED,
         acceleration=WHEEL_ACCELERATION,
     )

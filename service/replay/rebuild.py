@@ -39,7 +39,7 @@ from service.start.robot import add_request_parts, attach_bodies, load_requested
 from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:
-    from perception import ValveDetection
+    from perception import LeverDetection, ValveDetection
     from service.trajopt import Program
 
 
@@ -79,7 +79,7 @@ class Record:
 
     robot: RobotModel
     scene: Scene
-    valves: tuple[ValveDetection, ...] = ()
+    valves: tuple[ValveDetection | LeverDetection, ...] = ()
     doors: tuple[SeenDoor, ...] = ()
 
 
@@ -155,7 +155,7 @@ def _rebuild_task(
     valve = read_given_valve(task.valve) or next(iter(surroundings.valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    wheel = make_wheel(turn_back(valve, request.resume), task.valve.mode)
+    wheel = make_wheel(turn_back(valve, request.resume), task.valve)
     turning = ValveDemand(wheel, task.valve, list_robot_hands(robot))
     return turning if request.resume is None else resume_valve(turning, request.resume)
 

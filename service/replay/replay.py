@@ -27,8 +27,9 @@ from service.result.result_json import add_reports, proof_summary
 from service.verify import Certificate, Motion, Status, VerifyError, verify
 
 if TYPE_CHECKING:
-    from perception import ValveDetection
+    from perception import LeverDetection, ValveDetection
 
+VECTORS = ("centre", "axis", "direction")  # of detected valves
 OTHER = "it answers another request, or was changed after it was written"
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
 
@@ -125,17 +126,21 @@ def _compare_phases(data: dict[str, Any], reports: Sequence[PhaseReport]) -> Ite
         yield "the verdict is CERTIFIED, and not_planned lists phases"
 
 
-def read_valves(data: dict[str, Any]) -> tuple[ValveDetection, ...]:
-    """Read the valves of ``detections``."""
+def read_valves(data: dict[str, Any]) -> tuple[ValveDetection | LeverDetection, ...]:
+    """Read the valves of ``detections``; those with a ``direction`` are levers."""
     hits = [hit for hit in data["detections"] if hit["kind"] == "valve"]
     if not hits:
         return ()
-    from perception import ValveDetection  # slow to import
+    from perception import LeverDetection, ValveDetection  # slow to import
 
-    plain = [{field.name: hit[field.name] for field in fields(ValveDetection)} for hit in hits]
-    vectors = [{name: np.array(hit[name], dtype=float) for name in ("centre", "axis")} for hit in plain]
-    tuples = [{name: tuple(value) for name, value in hit.items() if isinstance(value, list)} for hit in plain]
-    return tuple(ValveDetection(**{**a, **b, **c}) for a, b, c in zip(plain, tuples, vectors, strict=True))
+    valves: list[ValveDetection | LeverDetection] = []
+    for hit in hits:
+        kind = LeverDetection if "direction" in hit else ValveDetection
+        values = {field.name: hit[field.name] for field in fields(kind)}
+        values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+        vectors = {name: np.array(values[name], dtype=float) for name in VECTORS if name in values}
+        valves.append(kind(**{**values, **vectors}))
+    return tuple(valves)
 
 
 def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
@@ -148,7 +153,8 @@ def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
                 vectors = {name: np.array(handle[name], dtype=float) for name in ("centre", "direction")}
                 handle = HandleGeometry(**{**handle, **vectors})
             vectors = {name: np.array(geometry[name], dtype=float) for name in ("hinge", "along", "normal")}
-            doors.append(SeenDoor(DoorGeometry(**{**geometry, **vectors, "handle": handle}), float(hit["confidence"])))
+            door = DoorGeometry(**{**geometry, **vectors, "handle": handle})
+            doors.append(SeenDoor(door, float(hit["confidence"]), bool(hit.get("knows_hinge", True))))
     return tuple(doors)
 
 

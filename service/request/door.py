@@ -73,6 +73,7 @@ class DoorRequest(Section):
         hand: hand to use; ``auto`` tries both.
         open_deg: angle of the leaf at the end.
         opens: ``push`` away from the robot, ``pull`` towards it; ``auto`` as the scan shows it.
+        hinge: side of the hinges as seen by the robot; ``auto`` as the scan shows it.
         hint: a point near the leaf or its handle [m].
         leaf, handle: the door itself; detected where they are left out.
         release_deg: angle of the lever from which on the leaf is free.
@@ -95,9 +96,14 @@ class DoorRequest(Section):
     hinge_nm: Annotated[Number, Field(ge=0.0, le=200.0)] = 30.0
     push_bar_n: Annotated[Number, Field(ge=0.0, le=300.0)] = 67.0
     stays: bool = False
+    hinge: Literal["left", "right", "auto"] = "auto"
 
     def __post_init__(self) -> None:
         if self.handle is not None and self.leaf is None:
             raise PydanticCustomError("door", "handle is given without leaf; a handle belongs to a leaf that is given")
+        if self.leaf is not None and self.hinge != "auto":
+            raise PydanticCustomError(
+                "door", "hinge is for a door that a scan shows; leaf.hinge is that of a given leaf"
+            )
         if self.leaf is not None and self.opens == "auto":
             raise PydanticCustomError("door", "opens is needed with a leaf that is given; expected push or pull")

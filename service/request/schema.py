@@ -36,6 +36,7 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.lever import LeverRequest, check_lever
 from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
 from service.request.robot_hand import RobotHandRequest
@@ -174,6 +175,8 @@ class GoalRequest(Section):
 class ValveRequest(Section):
     """Task of turning a valve detected in the scan (near ``hint``) or given by ``centre``, ``axis`` and ``radius``.
 
+    A valve with a lever, or with a crank, is given by ``centre``, ``axis`` and ``lever``.
+
     Attributes:
         mode: ``hook`` rests a hook between the spokes, ``grasp`` turns the hand with the wheel.
         hand: hand to use; ``auto`` tries both.
@@ -184,6 +187,9 @@ class ValveRequest(Section):
         spokes_deg, spoke_width_m: angles of the spokes of a given valve, counter-clockwise as seen by the robot, from
             the rim's rightmost point; and their width.
         torque_nm: torque that turns the wheel; the robot is held with it and without it.
+        lever: bar of a lever valve or of a crank, whose spindle is at ``centre`` along ``axis``.
+        stops_deg: least and largest angle of a lever from where it is, counted like ``turn_deg``; by default a lever
+            stops after a quarter turn, and a crank turns freely.
     """
 
     mode: Literal["hook", "grasp"] = "hook"
@@ -198,8 +204,11 @@ class ValveRequest(Section):
     spoke_width_m: Annotated[Number, Field(gt=0.0, le=0.1)] = 0.02
     sense: Literal["given", "unknown"] = "given"
     stuck: bool = False
+    lever: LeverRequest | None = None
+    stops_deg: tuple[Number, Number] | None = None
 
     def __post_init__(self) -> None:
+        check_lever(self.lever, self.stops_deg, self.turn_deg, self.radius, self.axis)
         if self.turn_deg == 0.0:
             raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -1440 to 1440 except 0")
         if self.stuck and abs(self.turn_deg) < LEAST_STUCK_TURN_DEG:

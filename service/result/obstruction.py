@@ -82,9 +82,11 @@ def _get_end(setup: PlanSetup) -> _End | None:
     if setup.program is not None:
         return _get_program_end(setup, setup.program)
     valve = None if request.task is None else request.task.valve
-    if valve is not None and valve.centre is not None and valve.axis is not None and valve.radius is not None:
-        axis = np.array(valve.axis) / np.linalg.norm(valve.axis)
-        return _End((CircleTarget("rim", np.array(valve.centre), axis, valve.radius, 0.0),))
+    if valve is not None and valve.centre is not None and valve.axis is not None:
+        radius = valve.radius if valve.lever is None else valve.lever.length_m
+        if radius is not None:
+            axis = np.array(valve.axis) / np.linalg.norm(valve.axis)
+            return _End((CircleTarget("rim", np.array(valve.centre), axis, radius, 0.0),))
     return None
 
 

@@ -15,7 +15,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked
 
 from costs.scene import ConvexPiece, Scene
-from perception import ValveDetection
+from perception import LeverDetection, ValveDetection
 from service.errors import RequestError, shown
 from service.request.choices import Method, Unknown
 
@@ -25,6 +25,7 @@ MOST_PIECES, MOST_VERTICES = 20_000, 1000
 VALVE = "valve"
 LEAST_THICKNESS_M = 1e-6
 LEAST_AXIS = 1e-6
+LEVER_RADIUS = 0.013  # where a scene file does not say it [m]
 ROUND_WHEEL_M = 0.02  # pieces of the scan this near to a wheel belong to it
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
@@ -134,15 +135,15 @@ class SceneFile:
     pieces: tuple[ConvexPiece, ...]
     hits: tuple[HitRecord, ...]
 
-    def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection, ...]:
-        """Return the wheel valves, nearest to the hint first; without a hint, highest confidence first."""
+    def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection | LeverDetection, ...]:
+        """Return the wheels and levers of valves, nearest to the hint first; without one, highest confidence first."""
         valves = [_valve(hit) for hit in self.hits if _is_valve(hit)]
         if hint is None:
             return tuple(sorted(valves, key=lambda valve: -valve.confidence))
         return tuple(sorted(valves, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
 
-    def pieces_without(self, valves: Sequence[ValveDetection]) -> tuple[ConvexPiece, ...]:
-        """Return the pieces outside the wheels; the wheels are contacts, not obstacles."""
+    def pieces_without(self, valves: Sequence[ValveDetection | LeverDetection]) -> tuple[ConvexPiece, ...]:
+        """Return the pieces outside wheels and levers, which are contacts, not obstacles."""
         return tuple(piece for piece in self.pieces if not any(_is_within(valve, piece.vertices) for valve in valves))
 
 
@@ -222,13 +223,23 @@ def _thickness(vertices: Float[np.ndarray, "V 3"]) -> float:
 
 
 def _is_valve(hit: HitRecord) -> bool:
-    """Return whether a hit is a valve with a radius and an axis."""
-    has_axis = np.linalg.norm(np.array(hit.pose_world_object)[:3, 2]) > LEAST_AXIS
-    return hit.kind == VALVE and hit.sizes.get("rim_radius", 0.0) > 0.0 and bool(has_axis)
+    """Return whether a hit is a valve with a radius, or a lever of some length, and an axis."""
+    pose = np.array(hit.pose_world_object)
+    has_axis = np.linalg.norm(pose[:3, 2]) > LEAST_AXIS
+    has_bar = hit.sizes.get("lever_length", 0.0) > 0.0 and np.linalg.norm(pose[:3, 0]) > LEAST_AXIS
+    return hit.kind == VALVE and (hit.sizes.get("rim_radius", 0.0) > 0.0 or bool(has_bar)) and bool(has_axis)
 
 
-def _valve(hit: HitRecord) -> ValveDetection:
-    pose, rim = np.array(hit.pose_world_object), hit.sizes["rim_radius"]
+def _valve(hit: HitRecord) -> ValveDetection | LeverDetection:
+    pose = np.array(hit.pose_world_object)
+    if "lever_length" in hit.sizes:
+        sizes = hit.sizes
+        lever = lever_from_sizes(
+            pose[:3, 3], pose[:3, 2], pose[:3, 0], sizes["lever_length"], sizes.get("lever_radius", LEVER_RADIUS),
+            sizes.get("grip_length", 0.0),
+        )  # fmt: skip
+        return replace(lever, confidence=hit.confidence)
+    rim = hit.sizes["rim_radius"]
     tube = hit.sizes.get("tube_radius", 0.1 * rim)
     wheel = wheel_from_circle(pose[:3, 3], pose[:3, 2], rim, tube)
     return replace(wheel, outer_radius=hit.sizes.get("outer_radius", rim + tube), confidence=hit.confidence)
@@ -261,8 +272,35 @@ def wheel_from_circle(
     )
 
 
-def _is_within(valve: ValveDetection, vertices: Float[np.ndarray, "V 3"]) -> bool:
-    """Return whether a piece lies within the disc of a wheel and ``ROUND_WHEEL_M`` around it."""
+def lever_from_sizes(
+    centre: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+    length: float,
+    radius: float,
+    grip_length: float,
+) -> LeverDetection:
+    """Make a lever or a crank from its sizes.
+
+    Args:
+        centre: where the spindle's axis meets the bar's centre line [m].
+        axis: direction of the spindle towards the robot, of any length but zero.
+        direction: along the bar from the spindle; made perpendicular to the axis.
+        length, radius: of the bar, to a crank's grip; half its thickness [m].
+        grip_length: of a crank's grip; 0 for a lever [m].
+    """
+    up = axis / np.linalg.norm(axis)
+    along = direction - (direction @ up) * up
+    return LeverDetection(
+        centre, up, along / np.linalg.norm(along), length, radius, confidence=1.0, rms=0.0, n_inliers=0,
+        grip_length=grip_length,
+    )  # fmt: skip
+
+
+def _is_within(valve: ValveDetection | LeverDetection, vertices: Float[np.ndarray, "V 3"]) -> bool:
+    """Return whether a piece lies within a lever, or within the disc of a wheel and ``ROUND_WHEEL_M`` around it."""
+    if isinstance(valve, LeverDetection):
+        return bool(valve.split_off(vertices)[0].all())
     offset = vertices - valve.centre
     height = offset @ valve.axis
     radius = np.linalg.norm(offset - height[:, None] * valve.axis, axis=1)

@@ -25,7 +25,7 @@ from service.start.robot import pose_matrix
 from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
-    from perception import Perceived, ValveDetection
+    from perception import LeverDetection, Perceived, ValveDetection
     from perception.solids.match import KnownMesh, MeshMatch
     from perception.solids.mesh import Solid
 
@@ -35,8 +35,8 @@ class Surroundings:
     """Pieces and objects of a scan or scene file.
 
     Attributes:
-        pieces: pieces to avoid, including the floor, without the wheel of ``valves[0]``.
-        valves: wheel valves, the first is the one to turn; empty unless the task turns a valve.
+        pieces: pieces to avoid, including the floor, without what turns of ``valves[0]``.
+        valves: wheels and levers of valves, the first is the one to turn; empty unless the task turns a valve.
         doors: doors that the scan shows, the best first; empty unless the task opens a door.
         points: (M, 3) points of the scan for display [m].
         notes: sentences for the user.
@@ -44,7 +44,7 @@ class Surroundings:
     """
 
     pieces: tuple[ConvexPiece, ...]
-    valves: tuple[ValveDetection, ...] = ()
+    valves: tuple[ValveDetection | LeverDetection, ...] = ()
     points: Float[np.ndarray, "M 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     notes: tuple[str, ...] = ()
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
@@ -103,7 +103,7 @@ def _perceive_scan(
         perceive,
         read_clouds,
         read_door,
-        select_wheels,
+        select_turnable,
     )
 
     scene = request.scene
@@ -134,17 +134,23 @@ def _perceive_scan(
         )
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
-    wheels = select_wheels(seen.detections)
-    doors = tuple(SeenDoor(read_door(hit), hit.confidence) for hit in seen.detections if hit.kind == "door")
-    return Surroundings(seen.scene.pieces, wheels, seen.shown, seen.notes, seen.matches, doors)
+    valves = select_turnable(seen.detections)
+    doors = tuple(
+        SeenDoor(read_door(hit), hit.confidence, hit.residuals["hinge_share"] > 0.0)
+        for hit in seen.detections
+        if hit.kind == "door"
+    )
+    return Surroundings(seen.scene.pieces, valves, seen.shown, seen.notes, seen.matches, doors)
 
 
 def _list_kinds(request: PlanRequest) -> tuple[str, ...]:
     """Return the kinds of objects to find in the scan: what the task moves, whose points are no obstacles."""
     task = request.task
     if task is not None and task.valve is not None:
-        return ("wheel",)
-    return ("door",) if task is not None and task.door is not None else ()
+        return ("turnable",)
+    if task is None or task.door is None:
+        return ()
+    return ("door" if task.door.hinge == "auto" else f"door_{task.door.hinge}",)
 
 
 def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,10 @@ from service.verify import Motion
 
 ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
 LEAST_FIRST = np.deg2rad(10.0)  # opening at the handle that is worth a regrasp
+AT_HANDLE_ALONE = np.deg2rad(35.0)  # openings up to it are tried at the handle alone first
+EARLY_FIRST = np.deg2rad(20.0)  # opening at the handle of a door that is then pushed, tried before larger ones
 MOST_EARLIER = 2  # plans that leave the handle earlier, where a plan could not be certified
+FEW_ANGLES = 2  # are tried from the largest on
 MOST_TRIES = 3  # of smaller angles at the handle
 HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
@@ -76,6 +80,7 @@ class DoorOpening:
         stays: whether the hand stays on the leaf.
         reach_waypoints: of the phases that reach for the door.
         most_at_handle: largest opening angle at which the hand is still at the handle [rad].
+        is_patient: whether the hand stays at the handle as long as it can, also where the leaf is pushed afterwards.
     """
 
     solver: PhaseSolver
@@ -85,16 +90,21 @@ class DoorOpening:
     stays: bool
     reach_waypoints: int
     most_at_handle: float = np.inf
+    is_patient: bool = False
 
     def plans(self) -> Iterator[TaskPlan]:
-        """Yield the plan that opens the leaf farthest, then plans that leave the handle earlier."""
+        """Yield the plan that opens the leaf farthest, then plans that leave the handle later, and earlier."""
         plan = self.plan()
         yield plan
+        is_early = self.door.is_push and self.target > self.door.geometry.ajar + AT_HANDLE_ALONE
+        if plan.is_feasible and is_early and self.door.is_latched and not self.is_patient:
+            plan = replace(self, is_patient=True).plan()
+            yield plan
         for _ in range(MOST_EARLIER):
             opened = [phase.q[-1, -len(self.door.mechanism.joints)] for phase in plan.phases if phase.name == "open"]
             if not plan.is_feasible or not opened or opened[0] - ANGLE_STEP < self.door.geometry.ajar + LEAST_FIRST:
                 return
-            plan = replace(self, most_at_handle=float(opened[0] - ANGLE_STEP)).plan()
+            plan = replace(self, is_patient=True, most_at_handle=float(opened[0] - ANGLE_STEP)).plan()
             yield plan
 
     def plan(self) -> TaskPlan:
@@ -128,6 +138,12 @@ class DoorOpening:
         phases: tuple[PlannedPhase, ...] = ()
         stuck: Stuck | None = None
         reached = start
+        if self.door.is_push and choice.first > start + AT_HANDLE_ALONE and not self.is_patient:
+            early = replace(self, is_patient=True, most_at_handle=start + EARLY_FIRST)
+            with suppress(StaticRegionError):  # a larger opening may be held elsewhere
+                plan, reached = early._plan_choice(choice)
+                if plan.is_feasible:
+                    return plan, reached
         if choice.first > start:
             phases, stuck, reached = self._open_at_handle(choice)
             choice = replace(choice, first=reached)
@@ -219,6 +235,10 @@ class DoorOpening:
 
         Poses at smaller angles are taken to be easier.
         """
+        if len(angles) <= FEW_ANGLES:
+            return next(
+                (k for k, angle in enumerate(angles) if self._solve_last_pose(choose(angle), ()).is_feasible), None
+            )
         low, high = 0, len(angles)
         guess: tuple[Float[np.ndarray, "n"], ...] = ()
         middle = high - 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door import FREE_BEYOND, Door
-from service.demands.door_demand import DoorDemand, choose_door, make_door, resume_door, set_back
+from service.demands.door_demand import DoorDemand, choose_door, make_door, measure_lever_room, resume_door, set_back
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS
 from service.errors import RequestError
@@ -53,6 +53,9 @@ def _begin(
     if shut is not None:
         return TaskPlan(solver.body, (), (shut,))
     hands = choose_hands(solver.body, request, door)
+    narrow = find_narrow_lever(solver.body, door, hands)
+    if narrow is not None:
+        return TaskPlan(solver.body, (), (narrow,))
     near = list_clearances(hands, door)
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     if setup.request.resume is not None:
@@ -93,6 +96,24 @@ def find_shut(request: DoorRequest, door: Door) -> str | None:
     if door.handle is None and not door.is_push:
         return "the door opens towards the robot and has no handle to pull it by"
     return None
+
+
+def find_narrow_lever(body: WholeBody, door: Door, hands: Sequence[Hand]) -> str | None:
+    """Return a sentence where a pulled lever is too near to its leaf for the peg of every hand; None where it is not.
+
+    Only the hand's front turns the lever while the peg behind it pulls, so that no other hold opens the door.
+    """
+    handle, geometry = door.handle, door.geometry
+    if handle is None or handle.kind != "lever" or door.is_push:
+        return None
+    off = float((handle.centre - geometry.hinge) @ geometry.normal) - geometry.face
+    needed = min(measure_lever_room(body.robot, hand, handle.radius) for hand in hands)
+    if off >= needed:
+        return None
+    return (
+        f"the middle of the lever is {1e3 * off:.0f} mm off the leaf; the peg behind it, with the hand above it, needs "
+        f"{np.ceil(1e3 * needed):.0f} mm"
+    )
 
 
 def list_clearances(hands: tuple[Hand, ...], door: Door) -> tuple[tuple[BodyRef, BodyRef, float], ...]:

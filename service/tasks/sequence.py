@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
@@ -29,6 +30,7 @@ from service.body.phases import POSE_EFFORT, PhaseSolver, path_via, posture_gues
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, DEPTH_RESERVE, HandMotion, PhaseSpec, check_moves, find_rotation_onto
+from service.verify import HandLoad
 
 QUICK_GUESSES = 2
 QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
@@ -98,7 +100,10 @@ class PhaseSequence:
         """Try with little effort whether a phase's first pose exists, whatever comes before it."""
         compiler = _Compiler(self.solver, self.mechanism)
         guesses = [*guesses, *compiler.list_guesses(self.solver.body.nominal)][:QUICK_GUESSES]
-        return compiler.solve_pose(step, spec, guesses, QUICK_EFFORT)
+        light = compiler.solve_pose(step, replace(spec, torque_share=None), guesses, QUICK_EFFORT)
+        if not light.is_feasible or compiler.is_strong_enough(spec, light.x):
+            return light
+        return compiler.solve_pose(step, spec, [light.x[0]], QUICK_EFFORT)
 
     def _plan_forwards(
         self, specs: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
@@ -180,6 +185,17 @@ class PhaseSequence:
 def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:
     """Return allowances with depths for the waypoints, which leave a reserve for the curve between them [m]."""
     return tuple(replace(touch, depth=max(touch.depth - reserve_m, 0.0)) for touch in touches)
+
+
+def list_together(loads: Sequence[HandLoad]) -> Iterator[tuple[HandLoad, ...]]:
+    """Yield the loads that one tool may carry at the same time: each alone, then several.
+
+    Torques are affine in the size of each load, so that these and no load at all bound every combination.
+    """
+    for count in range(1, len(loads) + 1):
+        for together in combinations(loads, count):
+            if len({load.tool for load in together}) == 1:
+                yield together
 
 
 def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
@@ -301,13 +317,15 @@ class _Compiler:
         regions = self.find_regions(spec, values)
         if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
             unloaded = self._solve(light, starts, fixed, values, (), pinned)
-            starts = [unloaded.x, *starts] if unloaded.is_feasible else starts
+            if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
+                return unloaded
+            starts = [unloaded.x, *starts]
         solved = self._solve(light, starts, fixed, values, regions, pinned)
-        if not solved.is_feasible or self._is_strong_enough(spec, solved.x):
+        if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
             return solved
         return self._solve(spec, [solved.x], fixed, values, regions, pinned)
 
-    def _is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
+    def is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
         """Return whether a phase's loads cost no more torque at its waypoints than it may use."""
         state = MotionState(self.solver.body.engine(q), Contacts.none())
         limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
@@ -415,11 +433,14 @@ class _Compiler:
         q = np.tile(body.nominal, (len(values), 1))
         q[:, self.columns] = values
         kinematics = body.engine(q)
-        for load in spec.loads:
-            joint, _ = locate_frame(self.robot, load.link)
-            forces = -kinematics.rotation[waypoints, joint] @ load.force
-            torque = HeldTorque(self.robot, load.tool, waypoints, forces, spec.torque_share)
-            yield Constraint("torque under the load", torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
+        for number, loads in enumerate(list_together(spec.loads), start=1):
+            name = "torque under the load" if number == 1 else f"torque under the load {number}"
+            forces = np.zeros((len(waypoints), 3))
+            for load in loads:
+                joint, _ = locate_frame(self.robot, load.link)
+                forces -= kinematics.rotation[waypoints, joint] @ load.force
+            torque = HeldTorque(self.robot, loads[0].tool, waypoints, forces, spec.torque_share)
+            yield Constraint(name, torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
 
 
 def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:

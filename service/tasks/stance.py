@@ -135,6 +135,8 @@ def find_stance(
     should_stop: Callable[[], bool] | None = None,
     robot: RobotModel | None = None,
     see: Callable[..., Perceived] | None = None,
+    *,
+    takes_first: bool = False,
 ) -> StanceSearch:
     """Search for places to stand from which a request's door or valve can be moved farthest.
 
@@ -149,6 +151,7 @@ def find_stance(
         should_stop: polled often; once it returns True the search ends with what it has.
         robot: the request's robot if it is loaded already.
         see: ``perception.perceive``, or a function that caches its results.
+        takes_first: whether the first place that has all poses ends the search; the request's own place comes first.
 
     Raises:
         RequestError: another task, a robot with a fixed base or without hands, or a problem of the request.
@@ -179,7 +182,7 @@ def find_stance(
             grid = _Grid(setup, sought, radius_m)
             ranked = grid.rank(request.options.seed)
             n_ranked = len(ranked)
-            _search(_Examiner(setup, sought, monitor), grid, ranked, candidates)
+            _search(_Examiner(setup, sought, monitor), grid, ranked, candidates, takes_first)
             is_complete = True
     except (Interrupted, Stopped):
         pass
@@ -202,7 +205,7 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
         door, note = found
         hands = door_task.choose_hands(body, task.door, door)
         target = float(np.deg2rad(task.door.open_deg))
-        shut = door_task.find_shut(task.door, door)
+        shut = door_task.find_shut(task.door, door) or door_task.find_narrow_lever(body, door, hands)
         if shut is not None:
             return shut
         near = door_task.list_clearances(hands, door)
@@ -212,8 +215,11 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
     valve = valve_task.find_valve(setup, task.valve)
     if isinstance(valve, str):
         return valve
+    refused = valve_task.refuse_lever(valve, task.valve)
+    if refused is not None:
+        return refused
     hooks = valve_task.choose_hands(body, task.valve, valve)
-    wheel = make_wheel(valve, task.valve.mode)
+    wheel = make_wheel(valve, task.valve)
     near = valve_task.list_clearances(hooks)
     note = f"valve at {np.round(valve.centre, 3).tolist()}, rim radius {valve.rim_radius:.3f} m"
     return ValveStance(wheel, hooks, task.valve, near), (note,)
@@ -466,9 +472,18 @@ class _Examiner:
 
 
 def _search(
-    examiner: _Examiner, grid: _Grid, ranked: Float[np.ndarray, "N 3"], candidates: list[StanceCandidate]
+    examiner: _Examiner,
+    grid: _Grid,
+    ranked: Float[np.ndarray, "N 3"],
+    candidates: list[StanceCandidate],
+    takes_first: bool,
 ) -> None:
-    """Check the most promising places, then finer steps about the best; what was checked is added in place."""
+    """Check the most promising places, then finer steps about the best; what was checked is added in place.
+
+    Args:
+        examiner, grid, ranked, candidates: of the search.
+        takes_first: whether the first place that has all poses ends it.
+    """
     monitor = examiner.monitor
     total = ENOUGH_GOOD + FINE * FINE_ROUNDS
 
@@ -476,7 +491,7 @@ def _search(
         """Check places that are apart from those before, until enough of them do or most were checked by poses."""
         checked = good = 0
         for pose in poses:
-            if checked >= most or good >= enough:
+            if checked >= most or good >= enough or (takes_first and _has_all_poses(candidates)):
                 return
             if any(_is_near(pose, known.base, apart if known.outcome is not None else 0.99) for known in candidates):
                 continue
@@ -496,6 +511,12 @@ def _search(
         good = sorted((c for c in candidates if c.score > 0.0), key=lambda c: -c.score)[:FINE_PARENTS]
         if good:
             examine(grid.refine([c.base for c in good], 0.5**level), FINE, 0.9 * 0.5**level, FINE)
+
+
+def _has_all_poses(candidates: Sequence[StanceCandidate]) -> bool:
+    """Return whether the task can be done from the last place, as far as single poses show."""
+    outcome = candidates[-1].outcome if candidates else None
+    return outcome is not None and not outcome.missing
 
 
 def _is_near(pose: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], share: float) -> bool:

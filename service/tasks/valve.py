@@ -53,10 +53,9 @@ class ValveTurn:
         mechanism = make_wheel_mechanism(self.wheel, float(np.deg2rad(self.request.turn_deg)))
         sequence = PhaseSequence(self.solver, mechanism, self.list_phases())
         phases, stuck = sequence.plan(body.nominal)
-        note = (
-            f"{choice.hand.side} hand in {self.request.mode} mode, {self._describe_place()} at "
-            f"{np.rad2deg(choice.entry):.0f} deg of the rim"
-        )
+        angle = f"{np.rad2deg(choice.entry):.0f} deg"
+        note = f"{choice.hand.side} hand in {self.request.mode} mode, {self._describe_place()} at {angle}"
+        note += "" if self.wheel.is_lever else " of the rim"
         return TaskPlan(body, phases, stuck=stuck, measure=self.measure, notes=() if stuck else (note,))
 
     def list_phases(self) -> tuple[PhaseSpec, ...]:
@@ -75,6 +74,8 @@ class ValveTurn:
 
     def _describe_place(self) -> str:
         """Return a word about what is at the entry."""
+        if self.wheel.is_lever:
+            return f"its peg beside the {'grip' if self.wheel.grip > 0.0 else 'lever'}"
         return "its peg on the spoke" if self.request.mode == "hook" and self.wheel.spokes else "inserted"
 
     def measure(self, motion: Motion) -> Mapping[str, float]:

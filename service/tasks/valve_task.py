@@ -15,7 +15,7 @@ from costs.kinematics import locate_links
 from costs.robot import Mechanism
 from costs.scene import Scene
 from costs.terms import AxisDirection, FramePose, WithinTolerance
-from perception import ValveDetection, has_clear_spokes
+from perception import LeverDetection, ValveDetection, has_clear_spokes
 from scopt import Constraint, Sense
 from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
@@ -34,13 +34,13 @@ from service.demands.strokes import (
     list_usable_entries,
 )
 from service.demands.valve_demand import ValveDemand, read_kept_choice, resume_valve, turn_back
-from service.demands.wheel import ROOMS, Wheel, make_wheel, make_wheel_mechanism
+from service.demands.wheel import ROOMS, Wheel, find_stops, make_wheel, make_wheel_mechanism
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.request.names import VALVE_LINK
 from service.request.resume import ResumeRequest
 from service.request.schema import ValveRequest
-from service.scan.scene_file import wheel_from_circle
+from service.scan.scene_file import lever_from_sizes, wheel_from_circle
 from service.setup.prepare import PlanSetup
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
@@ -71,8 +71,12 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
         yield TaskPlan(solver.body, (), (valve,))
         return
     valve = turn_back(valve, setup.request.resume)
+    refused = refuse_lever(valve, request)
+    if refused is not None:
+        yield TaskPlan(solver.body, (), (refused,))
+        return
     hands = choose_hands(solver.body, request, valve)
-    wheel = make_wheel(valve, request.mode)
+    wheel = make_wheel(valve, request)
     reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, valve.rim_radius) for hand in hands]
     if all(reasons):
         yield TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)
@@ -91,23 +95,21 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
         yield replace(plan, obstacle=(*plan.obstacle, *advice), notes=(*notes, *plan.notes))
 
 
-def describe_valve(valve: ValveDetection, wheel: Wheel, request: ValveRequest) -> tuple[str, ...]:
+def describe_valve(valve: ValveDetection | LeverDetection, wheel: Wheel, request: ValveRequest) -> tuple[str, ...]:
     """Return sentences about the wheel, what is assumed of it, and what the options add to the turn."""
-    notes = [
-        f"valve at {np.round(valve.centre, 3).tolist()}, axis {np.round(valve.axis, 3).tolist()}, "
-        f"rim radius {valve.rim_radius:.3f} m, confidence {valve.confidence:.2f}"
-    ]
-    if not has_clear_spokes(valve):
-        assumed = "; a spoke is assumed to meet the side of the peg" if request.mode == "hook" else ""
-        notes.append(
-            f"its spokes are not known: it is taken as solid from the axis to {ROOMS[request.mode]:.3f} m inside the "
-            f"rim's inner edge, and as open between there and the rim{assumed}"
-        )
-    elif request.mode == "hook":
-        notes.append(
-            f"{len(wheel.spokes)} spokes are known, {2e3 * wheel.spokes[0].half_width:.0f} mm wide; the side of the "
-            "peg presses one of them"
-        )
+    place = f"at {np.round(valve.centre, 3).tolist()}, axis {np.round(valve.axis, 3).tolist()}"
+    notes: list[str]
+    if isinstance(valve, LeverDetection):
+        notes = [f"{describe_lever(valve)} {place}, confidence {valve.confidence:.2f}"]
+        if wheel.stops is not None:
+            low, high = np.rad2deg(wheel.stops) + 0.0
+            source = "assumed to stop" if request.stops_deg is None else "stops"
+            notes.append(
+                f"the lever is {source} {abs(low):.0f} deg clockwise and {high:.0f} deg counter-clockwise from here"
+            )
+    else:
+        notes = [f"valve {place}, rim radius {valve.rim_radius:.3f} m, confidence {valve.confidence:.2f}"]
+        notes += _describe_spokes(valve, wheel, request)
     if request.sense == "unknown":
         notes.append(
             f"the sense of the turn is not known: the wheel is tried by {np.rad2deg(PROBE):.0f} deg each way; stop a "
@@ -122,6 +124,46 @@ def describe_valve(valve: ValveDetection, wheel: Wheel, request: ValveRequest) -
     return tuple(notes)
 
 
+def _describe_spokes(valve: ValveDetection, wheel: Wheel, request: ValveRequest) -> Iterator[str]:
+    """Yield a sentence about the spokes of a wheel."""
+    if not has_clear_spokes(valve):
+        assumed = "; a spoke is assumed to meet the side of the peg" if request.mode == "hook" else ""
+        yield (
+            f"its spokes are not known: it is taken as solid from the axis to {ROOMS[request.mode]:.3f} m inside the "
+            f"rim's inner edge, and as open between there and the rim{assumed}"
+        )
+    elif request.mode == "hook":
+        yield (
+            f"{len(wheel.spokes)} spokes are known, {2e3 * wheel.spokes[0].half_width:.0f} mm wide; the side of the "
+            "peg presses one of them"
+        )
+
+
+def describe_lever(lever: LeverDetection) -> str:
+    """Return what turns a valve without a wheel, with its sizes."""
+    if lever.grip_length > 0.0:
+        return f"crank {lever.length:.3f} m long with a grip of {lever.grip_length:.3f} m"
+    return f"lever valve, {lever.length:.3f} m long,"
+
+
+def refuse_lever(valve: ValveDetection | LeverDetection, request: ValveRequest) -> str | None:
+    """Return why a lever that a scan shows cannot be turned as requested; None for what can."""
+    if not isinstance(valve, LeverDetection):
+        return None
+    what = describe_lever(valve).rstrip(",")
+    if request.mode == "grasp":
+        return f"the valve is a {what}; task.valve.mode: expected hook, whose peg pushes it"
+    stops = find_stops(request, has_grip=valve.grip_length > 0.0)
+    turns = [float(np.rad2deg(angle)) for stroke in list_strokes(request, 1) for angle in (stroke.first, stroke.last)]
+    if stops is None or (min(turns) >= np.rad2deg(stops[0]) - 1e-6 and max(turns) <= np.rad2deg(stops[1]) + 1e-6):
+        return None
+    low, high = np.rad2deg(stops)
+    return (
+        f"the valve is a {what}: task.valve turns it from {min(turns):g} to {max(turns):g} deg, and it stops at "
+        f"{low:g} and {high:g} deg; expected turn_deg within them, or other task.valve.stops_deg"
+    )
+
+
 def find_no_entry(wheel: Wheel, hand: Hand, request: ValveRequest) -> str | None:
     """Return why a hand cannot enter a wheel anywhere; None if it can."""
     sense = list_strokes(request, 1)[0].sense
@@ -130,16 +172,22 @@ def find_no_entry(wheel: Wheel, hand: Hand, request: ValveRequest) -> str | None
     return find_fault(wheel, hand, request.mode, wheel.list_entries(request.mode)[0], sense)
 
 
-def read_given_valve(request: ValveRequest) -> ValveDetection | None:
-    """Return the valve that a request gives by its rim circle; None where the scan must show it.
+def read_given_valve(request: ValveRequest) -> ValveDetection | LeverDetection | None:
+    """Return the valve that a request gives by its rim circle or its lever; None where the scan must show it.
 
     Raises:
-        RequestError: some of centre, axis and radius are missing.
+        RequestError: some of centre, axis and radius (or lever) are missing.
     """
-    if all(value is None for value in (request.centre, request.axis, request.radius)):
+    lever = request.lever
+    if all(value is None for value in (request.centre, request.axis, request.radius, lever)):
         return None
-    if request.centre is None or request.axis is None or request.radius is None:
-        raise RequestError("task.valve: centre, axis and radius come together; give all three or none")
+    if request.centre is None or request.axis is None or (request.radius is None and lever is None):
+        raise RequestError("task.valve: centre, axis and radius (or lever) come together; give all three or none")
+    if lever is not None:
+        ends = np.array(request.centre), np.array(request.axis), np.array(lever.direction)
+        return lever_from_sizes(*ends, lever.length_m, lever.radius_m, lever.grip_m)
+    if request.radius is None:
+        return None
     bare = wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
     if not request.spokes_deg:
         return bare
@@ -153,7 +201,7 @@ def read_given_valve(request: ValveRequest) -> ValveDetection | None:
     return valve
 
 
-def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
+def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | LeverDetection | str:
     """Return the valve to turn, or a sentence why there is none."""
     given = read_given_valve(request)
     if given is not None:
@@ -175,7 +223,7 @@ def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | str:
     return valves[0]
 
 
-def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection) -> tuple[Hand, ...]:
+def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection | LeverDetection) -> tuple[Hand, ...]:
     """Return the hands to try, the nearest to the valve first."""
     model, name = body.robot.model, body.robot.name
     if request.mode == "grasp":

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from perception.detect.door.bar import EXTENSIONS, expect_extension
 from perception.detect.door.frame import Frame, find_frame
+from perception.detect.door.geometry import UP
 from perception.detect.door.handle import Handle, find_handle
 from perception.detect.door.hang import find_ends
 from perception.detect.door.leaf import Leaf, find_leaves
@@ -52,7 +54,9 @@ class _Candidate:
     knows_hinge: bool
 
 
-def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+def detect_door(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, hinge_on: Literal["left", "right"] | None = None
+) -> list[Detection]:
     """Find doors, best first.
 
     The frame of a hit: origin on the hinge edge of the leaf's seen face at floor height, x from hinge to free edge
@@ -64,6 +68,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
 
     Args:
         hint: (3,) a point near the leaf or its handle [m].
+        hinge_on: side of the hinges as seen by the sensor, for doors of which the scan does not show it.
     """
     ground = _ground(view)
     starts, ends = view.cloud.rays
@@ -82,6 +87,7 @@ def detect_door(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
             rays,
             ground,
             hint,
+            hinge_on,
         )
         for leaf in leaves[:_EXAMINED]
     ]
@@ -126,19 +132,33 @@ def _some_points(points: Float[np.ndarray, "N 3"], rng: np.random.Generator) -> 
 
 
 def _weigh(
-    leaf: Leaf, frame: Frame | None, rays: Rays, ground: float, hint: Float[np.ndarray, "3"] | None
+    leaf: Leaf,
+    frame: Frame | None,
+    rays: Rays,
+    ground: float,
+    hint: Float[np.ndarray, "3"] | None,
+    hinge_on: Literal["left", "right"] | None,
 ) -> _Candidate:
     """Return the leaf with its handle, hinge side and confidence of being a door."""
     sure_hinge = frame.hinge if frame is not None and frame.ajar > _SURELY_AJAR else 0
     handle = find_handle(leaf.plane, leaf.low.at, leaf.high.at, leaf.rms, ground, rays, -sure_hinge)
-    hinge = sure_hinge or _hinge_by(handle, leaf) or (frame.hinge if frame is not None else 0)
+    seen_hinge = sure_hinge or _hinge_by(handle, leaf) or (frame.hinge if frame is not None else 0)
+    hinge = seen_hinge or _find_side(leaf, hinge_on)
     confidence = _confidence(leaf, frame, handle, hinge)
     if hint is not None:
         # An operator's hint rules out most other objects.
         confidence = confidence**_HINT_TRUST
         # A hint does not show the hinge side.
         confidence = confidence if hinge else min(confidence, _HINGE_UNKNOWN)
-    return _Candidate(leaf, frame, handle, hinge or -1, confidence, hinge != 0)
+    return _Candidate(leaf, frame, handle, hinge or -1, confidence, seen_hinge != 0)
+
+
+def _find_side(leaf: Leaf, hinge_on: Literal["left", "right"] | None) -> int:
+    """Return the side of the hinges that a person states, -1 at the leaf's low edge or 1; 0 where nobody does."""
+    if hinge_on is None:
+        return 0
+    is_high_right = float(np.cross(UP, leaf.plane.normal) @ leaf.plane.along) > 0.0
+    return 1 if is_high_right == (hinge_on == "right") else -1
 
 
 def _hinge_by(handle: Handle | None, leaf: Leaf) -> int:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece
 from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.valve.lever_valve import LeverDetection
 from perception.detect.valve.ring import Ring, wheel_basis
 
 _SECTION = 8
@@ -84,6 +85,11 @@ class ValveDetection:
     ) -> Float[np.ndarray, "R 3"]:
         """Return the ends as they are: a wheel hides nothing that matters."""
         return ends
+
+
+def select_turnable(detections: Iterable[Detection]) -> tuple[ValveDetection | LeverDetection, ...]:
+    """Return the wheels and levers of valves among detections, in their order."""
+    return tuple(hit.model for hit in detections if isinstance(hit.model, ValveDetection | LeverDetection))
 
 
 def select_wheels(detections: Iterable[Detection]) -> tuple[ValveDetection, ...]:

@@ -13,11 +13,12 @@ from perception.detect.shared.bar_pivot import Pivot
 from perception.detect.shared.bars import Bar
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.foreground import Foreground
-from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes
+from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes, fit_again
 from perception.detect.valve.lever_joint import LeverJoint, joint_of, settle_joint
-from perception.detect.valve.wheel import find_wheels
+from perception.detect.valve.lever_valve import LeverDetection, find_grip, is_about_grip
+from perception.detect.valve.wheel import detect_wheels, find_wheels
 from perception.ground.floor import FloorPlane
-from perception.sightlines import SightIndex
+from perception.sightlines import SightIndex, index_of
 from perception.view import View
 
 _REPORTED, _HOPELESS = 0.05, 0.02
@@ -39,6 +40,24 @@ class _Lever:
     bar: Bar
     joint: LeverJoint
     confidence: float
+    pipe: FittedBar
+
+    @property
+    def length(self) -> float:
+        """Length of the lever from its pivot [m]."""
+        return abs(self.joint.pivot.far - self.joint.pivot.along)
+
+    @property
+    def pose(self) -> Float[np.ndarray, "4 4"]:
+        """(4, 4) pose: origin at the pivot, x along the lever, z the pivot's axis to the sensor."""
+        bar, pivot = self.bar, self.joint.pivot
+        x = np.sign(pivot.far - pivot.along) * bar.axis
+        z = self.joint.axis - (self.joint.axis @ x) * x
+        z /= np.linalg.norm(z)
+        pose = np.eye(4)
+        pose[:3, :3] = np.column_stack([x, cross(z, x), z])
+        pose[:3, 3] = bar.centre + pivot.along * bar.axis
+        return pose
 
 
 def detect_lever_valve(
@@ -68,12 +87,20 @@ def detect_lever_valve(
     for valve in valves:
         if all(np.linalg.norm(valve.bar.middle - other.bar.middle) > 0.1 for other in apart):
             apart.append(valve)
-    detections = [_as_detection(valve, hint is not None) for valve in apart]
+    with threadpool_limits(limits=1, user_api="blas"):
+        settled = [_settle_crank(valve, view, foreground.index) for valve in apart]
+    detections = [_as_detection(*valve, is_hinted=hint is not None) for valve in settled]
     return [valve for valve in detections if valve.confidence >= _REPORTED]
 
 
-def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
-    """Return the valve of a lever and a pipe; None when their sizes or positions do not fit."""
+def _join(
+    lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None, *, has_grip: bool = False
+) -> _Lever | None:
+    """Return the valve of a lever and a pipe; None when their sizes or positions do not fit.
+
+    Args:
+        has_grip: whether a grip shows where the lever ends.
+    """
     joint = joint_of(lever.bar, pipe.bar, (lever.fit.spread[0], pipe.fit.spread[0]), index)
     if joint is None:
         return None
@@ -94,9 +121,27 @@ def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlan
     again = joint_of(both.lever, both.pipe, (tilts[0], tilts[1]), index)
     if again is None or (again.pivot.far > again.pivot.along) != (joint.pivot.far > joint.pivot.along):
         return None
-    far_seen = both.is_seen and lever.ends.seen[joint.pivot.far == lever.bar.last]
+    far_seen = has_grip or (both.is_seen and lever.ends.seen[joint.pivot.far == lever.bar.last])
     confidence *= _as_a_lever(again.pivot, both.lever.half[0]) * (1.0 if far_seen else _END_UNSEEN)
-    return _Lever(lever, both.lever, again, float(confidence * rising(-again.spread, -_SPREADS[1], -_SPREADS[0])))
+    confidence *= rising(-again.spread, -_SPREADS[1], -_SPREADS[0])
+    return _Lever(lever, both.lever, again, float(confidence), pipe)
+
+
+def _settle_crank(valve: _Lever, view: View, index: SightIndex) -> tuple[_Lever, tuple[float, float]]:
+    """Return a lever, and length and distance of the grip at its end; a crank's bar is fitted without its grip's rays.
+
+    Rays that end on the grip would pull the bar towards it.
+    """
+    grip = find_grip(view.obstacles, valve.pose, valve.length, valve.bar.half[0])
+    if grip[0] == 0.0:
+        return valve, grip
+    beside = index_of(index.rays.select(~is_about_grip(index.rays.ends, valve.pose, grip, valve.bar.half[0])))
+    fitted = fit_again(valve.bar, beside, view.floor)
+    again = None if fitted is None else _join(fitted, valve.pipe, beside, view.floor, has_grip=True)
+    if again is None:
+        return valve, grip
+    grip = find_grip(view.obstacles, again.pose, again.length, again.bar.half[0])
+    return (again, grip) if grip[0] > 0.0 else (valve, (0.0, valve.length))
 
 
 def _as_a_lever(pivot: Pivot, radius: float) -> float:
@@ -105,16 +150,16 @@ def _as_a_lever(pivot: Pivot, radius: float) -> float:
     return rising(length, LENGTHS[0], LENGTHS[0] + 0.03) * rising(length / radius, *_SLIM) * pivot.confidence
 
 
-def _as_detection(valve: _Lever, is_hinted: bool) -> Detection:
-    """Return the valve as a detection: pose at the pivot, sizes, residuals and points of the lever."""
-    bar, pivot = valve.bar, valve.joint.pivot
-    x = np.sign(pivot.far - pivot.along) * bar.axis
-    z = valve.joint.axis - (valve.joint.axis @ x) * x
-    z /= np.linalg.norm(z)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([x, cross(z, x), z])
-    pose[:3, 3] = bar.centre + pivot.along * bar.axis
-    sizes = {"lever_length": abs(pivot.far - pivot.along), "lever_radius": bar.half[0]}
+def _as_detection(valve: _Lever, grip: tuple[float, float], *, is_hinted: bool) -> Detection:
+    """Return the valve as a detection: pose at the pivot, sizes, residuals and points of the lever.
+
+    Args:
+        grip: length of a crank's grip, 0 without one, and distance of its axis from the pivot [m].
+    """
+    bar, pivot, pose, length = valve.bar, valve.joint.pivot, valve.pose, valve.length
+    sizes = {"lever_length": length, "lever_radius": bar.half[0]}
+    if grip[0] > 0.0:
+        sizes = {"lever_length": grip[1], "lever_radius": bar.half[0], "grip_length": grip[0]}
     residuals = {
         "rms": valve.fitted.evidence.rms,
         "solid_share": valve.fitted.evidence.solid,
@@ -124,7 +169,19 @@ def _as_detection(valve: _Lever, is_hinted: bool) -> Detection:
         "axis_rad": valve.joint.spread,
     }
     confidence = float(np.sqrt(valve.confidence)) if is_hinted else valve.confidence
-    return Detection("valve", pose, sizes, confidence, residuals, bar.places(0.01))
+    model = LeverDetection(
+        pose[:3, 3], pose[:3, 2], pose[:3, 0], sizes["lever_length"], bar.half[0], confidence,
+        valve.fitted.evidence.rms, int(valve.fitted.evidence.n_hits), grip_length=grip[0],
+    )  # fmt: skip
+    return Detection("valve", pose, sizes, confidence, residuals, bar.places(0.01), model)
+
+
+def detect_turnable(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+    """Find valves that a plan can turn, best first; levers are looked for only where no wheel is sure."""
+    wheels = detect_wheels(view, hint)
+    if wheels and wheels[0].confidence >= (CONFIDENT if hint is None else _SURE):
+        return wheels
+    return detect_valve(view, hint)
 
 
 def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:

@@ -150,6 +150,12 @@ def _fit(
     return None if first is None else _fit_once(run_of(first.bar), index, floor, radii, tube)
 
 
+def fit_again(bar: Bar, index: SightIndex, floor: FloorPlane | None) -> FittedBar | None:
+    """Return a lever's bar fitted to other rays; None when a fit fails."""
+    first = _fit_once(run_of(bar), index, floor, LEVER_RADII, TUBES[0])
+    return None if first is None else _fit_once(run_of(first.bar), index, floor, LEVER_RADII, TUBES[0])
+
+
 def _fit_once(
     run: Run, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
 ) -> FittedBar | None:

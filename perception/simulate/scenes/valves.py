@@ -29,6 +29,7 @@ Vector = tuple[float, float, float]
 # y, z, outer radius [m] and number of spokes of each wheel of a manifold.
 _MANIFOLD = ((0.28, 1.05, 0.15, 5), (-0.2, 1.1, 0.09, 3), (0.05, 1.5, 0.11, 4))
 _STEM, _LEVER_PIPE_RADIUS, _PIPE_LENGTH = 0.11, 0.04, 1.0  # of lever valves [m]
+_GRIP_RADIUS = 0.014  # of a crank [m]
 _UP, _ACROSS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
 
@@ -70,13 +71,14 @@ class PipedWheel:
 
 @dataclass(frozen=True)
 class LeverValve:
-    """A ball valve: a lever on a short stem on a pipe.
+    """A ball valve: a lever on a short stem on a pipe; with a grip at its end, a crank.
 
     Attributes:
         pivot: intersection of the stem's axis with the lever's centre line [m].
         axis: unit vector along the stem, from the pipe towards the operator.
         along: direction of the lever; made perpendicular to the axis.
-        length: length of the lever from the pivot [m].
+        length: length of the lever from the pivot, of a crank to the axis of its grip [m].
+        grip: length of a crank's grip along the axis, from the lever's centre line; 0 for a lever [m].
     """
 
     pivot: tuple[float, float, float]
@@ -85,13 +87,15 @@ class LeverValve:
     length: float = 0.25
     radius: float = 0.013
     pipe_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    grip: float = 0.0
 
     def build(self) -> PlacedObjects:
         """Build the valve; its lever is also a lookalike of kind ``lever``."""
         pose = frame(self.pivot, self.along, self.axis)
         pivot, axis, along = pose[:3, 3], pose[:3, 2], pose[:3, 0]
         body = pivot - _STEM * axis
-        end = pivot + (self.length - self.radius) * along
+        end = pivot + (self.length - (0.0 if self.grip > 0.0 else self.radius)) * along
+        grip = [cylinder(end.tolist(), (end + self.grip * axis).tolist(), _GRIP_RADIUS, 24)] if self.grip > 0.0 else []
         meshes = (
             bent_bar([pivot.tolist(), end.tolist()], self.radius),
             cylinder((body).tolist(), (pivot + (self.radius + 0.004) * axis).tolist(), 0.014, 24),
@@ -101,8 +105,10 @@ class LeverValve:
                 axis.tolist(),
             ),
             *valve_body(body, axis, self.pipe_direction, _LEVER_PIPE_RADIUS, _PIPE_LENGTH),
+            *grip,
         )
         sizes = {"lever_length": self.length, "lever_radius": self.radius}
+        sizes |= {"grip_length": self.grip} if self.grip > 0.0 else {}
         alike = (("lever", pivot), ("lever", 0.5 * (pivot + end)))
         return PlacedObjects(meshes, (Truth("valve", pose, sizes),), alike)
 

@@ -131,7 +131,7 @@ def list_load_cases(
 ) -> tuple[LoadCase, ...]:
     """Return no load, and every combination of the loads at their largest, at configurations.
 
-    A slide's ends are within a few centimetres of its middle, where the force is taken to act.
+    The force of a load that slides acts where the tool is on the slide.
     """
     model, data = robot.model, robot.model.createData()
     joints = [int(model.frames[model.getFrameId(load.tool)].parentJoint) for load in loads]
@@ -140,10 +140,24 @@ def list_load_cases(
         pin.framesForwardKinematics(model, data, row)
         for index, load in enumerate(loads):
             pose = data.oMf[model.getFrameId(load.link)]
-            force, point = -pose.rotation @ load.force, pose.rotation @ load.place + pose.translation
+            force = -pose.rotation @ load.force
+            place = load.place
+            if load.slide is not None:
+                place = _slide_to(
+                    load, pose.rotation.T @ (data.oMf[model.getFrameId(load.tool)].translation - pose.translation)
+                )
+            point = pose.rotation @ place + pose.translation
             wrenches[index, k] = np.concatenate([force, np.cross(point, force)])
     cases = []
     for share in product((0.0, 1.0), repeat=len(loads)):
         parts = tuple((joints[i], wrenches[i]) for i in range(len(loads)) if share[i])
         cases.append(LoadCase(np.sum([part for _, part in parts], axis=0) if parts else np.zeros((len(q), 6)), parts))
     return tuple(cases)
+
+
+def _slide_to(load: HandLoad, tool: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return the place on a load's slide that is nearest to the tool, both in the load's link [m]."""
+    slide = np.zeros(3) if load.slide is None else load.slide
+    square = float(slide @ slide)
+    share = float(np.clip((tool - load.place) @ slide / square, -1.0, 1.0)) if square > 0.0 else 0.0
+    return np.asarray(load.place + share * slide)

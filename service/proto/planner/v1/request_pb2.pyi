@@ -61,6 +61,13 @@ class Opens(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     OPENS_PULL: _ClassVar[Opens]
     OPENS_AUTO: _ClassVar[Opens]
 
+class HingeSide(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    HINGE_SIDE_UNSPECIFIED: _ClassVar[HingeSide]
+    HINGE_SIDE_LEFT: _ClassVar[HingeSide]
+    HINGE_SIDE_RIGHT: _ClassVar[HingeSide]
+    HINGE_SIDE_AUTO: _ClassVar[HingeSide]
+
 class HandleKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     HANDLE_KIND_UNSPECIFIED: _ClassVar[HandleKind]
@@ -149,6 +156,10 @@ OPENS_UNSPECIFIED: Opens
 OPENS_PUSH: Opens
 OPENS_PULL: Opens
 OPENS_AUTO: Opens
+HINGE_SIDE_UNSPECIFIED: HingeSide
+HINGE_SIDE_LEFT: HingeSide
+HINGE_SIDE_RIGHT: HingeSide
+HINGE_SIDE_AUTO: HingeSide
 HANDLE_KIND_UNSPECIFIED: HandleKind
 HANDLE_KIND_LEVER: HandleKind
 HANDLE_KIND_PULL: HandleKind
@@ -437,7 +448,7 @@ class ContactPlace(_message.Message):
     def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
 
 class Valve(_message.Message):
-    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m")
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m", "lever", "stops_deg")
     MODE_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     TURN_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -450,6 +461,8 @@ class Valve(_message.Message):
     STUCK_FIELD_NUMBER: _ClassVar[int]
     SPOKES_DEG_FIELD_NUMBER: _ClassVar[int]
     SPOKE_WIDTH_M_FIELD_NUMBER: _ClassVar[int]
+    LEVER_FIELD_NUMBER: _ClassVar[int]
+    STOPS_DEG_FIELD_NUMBER: _ClassVar[int]
     mode: HoldMode
     hand: Hand
     turn_deg: float
@@ -462,10 +475,24 @@ class Valve(_message.Message):
     stuck: bool
     spokes_deg: _containers.RepeatedScalarFieldContainer[float]
     spoke_width_m: float
-    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ...) -> None: ...
+    lever: Lever
+    stops_deg: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ..., lever: _Optional[_Union[Lever, _Mapping]] = ..., stops_deg: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Lever(_message.Message):
+    __slots__ = ("direction", "length_m", "radius_m", "grip_m")
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    GRIP_M_FIELD_NUMBER: _ClassVar[int]
+    direction: _containers.RepeatedScalarFieldContainer[float]
+    length_m: float
+    radius_m: float
+    grip_m: float
+    def __init__(self, direction: _Optional[_Iterable[float]] = ..., length_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., grip_m: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
-    __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays")
+    __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays", "hinge")
     HAND_FIELD_NUMBER: _ClassVar[int]
     OPEN_DEG_FIELD_NUMBER: _ClassVar[int]
     HINT_FIELD_NUMBER: _ClassVar[int]
@@ -478,6 +505,7 @@ class Door(_message.Message):
     HINGE_NM_FIELD_NUMBER: _ClassVar[int]
     PUSH_BAR_N_FIELD_NUMBER: _ClassVar[int]
     STAYS_FIELD_NUMBER: _ClassVar[int]
+    HINGE_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     open_deg: float
     hint: _containers.RepeatedScalarFieldContainer[float]
@@ -490,7 +518,8 @@ class Door(_message.Message):
     hinge_nm: float
     push_bar_n: float
     stays: bool
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., open_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., opens: _Optional[_Union[Opens, str]] = ..., leaf: _Optional[_Union[Leaf, _Mapping]] = ..., handle: _Optional[_Union[Handle, _Mapping]] = ..., release_deg: _Optional[float] = ..., press_m: _Optional[float] = ..., lever_nm: _Optional[float] = ..., hinge_nm: _Optional[float] = ..., push_bar_n: _Optional[float] = ..., stays: bool = ...) -> None: ...
+    hinge: HingeSide
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., open_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., opens: _Optional[_Union[Opens, str]] = ..., leaf: _Optional[_Union[Leaf, _Mapping]] = ..., handle: _Optional[_Union[Handle, _Mapping]] = ..., release_deg: _Optional[float] = ..., press_m: _Optional[float] = ..., lever_nm: _Optional[float] = ..., hinge_nm: _Optional[float] = ..., push_bar_n: _Optional[float] = ..., stays: bool = ..., hinge: _Optional[_Union[HingeSide, str]] = ...) -> None: ...
 
 class Leaf(_message.Message):
     __slots__ = ("hinge", "edge", "height_m", "thickness_m", "face_m", "ajar_deg")
