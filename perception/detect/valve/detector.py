@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from perception.detect.shared.arithmetic import cross, rising
@@ -29,6 +30,11 @@ _KNOWN_OF_IT = (0.25, 0.5)
 _SPREADS = (np.radians(1.8), np.radians(3.2))  # deviation of an axis rated 1, and of one rated 0 [rad]
 _SURE = 0.8  # least confidence of a sure wheel with a hint, which raises confidences
 _BESIDE = 0.05
+_RIM_NOISE = 0.02
+# A face behind a lever: from which share of the lever on it is looked for, how far beside and behind the lever [m], the
+# least slope of rays, the least share of rays that end on it, and the factor on the confidence.
+_FAR_HALF, _FACE_BESIDE, _FACE_BEHIND = 0.4, (0.03, 0.07), (0.02, 0.095)
+_FACE_SLOPE, _FACE_SHARE, _BEFORE_FACE = 0.3, 0.8, 0.3
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,10 @@ class _Lever:
 
 
 def detect_lever_valve(
-    view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
+    view: View,
+    hint: Float[np.ndarray, "3"] | None = None,
+    foreground: Foreground | None = None,
+    wheels: Sequence[Detection] = (),
 ) -> list[Detection]:
     """Find lever valves, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
@@ -51,13 +60,15 @@ def detect_lever_valve(
 
     Args:
         hint: (3,) a point near the valve: only points within 0.6 m of it are searched [m].
+        wheels: wheels whose points are no levers.
     """
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
     valves: list[_Lever] = []
     with threadpool_limits(limits=1, user_api="blas"):
-        levers = find_levers(foreground, view.floor, hint)
+        apart_from = replace(foreground, points=foreground.points[~_on_any(wheels, foreground.points)])
+        levers = find_levers(apart_from, view.floor, hint)
         pipes = find_pipes(foreground, view.floor, hint) if levers else []
         for lever in levers:
             valves += [
@@ -69,7 +80,26 @@ def detect_lever_valve(
         if all(np.linalg.norm(valve.bar.middle - other.bar.middle) > 0.1 for other in apart):
             apart.append(valve)
     detections = [_as_detection(valve, hint is not None) for valve in apart]
+    if hint is None:
+        detections = [_doubt_before_face(valve, foreground.index) for valve in detections]
     return [valve for valve in detections if valve.confidence >= _REPORTED]
+
+
+def _doubt_before_face(valve: Detection, index: SightIndex) -> Detection:
+    """Return the detection, less sure if the rays beside the lever end on a face close behind it: a switch's box."""
+    pose, length = valve.pose_world_object, valve.sizes["lever_length"]
+    along = np.linspace(_FAR_HALF, 1.0, 5) * length
+    rays = index.passing(pose[:3, 3] + along[:, None] * pose[:3, 0], _FACE_BESIDE[1])
+    slope = rays.direction @ pose[:3, 2]
+    rays, slope = rays.select(slope < -_FACE_SLOPE), slope[slope < -_FACE_SLOPE]
+    crossing = -((rays.start - pose[:3, 3]) @ pose[:3, 2]) / slope
+    place = (rays.start + crossing[:, None] * rays.direction - pose[:3, 3]) @ pose[:3, :2]
+    behind = -((rays.ends - pose[:3, 3]) @ pose[:3, 2])
+    beside = (np.abs(place[:, 1]) > _FACE_BESIDE[0]) & (np.abs(place[:, 1]) < _FACE_BESIDE[1])
+    beside &= (place[:, 0] > _FAR_HALF * length) & (place[:, 0] < length) & (behind > _FACE_BEHIND[0])
+    if not beside.any() or (behind[beside] < _FACE_BEHIND[1]).mean() < _FACE_SHARE:
+        return valve
+    return replace(valve, confidence=_BEFORE_FACE * valve.confidence)
 
 
 def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None) -> _Lever | None:
@@ -137,11 +167,20 @@ def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     # Spokes and rim segments look like levers, and round parts near a lever look like wheels.
     levers = [
         lever
-        for lever in detect_lever_valve(view, hint, foreground)
+        for lever in detect_lever_valve(view, hint, foreground, sure)
         if not any(_is_part_of(lever, wheel) for wheel in sure)
     ]
     others = [wheel for wheel in wheels if not any(_is_about(wheel, lever) for lever in levers)]
     return sorted([*others, *levers], key=lambda hit: -hit.confidence)
+
+
+def _on_any(wheels: Sequence[Detection], points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Return which points lie in the rim's disc of a wheel."""
+    mask = np.zeros(len(points), dtype=bool)
+    for wheel in wheels:
+        local = (points - wheel.pose_world_object[:3, 3]) @ wheel.pose_world_object[:3, :3]
+        mask |= (np.hypot(*local.T[:2]) < wheel.sizes["outer_radius"] + _RIM_NOISE) & (np.abs(local[:, 2]) < _BESIDE)
+    return mask
 
 
 def _is_part_of(lever: Detection, wheel: Detection) -> bool:
