@@ -24,11 +24,13 @@ class Measure:
         name: with its unit.
         of: returns the error, or None if the truth or the detection does not have it.
         target: the largest error on a dense scan; twice that on a sparse one; None: none is set.
+        right: the largest error of a hit that counts as right: one that a person would call the same object.
     """
 
     name: str
     of: Callable[[Found, Truth], float | None]
     target: float | None = None
+    right: float = np.inf
 
 
 def distance(found: Found, truth: Truth) -> float:
@@ -107,61 +109,61 @@ def _button_places(one: Found | Truth) -> Float[np.ndarray, "B 3"]:
 
 MEASURES: Mapping[str, tuple[Measure, ...]] = {
     "valve": (
-        Measure("centre mm", distance, 10.0),
-        Measure("axis deg", axis(2, signed=False), 2.0),
-        Measure("radius mm", either("outer_radius", "lever_length"), 5.0),
+        Measure("centre mm", distance, 10.0, right=30.0),
+        Measure("axis deg", axis(2, signed=False), 2.0, right=8.0),
+        Measure("radius mm", either("outer_radius", "lever_length"), 5.0, right=20.0),
     ),
     "door": (
-        Measure("normal deg", axis(1, signed=False), 1.0),
-        Measure("offset mm", _leaf_offset, 5.0),
-        Measure("handle mm", _handle, 20.0),
-        Measure("width mm", size("width")),
-        Measure("ajar deg", size("ajar", float(np.degrees(1.0)))),
-        Measure("sides wrong", _hinge),
+        Measure("normal deg", axis(1, signed=False), 1.0, right=5.0),
+        Measure("offset mm", _leaf_offset, 5.0, right=25.0),
+        Measure("handle mm", _handle, 20.0, right=80.0),
+        Measure("width mm", size("width"), right=80.0),
+        Measure("ajar deg", size("ajar", float(np.degrees(1.0))), right=8.0),
+        Measure("sides wrong", _hinge, right=0.5),
     ),
     "lever": (
-        Measure("pivot mm", distance),
-        Measure("axis deg", axis(2, signed=False)),
-        Measure("along deg", axis(0, signed=True)),
-        Measure("length mm", size("length")),
+        Measure("pivot mm", distance, right=40.0),
+        Measure("axis deg", axis(2, signed=False), right=15.0),
+        Measure("along deg", axis(0, signed=True), right=15.0),
+        Measure("length mm", size("length"), right=50.0),
     ),
     "panel": (
-        Measure("centre mm", distance),
-        Measure("normal deg", axis(2, signed=False)),
-        Measure("width mm", size("width")),
-        Measure("height mm", size("height")),
-        Measure("buttons mm", _buttons),
+        Measure("centre mm", distance, right=40.0),
+        Measure("normal deg", axis(2, signed=False), right=8.0),
+        Measure("width mm", size("width"), right=40.0),
+        Measure("height mm", size("height"), right=40.0),
+        Measure("buttons mm", _buttons, right=30.0),
     ),
     "drill": (
-        Measure("grip mm", distance),
-        Measure("up deg", axis(2, signed=True)),
-        Measure("chuck deg", axis(0, signed=True)),
+        Measure("grip mm", distance, right=40.0),
+        Measure("up deg", axis(2, signed=True), right=15.0),
+        Measure("chuck deg", axis(0, signed=True), right=30.0),
     ),
     "beam": (
-        Measure("centre mm", distance),
-        Measure("along deg", axis(0, signed=False), 5.0),
-        Measure("length mm", size("length"), 50.0),
-        Measure("width mm", size("width")),
-        Measure("thickness mm", size("thickness")),
+        Measure("centre mm", distance, right=100.0),
+        Measure("along deg", axis(0, signed=False), 5.0, right=6.0),
+        Measure("length mm", size("length"), 50.0, right=200.0),
+        Measure("width mm", size("width"), right=30.0),
+        Measure("thickness mm", size("thickness"), right=30.0),
     ),
     "hose": (
-        Measure("centre mm", distance),
-        Measure("axis deg", axis(2, signed=True)),
-        Measure("radius mm", size("radius")),
+        Measure("centre mm", distance, right=30.0),
+        Measure("axis deg", axis(2, signed=True), right=15.0),
+        Measure("radius mm", size("radius"), right=12.0),
     ),
     "seat": (
-        Measure("top mm", distance),
-        Measure("forward deg", axis(0, signed=True)),
-        Measure("height mm", size("height")),
-        Measure("width mm", size("width")),
-        Measure("depth mm", size("depth")),
+        Measure("top mm", distance, right=120.0),
+        Measure("forward deg", axis(0, signed=True), right=25.0),
+        Measure("height mm", size("height"), right=80.0),
+        Measure("width mm", size("width"), right=150.0),
+        Measure("depth mm", size("depth"), right=150.0),
     ),
     "opening": (
-        Measure("sill mm", distance),
-        Measure("out deg", axis(0, signed=True)),
-        Measure("width mm", size("width")),
-        Measure("height mm", size("height")),
-        Measure("sill height mm", size("sill")),
+        Measure("sill mm", distance, right=200.0),
+        Measure("out deg", axis(0, signed=True), right=20.0),
+        Measure("width mm", size("width"), right=200.0),
+        Measure("height mm", size("height"), right=200.0),
+        Measure("sill height mm", size("sill"), right=120.0),
     ),
 }
 
@@ -235,3 +237,13 @@ def misses_target(kind: str, values: Sequence[float | None], density: str) -> bo
         value is not None and measure.target is not None and value > allowed * measure.target
         for measure, value in zip(MEASURES[kind], values, strict=True)
     )
+
+
+def is_right(kind: str, values: Sequence[float | None]) -> bool:
+    """Whether all errors of a hit are small enough for it to be the object; unknown errors do not count."""
+    return all(value is None or value <= measure.right for measure, value in zip(MEASURES[kind], values, strict=True))
+
+
+def is_lookalike(found: Found, lookalikes: Sequence[tuple[str, Float[np.ndarray, "K 3"]]]) -> bool:
+    """Whether a hit lies on an object that counts neither as a hit nor as an error of its kind."""
+    return _is_lookalike(found.kind, found.pose_world_object[:3, 3], lookalikes)

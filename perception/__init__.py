@@ -23,6 +23,7 @@ from perception.detect.door.bodies import door_bodies
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening, read_door
 from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.shared.overlap import settle_overlaps
 from perception.detect.valve.bodies import (
     ValveDetection,
     has_clear_spokes,
@@ -92,6 +93,7 @@ __all__ = [
     "rim_bodies",
     "select_turnable",
     "select_wheels",
+    "settle_overlaps",
     "update",
     "valve_bodies",
     "voxel_downsample",

@@ -19,6 +19,8 @@ from perception.ground.levels_again import are_there
 
 _DEFAULT_REACH = Reach()
 _BEYOND = 1.0
+# Detectors search at least this region, so that their hits do not depend on where a smaller crop ends.
+_SEARCHED = Reach(radius=5.0)
 
 
 @dataclass(frozen=True)
@@ -31,10 +33,12 @@ class View:
         floors: levels of the floor, the one under the robot first.
         obstacles: (M, 3) points of ``near`` that are neither floor, nor strays, nor mixed pixels [m].
         starts: (M, 3) starts of their rays [m].
-        seed: seed of all random choices; the same scan and seed give the same result.
+        seed: seed of the random choices of floor and pieces; the same scan and seed give the same result.
         notes: sentences for the user.
         n_own: number of points in reach on the robot itself.
         n_floor: number of points of ``near`` on the floor.
+        robot_hulls: (V, 3) vertices of the robot's links in the world [m].
+        soles: (S, 3) corners of the planted soles [m].
     """
 
     cloud: Cloud
@@ -47,6 +51,8 @@ class View:
     notes: tuple[str, ...]
     n_own: int = 0
     n_floor: int = 0
+    robot_hulls: tuple[Float[np.ndarray, "V 3"], ...] = ()
+    soles: tuple[Float[np.ndarray, "S 3"], ...] = ()
 
     @property
     def n_cropped(self) -> int:
@@ -85,6 +91,23 @@ def make_view(
     return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed)
 
 
+def widen(view: View) -> View:
+    """Return the view that detectors search: of the same scan, at least 5 m about the middle of the reach.
+
+    What a detector makes of an object depends on the points around it, on its limits on candidates, and on voxels and
+    samples; all of them would change with the crop.
+    """
+    reach = replace(
+        view.reach,
+        radius=max(view.reach.radius, _SEARCHED.radius),
+        top=max(view.reach.top, _SEARCHED.top),
+        bottom=min(view.reach.bottom, _SEARCHED.bottom),
+    )
+    if reach == view.reach:
+        return view
+    return view_of(crop(view.cloud, reach, view.robot_hulls), reach=reach, soles=view.soles)
+
+
 @dataclass(frozen=True)
 class Cropped:
     """The part of a scan that lies in reach.
@@ -93,12 +116,14 @@ class Cropped:
         cloud: the whole scan without exact copies.
         near: the points in reach, without points on the robot.
         n_own: number of points in reach on the robot itself.
+        robot_hulls: (V, 3) vertices of the robot's links in the world [m].
     """
 
     cloud: Cloud
     near: Cloud
     notes: tuple[str, ...]
     n_own: int
+    robot_hulls: tuple[Float[np.ndarray, "V 3"], ...] = ()
 
 
 def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 3"]]) -> Cropped:
@@ -113,7 +138,7 @@ def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 
         if own.all():
             raise CloudError("all points in reach lie on the robot itself; is the robot's posture the scan's?")
         near = near.select(~own)
-    return Cropped(cloud, near, notes, int(own.sum()))
+    return Cropped(cloud, near, notes, int(own.sum()), tuple(robot_hulls))
 
 
 def view_of(
@@ -149,7 +174,12 @@ def view_of(
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
     notes = (*notes, *crop_doubt(cloud.points, len(near.points) + cropped.n_own, reach, missing))
     obstacles, starts = near.points[kept], near.starts[kept]
-    return View(cloud, near, floors, obstacles, starts, reach, seed, notes, cropped.n_own, int((~above).sum()))
+    n_floor = int((~above).sum())
+    return View(
+        *(cloud, near, floors, obstacles, starts, reach, seed, notes, cropped.n_own, n_floor),
+        cropped.robot_hulls,
+        tuple(soles),
+    )
 
 
 def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:

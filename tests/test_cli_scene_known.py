@@ -236,7 +236,7 @@ def test_a_mesh_asked_for_again_takes_the_place_of_the_one_before(folder: Path, 
 @pytest.mark.parametrize(
     ("options", "exit_code", "problem"),
     [
-        (("--reach", 3), 3, "--reach: {}/plain.json was made with 4.0, and an update keeps to that; leave it out"),
+        (("--reach", 4), 3, "--reach: {}/plain.json was made with 3.0, and an update keeps to that; leave it out"),
         (("--seed", 1), 3, "--seed: {}/plain.json was made with 0"),
         (("--method", "coacd"), 3, "--method: {}/plain.json was made with planes"),
         (("--unknown", "occupied"), 3, "--unknown: {}/plain.json was made with free"),

@@ -121,3 +121,10 @@ def test_every_detector_looks_at_a_flat_scene(has_floor: bool) -> None:
     floor = np.column_stack([rng.uniform(-2.0, 2.0, (8000, 2)), rng.normal(0.0, 0.002, 8000)])
     view = make_view(Cloud(np.concatenate([top, floor] if has_floor else [top]), np.array([0.0, 0.0, 1.6])))
     assert all(hit.confidence < CONFIDENT for hit in detect_kinds(KINDS, view))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.05, np.pi, np.pi - 0.05])
+def test_a_drill_seen_end_on_points_the_right_way_or_has_a_low_confidence(yaw: float) -> None:
+    drill = Drill((0.8, 0.1, TOP), yaw).build()
+    hits = [hit for hit in detect_drill(view_of(*drill.meshes)) if hit.confidence >= CONFIDENT]
+    assert all(hit.pose_world_object[:3, 0] @ drill.truth[0].pose_world_object[:3, 0] > 0.9 for hit in hits)

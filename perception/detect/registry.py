@@ -24,12 +24,15 @@ from perception.detect.lever import detect_lever
 from perception.detect.panel.detector import detect_panel
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.faces import FacesInSight
+from perception.detect.shared.overlap import settle_overlaps
 from perception.detect.valve.detector import detect_turnable, detect_valve
 from perception.detect.valve.wheel import detect_wheels
 from perception.detect.vehicle.opening import detect_opening
 from perception.detect.vehicle.seat import detect_seat
 from perception.errors import PerceptionError
-from perception.view import View
+from perception.view import View, widen
+
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ def detect_kinds(
     Raises:
         PerceptionError: a kind is unknown.
     """
-    return [hit for _, hits in detect_each(kinds, view, hint, on_kind) for hit in hits]
+    return settle_overlaps([hit for _, hits in detect_each(kinds, view, hint, on_kind) for hit in hits])
 
 
 def detect_each(
@@ -105,6 +108,9 @@ def detect_each(
 ) -> Iterator[tuple[str, list[Detection]]]:
     """Find objects as ``detect_kinds`` does, and yield each kind with its objects as soon as its search ends.
 
+    The same region is searched whatever the crop (``perception.view.widen``), and nothing depends on the view's seed:
+    the crop only decides which hits are reported.
+
     Args:
         kinds, view, hint, on_kind: see ``detect_kinds``.
         on_failure: called with the kind and the error of a failed detector; the search continues with the next kind.
@@ -114,16 +120,18 @@ def detect_each(
         if kind not in DETECTORS:
             raise PerceptionError(f"unknown kind '{kind}'; expected one of {', '.join(KINDS)}")
     faces: FacesInSight | None = None
+    wide: View | None = None
     for kind in kinds:
         detector = DETECTORS[kind]
         on_kind(kind)
         poll()
         try:
+            wide = wide or widen(view)
             if detector.needs_faces:
-                faces = faces or FacesInSight.of(view, hint)
-                hits = detector.find(view, hint, faces)
+                faces = faces or FacesInSight.of(wide, hint)
+                hits = detector.find(wide, hint, faces)
             else:
-                hits = detector.find(view, hint)
+                hits = detector.find(wide, hint)
         except Stopped:
             raise
         except Exception as error:
@@ -131,4 +139,11 @@ def detect_each(
                 raise
             on_failure(kind, error)
             continue
-        yield kind, sorted(hits, key=lambda hit: -hit.confidence)
+        hits = sorted(settle_overlaps(hits), key=lambda hit: -hit.confidence)
+        yield kind, [hit for hit in hits if _is_in_reach(hit, view)]
+
+
+def _is_in_reach(hit: Detection, view: View) -> bool:
+    """Return whether a hit's origin or most of its points lie in the view's reach."""
+    is_near = view.reach.contains(np.concatenate([hit.pose_world_object[None, :3, 3], hit.points]))
+    return bool(is_near[0] or (len(is_near) > 1 and is_near[1:].mean() > _MOSTLY))

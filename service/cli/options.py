@@ -40,7 +40,7 @@ class CloudOptions:
         str, typer.Option(help="Of a bag: number of the message, -1 for the last, or all.", metavar="NUMBER")
     ] = "0"
     reach_m: Annotated[float, typer.Option("--reach", help="Horizontal radius kept, in metres.", min=0.1, max=50.0)] = (
-        4.0
+        3.0
     )
     top_m: Annotated[float, typer.Option("--top", help="Height up to which points are kept, in metres.")] = 3.0
     bottom_m: Annotated[float, typer.Option("--bottom", help="Height from which on points are kept, in metres.")] = -0.5

@@ -19,6 +19,8 @@ from service.start.configuration import make_start_configuration
 from service.start.standing import FEET_GROUP, place_bodies, sole_corners
 
 OnStep = Callable[[str], None]
+DEFAULT_REACH_M = Reach().radius
+"""Horizontal radius in which points are kept, the same for scenes, detections and plans [m]."""
 
 _BETWEEN_NUMBERS = str.maketrans(dict.fromkeys(",;()[]", " "))
 
@@ -49,7 +51,7 @@ class CloudInput:
     sensor: tuple[float, float, float] | None = None
     topic: str | None = None
     message: int | Literal["all"] = 0
-    reach_m: float = 4.0
+    reach_m: float = DEFAULT_REACH_M
     top_m: float = 3.0
     bottom_m: float = -0.5
     robot: RobotRequest | None = None

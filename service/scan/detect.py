@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from costs.stopping import Stopped, poll, stops_when
-from perception import Detection, PerceptionError, View, detect_each, make_view
+from perception import Detection, PerceptionError, View, detect_each, make_view, settle_overlaps
 from service.errors import RequestError, ServiceError, would_do
 from service.json_data import to_json_data
 from service.request.choices import EVERY_KIND, KINDS
@@ -92,7 +92,7 @@ def detect_file(
             raise OutOfTimeError(
                 f"--time-limit: {time_limit_s:g} s were over before anything could be looked for; expected more"
             ) from None
-    hits = sorted(search.hits, key=lambda hit: -hit.confidence)
+    hits = sorted(settle_overlaps(search.hits), key=lambda hit: -hit.confidence)
     return {
         "format": FORMAT,
         "kind": kind,

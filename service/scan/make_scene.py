@@ -22,6 +22,7 @@ from perception import (
     Piece,
     Reach,
     perceive,
+    settle_overlaps,
     update,
 )
 from perception.convex.hulls import make_hull
@@ -265,6 +266,7 @@ def build_scene(request: SceneInput, on_step: OnStep, time_limit_s: float | None
             request.before.place_mesh(mesh, seen)
             for mesh in request.before.meshes_without([mesh.name for mesh in known])
         ]
+    hits = settle_overlaps(search.hits)
     mesh_points = {mesh.pieces[0].name: mesh.explains(seen.view.obstacles) for mesh in meshes if mesh.pieces}
     data = scene_document(
         request.settings,
@@ -272,7 +274,7 @@ def build_scene(request: SceneInput, on_step: OnStep, time_limit_s: float | None
         floor=[_encode_level(level) for level in seen.view.floors],
         searched=list(search.kinds),
         unfinished=search.unfinished(kinds),
-        detections=[encode_hit(hit) for hit in search.hits],
+        detections=[encode_hit(hit) for hit in hits],
         meshes=[mesh.to_json() for mesh in meshes],
         timings=to_json_data(dict(seen.timings)),
         notes=[
@@ -291,7 +293,7 @@ def build_scene(request: SceneInput, on_step: OnStep, time_limit_s: float | None
         "bottom_m": request.clouds.bottom_m,
         "time_s": round(time.perf_counter() - started, 3),
     }
-    return BuiltScene(data, seen, tuple(search.hits), mesh_points)
+    return BuiltScene(data, seen, tuple(hits), mesh_points)
 
 
 def _perceive(request: SceneInput, read: CloudRead, known: tuple[KnownMesh, ...]) -> Perceived:

@@ -25,7 +25,7 @@ from service.proto.planner.v1.planner_pb2 import (
 from service.request.file import parse_section
 from service.request.scene import SceneRequest
 from service.request.schema import RobotRequest, StartRequest
-from service.scan.cloud import CloudInput
+from service.scan.cloud import DEFAULT_REACH_M, CloudInput
 from service.server.cloud_requests import (
     KnownReader,
     NamedFile,
@@ -53,7 +53,6 @@ T = TypeVar("T")
 M = TypeVar("M", BuildSceneRequest, BuildSceneRequest | DetectRequest)
 SHA256 = re.compile(r"[0-9a-f]{64}")
 MIN_REACH_M, MAX_REACH_M = 0.1, 50.0
-DEFAULT_REACH_M = 4.0
 SCENE_FIELDS = ("hint", "unknown", "method")  # fields of a message that the scene of a request has, too
 CLOUD_FIELDS = ("unit", "apply_viewpoint", "sensor", "topic", "message")  # of ``clouds`` that it has, too
 

@@ -23,8 +23,10 @@ from perception.ground.floor import FloorPlane, on_floors
 from perception.sightlines import SightIndex, sight_index
 from perception.view import View
 
-# 2x4, 4x4, 2x6 and 2x2 as sawn.
+# Half sizes [m]: 2x4, 4x4, 2x6 and 2x2 inches as planed.  Fits begin at these, and reach metric sizes as well: 40x60,
+# 100x100 and 22x140 mm.
 _TIMBER = Stock("box", ((0.0445, 0.019), (0.0445, 0.0445), (0.07, 0.019), (0.019, 0.019)), rarity=(0.0, 4.0, 4.0, 12.0))
+_METRIC = ((0.03, 0.02), (0.05, 0.05), (0.07, 0.011))
 _PIPES = ((0.02, 0.02), (0.03, 0.03), (0.045, 0.045))
 _VOXEL = 0.015
 _LEAST_LENGTH = 0.25
@@ -45,6 +47,7 @@ _REPORTED = 0.05
 _EXPLAINS, _SURE = 0.25, 0.5
 _LARGEST_STEP = 1.0  # [m^2]
 _OVER_FLOOR = 0.03
+_IN_FLOOR = (0.02, 0.035)
 _MOST_POINTS = 200
 
 
@@ -85,7 +88,7 @@ def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     """
     if not len(view.obstacles):
         return []
-    rng = np.random.default_rng(view.seed)
+    rng = np.random.default_rng(0)
     index = sight_index(view.cloud)
     points, _ = voxel_downsample(loose_points(view), _VOXEL)
     if hint is not None:
@@ -211,7 +214,7 @@ def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | No
     bar = ends.bar
     evidence = weigh_bar(rays, bar)
     spread = spread_between_edges(rays, replace(choice.fit, bar=bar), _FITTED_TO)
-    confidence = _confidence(ends, choice, evidence, spread[0])
+    confidence = _confidence(ends, choice, evidence, spread[0]) * _over_floor(bar, floor)
     if confidence <= _REPORTED:
         return None
     flatter = rivalry(rays, bar, _PIPES, "round")
@@ -275,9 +278,9 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: f
         * rising(evidence.known, 0.2, 0.5)
         * rising(evidence.visible, 0.25, 0.6)
         * rising(bar.length / width, 2.5, 4.5)
-        * rising(width, 0.055, 0.075)
+        * rising(width, 0.042, 0.056)
         * rising(-width, -0.19, -0.155)
-        * rising(thickness, 0.018, 0.028)
+        * rising(thickness, 0.014, 0.02)
         * rising(-evidence.rms, -0.02, -0.015)
         * rising(evidence.n_hits, 20.0, 80.0)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
@@ -286,6 +289,14 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: f
         * (1.0 - 0.6 * rising(sum(ends.hidden), 0.025, 0.06))
         * _END_UNSEEN ** (2 - ends_seen)
     )
+
+
+def _over_floor(bar: Bar, floor: FloorPlane | None) -> float:
+    """Return the score, 0 to 1, that a bar's top is above the floor's noise; of a board in it only parts are seen."""
+    if floor is None:
+        return 1.0
+    up = np.abs(bar.frame[1:] @ floor.normal) @ np.array(bar.half)
+    return rising(float(floor.above(bar.places(0.1)).max() + up), *_IN_FLOOR)
 
 
 def _flatness(flatter: Rivalry) -> float:
@@ -297,7 +308,7 @@ def _flatness(flatter: Rivalry) -> float:
 
 def _off_size(width: float, thickness: float) -> float:
     """Return the larger difference of the two sizes from those of the nearest standard timber [m]."""
-    halves = np.array(_TIMBER.halves)
+    halves = np.array([*_TIMBER.halves, *_METRIC])
     nearest = np.abs(2.0 * np.column_stack([halves.max(axis=1), halves.min(axis=1)]) - (width, thickness))
     return float(nearest.max(axis=1).min())
 

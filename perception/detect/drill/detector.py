@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,6 +13,7 @@ from perception.detect.drill.shape import BODY_RADIUS, FOOT, DrillShape, about_u
 from perception.detect.drill.supports import StandingCluster, dense_parts, standing_clusters, support_share
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
+from perception.detect.shared.local import best_about
 from perception.sightlines import SightIndex, Sightlines, sight_index
 from perception.view import View
 
@@ -32,6 +33,9 @@ _MOST_CLUSTERS, _MOST_FITS = 24, 6
 _OVER_SUPPORT = (0.015, 0.03)
 # The surface that a drill stands on extends beside its foot, on most sides.
 _SUPPORTED = (0.6, 0.85)
+# Cost by which the opposite direction must be worse, and rating of a drill whose direction is unknown.
+_REVERSE, _EITHER_WAY = (0.0, 0.08), 0.3
+_SAME = 0.15  # [m]
 _MOST_POINTS = 200
 
 
@@ -54,7 +58,8 @@ def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     held = [(cluster, share) for cluster in clusters if (share := support_share(index, cluster)) > _SUPPORTED[0]]
     begun = sorted((_begin(index, *start) for start in held[:_MOST_CLUSTERS]), key=lambda start: start.least_cost)
     hits = [_finish(begun_fit, hint is not None) for begun_fit in begun[:_MOST_FITS]]
-    return sorted((hit for hit in hits if hit.confidence > _REPORTED), key=lambda hit: -hit.confidence)
+    hits = sorted((hit for hit in hits if hit.confidence > _REPORTED), key=lambda hit: -hit.confidence)
+    return best_about(hits, np.array([hit.pose_world_object[:3, 3] for hit in hits]), _SAME, 1)
 
 
 def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:
@@ -110,25 +115,37 @@ def _begin(index: SightIndex, cluster: StandingCluster, supported: float) -> _Be
 
 
 def _finish(begun: _Begun, is_hinted: bool) -> Detection:
-    """Fit a drill to the cluster from each start and return the best as a detection."""
+    """Fit a drill to the cluster from each start and return the best as a detection.
+
+    The best drill turned about its grip is a start as well: grip and battery look alike from ahead and behind, and the
+    confidence is low where the rays do not tell the chuck from the motor.
+    """
+    fits = [_fit(begun, start) for start in begun.starts]
+    best = min(fits, key=lambda pair: pair[1])[0]
+    fits.append(_fit(begun, replace(best, yaw=best.yaw + np.pi, back=best.body - best.back)))
+    fits.append(_fit(begun, replace(best, yaw=best.yaw + np.pi)))
+    best, cost = min(fits, key=lambda pair: pair[1])
+    reversed_costs = [other for shape, other in fits if np.cos(shape.yaw - best.yaw) < 0.0]
+    return _judge(begun, best, float(min(reversed_costs, default=cost + _WORST) - cost), is_hinted)
+
+
+def _fit(begun: _Begun, start: DrillShape) -> tuple[DrillShape, float]:
+    """Return the drill fitted to a cluster's rays from a start, and its cost on all of them."""
     level = begun.cluster.level
     steps = np.array([0.015, 0.015, 0.15, 0.012, 0.02, 0.012])
-    fits = []
 
     def cost(values: Float[np.ndarray, "6"]) -> float:
         return _cost(begun.few, begun.least, level, DrillShape.of(values))
 
-    for start in begun.starts:
-        simplex = np.concatenate([start.values[None], start.values + np.diag(steps)])
-        result = minimize(
-            cost,
-            start.values,
-            method="Nelder-Mead",
-            options={"initial_simplex": simplex, "maxfev": 180, "xatol": 1e-3},
-        )
-        fits.append(DrillShape.of(result.x))
-    best = min(fits, key=lambda shape: _cost(begun.rays, begun.least, level, shape))
-    return _judge(begun, best, is_hinted)
+    simplex = np.concatenate([start.values[None], start.values + np.diag(steps)])
+    result = minimize(
+        cost,
+        start.values,
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": 180, "xatol": 1e-3},
+    )
+    shape = DrillShape.of(result.x)
+    return shape, _cost(begun.rays, begun.least, level, shape)
 
 
 def _starts(cluster: StandingCluster, grip: float) -> list[DrillShape]:
@@ -176,8 +193,12 @@ def _cost(rays: Sightlines, least: float, level: float, shape: DrillShape) -> fl
     return float(each.mean() + 0.03 * usual)
 
 
-def _judge(begun: _Begun, shape: DrillShape, is_hinted: bool) -> Detection:
-    """Return the fitted drill as a detection, with its confidence."""
+def _judge(begun: _Begun, shape: DrillShape, reverse: float, is_hinted: bool) -> Detection:
+    """Return the fitted drill as a detection, with its confidence.
+
+    Args:
+        reverse: cost of the best drill in the opposite direction, over that of this one.
+    """
     rays, cluster = begun.rays, begun.cluster
     outside, depth = meet(rays, shape, cluster.level)
     gap = rays.length - depth
@@ -198,6 +219,7 @@ def _judge(begun: _Begun, shape: DrillShape, is_hinted: bool) -> Detection:
         )
         * rising(-rms, -0.02, -0.014)
         * rising(begun.supported, *_SUPPORTED)
+        * (_EITHER_WAY + (1.0 - _EITHER_WAY) * rising(reverse, *_REVERSE))
         * rising(float(hit.sum()), 15.0, 60.0)
     )
     foot = 2.0 * FOOT[2]
@@ -212,6 +234,7 @@ def _judge(begun: _Begun, shape: DrillShape, is_hinted: bool) -> Detection:
         "notch_open_share": notch_open_share,
         "n_notch_rays": float(notch_seen),
         "supported_share": begun.supported,
+        "reverse_ratio": reverse,
     }
     points = rays.ends[hit]
     confidence = float(value**0.7 if is_hinted else value)

@@ -98,10 +98,10 @@ class FacesInSight:
         """Return the faces of a view; with a hint those near it and those of a separate search about it."""
         index = sight_index(view.cloud)
         with threadpool_limits(limits=1, user_api="blas"):
-            faces = _find_faces(view, index, None, np.random.default_rng(view.seed))
+            faces = _find_faces(view, index, None, np.random.default_rng(0))
             if hint is not None:
                 faces = [face for face in faces if _is_near(face, hint)]
-                faces += _find_faces(view, index, hint, np.random.default_rng(view.seed))
+                faces += _find_faces(view, index, hint, np.random.default_rng(0))
         return FacesInSight(tuple(faces), index)
 
 

@@ -1,4 +1,7 @@
-"""Circle hypotheses in a cloud: drawn from random triples of near points, refitted and scored by their inliers."""
+"""Circle hypotheses in a cloud: drawn from triples of near points, refitted and scored by their inliers.
+
+Every place of the cloud has its own seeds, draws and limits, so that a wheel is proposed whatever else a scan shows.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,32 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.local import best_about, draws_at, pick_per_cell
 from perception.detect.shared.slender import slim_places
 
-# _BALLS: radius [m], number of points and of triples drawn, stride over the seeds.  In a larger ball a rim has a
-# smaller share of the points, but a larger rim has more seeds.
 _RADII = (0.04, 0.42)
-_MOST_SEEDS, _MOST_CIRCLES = 200, 60
-_BALLS = ((0.2, 200, 50, 1), (0.36, 250, 80, 1), (0.6, 400, 100, 2), (0.85, 500, 120, 2))
-_REFITTED, _SAME_AXIS = 150, 0.9
+# _BALLS: radius [m], radii of the circles drawn in it [m], number of points and of triples drawn; edge of the cells [m]
+# that have seeds of their own, and the number of slender seeds and of others.  In a larger ball a rim has a smaller
+# share of the points, but a larger rim has seeds in more cells.
+_BALLS = (
+    (0.13, (0.04, 0.08), 150, 40, 0.15, (1, 1)),
+    (0.2, (0.07, 0.12), 200, 50, 0.25, (2, 1)),
+    (0.36, (0.09, 0.22), 250, 80, 0.25, (1, 1)),
+    (0.6, (0.17, 0.36), 400, 110, 0.35, (1, 1)),
+    (0.85, (0.27, 0.42), 500, 130, 0.5, (2, 1)),
+)
+_SUBSAMPLE, _LOOKED_AT = 80, 8
 _SLIM_BALL = 0.045  # [m]
-_NEAR = 0.02
+# Least score in a ball about a seed, and least score and coverage by all points.
+_LEAST_SCORE, _LEAST_REFITTED, _LEAST_COVERAGE = 0.03, 0.1, 0.5
+# Limits for each class of radii about each place: least radius of a class, and radius of its places [m].
+_MOST_HERE, _MOST_REFITTED_HERE = 3, 6
+_CLASSES, _PLACES = (0.065, 0.09, 0.14, 0.22, 0.31), np.array([0.06, 0.1, 0.15, 0.2, 0.25, 0.25])
+_BLOCK, _BEYOND = 0.75, 0.48
+_SAME_AXIS = 0.9
+# Discs: radii of the face about a hint [m], number of directions of its widths, and their greatest deviation by radius.
+_DISC_BALLS, _DISC_WAYS, _ROUND = (0.08, 0.12, 0.18), 12, 0.15
+_NEAR, _WIDER = (0.02, 0.035), 0.1  # [m], and as a share of the radius: large rims may be wide
 _AROUND = 0.05
 _BINS = 24
 _FULL = 25.0
@@ -42,41 +61,94 @@ class Circle:
     score: float
 
 
-def find_circles(
-    points: Float[np.ndarray, "N 3"],
-    rng: np.random.Generator,
-) -> list[Circle]:
-    """Return the best circles, best first; no two of nearly equal centre and radius.
+def find_circles(points: Float[np.ndarray, "N 3"], more: int = 1) -> list[Circle]:
+    """Return the best circles about each place, best first; no two of nearly equal centre and radius.
 
     Args:
         points: (N, 3) downsampled, without walls and floor [m].
+        more: factor on the seeds of each cell.
     """
     if len(points) < 12:
         return []
+    tree = cKDTree(points)
+    slim, _ = slim_places(points, tree, _SLIM_BALL)
+    others = np.setdiff1d(np.arange(len(points)), slim)
     hypotheses: list[Circle] = []
-    for i, seed in enumerate(_seeds(points, rng, _MOST_SEEDS)):
-        poll()
-        square = ((points - points[seed]) ** 2).sum(axis=1)
-        for ball, n_points, n_triples, every in _BALLS:
-            near = np.flatnonzero(square <= ball**2)
-            if i % every == 0 and len(near) >= 12:
-                local = points[rng.permutation(near)[:n_points]]
-                hypotheses += _best_in(local, points[seed], rng, (_RADII[0], min(_RADII[1], 0.6 * ball)), n_triples)
-    hypotheses.sort(key=lambda circle: -circle.score)
-    hypotheses = _sharpen(_drop_duplicates(hypotheses, _REFITTED, 0.15, _SAME_AXIS), points, _RADII)
-    hypotheses.sort(key=lambda circle: -circle.score)
-    return _drop_duplicates(hypotheses, _MOST_CIRCLES)
+    for ball, radii, n_points, n_triples, cell, counts in _BALLS:
+        # In clutter a rim has few of all points, but a good share of the slender ones.
+        seeds = [
+            these[pick_per_cell(points[these], cell, more * count)]
+            for these, count in zip((slim, others), counts, strict=True)
+        ]
+        for seed in np.concatenate(seeds):
+            near = np.sort(np.asarray(tree.query_ball_point(points[seed], ball), dtype=np.int64))
+            if len(near) >= 12:
+                draws = draws_at(points[seed])
+                local = points[near[draws.permutation(len(near))[:n_points]]]
+                hypotheses += _best_in(local, points[seed], draws, radii, n_triples)
+    hypotheses = [circle for circle in hypotheses if circle.score > _LEAST_SCORE]
+    hypotheses = _limit(_drop_duplicates(_first_of_alike(_in_order(hypotheses)), 0.15, _SAME_AXIS), _MOST_REFITTED_HERE)
+    sharp = [
+        circle
+        for circle in _sharpen(hypotheses, points, _RADII)
+        if circle.coverage > _LEAST_COVERAGE and circle.score > _LEAST_REFITTED
+    ]
+    return _limit(_drop_duplicates(_in_order(sharp)), _MOST_HERE)
 
 
-def _seeds(points: Float[np.ndarray, "N 3"], rng: np.random.Generator, most: int) -> Int[np.ndarray, "S"]:
-    """Return indices of seed points: half of them random, half where points spread along one direction.
+def find_discs(points: Float[np.ndarray, "N 3"], hint: Float[np.ndarray, "3"]) -> list[Circle]:
+    """Return the outlines of flat round parts about a hint; the points of a solid wheel lie on no circle.
 
-    In clutter a rim has few of all points, but a good share of the slender ones.
+    Args:
+        points: (N, 3) downsampled [m].
+        hint: (3,) a point near the middle [m].
     """
-    slim, _ = slim_places(points, cKDTree(points), _SLIM_BALL)
-    some = rng.choice(slim, min(most // 2, len(slim)), replace=False)
-    others = np.setdiff1d(np.arange(len(points)), some)
-    return np.concatenate([some, rng.choice(others, min(most - len(some), len(others)), replace=False)])
+    discs = []
+    near = np.linalg.norm(points - hint, axis=1)
+    for ball in _DISC_BALLS:
+        face = points[near < ball]
+        if len(face) < _FULL:
+            continue
+        axis = np.linalg.eigh(np.cov((face - face.mean(axis=0)).T))[1][:, 0]
+        level = float(np.median(face @ axis))
+        slab = points[(np.abs(points @ axis - level) < _NEAR[0]) & (near < _RADII[1])]
+        first = cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+        first /= np.linalg.norm(first)
+        angle = np.linspace(0.0, np.pi, _DISC_WAYS, endpoint=False)
+        ways = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * cross(axis, first)
+        if len(slab) < _FULL:
+            continue
+        low, high = np.percentile(slab @ ways.T, [1.0, 99.0], axis=0)
+        radius = 0.5 * float((high - low).mean())
+        if _RADII[0] <= radius <= _RADII[1] and np.std(high - low) < _ROUND * radius:
+            centre = level * axis + (2.0 / _DISC_WAYS) * (0.5 * (low + high)) @ ways
+            discs.append(Circle(centre, axis, radius, 1.0, 1.0))
+    return discs
+
+
+def _in_order(circles: list[Circle]) -> list[Circle]:
+    """Return the circles, best first; equal ones by their coordinates."""
+    return sorted(circles, key=lambda circle: (-circle.score, *circle.centre.tolist()))
+
+
+def _limit(circles: list[Circle], most: int) -> list[Circle]:
+    """Return the circles with fewer than ``most`` better ones of their class about their centre."""
+    if not circles:
+        return []
+    classes = np.digitize([circle.radius for circle in circles], _CLASSES)
+    places = np.array([circle.centre for circle in circles]) / _PLACES[classes, None]
+    # Classes are far apart along a fourth coordinate.
+    return best_about(circles, np.column_stack([places, 2.0 * classes]), 1.0, most)
+
+
+def _first_of_alike(circles: list[Circle]) -> list[Circle]:
+    """Return the first of the circles in each small cell of centres, radii and axes; a quick first selection."""
+    first: dict[tuple[int, ...], Circle] = {}
+    for circle in circles:
+        axis = circle.axis * np.sign(circle.axis[np.argmax(np.abs(circle.axis))])
+        cell = [*(circle.centre / (0.15 * circle.radius)), np.log(circle.radius) / 0.2, *(axis / 0.2)]
+        first.setdefault(tuple(np.floor(cell).astype(int).tolist()), circle)
+    return list(first.values())
 
 
 def _best_in(
@@ -86,9 +158,10 @@ def _best_in(
     radii: tuple[float, float],
     n_triples: int,
 ) -> list[Circle]:
-    """Return the three best circles through the seed and two points in a ball about it, or fewer.
+    """Return the two best circles through the seed and two points in a ball about it, or fewer.
 
-    In clutter, two points on the seed's rim are drawn sooner than three points on one rim.
+    In clutter, two points on the seed's rim are drawn sooner than three points on one rim.  The most likely ones by a
+    part of the points are compared on all of them.
     """
     poll()
     pairs = local[rng.integers(len(local), size=(n_triples, 2))]
@@ -96,21 +169,36 @@ def _best_in(
     circles = circles.select((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
     if not len(circles):
         return []
+    if len(local) > 1.5 * _SUBSAMPLE and len(circles) > _LOOKED_AT:
+        rough = agreement(local[:_SUBSAMPLE], circles)
+        circles = circles.select(np.argsort(-rough.count * rough.share, kind="stable")[:_LOOKED_AT])
     agreed = agreement(local, circles)
-    top = np.argsort(-agreed.count * agreed.share, kind="stable")[:3]
+    top = np.argsort(-agreed.count * agreed.share, kind="stable")[:2]
     return _score(local, circles.select(top), agreed.select(top))
 
 
 def _sharpen(hypotheses: list[Circle], points: Float[np.ndarray, "N 3"], radii: tuple[float, float]) -> list[Circle]:
-    """Return the circles refitted to all points, without those that leave the radii."""
-    if not hypotheses:
-        return []
-    centres, axes = np.stack([circle.centre for circle in hypotheses]), np.stack([circle.axis for circle in hypotheses])
-    circles = Circles(centres, axes, np.array([circle.radius for circle in hypotheses]))
-    for _ in range(2):
-        circles = refit_circles(points, circles, agreement(points, circles))
-    circles = circles.select((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
-    return _score(points, circles, agreement(points, circles))
+    """Return the circles refitted to all points, without those that leave the radii; block by block of the world."""
+    blocks: dict[tuple[int, ...], list[Circle]] = {}
+    for circle in hypotheses:
+        blocks.setdefault(tuple(np.floor(circle.centre / _BLOCK).astype(int).tolist()), []).append(circle)
+    sharp: list[Circle] = []
+    for block, mine in blocks.items():
+        poll()
+        low = np.array(block) * _BLOCK - _BEYOND
+        near = points[((points > low) & (points < low + _BLOCK + 2.0 * _BEYOND)).all(axis=1)]
+        if not len(near):
+            continue
+        circles = Circles(
+            np.stack([circle.centre for circle in mine]),
+            np.stack([circle.axis for circle in mine]),
+            np.array([circle.radius for circle in mine]),
+        )
+        for _ in range(2):
+            circles = refit_circles(near, circles, agreement(near, circles))
+        circles = circles.select((circles.radii >= radii[0]) & (circles.radii <= radii[1]))
+        sharp += _score(near, circles, agreement(near, circles))
+    return sharp
 
 
 def _score(points: Float[np.ndarray, "N 3"], circles: Circles, agreed: Agreement) -> list[Circle]:
@@ -134,8 +222,8 @@ def _circles_through(triples: Float[np.ndarray, "H 3 3"]) -> Circles:
     return Circles(triples[good, 0] + to_centre, normal / np.sqrt(square)[:, None], radii)
 
 
-def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least_cosine: float = -1.0) -> list[Circle]:
-    """Return at most ``most`` circles: the first of each group of nearly equal centre, radius and axis.
+def _drop_duplicates(circles: list[Circle], apart: float = 0.3, least_cosine: float = -1.0) -> list[Circle]:
+    """Return the first circle of each group of nearly equal centre, radius and axis.
 
     Args:
         circles: best first.
@@ -151,8 +239,6 @@ def _drop_duplicates(circles: list[Circle], most: int, apart: float = 0.3, least
         if taken[i]:
             continue
         kept.append(circle)
-        if len(kept) == most:
-            break
         is_near = ((centres - circle.centre) ** 2).sum(axis=1) <= (apart * np.maximum(radii, circle.radius)) ** 2
         is_alike = np.abs(np.log(radii / circle.radius)) <= apart / 0.6
         taken |= is_near & is_alike & (np.abs(axes @ circle.axis) >= least_cosine)
@@ -195,7 +281,7 @@ class Agreement:
 
 
 def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
-    """Return the inliers of each circle: the points within 2 cm of it."""
+    """Return the inliers of each circle: the points within 2 cm of it, or up to 3.5 cm of one larger than 20 cm."""
     poll()
     centres, axes = circles.centres, circles.axes
     # Squares of the points' heights over each circle's plane and of their distances from its axis.
@@ -211,7 +297,7 @@ def agreement(points: Float[np.ndarray, "N 3"], circles: Circles) -> Agreement:
     poll()
     distance *= distance
     distance += height
-    on = distance < _NEAR**2
+    on = distance < np.clip(_WIDER * circles.radii, *_NEAR)[:, None] ** 2
     count = np.count_nonzero(on, axis=1)
     return Agreement(on, count, count / np.maximum(n_disc, 1))
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from perception.detect.shared.arithmetic import cross, rising
@@ -30,6 +31,7 @@ _KNOWN_OF_IT = (0.25, 0.5)
 _SPREADS = (np.radians(1.8), np.radians(3.2))  # deviation of an axis rated 1, and of one rated 0 [rad]
 _SURE = 0.8  # least confidence of a sure wheel with a hint, which raises confidences
 _BESIDE = 0.05
+_RIM_NOISE = 0.02
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,10 @@ class _Lever:
 
 
 def detect_lever_valve(
-    view: View, hint: Float[np.ndarray, "3"] | None = None, foreground: Foreground | None = None
+    view: View,
+    hint: Float[np.ndarray, "3"] | None = None,
+    foreground: Foreground | None = None,
+    wheels: Sequence[Detection] = (),
 ) -> list[Detection]:
     """Find lever valves, best first; origin the pivot, z the pivot's axis to the sensor, x along the lever.
 
@@ -70,13 +75,15 @@ def detect_lever_valve(
 
     Args:
         hint: (3,) a point near the valve: only points within 0.6 m of it are searched [m].
+        wheels: wheels whose points are no levers.
     """
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
     valves: list[_Lever] = []
     with threadpool_limits(limits=1, user_api="blas"):
-        levers = find_levers(foreground, view.floor, hint)
+        apart_from = replace(foreground, points=foreground.points[~_on_any(wheels, foreground.points)])
+        levers = find_levers(apart_from, view.floor, hint)
         pipes = find_pipes(foreground, view.floor, hint) if levers else []
         for lever in levers:
             valves += [
@@ -194,11 +201,20 @@ def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list
     # Spokes and rim segments look like levers, and round parts near a lever look like wheels.
     levers = [
         lever
-        for lever in detect_lever_valve(view, hint, foreground)
+        for lever in detect_lever_valve(view, hint, foreground, sure)
         if not any(_is_part_of(lever, wheel) for wheel in sure)
     ]
     others = [wheel for wheel in wheels if not any(_is_about(wheel, lever) for lever in levers)]
     return sorted([*others, *levers], key=lambda hit: -hit.confidence)
+
+
+def _on_any(wheels: Sequence[Detection], points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Return which points lie in the rim's disc of a wheel."""
+    mask = np.zeros(len(points), dtype=bool)
+    for wheel in wheels:
+        local = (points - wheel.pose_world_object[:3, 3]) @ wheel.pose_world_object[:3, :3]
+        mask |= (np.hypot(*local.T[:2]) < wheel.sizes["outer_radius"] + _RIM_NOISE) & (np.abs(local[:, 2]) < _BESIDE)
+    return mask
 
 
 def _is_part_of(lever: Detection, wheel: Detection) -> bool:

@@ -22,7 +22,7 @@ _EVEN = (-0.008, -0.005)
 # The depth error of true rims is at most 1.7 cm, with the noisiest of usual sensors [m].
 _AGREE = (-0.023, -0.0175)
 _MOST_SPOKES = 12
-_MANY_SPOKES = 0.7
+_MANY_SPOKES, _NO_SPOKES = 0.7, 0.4
 _HAND = 0.035
 _AT_RIM = (-0.018, -0.005)
 # Required share of the rays inside the rim that pass through: _OPEN, plus _OPEN_BLURRED times the depth error, in outer
@@ -145,6 +145,8 @@ def _spoke_evidence(inside: Inside) -> float:
     narrow = rising(-inside.widest_spoke, -1.8, -1.2)
     if inside.spokes_known and n_spokes >= 2:
         return narrow * (1.0 if n_spokes <= _MOST_SPOKES else _MANY_SPOKES)
+    if inside.spokes_known:
+        return narrow * _NO_SPOKES
     has_hub = rising(float(inside.n_middle), 5.0, 15.0) * rising(inside.open_share, 0.04, 0.12)
     return narrow * (_UNKNOWN + _HUB_SEEN * has_hub if inside.hub_radius > 0.0 else _NO_HUB)
 

@@ -6,7 +6,8 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
 from perception.cleaning.clean import voxel_downsample, voxel_index
@@ -18,6 +19,7 @@ _VOXEL = 0.03
 _WALL = PlaneSettings(min_size=0.45, min_points=150, max_planes=12, n_neighbours=20)
 _NEAR = 0.05
 _CLOSED = 0.6
+_CELL = 0.1
 _MOST_RAYS = 40_000
 
 
@@ -37,7 +39,7 @@ class Foreground:
     @staticmethod
     def of(view: View) -> Foreground:
         """Return the foreground of a view."""
-        rng = np.random.default_rng(view.seed)
+        rng = np.random.default_rng(0)
         index = sight_index(view.cloud)
         return Foreground(view.obstacles[before_walls(view.obstacles, view.starts, index.rays, rng)], index, rng)
 
@@ -71,28 +73,50 @@ def before_walls(
     keep = np.ones(n_voxels, dtype=bool)
     some = rays.thin(_MOST_RAYS)
     for plane in find_planes(means, counts, from_where, rng, _WALL):
-        if closed_share(plane, means, some) > _CLOSED:
-            keep[plane.members] = keep[plane.noise] = False
+        members = np.concatenate([plane.members, plane.noise])
+        share, about = closed_shares(plane, means, members, some)
+        if share > _CLOSED:
+            keep[members[about > _CLOSED]] = False
     return np.asarray(keep[voxel])
 
 
-def closed_share(plane: Plane, points: Float[np.ndarray, "N 3"], rays: Sightlines) -> float:
-    """Return the share of the rays reaching the plane within its outline that end there, 0 to 1; 1 without any."""
+def closed_shares(
+    plane: Plane, points: Float[np.ndarray, "N 3"], members: Int[np.ndarray, "M"], rays: Sightlines
+) -> tuple[float, Float[np.ndarray, "M"]]:
+    """Return the share of the rays reaching a plane that end there, within its outline and about each member, 0 to 1.
+
+    A wheel may lie in one plane with a board beside it: the plane is closed there, and open about the wheel.  Where no
+    rays reach the plane, the share is that of the whole outline; without any rays, 1.
+
+    Args:
+        members: (M,) indices of the points on the plane.
+    """
     outline = points[plane.members] @ plane.basis.T
     try:
         edges = ConvexHull(outline).equations
     except QhullError:
-        return 1.0
+        return 1.0, np.ones(len(members))
     slope = rays.direction @ plane.normal
     towards = slope < -0.05
     crossing = (plane.offset - rays.start[towards] @ plane.normal) / slope[towards]
     reaches = rays.length[towards] > crossing - _NEAR
     crossing, direction = crossing[reaches], rays.direction[towards][reaches]
     place = (rays.start[towards][reaches] + crossing[:, None] * direction) @ plane.basis.T
+    ends = rays.length[towards][reaches] - crossing < _NEAR
     inside = (place @ edges[:, :2].T + edges[:, 2] <= 0.0).all(axis=1)
     if not inside.any():
-        return 1.0
-    return float((rays.length[towards][reaches] - crossing < _NEAR)[inside].mean())
+        return 1.0, np.ones(len(members))
+    share = float(ends[inside].mean())
+    lower = np.floor(outline.min(axis=0) / _CELL).astype(np.int64) - 2
+    shape = np.floor(outline.max(axis=0) / _CELL).astype(np.int64) + 3 - lower
+    cells = np.floor(place / _CELL).astype(np.int64) - lower
+    near = ((cells >= 0) & (cells < shape)).all(axis=1)
+    flat = np.ravel_multi_index(tuple(cells[near].T), tuple(shape))
+    counts = [np.bincount(flat, weights, int(shape.prod())).reshape(shape) for weights in (None, ends[near])]
+    n_all, n_ending = (ndimage.uniform_filter(9.0 * count, size=3, mode="constant") for count in counts)
+    own = np.floor(points[members] @ plane.basis.T / _CELL).astype(np.int64) - lower
+    i, j = np.clip(own, 0, shape - 1).T
+    return share, np.where(n_all[i, j] > 0.5, n_ending[i, j] / np.maximum(n_all[i, j], 0.5), share)
 
 
 def _voxel_means(

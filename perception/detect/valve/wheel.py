@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from threadpoolctl import threadpool_limits
 
 from perception.cleaning.clean import voxel_downsample
 from perception.cloud import Cloud
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.detect.valve.bodies import ValveDetection
-from perception.detect.valve.circles import Circle, find_circles
+from perception.detect.valve.circles import Circle, find_circles, find_discs
 from perception.detect.valve.evidence import WheelEvidence, weigh_wheel
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.inside import Inside, look_inside
@@ -29,25 +30,34 @@ from perception.detect.valve.ring import (
 from perception.detect.vehicle.seat import Seat, find_seats
 from perception.ground.floor import FloorPlane
 from perception.sightlines import SightIndex, Sightlines, index_of
-from perception.view import View, make_view
+from perception.view import View, make_view, widen
 
 _VOXEL = 0.015
 _HINT_RADIUS = 0.5
 _BEHIND = 0.05
 _REPORTED = 0.05
-_EXAMINED = 12
+_EXAMINED_HERE, _PLACE = 4, 0.3
+_HINTED_SEEDS, _HINTED_EXAMINED = 4, 16
+_LEAST_PROMISE, _LEAST_QUALITY = 0.25, 0.03
+_SECTORS, _COMPLETE = 24, (0.35, 0.75)
+# Band of a rim: bins of its edges, how far its edges are searched from a circle, and its greatest half width [m].
+_BAND_BIN, _BAND_WITHIN, _WIDEST = 0.006, 0.07, 0.055
+_SOLID_INSIDE, _EDGE_BINS = 0.2, 4
+_INNER, _NARROW = 0.4, 0.001  # weights of the inner edge's contrast and of each bin of width
 _SURE = 0.8
 _SOLID = 0.8
 _STEERING = 0.2
 _HOPELESS = 0.005
-_MOST_RAYS = 4000
+_MOST_RAYS, _FEW_RAYS = 4000, 1500
 _WIDER, _BESIDE, _JUST_BESIDE = 1.15, 0.07, 0.03
-_MOST_COARSE = 60_000
+_MOST_COARSE = 50_000
 _RADII = (0.13, 0.28)
 # Region of a steering wheel from the middle of the cushion's top: forward, to either side, up [m].
 _AHEAD, _ASIDE, _UP = (0.2, 0.75), 0.25, (0.1, 0.65)
 _FACING, _SIDEWAYS = 0.3, 0.35
 _SURE_SEAT = 0.5
+# A steering wheel's hub by rim radius, half width of its spokes [m], their number, and its axis over the horizon.
+_LARGE_HUB, _BROAD, _STEERING_SPOKES, _STEERING_TILT_DEG = 0.26, 0.014, 4, (10.0, 65.0)
 
 
 def detect_wheels(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
@@ -69,7 +79,7 @@ def detect_valves(
         hint: (3,) a point near the wheel: only points within half a metre of it are searched, and weaker evidence
             is enough [m].
     """
-    return find_wheels(make_view(cloud), hint)
+    return find_wheels(widen(make_view(cloud)), hint)
 
 
 def find_wheels(
@@ -79,15 +89,19 @@ def find_wheels(
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
-    index, rng = foreground.index, foreground.generator()
+    index = foreground.index
     candidates, _ = voxel_downsample(foreground.near(hint, _HINT_RADIUS), _VOXEL)
     # Many small fits: with several threads BLAS spends seven times as long on distributing them.
     with threadpool_limits(limits=1, user_api="blas"):
-        circles = find_circles(candidates, rng)
         some = index_of(index.rays.thin(_MOST_COARSE))
-        # Hubs are circles too: of two equally good circles, the larger one comes first.
-        circles.sort(key=lambda circle: -circle.score * _promise(circle, some) * np.sqrt(circle.radius))
-        detections = _examine_circles(circles, index, view.floor, hint is not None)
+        circles = find_circles(candidates) if hint is None else find_circles(candidates, _HINTED_SEEDS)
+        circles += [] if hint is None else find_discs(candidates, hint)
+        starts = [_start_at(circle, some) for circle in circles]
+        starts = [
+            start for start in starts if start.promise > _LEAST_PROMISE and start.promise * start.score > _LEAST_QUALITY
+        ]
+        starts.sort(key=lambda start: -start.rank)
+        detections = _examine_starts(starts, index, view.floor, hint is not None)
     if hint is None:
         detections = _doubt_steering(detections, view)
     detections = [d for d in detections if d.confidence >= _REPORTED]
@@ -95,20 +109,41 @@ def find_wheels(
     return _drop_duplicates(detections)
 
 
-def _examine_circles(
-    circles: list[Circle], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
+@dataclass(frozen=True)
+class _Start:
+    """Rough ring at a circle, to be fitted.
+
+    Attributes:
+        promise: share of the rays that end on it less the share of those just outside, 0 to 1.
+        score: the circle's score by the points.
+    """
+
+    ring: Ring
+    promise: float
+    score: float
+
+    @property
+    def rank(self) -> float:
+        """Order of examination; hubs are circles too: of two equally good circles, the larger one comes first."""
+        return self.score * self.promise * float(np.sqrt(self.ring.radius))
+
+
+def _examine_starts(
+    starts: list[_Start], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
 ) -> list[ValveDetection]:
-    """Return wheels fitted to the first circles, without circles centred in the disc of a sure wheel."""
+    """Return wheels fitted to the first starts about each place, without those centred in the disc of a sure wheel."""
     valves: list[ValveDetection] = []
-    n_examined = 0
-    for circle in circles:
-        if n_examined == _EXAMINED:
-            break
-        sure = [valve for valve in valves if valve.confidence > _SURE]
-        if any(np.linalg.norm(circle.centre - valve.centre) < valve.outer_radius for valve in sure):
+    examined: list[Float[np.ndarray, "3"]] = []
+    for start in starts:
+        centre = start.ring.centre
+        n_near = sum(float(np.linalg.norm(centre - other)) < _PLACE for other in examined)
+        if n_near >= (_HINTED_EXAMINED if is_hinted else _EXAMINED_HERE):
             continue
-        valves.append(_examine(circle, index, floor, is_hinted))
-        n_examined += 1
+        sure = [valve for valve in valves if valve.confidence > _SURE]
+        if any(np.linalg.norm(centre - valve.centre) < valve.outer_radius for valve in sure):
+            continue
+        valves.append(_examine(start.ring, index, floor, is_hinted))
+        examined.append(centre)
     return valves
 
 
@@ -119,25 +154,67 @@ def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveD
     seats = find_seats(view)
     return [
         replace(valve, confidence=_STEERING * valve.confidence)
-        if could_steer(valve.ring) and steers(valve.ring, seats)
+        if could_steer(valve.ring) and (steers(valve.ring, seats) or is_shaped_to_steer(valve))
         else valve
         for valve in detections
     ]
 
 
-def _promise(circle: Circle, index: SightIndex) -> float:
-    """Return the share of rays that end on the circle, less the share just outside, 0 to 1; a rough circle is fine."""
-    near = index.passing(circle.centre[None], circle.radius + 0.09).thin(_MOST_RAYS)
+def _start_at(circle: Circle, index: SightIndex) -> _Start:
+    """Return the band near a circle in whose rays end, while those just outside go on.
+
+    The circle of a flat rim may lie anywhere between its edges; the rays tell where these are.
+    """
+    near = index.passing(circle.centre[None], circle.radius + _BAND_WITHIN + 0.09).thin(_FEW_RAYS)
     passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
     behind = near.length - passage.crossing
     known = behind > -_BEHIND
-    solid = np.abs(behind) < _BEHIND
-    distance = np.linalg.norm(passage.place, axis=1) - circle.radius
-    band = float(np.clip(0.12 * circle.radius, 0.01, 0.02))
-    rim, around = known & (np.abs(distance) < band), known & (distance > 0.045) & (distance < 0.08)
-    if not rim.any() or not around.any():
-        return 0.0
-    return float(max(0.0, solid[rim].mean() - solid[around].mean()))
+    solid = known & (np.abs(behind) < _BEHIND)
+    distance = np.linalg.norm(passage.place, axis=1)
+    n_bins = int((circle.radius + _BAND_WITHIN + 0.09) / _BAND_BIN) + 1
+    inside = distance < n_bins * _BAND_BIN
+    of_ray = (distance[inside] / _BAND_BIN).astype(np.int64)
+    total = np.concatenate([[0], np.cumsum(np.bincount(of_ray, known[inside], n_bins))])
+    hits = np.concatenate([[0], np.cumsum(np.bincount(of_ray, solid[inside], n_bins))])
+
+    def share(first: Int[np.ndarray, "K"], last: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
+        """Return the share of the rays between two edges that end there; NaN without rays."""
+        first, last = np.clip(first, 0, n_bins), np.clip(last, 0, n_bins)
+        n = total[last] - total[first]
+        return np.where(n > 0, (hits[last] - hits[first]) / np.maximum(n, 1), np.nan)
+
+    middle = circle.radius / _BAND_BIN
+    reach = _BAND_WITHIN / _BAND_BIN
+    edges = np.arange(max(0, int(middle - reach)), int(middle + reach) + 2)
+    inner, outer = (grid.ravel() for grid in np.meshgrid(edges, edges, indexing="ij"))
+    width = outer - inner
+    most = np.clip(0.9 * 0.5 * (inner + outer), 4, 2.0 * _WIDEST / _BAND_BIN)
+    fits = (width >= 2) & (width <= most) & (inner < middle + 2.5) & (outer > middle - 2.5)
+    inner, outer = inner[fits], outer[fits]
+    if not len(inner):
+        return _Start(Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012), 0.0, circle.score)
+    on = share(inner, outer)
+    contrast = np.nan_to_num(on - share(outer + 1, outer + 6))
+    # The inner edge shows by the openings; a solid wheel has none, and any narrow band at its outer edge will do.
+    edge = np.nan_to_num(on - share(inner - 6, inner - 1))
+    best = int(np.argmax(contrast + _INNER * edge - _NARROW * (outer - inner)))
+    promise = float(np.clip(contrast[best], 0.0, 1.0))
+    if edge[best] < _SOLID_INSIDE:
+        inner = np.maximum(inner, outer - _EDGE_BINS)
+    band = inside & known & (distance >= inner[best] * _BAND_BIN) & (distance < outer[best] * _BAND_BIN)
+    promise *= rising(_complete(passage.place[band], solid[band]), *_COMPLETE)
+    radius, half = 0.5 * _BAND_BIN * (inner + outer)[best], 0.5 * _BAND_BIN * (outer - inner)[best]
+    return _Start(
+        Ring(circle.centre, circle.axis, float(radius), float(max(half, 0.008)), 0.012), promise, circle.score
+    )
+
+
+def _complete(place: Float[np.ndarray, "K 2"], solid: Bool[np.ndarray, "K"]) -> float:
+    """Return the share of the sectors with rays in which most rays end on the band; half of them must have rays."""
+    sector = np.floor(np.arctan2(place[:, 1], place[:, 0]) / (2.0 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS
+    total, hits = np.bincount(sector, minlength=_SECTORS), np.bincount(sector, solid, _SECTORS)
+    n_seen = max(float(np.count_nonzero(total)), 0.5 * _SECTORS)
+    return float(np.count_nonzero(hits > 0.5 * total)) / n_seen
 
 
 def _drop_duplicates(detections: list[ValveDetection]) -> list[ValveDetection]:
@@ -160,9 +237,8 @@ class _Weighed:
     n_hits: int
 
 
-def _examine(circle: Circle, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
-    """Return the valve at a circle: its rim fitted to the rays and rated."""
-    start = Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012)
+def _examine(start: Ring, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
+    """Return the valve at a rough ring: its rim fitted to the rays and rated."""
     ring = fit_ring(_rays_about(index, start), start, rough_gate(start), n_rounds=1)
     first = _weigh(index, ring, floor)
     # The openings of a small wheel show only when its rim is fitted closely.
@@ -223,6 +299,17 @@ def _hinted_confidence(evidence: WheelEvidence) -> float:
 def could_steer(ring: Ring) -> bool:
     """Return whether a ring has the size of a steering wheel."""
     return _RADII[0] < ring.radius + ring.half_width < _RADII[1]
+
+
+def is_shaped_to_steer(valve: ValveDetection) -> bool:
+    """Return whether a ring has the large hub, the few broad spokes and the tilt of a steering wheel.
+
+    The seat before it is often not seen: the sensor's carrier sits on it.
+    """
+    hub, tilt = valve.hub_radius / valve.rim_radius, float(np.degrees(np.arcsin(np.clip(valve.axis[2], -1.0, 1.0))))
+    few = 2 <= len(valve.spoke_angles) <= _STEERING_SPOKES
+    broad = valve.spoke_half_width > _BROAD and hub > _LARGE_HUB
+    return few and broad and _STEERING_TILT_DEG[0] < tilt < _STEERING_TILT_DEG[1]
 
 
 def steers(ring: Ring, seats: Sequence[Seat]) -> bool:
