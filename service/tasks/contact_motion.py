@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -42,6 +42,7 @@ LINE_TOLERANCE = 2e-4
 KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 LEAST_JOINTS = 3  # of a limb that goes around something
+LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
 N_TRIES = 4  # of a change of contacts, from other guesses
 KNOWN_TRIES = 2  # of one whose poses are known already
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
@@ -271,10 +272,11 @@ class _Walker:
         placed: tuple[StanceContact, ...],
         at: Float[np.ndarray, "n"],
         known: Float[np.ndarray, "n"] | None,
+        fixed: Mapping[int, float] | None = None,
     ) -> Float[np.ndarray, "n"]:
         """Return a configuration with all contacts in place, held by those kept alone.
 
-        It is near a known one, or near ``at`` without one.
+        It is near a known one, or near ``at`` without one; coordinates may be fixed.
 
         Raises:
             StuckError: there is none.
@@ -307,7 +309,14 @@ class _Walker:
         for guess in guesses[:4]:
             self.solver.monitor.check()
             pose = solve_equilibrium_pose(
-                body, contacts, guess, limits, costs, constraints, should_stop=self.solver.monitor.should_stop
+                body,
+                contacts,
+                guess,
+                limits,
+                costs,
+                constraints,
+                fixed=fixed,
+                should_stop=self.solver.monitor.should_stop,
             )
             if pose.is_feasible:
                 both = replace(body, planted=(*body.planted, *(contact.planted for contact in placed)))
@@ -359,6 +368,11 @@ class _Walker:
         solve = self._solve_between(spec, body)
         with self.solver.monitor.step(spec.name, 0.5):
             solved = solve([_keep_contacts(body, start) for start in starts])
+            for corner in () if solved.is_feasible else self._find_corners(spec, first, last):
+                around = solve([_keep_contacts(body, path_via(first, corner, last, SWING_WAYPOINTS))])
+                if around.is_feasible:
+                    solved = around
+                    break
             for tree in TREES if self._has_free_limb(body) else ():
                 if solved.is_feasible:
                     break
@@ -367,6 +381,21 @@ class _Walker:
                     around = solve([_keep_contacts(body, path)])
                     solved = around if around.is_feasible else solved
         return _finish(spec, body, solved, lambda q: solve([q]))
+
+    def _find_corners(
+        self, spec: ContactPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
+    ) -> Iterator[Float[np.ndarray, "n"]]:
+        """Yield poses in which the body has risen but not yet moved on, and has moved on but not yet risen."""
+        if not self.start.robot.is_floating or np.abs(last[:3] - first[:3]).max() < LEAST_CORNER_M:
+            return
+        for across, up in ((first, last), (last, first)):
+            corner = 0.5 * (first + last)
+            corner[:2], corner[2] = across[:2], up[2]
+            fixed = {0: float(corner[0]), 1: float(corner[1]), 2: float(corner[2])}
+            try:
+                yield self._pose(f"{spec.name}: corner", spec.contacts, (), first, corner, fixed)
+            except StuckError:
+                continue
 
     def _move(
         self, spec: ContactPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
