@@ -16,7 +16,7 @@ from service.body.whole_body import WholeBody
 EDGE_STEP = 0.15  # largest joint step between the poses at which an edge is checked [rad, m]
 CLOCK_EVERY = 16
 LEAST_TRAVEL = 0.05  # range of the coordinate along a carrier [rad, m]
-CARRIED_POINTS = 28  # of a path whose other coordinates follow a carrier
+CARRIED_POINTS = 40  # of a path whose other coordinates follow a carrier
 RANGE = 0.6  # longest extension of a tree [rad, m]
 
 

@@ -34,7 +34,7 @@ from service.demands.contacts.stances import (
 from service.tasks.sequence import shrink
 from service.verify.forces.loaded_balance import find_normals
 
-SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 14
+SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
 TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
 # Of a link on its line, at the waypoints: how far it may be off, and the tolerance of that [m, rad].
 LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))])
