@@ -72,12 +72,22 @@ def forces(replay: Replay, phase: dict[str, Any]) -> tuple[bool, str]:
 
 
 def touches(data: dict[str, Any], contact: dict[str, Any]) -> tuple[bool, str]:
-    """Check that a piece is behind each point of a contact along its normal, with a face within its tilt."""
+    """Check that a piece is behind each point of a contact along its normal, with a face within its tilt.
+
+    Round obstacles of the request count as they are: the recorded hull contains them and touches them along lines only.
+    """
     normal, off, lean = np.array(contact["normal"]), [], []
+    scene = data["request"].get("scene") or {}
+    bars = {o["name"]: o for o in scene.get("obstacles") or [] if o["type"] in ("cylinder", "capsule")}
     for point in np.array(contact["sole"]):
         best = (np.inf, np.inf)
         for piece in data["pieces"]:
-            found = None if piece["kind"] == "unknown" else _find_face(point, normal, np.array(piece["vertices"]))
+            if piece["kind"] == "unknown":
+                continue
+            found = _find_face(point, normal, np.array(piece["vertices"]))
+            if found is not None and piece["name"] in bars:
+                side = _find_side(point, normal, bars[piece["name"]])
+                found = found if side is None else (max(abs(found[0]), abs(side[0])), side[1])
             if found is not None and abs(found[0]) < abs(best[0]):
                 best = found
         off.append(abs(best[0]))
@@ -105,6 +115,20 @@ def _find_face(point: Array, normal: Array, vertices: Array) -> tuple[float, flo
     if first > last + 1e-9 or not np.isfinite(first):
         return None
     return first, float(np.arccos(np.clip(face @ normal, -1.0, 1.0)))
+
+
+def _find_side(point: Array, normal: Array, bar: dict[str, Any]) -> tuple[float, float] | None:
+    """Return how far a point is off the side of a round bar, and the angle of the side there; None beyond its ends."""
+    turn = np.array(bar.get("quaternion_wxyz") or (1.0, 0.0, 0.0, 0.0))
+    w, x, y, z = turn / np.linalg.norm(turn)
+    axis = np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
+    offset = point - np.array(bar["position"])
+    along = float(offset @ axis)
+    if abs(along) > 0.5 * bar["height"]:
+        return None
+    outward = offset - along * axis
+    across = float(np.linalg.norm(outward))
+    return across - bar["radius"], float(np.arccos(np.clip(outward @ normal / across, -1.0, 1.0)))
 
 
 def region_margin(replay: Replay, phase: dict[str, Any], region: dict[str, Any]) -> float:
