@@ -6,11 +6,12 @@ flat levers, knife switches, other drills; steering wheels, fans, tyres and grat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
+from benchmarks.cloud_absent import ABSENT, Maker
 from benchmarks.cloud_cases import Case
 from perception import wheel_basis
 from perception.simulate import Caster, join_meshes
@@ -36,8 +37,6 @@ from perception.simulate.scenes.scene import (
 )
 from perception.simulate.scenes.valves import PipedWheel, tilt_axis, valve_body
 from perception.simulate.valve_scene import Valve
-
-Maker = Callable[[np.random.Generator], tuple[list[PlacedObjects], tuple[float, float, float]]]
 
 
 def wheel(
@@ -260,6 +259,7 @@ MAKERS: Mapping[str, Maker] = {
     "none_fan": _fan,
     "none_tyres": _tyres,
     "none_grating": _grating,
+    **ABSENT,
 }
 
 

@@ -7,16 +7,17 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import never, poll, stops_when
-from perception.cleaning.clean import Reach, nearest, voxel_downsample
+from perception.cleaning.clean import SELF_MARGIN, Reach, inside_hulls, nearest, voxel_downsample
 from perception.cloud import Cloud
 from perception.convex.clock import Clock
 from perception.convex.piece import Piece
 from perception.convex.pieces import Pieces, make_pieces
+from perception.convex.room import make_room
 from perception.convex.unknown import make_unknown_pieces
 from perception.detect.registry import detect_kinds
 from perception.detect.shared.detection import CONFIDENT, Detection, Model
@@ -82,6 +83,7 @@ def perceive(
     seed: int = 0,
     method: Literal["planes", "coacd"] = "planes",
     known: Sequence[KnownMesh] = (),
+    given_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     should_stop: Callable[[], bool] = never,
 ) -> Perceived:
     """Find floor, convex pieces and, on request, objects of a cloud in world coordinates (z up).
@@ -98,6 +100,8 @@ def perceive(
         method: ``planes`` (slabs, then hulls of the rest) or ``coacd`` (cells, then CoACD; slower and coarser).
         known: meshes to find, with unique names; points explained by a mesh that was found with confidence do not
             become pieces, and the mesh itself is not in the scene.
+        given_hulls: (V, 3) vertices of solids in the world that the caller knows, and of space that is to count as
+            free; points on or inside them do not become pieces.
         should_stop: polled at least every 100 ms, in addition to the caller's ``costs.stopping``.
 
     Raises:
@@ -106,7 +110,7 @@ def perceive(
         CloudError: no point of the cloud lies in reach.
     """
     with stops_when(should_stop):
-        return _perceive(cloud, reach, robot_hulls, soles, hint, kinds, unknown, seed, method, known)
+        return _perceive(cloud, reach, robot_hulls, soles, hint, kinds, unknown, seed, method, known, given_hulls)
 
 
 def _perceive(
@@ -120,21 +124,23 @@ def _perceive(
     seed: int,
     method: Literal["planes", "coacd"],
     known: Sequence[KnownMesh],
+    given_hulls: Sequence[Float[np.ndarray, "V 3"]],
 ) -> Perceived:
     """Run ``perceive`` without its stop check."""
     clock = Clock()
-    view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, soles=soles, seed=seed)
+    view = make_view(cloud, reach=reach, robot_hulls=robot_hulls, given_hulls=given_hulls, soles=soles, seed=seed)
     clock.lap("view")
     detections = tuple(detect_kinds(kinds, view, hint))
     kept, parts = take_out(detections, view.obstacles)
     clock.lap("valve")
     matches = find_meshes(known, view, clock)
-    kept = drop_explained(view.obstacles, kept, matches)
+    kept = drop_given(view.obstacles, drop_explained(view.obstacles, kept, matches), given_hulls)
     made = _make_pieces(view, kept, see_past(detections, view.cloud.rays), method)
+    made = replace(made, pieces=make_room(made.pieces, list_boxes(detections), view.obstacles))
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
-        hidden = make_unknown_pieces(view.cloud.rays, reach, view.floors, robot_hulls, soles)
+        hidden = make_unknown_pieces(view.cloud.rays, reach, view.floors, view.robot_hulls, soles)
         clock.lap("unknown")
     scene = Scene((*floor_pieces(view.floors, view.reach), *parts, *(piece.shape for piece in made.pieces), *hidden))
     timings = clock.timings | {f"pieces: {step}": seconds for step, seconds in made.timings.items()}
@@ -164,6 +170,12 @@ def see_past(
     for model in _models(detections):
         ends = model.see_past(starts, ends)
     return starts, ends
+
+
+def list_boxes(detections: Sequence[Detection]) -> list[Float[np.ndarray, "F 4"]]:
+    """Return the half-spaces of the boxes that objects fill which ``take_out`` removes."""
+    boxes = [model.list_sides() for model in _models(detections)]
+    return [sides for sides in boxes if len(sides)]
 
 
 def _models(detections: Sequence[Detection]) -> list[Model]:
@@ -228,8 +240,25 @@ def drop_explained(
         if match.confidence < CONFIDENT:
             continue
         kept = kept[~match.explains(points[kept])]
-        lone = match.explains(points[kept], FRINGE)
-        if lone.any() and not lone.all():
-            lone[lone] = nearest(cKDTree(points[kept[~lone]]), points[kept[lone]], 1)[0] > _LONE
-        kept = kept[~lone]
+        kept = _drop_lone(points, kept, match.explains(points[kept], FRINGE))
     return kept
+
+
+def drop_given(
+    points: Float[np.ndarray, "N 3"], kept: Int[np.ndarray, "K"], hulls: Sequence[Float[np.ndarray, "V 3"]]
+) -> Int[np.ndarray, "L"]:
+    """Return the kept indices without points slightly beyond given solids, if no other kept point is near.
+
+    Those on and inside the solids are not in the view.
+    """
+    return _drop_lone(points, kept, inside_hulls(points[kept], hulls, FRINGE * SELF_MARGIN))
+
+
+def _drop_lone(
+    points: Float[np.ndarray, "N 3"], kept: Int[np.ndarray, "K"], doubtful: Bool[np.ndarray, "K"]
+) -> Int[np.ndarray, "L"]:
+    """Return the kept indices without the doubtful ones that no other kept point is near."""
+    lone = doubtful.copy()
+    if lone.any() and not lone.all():
+        lone[lone] = nearest(cKDTree(points[kept[~lone]]), points[kept[lone]], 1)[0] > _LONE
+    return np.asarray(kept[~lone])

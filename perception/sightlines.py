@@ -12,6 +12,8 @@ from perception.cloud import Cloud
 
 _MOST_ORIGINS = 12
 _BLOCK = 50_000
+_CELL = 0.03  # edge of the cells that sort unit directions
+_ROUNDING = 1e-6  # of angles [rad]
 
 
 @dataclass(frozen=True)
@@ -46,16 +48,62 @@ class Sightlines:
 
 
 @dataclass(frozen=True)
+class RayGroup:
+    """Rays with a common start, sorted by cells of their directions.
+
+    Attributes:
+        start: (3,) [m].
+        numbers: (K,) indices of the rays, cell by cell.
+        directions: (K, 3) unit, in the same order.
+        borders: (C + 1,) position of each cell's first ray, and K.
+        middles: (C, 3) unit, middle direction of each cell.
+        spreads: (C,) largest angle between a cell's middle and its rays [rad].
+    """
+
+    start: Float[np.ndarray, "3"]
+    numbers: Int[np.ndarray, "K"]
+    directions: Float[np.ndarray, "K 3"]
+    borders: Int[np.ndarray, "C1"]
+    middles: Float[np.ndarray, "C 3"]
+    spreads: Float[np.ndarray, "C"]
+
+    @staticmethod
+    def of(
+        start: Float[np.ndarray, "3"], numbers: Int[np.ndarray, "K"], directions: Float[np.ndarray, "K 3"]
+    ) -> RayGroup:
+        """Return the rays of a start, sorted; ``directions`` in the order of ``numbers``."""
+        cell = np.floor((directions + 1.0) / _CELL).astype(np.int64)
+        side = int(2.0 / _CELL) + 2
+        cell_number = (cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2]
+        order = np.argsort(cell_number, kind="stable")
+        directions, cell_number = directions[order], cell_number[order]
+        first = np.flatnonzero(np.concatenate([[True], cell_number[1:] != cell_number[:-1]]))
+        middles = np.add.reduceat(directions, first, axis=0)
+        middles /= np.maximum(np.linalg.norm(middles, axis=1), 1e-9)[:, None]
+        borders = np.append(first, len(order))
+        cosine = np.einsum("ki,ki->k", directions, np.repeat(middles, np.diff(borders), axis=0))
+        spreads = np.arccos(np.clip(np.minimum.reduceat(cosine, first), -1.0, 1.0)) + _ROUNDING
+        return RayGroup(start, numbers[order], directions, borders, middles, spreads)
+
+    def list_rays(self, cells: Int[np.ndarray, "S"]) -> Int[np.ndarray, "M"]:
+        """Return the positions of the rays of some cells."""
+        if not len(cells):
+            return np.zeros(0, dtype=np.int64)
+        first, counts = self.borders[cells], (self.borders[1:] - self.borders[:-1])[cells]
+        before = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        return np.asarray(np.repeat(first - before, counts) + np.arange(int(counts.sum())))
+
+
+@dataclass(frozen=True)
 class SightIndex:
     """Index of all rays of a scan for the search of rays near given positions.
 
     Attributes:
-        groups: (start, ray indices, directions) of the rays with a common start; empty if there are too many starts
-            for grouping to be faster.
+        groups: the rays with a common start; empty if there are too many starts for grouping to be faster.
     """
 
     rays: Sightlines
-    groups: tuple[tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]], ...]
+    groups: tuple[RayGroup, ...]
 
     def passing(self, places: Float[np.ndarray, "K 3"], radius: float) -> Sightlines:
         """Return rays that pass a position within about ``radius`` [m] and do not end well before it."""
@@ -70,26 +118,23 @@ class SightIndex:
 
     def _of_group(
         self,
-        group: tuple[Float[np.ndarray, "3"], Int[np.ndarray, "K"], Float[np.ndarray, "K 3"]],
+        group: RayGroup,
         places: Float[np.ndarray, "K 3"],
         radius: float,
         centre: Float[np.ndarray, "3"],
         size: float,
     ) -> Int[np.ndarray, "M"]:
-        """Return the indices of the rays of one group that pass a position, as ``passing`` does."""
-        start, numbers, directions = group
-        inside = _in_cones(directions, places - start, radius)
-        numbers = numbers[inside]
-        along = directions.take(inside, 0) @ (centre - start)
-        return np.asarray(numbers[(along > -size) & (self.rays.length.take(numbers) > along - size)])
+        """Return the indices of the rays of one group that pass a position, as ``passing`` does, in order."""
+        inside = _in_cones(group, places - group.start, radius)
+        numbers = group.numbers.take(inside)
+        along = group.directions.take(inside, 0) @ (centre - group.start)
+        return np.sort(numbers[(along > -size) & (self.rays.length.take(numbers) > along - size)])
 
 
-def _in_cones(
-    directions: Float[np.ndarray, "N 3"], offset: Float[np.ndarray, "K 3"], radius: float
-) -> Int[np.ndarray, "M"]:
-    """Return indices of directions that pass an offset within ``radius``, pre-selected by one cone around all offsets.
+def _in_cones(group: RayGroup, offset: Float[np.ndarray, "K 3"], radius: float) -> Int[np.ndarray, "M"]:
+    """Return positions of the rays of a group that pass an offset from its start within ``radius`` [m].
 
-    Testing every direction is faster than a tree, which returns Python lists.
+    Cells of directions that lie in a cone whole, or outside of all cones, are decided without their rays.
     """
     poll()
     distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)
@@ -97,18 +142,22 @@ def _in_cones(
     half = np.arcsin(np.minimum(radius / distance, 1.0))
     middle = towards.mean(axis=0)
     middle /= max(float(np.linalg.norm(middle)), 1e-9)
-    widest = float((np.arccos(np.clip(towards @ middle, -1.0, 1.0)) + half).max())
-    inside = np.flatnonzero(directions @ middle >= np.cos(min(widest, np.pi)))
-    if len(offset) == 1:
-        return inside
-    near, least = directions.take(inside, 0), np.cos(half)
+    widest = min(float((np.arccos(np.clip(towards @ middle, -1.0, 1.0)) + half).max()), np.pi)
+    off = np.arccos(np.clip(group.middles @ middle, -1.0, 1.0))
+    cells = np.flatnonzero(off <= widest + group.spreads)
+    off = np.arccos(np.clip(group.middles[cells] @ towards.T, -1.0, 1.0))
+    spreads = group.spreads[cells, None]
+    is_within = (off + spreads <= half).any(axis=1)
+    is_open = (off <= half + spreads).any(axis=1) & ~is_within
+    open_rays = group.list_rays(cells[is_open])
+    near, least = group.directions.take(open_rays, 0), np.cos(half)
     # Blocks fit into the processor's cache.
     size = max(1, _BLOCK // len(offset))
-    blocks = []
+    blocks = [np.zeros(0, dtype=bool)]
     for i in range(0, len(near), size):
         poll()
         blocks.append((near[i : i + size] @ towards.T >= least).any(axis=1))
-    return np.asarray(inside[np.concatenate([np.zeros(0, dtype=bool), *blocks])])
+    return np.concatenate([group.list_rays(cells[is_within]), open_rays[np.concatenate(blocks)]])
 
 
 def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "N"]:
@@ -143,5 +192,5 @@ def index_of(rays: Sightlines) -> SightIndex:
     groups = []
     for i, origin in enumerate(origins):
         numbers = np.flatnonzero(of_ray.reshape(-1) == i)
-        groups.append((np.asarray(origin), numbers, rays.direction[numbers]))
+        groups.append(RayGroup.of(np.asarray(origin), numbers, rays.direction[numbers]))
     return SightIndex(rays, tuple(groups))

@@ -16,13 +16,14 @@ from perception.cloud import Cloud
 from perception.convex.clock import Clock
 from perception.convex.hulls import make_hull
 from perception.convex.piece import Piece
+from perception.convex.room import make_room
 from perception.convex.standing import Ground
 from perception.convex.unknown import make_unknown_pieces
 from perception.convex.updated import Judge, Updated, update_pieces
 from perception.detect.shared.detection import Detection
 from perception.ground.floor import FloorPlane, floor_pieces, on_floors
 from perception.ground.levels_again import may_be_level
-from perception.perceive import Perceived, drop_explained, find_meshes, see_past, take_out
+from perception.perceive import Perceived, drop_explained, find_meshes, list_boxes, see_past, take_out
 from perception.solids.match import KnownMesh, MeshMatch
 from perception.view import Cropped, View, crop, view_of
 
@@ -154,6 +155,7 @@ def _hold_against(
     )
     clock.lap("pieces")
     view, pieces = _drop_strays(view, made, kept)
+    pieces = make_room(pieces, list_boxes(earlier.detections), view.obstacles)
     return _Held(view, floors, pieces, matches, made.timings, made.is_left_off)
 
 

@@ -75,6 +75,7 @@ def make_view(
     *,
     reach: Reach = _DEFAULT_REACH,
     robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
+    given_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
     soles: Sequence[Float[np.ndarray, "S 3"]] = (),
     seed: int = 0,
 ) -> View:
@@ -83,12 +84,13 @@ def make_view(
     Args:
         cloud: the scan in world coordinates (z up).
         robot_hulls: (V, 3) vertices of the robot's links in the world; points on them are dropped.
+        given_hulls: (V, 3) vertices of other shapes in the world whose points are dropped.
         soles: (S, 3) corners of the planted soles; points up to 3 cm above the floor under them count as floor.
 
     Raises:
         CloudError: no point of the cloud lies in reach; the message includes the cloud's notes.
     """
-    return view_of(crop(cloud, reach, robot_hulls), reach=reach, soles=soles, seed=seed)
+    return view_of(crop(cloud, reach, robot_hulls, given_hulls), reach=reach, soles=soles, seed=seed)
 
 
 def widen(view: View) -> View:
@@ -116,7 +118,7 @@ class Cropped:
         cloud: the whole scan without exact copies.
         near: the points in reach, without points on the robot.
         n_own: number of points in reach on the robot itself.
-        robot_hulls: (V, 3) vertices of the robot's links in the world [m].
+        robot_hulls: (V, 3) vertices of the robot's links and of given shapes in the world [m].
     """
 
     cloud: Cloud
@@ -126,19 +128,26 @@ class Cropped:
     robot_hulls: tuple[Float[np.ndarray, "V 3"], ...] = ()
 
 
-def crop(cloud: Cloud, reach: Reach, robot_hulls: Sequence[Float[np.ndarray, "V 3"]]) -> Cropped:
-    """Drop exact copies, points out of reach and points on the robot; see ``make_view``."""
+def crop(
+    cloud: Cloud,
+    reach: Reach,
+    robot_hulls: Sequence[Float[np.ndarray, "V 3"]],
+    given_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
+) -> Cropped:
+    """Drop exact copies, points out of reach and points on the robot or on given shapes; see ``make_view``."""
     _check_reach(cloud, reach)
     cloud = drop_copies(cloud)
     near = cloud.select(reach.contains(cloud.points))
-    own = inside_hulls(near.points, robot_hulls)
+    hulls = (*robot_hulls, *given_hulls)
+    own = inside_hulls(near.points, hulls)
     notes = (*cloud.notes, *_crop_note(cloud, near, reach))
     if own.any():
-        notes = (*notes, f"left out {int(own.sum())} points on the robot itself")
+        what = "the robot itself and on given shapes" if given_hulls else "the robot itself"
+        notes = (*notes, f"left out {int(own.sum())} points on {what}")
         if own.all():
             raise CloudError("all points in reach lie on the robot itself; is the robot's posture the scan's?")
         near = near.select(~own)
-    return Cropped(cloud, near, notes, int(own.sum()), tuple(robot_hulls))
+    return Cropped(cloud, near, notes, int(own.sum()), hulls)
 
 
 def view_of(

@@ -193,6 +193,41 @@ def test_a_doors_points_are_its_own_meshes_as_seen_and_not_its_wall(
     ).any()
 
 
+@settings(max_examples=20, deadline=None)
+@given(
+    side=st.sampled_from(["pull", "push"]),
+    hinge_on=st.sampled_from(["left", "right"]),
+    ajar=st.floats(0.0, 0.9),
+    seed=st.integers(0, 1000),
+)
+def test_every_point_in_the_box_of_a_leaf_is_the_doors_own(side: str, hinge_on: str, ajar: float, seed: int) -> None:
+    geometry = truth_geometry(replace(_LEFT, side=side, hinge_on=hinge_on, ajar=ajar))  # type: ignore[arg-type]
+    sides = DoorModel(geometry).list_sides()
+    points = geometry.hinge + np.random.default_rng(seed).uniform([-1.2, -1.2, -0.2], [1.2, 1.2, 2.3], (4000, 3))
+    inside = (points @ sides[:, :3].T + sides[:, 3] <= 0.0).all(axis=1)
+    assert inside.any()
+    assert door_points(geometry, points)[inside].all()
+
+
+def test_a_lone_point_just_off_a_densely_seen_leaf_is_a_stray_and_a_small_object_is_not() -> None:
+    geometry = replace(truth_geometry(_LEFT), ajar=0.0)
+    grid = np.stack(np.meshgrid(np.arange(0.01, geometry.width, 0.012), np.arange(0.01, 2.0, 0.012)), axis=-1)
+    along, up = grid.reshape(-1, 2).T
+
+    def off(x: float, out: float, z: float) -> np.ndarray:
+        place = geometry.hinge + x * geometry.along + (geometry.face + out) * geometry.normal
+        return np.asarray(place + np.array([0.0, 0.0, z]))
+
+    leaf = np.array([off(x, 0.0, z) for x, z in zip(along, up, strict=True)])
+    lone, object_ = off(0.4, 0.05, 0.01), [off(0.2 + 0.01 * k, 0.05, 0.01) for k in range(4)]
+    seen = np.vstack([leaf, lone, *object_])
+    own, _ = DoorModel(geometry).split_off(seen)
+    assert own[: len(leaf) + 1].all()
+    assert not own[len(leaf) + 1 :].any()
+    sparse = np.vstack([leaf[::20], lone])
+    assert not DoorModel(geometry).split_off(sparse)[0][-1], "a sparse scan shows no more of a surface"
+
+
 def test_rays_that_end_on_a_leaf_go_on_to_its_back_and_no_other_ray_changes() -> None:
     geometry = replace(truth_geometry(_LEFT), ajar=0.0)
     middle = geometry.hinge + 0.4 * geometry.along + np.array([0.0, 0.0, 1.2])

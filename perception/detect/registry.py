@@ -30,6 +30,7 @@ from perception.detect.valve.wheel import detect_wheels
 from perception.detect.vehicle.opening import detect_opening
 from perception.detect.vehicle.seat import detect_seat
 from perception.errors import PerceptionError
+from perception.sightlines import SightIndex, sight_index
 from perception.view import View, widen
 
 _MOSTLY = 0.5
@@ -40,22 +41,25 @@ class Detector:
     """Detector of one kind and its needs.
 
     Attributes:
-        find: function of view and hint, and with ``needs_faces`` of the view's flat faces; returns detections.
+        find: function of view and hint, and with ``needs_faces`` of the view's flat faces or with ``needs_index`` of
+            the index of its rays; returns detections.
         needs_faces: whether it uses the flat faces, which are found once for all such detectors.
+        needs_index: whether it uses the index of the view's rays, made once for all such detectors.
         is_offered: whether a request may name the kind; the others are for tasks only.
     """
 
     find: Callable[..., list[Detection]]
     needs_faces: bool = False
+    needs_index: bool = False
     is_offered: bool = True
 
 
 DETECTORS: Mapping[str, Detector] = {
-    "valve": Detector(detect_valve),
+    "valve": Detector(detect_valve, needs_index=True),
     "door": Detector(detect_door),
-    "drill": Detector(detect_drill),
-    "beam": Detector(detect_beam),
-    "hose": Detector(detect_hose),
+    "drill": Detector(detect_drill, needs_index=True),
+    "beam": Detector(detect_beam, needs_index=True),
+    "hose": Detector(detect_hose, needs_index=True),
     "lever": Detector(detect_lever, needs_faces=True),
     "panel": Detector(detect_panel, needs_faces=True),
     "seat": Detector(detect_seat),
@@ -121,15 +125,20 @@ def detect_each(
             raise PerceptionError(f"unknown kind '{kind}'; expected one of {', '.join(KINDS)}")
     faces: FacesInSight | None = None
     wide: View | None = None
+    index: SightIndex | None = None
     for kind in kinds:
         detector = DETECTORS[kind]
         on_kind(kind)
         poll()
         try:
             wide = wide or widen(view)
+            if detector.needs_faces or detector.needs_index:
+                index = index or sight_index(wide.cloud)
             if detector.needs_faces:
-                faces = faces or FacesInSight.of(wide, hint)
+                faces = faces or FacesInSight.of(wide, hint, index)
                 hits = detector.find(wide, hint, faces)
+            elif detector.needs_index:
+                hits = detector.find(wide, hint, index)
             else:
                 hits = detector.find(wide, hint)
         except Stopped:

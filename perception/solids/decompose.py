@@ -12,10 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
+from costs.array_cache import Parts
 from perception.convex.hulls import MAX_VERTICES, limit_vertices
 from perception.errors import MeshError
 from perception.sandbox import ProcessLimits
-from perception.solids.cache import Parts, PartsCache
+from perception.solids.cache import PartsCache
 from perception.solids.mesh import Mesh, Solid
 from perception.solids.process import COACD_LIMITS, run_coacd
 from perception.solids.voxels import simplify_mesh, wrap_mesh

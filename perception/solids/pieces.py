@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from costs.array_cache import Parts
 from costs.scene import ConvexPiece
 from perception.cleaning.clean import nearest
 from perception.convex.clock import Clock
@@ -18,7 +19,6 @@ from perception.convex.hulls import limit_vertices, make_hull
 from perception.convex.piece import Piece, measure_evidence
 from perception.convex.pieces import Pieces
 from perception.convex.split import is_free_of
-from perception.solids.cache import Parts
 from perception.solids.decompose import CoacdResources, CoacdSettings, decompose
 from perception.solids.mesh import Mesh
 from perception.solids.voxels import wrap_cells

@@ -11,7 +11,7 @@ from perception.errors import MeshError
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
 if TYPE_CHECKING:  # the sandboxed process starts faster without these imports
-    from perception.solids.cache import Parts
+    from costs.array_cache import Parts
     from perception.solids.mesh import Mesh
 
 COACD_LIMITS = ProcessLimits(max_bytes=4 * 2**30, max_wall_s=120.0)

@@ -48,7 +48,11 @@ _EXPLAINS, _SURE = 0.25, 0.5
 _LARGEST_STEP = 1.0  # [m^2]
 _OVER_FLOOR = 0.03
 _IN_FLOOR = (0.02, 0.035)
+_DOUBTFUL = 0.55  # lowered by this share where the place of the centre is doubtful by 3 cm: never enough to act on
+# A bar this near to the vertical is a post or a table's leg: loose timber does not stand.
+_UPRIGHT, _POST = np.radians((4.0, 7.0)), 0.4
 _MOST_POINTS = 200
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -74,22 +78,25 @@ class _Beam:
         return sum(self.ends.hidden)
 
 
-def detect_beam(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+def detect_beam(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, index: SightIndex | None = None
+) -> list[Detection]:
     """Find beams, best first; origin the centre, x along the length, z along the smallest side.
 
     Sizes are length, width and thickness.  A beam with one visible face may be thicker than fitted: the residual
     ``doubt`` is the possible error of its centre [m].  Where another object hides its ends, ``hidden_length`` is the
-    length by which it may be longer [m], and the confidence is low.  An end hidden along up to 20 cm is set to the
-    middle of the hidden stretch, so the beam may also be shorter by as much.  With a longer hidden stretch the length
-    is the visible one, and ``hidden_length`` is 10 cm.
+    length by which it may be longer [m], and the confidence is low.  So is that of a bar that stands upright.  An end
+    hidden along up to 20 cm is set to the middle of the hidden stretch, so the beam may also be shorter by as much.
+    With a longer hidden stretch the length is the visible one, and ``hidden_length`` is 10 cm.
 
     Args:
         hint: (3,) a point near the beam [m]; only points within 0.7 m of it are searched.
+        index: of the view's rays; None: they are indexed anew.
     """
     if not len(view.obstacles):
         return []
     rng = np.random.default_rng(0)
-    index = sight_index(view.cloud)
+    index = index or sight_index(view.cloud)
     points, _ = voxel_downsample(loose_points(view), _VOXEL)
     if hint is not None:
         points = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
@@ -214,7 +221,7 @@ def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | No
     bar = ends.bar
     evidence = weigh_bar(rays, bar)
     spread = spread_between_edges(rays, replace(choice.fit, bar=bar), _FITTED_TO)
-    confidence = _confidence(ends, choice, evidence, spread[0]) * _over_floor(bar, floor)
+    confidence = _confidence(ends, choice, evidence, spread[0]) * _over_floor(bar, floor) * _lies(bar, floor)
     if confidence <= _REPORTED:
         return None
     flatter = rivalry(rays, bar, _PIPES, "round")
@@ -285,7 +292,7 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: f
         * rising(evidence.n_hits, 20.0, 80.0)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
         * rising(-tilt, -0.03, -0.012)
-        * (1.0 - 0.4 * rising(choice.doubt, 0.01, 0.03))
+        * (1.0 - _DOUBTFUL * rising(choice.doubt, 0.01, 0.03))
         * (1.0 - 0.6 * rising(sum(ends.hidden), 0.025, 0.06))
         * _END_UNSEEN ** (2 - ends_seen)
     )
@@ -297,6 +304,13 @@ def _over_floor(bar: Bar, floor: FloorPlane | None) -> float:
         return 1.0
     up = np.abs(bar.frame[1:] @ floor.normal) @ np.array(bar.half)
     return rising(float(floor.above(bar.places(0.1)).max() + up), *_IN_FLOOR)
+
+
+def _lies(bar: Bar, floor: FloorPlane | None) -> float:
+    """Return the score of a bar that lies or leans: lower where it stands upright, as what is built in does."""
+    up = _UP if floor is None else floor.normal
+    lean = float(np.arccos(min(1.0, abs(float(bar.axis @ up)))))
+    return _POST + (1.0 - _POST) * rising(lean, *_UPRIGHT)
 
 
 def _flatness(flatter: Rivalry) -> float:

@@ -146,14 +146,14 @@ def fit_ball(rays: NearRays, start: Bar) -> Bar:
 def _search(rays: NearRays, start: Bar, *, is_ball: bool = False) -> Bar:
     """Return the bar of greatest likelihood near ``start``, by simplex search; of a ball both ends move alike."""
     bare = _bare(rays)
-    to_face = -rays.start[:, 2] / rays.direction[:, 2]
+    on_face = _face(rays, -rays.start[:, 2] / rays.direction[:, 2])
     n_rays = max(len(bare), 1)
     n_shifts = 4 if is_ball else 6
 
     def cost(shift: Float[np.ndarray, "S"]) -> float:
         poll()
         bar, beyond = _shifted(start, shift)
-        return float((np.sum(_misfits(rays, bar, to_face) - bare) + _PER_LENGTH * bar.length) / n_rays + beyond)
+        return float((np.sum(_misfits(rays, bar, on_face) - bare) + _PER_LENGTH * bar.length) / n_rays + beyond)
 
     found = minimize(
         cost,
@@ -191,15 +191,16 @@ def _bare(rays: NearRays) -> Float[np.ndarray, "K"]:
 def _misfits(
     rays: NearRays,
     bar: Bar,
-    to_face: Float[np.ndarray, "K"],
+    on_face: Float[np.ndarray, "K"],
     neck: tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]] | None = None,
 ) -> Float[np.ndarray, "K"]:
     """Return the negative log likelihood of each ray's end.
 
     Args:
+        on_face: likelihood of each ray on the bare face, see :func:`_face` [1/m].
         neck: distance of each ray outside the bar's neck, and its length to it.
     """
-    past = _face(rays, to_face)
+    past = on_face
     for outside, length in (bar.reached_by(rays),) if neck is None else (neck, bar.reached_by(rays)):
         hits = 1.0 / (1.0 + np.exp(np.clip(outside / (0.5 * _SOFT), -30.0, 30.0)))
         past = hits * _normal(rays.length - length, rays.sigma) + (1.0 - hits) * past
@@ -222,14 +223,14 @@ def rate_extensions(rays: NearRays, bar: Bar) -> Float[np.ndarray, "2 E"]:
 
     The moved end is the one at the spindle: a neck of the bar's radius joins it with the face.
     """
-    to_face = -rays.start[:, 2] / rays.direction[:, 2]
+    on_face = _face(rays, -rays.start[:, 2] / rays.direction[:, 2])
     rated = np.empty((2, len(EXTENSIONS)))
     for end, outwards in enumerate((-1.0, 1.0)):
         for i, extension in enumerate(EXTENSIONS):
             ends = bar.ends.copy()
             ends[end] += outwards * extension * bar.axis
             neck = _reach(rays, np.append(ends[end], 0.0), np.append(ends[end], bar.out), bar.radius)
-            rated[end, i] = -float(np.sum(_misfits(rays, replace(bar, ends=ends), to_face, neck)))
+            rated[end, i] = -float(np.sum(_misfits(rays, replace(bar, ends=ends), on_face, neck)))
     return rated
 
 

@@ -38,6 +38,8 @@ _OCCLUDED = 0.3
 _SQUARE = (np.radians(70.0), np.radians(85.0))
 _HINT_TRUST = 0.7
 _SHOWN = 2000
+# A handle beside its leaf, or a leaf much wider than its seen face, belongs to another object.
+_OFF_LEAF, _WIDER_THAN_SEEN, _ASTRAY = 0.03, 0.4, 0.4
 _FARTHEST_NOISE, _NOISE = 5.0, (0.03, 0.06)  # of a leaf's points, in standard deviations and as limits [m]
 _ENOUGH = 60_000
 
@@ -141,6 +143,10 @@ def _weigh(
 ) -> _Candidate:
     """Return the leaf with its handle, hinge side and confidence of being a door."""
     sure_hinge = frame.hinge if frame is not None and frame.ajar > _SURELY_AJAR else 0
+    # The search for a handle takes most of the time; it cannot make a door of a face that is none.
+    most = _rate_leaf(leaf, frame)
+    if (most if hint is None else most**_HINT_TRUST) < _REPORTED:
+        return _Candidate(leaf, frame, None, sure_hinge or -1, 0.0, sure_hinge != 0)
     handle = find_handle(leaf.plane, leaf.low.at, leaf.high.at, leaf.rms, ground, rays, -sure_hinge)
     seen_hinge = sure_hinge or _hinge_by(handle, leaf) or (frame.hinge if frame is not None else 0)
     hinge = seen_hinge or _find_side(leaf, hinge_on)
@@ -168,8 +174,8 @@ def _hinge_by(handle: Handle | None, leaf: Leaf) -> int:
     return -1 if handle.centre[0] > 0.5 * (leaf.low.at + leaf.high.at) else 1
 
 
-def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: int) -> float:
-    """Return the product of three ratings: face of a door's size with edges, wall beside it, handle and gap."""
+def _rate_leaf(leaf: Leaf, frame: Frame | None) -> float:
+    """Return the product of two ratings: face of a door's size with edges, and wall beside it."""
     ends = [leaf.low.strength, leaf.high.strength]
     if frame is not None and frame.hinge:
         # The hinge edge of an open leaf merges with its jamb; its contact with the wall is the better evidence.
@@ -189,6 +195,11 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
         * (rising(-leaf.bottom, -0.4, -0.15) if leaf.bottom_is_seen else 1.0 - 0.3 * rising(leaf.bottom, 0.3, 1.2))
     )
     wall = 0.3 if frame is None else 0.3 + 0.7 * rising(frame.support, 0.2, 0.7)
+    return float(face * wall)
+
+
+def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: int) -> float:
+    """Return the rating of the leaf times that of its handle and gap."""
     grip = 0.0 if handle is None else handle.quality * (1.0 - 0.65 * rising(_unsure(handle, -hinge), 0.03, 0.09))
     if frame is not None and frame.ajar > _SURELY_AJAR:
         gap = max(frame.gap_share, (leaf.low if frame.hinge > 0 else leaf.high).open_share)
@@ -205,7 +216,7 @@ def _confidence(leaf: Leaf, frame: Frame | None, handle: Handle | None, hinge: i
     if handle is not None:
         # A door is opened by its handle, so the handle's position error limits the confidence.
         marks *= 1.0 - 0.45 * rising(_unsure(handle, -hinge), 0.045, 0.075)
-    return float(face * wall * marks)
+    return _rate_leaf(leaf, frame) * float(marks)
 
 
 def _unsure(handle: Handle, free_side: int) -> float:
@@ -255,13 +266,16 @@ def _detection(candidate: _Candidate, rays: Rays, ground: float) -> Detection:
         sizes["handle_y"] = float(side * handle.out)
         sizes["handle_z"] = float(up - ground)
         residuals["handle_slack"] = _unsure(handle, -candidate.hinge)
+    beyond = max(-sizes.get("handle_x", 0.0), sizes.get("handle_x", 0.0) - width)
+    is_astray = beyond > _OFF_LEAF or width > leaf.width + _WIDER_THAN_SEEN
+    confidence = candidate.confidence * (_ASTRAY if is_astray else 1.0)
     step = max(1, len(leaf.points) // _SHOWN)
     opens, certainty = judge_opening(leaf, frame, (hinge_at, free_at), rays, ground)
     noise = float(np.clip(_FARTHEST_NOISE * leaf.rms, *_NOISE))
     model = DoorModel(shut_leaf(leaf, frame, handle, pose, sizes, opens, ground), noise)
     residuals |= {"opens_share": certainty, "hinge_share": float(candidate.knows_hinge)}
     residuals["thickness_share"] = 0.0
-    return Detection("door", pose, sizes, candidate.confidence, residuals, leaf.points[::step], model)
+    return Detection("door", pose, sizes, confidence, residuals, leaf.points[::step], model)
 
 
 def _pivot(handle: Handle, free_at: float, hinge_at: float) -> tuple[Float[np.ndarray, "2"], float]:

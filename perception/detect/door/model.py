@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 
 from costs.scene import ConvexPiece
+from perception.cleaning.clean import nearest
 from perception.detect.door.bodies import HOUSING_HALF_HEIGHT, HOUSING_HALF_WIDTH
 from perception.detect.door.geometry import UP, DoorGeometry, Opens
 from perception.detect.shared.detection import Detection
@@ -17,6 +19,9 @@ USUAL_THICKNESS = 0.045
 _BESIDE = 0.012
 _INSIDE = 0.015
 _NOISE = 0.03
+_FRINGE = 0.06  # distance from the leaf at which a lone point may be a stray [m]
+_ALONE = 0.03  # of a stray from the next point that is not the door's own [m]
+_CROWD = 10  # points that the leaf shows within that distance, so that a surface would show several
 _ABOUT_HANDLE = 0.03
 
 
@@ -32,8 +37,12 @@ class DoorModel:
     noise: float = _NOISE
 
     def split_off(self, points: Float[np.ndarray, "N 3"], /) -> tuple[Bool[np.ndarray, "N"], tuple[ConvexPiece, ...]]:
-        """Return (N,) points on leaf and handle where they were seen; no part of a door stays in the scene."""
-        return door_points(self.geometry, points, self.noise), ()
+        """Return (N,) points on leaf and handle where they were seen, with the strays just off the leaf.
+
+        No part of a door stays in the scene.
+        """
+        own = door_points(self.geometry, points, self.noise)
+        return own | _find_strays(self.geometry, points, own), ()
 
     def see_past(
         self, starts: Float[np.ndarray, "*R 3"], ends: Float[np.ndarray, "R 3"], /
@@ -50,6 +59,18 @@ class DoorModel:
         moved = ends.copy()
         moved[own] = begin + share[:, None] * (end - begin)
         return moved
+
+    def list_sides(self) -> Float[np.ndarray, "F 4"]:
+        """Return the half-spaces of the leaf where it was seen, with its noise before and behind it."""
+        geometry = self.geometry
+        along, normal = _leaf_axes(geometry)
+        back, front = geometry.face - geometry.thickness - self.noise, geometry.face + self.noise
+        limits = ((along, 0.0, geometry.width), (normal, back, front), (UP, 0.0, geometry.height))
+        sides = []
+        for axis, low, high in limits:
+            at = float(axis @ geometry.hinge)
+            sides += [[*-axis, low + at], [*axis, -(high + at)]]
+        return np.array(sides)
 
 
 def read_door(detection: Detection) -> DoorGeometry:
@@ -101,6 +122,26 @@ def door_points(
     return np.asarray(own | near)
 
 
+def _find_strays(
+    geometry: DoorGeometry, points: Float[np.ndarray, "N 3"], own: Bool[np.ndarray, "N"]
+) -> Bool[np.ndarray, "N"]:
+    """Return (N,) points just off a leaf that are alone although the leaf shows so many that a surface showed several.
+
+    The leaf hid from the cleaning of the scan that they are alone.
+
+    Args:
+        points: (N, 3) of the scan, without the floor [m].
+        own: (N,) points on leaf and handle.
+    """
+    strays = np.zeros(len(points), dtype=bool)
+    about = own.sum() / (geometry.width * geometry.height) * np.pi * _ALONE**2
+    near = np.flatnonzero(door_points(geometry, points, _FRINGE) & ~own)
+    if about >= _CROWD and len(near):
+        apart = nearest(cKDTree(points[~own]), points[near], [2], _ALONE)[0][:, 0]
+        strays[near[np.isinf(apart)]] = True
+    return strays
+
+
 def _leaving(
     geometry: DoorGeometry, starts: Float[np.ndarray, "R 3"], ends: Float[np.ndarray, "R 3"]
 ) -> Float[np.ndarray, "R"]:
@@ -119,8 +160,14 @@ def _leaving(
 def _in_leaf(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
     """Return (N, 3) coordinates from the hinge along the leaf, along its normal, and up, in the seen leaf's frame."""
     away = points - geometry.hinge
+    along, normal = _leaf_axes(geometry)
+    return np.column_stack([away @ along, away @ normal, away @ UP])
+
+
+def _leaf_axes(geometry: DoorGeometry) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Return the directions along the leaf, from the hinge, and of its normal, where the leaf was seen."""
     c, s = np.cos(geometry.ajar), np.sin(geometry.ajar)
     outwards = -1.0 if geometry.opens == "push" else 1.0
     along = c * geometry.along + outwards * s * geometry.normal
     normal = c * geometry.normal - outwards * s * geometry.along
-    return np.column_stack([away @ along, away @ normal, away @ UP])
+    return along, normal

@@ -39,17 +39,20 @@ _SAME = 0.15  # [m]
 _MOST_POINTS = 200
 
 
-def detect_drill(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+def detect_drill(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, index: SightIndex | None = None
+) -> list[Detection]:
     """Find drills, best first; origin the middle of the grip, z up along it, x along the chuck.
 
     Sizes are grip_length and body_length.
 
     Args:
         hint: (3,) a point near the drill [m]; only clusters within 0.4 m of it are searched.
+        index: of the view's rays; None: they are indexed anew.
     """
     if not len(view.obstacles):
         return []
-    index = sight_index(view.cloud)
+    index = index or sight_index(view.cloud)
     clusters = [part for cluster in standing_clusters(view) for part in _of_a_size(cluster)]
     if hint is not None:
         clusters = [

@@ -86,7 +86,9 @@ class _End:
     confidence: float
 
 
-def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
+def detect_hose(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, index: SightIndex | None = None
+) -> list[Detection]:
     """Find hose ends and standpipes, best first; origin the centre of the opening, z out of it, x horizontal.
 
     The size is the outer radius at the opening.  Without a hint, an end that rays do not enter
@@ -95,10 +97,11 @@ def detect_hose(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[
     Args:
         hint: (3,) a point near the opening: only points within half a metre of it are searched, and hidden parts lower
             the confidence less [m].
+        index: of the view's rays; None: they are indexed anew.
     """
     if not len(view.obstacles):
         return []
-    index = sight_index(view.cloud)
+    index = index or sight_index(view.cloud)
     points, _ = voxel_downsample(view.obstacles, _VOXEL)
     places = points[~is_flat(points)]
     if hint is not None:

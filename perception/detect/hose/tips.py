@@ -60,11 +60,23 @@ def find_tips(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "K 3"]
         lopsided = np.linalg.norm(mean, axis=1) > _LEAST_LOPSIDED
         tips += _in_block(block[lopsided], offset[lopsided], is_near[lopsided], ways, widest)
     tips.sort(key=lambda tip: -tip.n_points)
+    return _drop_duplicates(tips)
+
+
+def _drop_duplicates(tips: list[Tip]) -> list[Tip]:
+    """Return the tips without those of nearly the position and axis of one before them."""
+    if not tips:
+        return []
+    places, axes = np.array([tip.place for tip in tips]), np.array([tip.axis for tip in tips])
+    is_left = np.ones(len(tips), dtype=bool)
     kept: list[Tip] = []
-    for tip in tips:
+    for i, tip in enumerate(tips):
+        if not is_left[i]:
+            continue
         poll()
-        if all(np.linalg.norm(tip.place - other.place) > _APART or tip.axis @ other.axis < _ALIKE for other in kept):
-            kept.append(tip)
+        kept.append(tip)
+        is_alike = (((places[i:] - places[i]) ** 2).sum(axis=1) <= _APART**2) & (axes[i:] @ axes[i] >= _ALIKE)
+        is_left[i:][is_alike] = False
     return kept
 
 
@@ -77,20 +89,28 @@ def _in_block(
 ) -> list[Tip]:
     """Return the tips among the tested points: no neighbour more than 12 mm ahead, and a cap below ``widest``."""
     poll()
-    ahead = np.where(is_near[:, None], np.einsum("kmi,di->kdm", offset, ways), -np.inf)
-    of_place, of_way = np.nonzero(ahead.max(axis=2) < _BEYOND)
-    tips = []
-    for i, j in zip(of_place.tolist(), of_way.tolist(), strict=True):
-        poll()
-        cap = offset[i][ahead[i, j] > -_DEPTH]
-        if len(cap) < _LEAST_POINTS:
-            continue
-        lateral = cap - (cap @ ways[j])[:, None] * ways[j]
-        middle = 0.5 * (lateral.min(axis=0) + lateral.max(axis=0))
-        radius = float(np.linalg.norm(lateral - middle, axis=1).max())
-        if radius < widest:
-            tips.append(Tip(places[i] + middle, ways[j], radius, len(cap)))
-    return tips
+    if not len(places):
+        return []
+    ahead = offset @ ways.T
+    ahead[~is_near] = -np.inf
+    of_place, of_way = np.nonzero(ahead.max(axis=1) < _BEYOND)
+    is_cap = ahead[of_place, :, of_way] > -_DEPTH
+    n_points = np.count_nonzero(is_cap, axis=1)
+    enough = n_points >= _LEAST_POINTS
+    of_place, of_way, is_cap, n_points = of_place[enough], of_way[enough], is_cap[enough], n_points[enough]
+    poll()
+    axes = ways[of_way]
+    lateral = offset[of_place] - ahead[of_place, :, of_way].clip(-1.0)[:, :, None] * axes[:, None]
+    low = np.where(is_cap[:, :, None], lateral, np.inf).min(axis=1)
+    high = np.where(is_cap[:, :, None], lateral, -np.inf).max(axis=1)
+    middle = 0.5 * (low + high)
+    poll()
+    away = ((lateral - middle[:, None]) ** 2).sum(axis=2)
+    radius = np.sqrt(np.where(is_cap, away, 0.0).max(axis=1))
+    return [
+        Tip(places[of_place[i]] + middle[i], axes[i], float(radius[i]), int(n_points[i]))
+        for i in np.flatnonzero(radius < widest)
+    ]
 
 
 def spread_directions(n: int) -> Float[np.ndarray, "n 3"]:

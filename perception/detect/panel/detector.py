@@ -27,6 +27,8 @@ _BESIDE = 0.08
 _BEHIND, _ONWARD = 0.025, 0.05
 _WITHIN = 0.008
 _CLOSED = (0.85, 0.95)
+# Corners of a face, as shares of its half sizes, and their closed share: a disc has none.
+_AT_CORNER, _FEWEST_AT_CORNERS, _CORNERS_CLOSED = 0.8, 6, (0.45, 0.75)
 _REPORTED = 0.05
 _SAME_DEPTH = 0.1
 _ROUNDS = 3
@@ -108,10 +110,18 @@ def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None
 
 
 def _closed_share(face: Face, edges: _Edges, seen: FaceRays) -> float:
-    """Return the share of rays within the face's edges that ended on it or before it; other objects have gaps."""
+    """Return the share of rays within the face's edges that ended on it or before it; other objects have gaps.
+
+    A round face has its gaps at the corners of its outline: it is rated by these alone where they are open.
+    """
     within = ((seen.at > edges.low + _WITHIN) & (seen.at < edges.high - _WITHIN)).all(axis=1)
-    past = _went_past(face, seen)[within]
-    return float(1.0 - past.mean()) if len(past) else 0.0
+    past = _went_past(face, seen)
+    from_middle = np.abs(seen.at - 0.5 * (edges.low + edges.high)) / (0.5 * (edges.high - edges.low))
+    corners = within & (from_middle > _AT_CORNER).all(axis=1)
+    closed = float(1.0 - past[within].mean()) if within.any() else 0.0
+    if np.count_nonzero(corners) < _FEWEST_AT_CORNERS:
+        return closed
+    return closed * rising(float(1.0 - past[corners].mean()), *_CORNERS_CLOSED)
 
 
 def _went_past(face: Face, seen: FaceRays) -> Bool[np.ndarray, "N"]:

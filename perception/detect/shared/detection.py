@@ -28,6 +28,13 @@ class Model(Protocol):
         """Return the ends of rays, moved on through space that is free once the object is away [m]."""
         ...
 
+    def list_sides(self) -> Float[np.ndarray, "F 4"]:
+        """Return the half-spaces ``a . x + b <= 0`` of a box in which every point is the object's own; none without.
+
+        Convex pieces of other objects may cut across its corners; ``perceive`` takes the box away from them.
+        """
+        ...
+
 
 @dataclass(frozen=True)
 class Detection:

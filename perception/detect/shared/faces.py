@@ -94,9 +94,13 @@ class FacesInSight:
     index: SightIndex
 
     @staticmethod
-    def of(view: View, hint: Float[np.ndarray, "3"] | None = None) -> FacesInSight:
-        """Return the faces of a view; with a hint those near it and those of a separate search about it."""
-        index = sight_index(view.cloud)
+    def of(view: View, hint: Float[np.ndarray, "3"] | None = None, index: SightIndex | None = None) -> FacesInSight:
+        """Return the faces of a view; with a hint those near it and those of a separate search about it.
+
+        Args:
+            index: of the view's rays; None: they are indexed anew.
+        """
+        index = index or sight_index(view.cloud)
         with threadpool_limits(limits=1, user_api="blas"):
             faces = _find_faces(view, index, None, np.random.default_rng(0))
             if hint is not None:

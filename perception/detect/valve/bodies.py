@@ -86,6 +86,10 @@ class ValveDetection:
         """Return the ends as they are: a wheel hides nothing that matters."""
         return ends
 
+    def list_sides(self) -> Float[np.ndarray, "F 4"]:
+        """Return no half-spaces: a wheel fills no opening."""
+        return np.zeros((0, 4))
+
 
 def select_turnable(detections: Iterable[Detection]) -> tuple[ValveDetection | LeverDetection, ...]:
     """Return the wheels and levers of valves among detections, in their order."""

@@ -9,13 +9,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
-from perception.detect.shared.arithmetic import cross, rising
+from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.bar_pivot import Pivot
+from perception.detect.shared.bar_search import rays_about, rivalry
+from perception.detect.shared.bar_starts import run_of
 from perception.detect.shared.bars import Bar
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes, fit_again
-from perception.detect.valve.lever_joint import LeverJoint, joint_of, settle_joint
+from perception.detect.valve.lever_joint import LeverJoint, are_parallel, joint_of, settle_joint
 from perception.detect.valve.lever_valve import LeverDetection, find_grip, is_about_grip
 from perception.detect.valve.wheel import detect_wheels, find_wheels
 from perception.ground.floor import FloorPlane
@@ -25,11 +27,18 @@ from perception.view import View
 _REPORTED, _HOPELESS = 0.05, 0.02
 _SLIM = (5.5, 8.5)  # length by radius; smaller for a hose coupling on a standpipe
 _END_UNSEEN = 0.4
+_SURE_END = 0.9  # confidence of a pivot that needs no grip to show it, or is shown by one
 _AIR_ABOUT_A_PIPE = (0.5, 0.7)  # the edge of a box has air on one of two sides
 # Share of a pipe's length beside which rays show air or none; of a box fitted as a pipe, only the corners.
 _KNOWN_OF_IT = (0.25, 0.5)
+# Sections of boxes that are compared with a pipe, as half sizes [m], and the share of its misfit by which a box may
+# explain the rays better: a handle on a switch box is no lever valve.
+_BOXES = ((0.025, 0.0125), (0.03, 0.03), (0.06, 0.03), (0.06, 0.06), (0.1, 0.05), (0.11, 0.11))
+_BETTER_AS_BOX = (0.04, 0.12)
+_BEYOND_PIPE = 0.1
+_LONG_ENOUGH = (0.3, 0.42)  # length of a pipe; a bottle before which a tool lies is shorter [m]
 _SPREADS = (np.radians(1.8), np.radians(3.2))  # deviation of an axis rated 1, and of one rated 0 [rad]
-_SURE = 0.8  # least confidence of a sure wheel with a hint, which raises confidences
+_SURE = 0.9  # least confidence of a sure wheel with a hint, which raises confidences
 _BESIDE = 0.05
 _RIM_NOISE = 0.02
 
@@ -52,14 +61,7 @@ class _Lever:
     @property
     def pose(self) -> Float[np.ndarray, "4 4"]:
         """(4, 4) pose: origin at the pivot, x along the lever, z the pivot's axis to the sensor."""
-        bar, pivot = self.bar, self.joint.pivot
-        x = np.sign(pivot.far - pivot.along) * bar.axis
-        z = self.joint.axis - (self.joint.axis @ x) * x
-        z /= np.linalg.norm(z)
-        pose = np.eye(4)
-        pose[:3, :3] = np.column_stack([x, cross(z, x), z])
-        pose[:3, 3] = bar.centre + pivot.along * bar.axis
-        return pose
+        return self.joint.pose(self.bar)
 
 
 def detect_lever_valve(
@@ -84,11 +86,10 @@ def detect_lever_valve(
     with threadpool_limits(limits=1, user_api="blas"):
         apart_from = replace(foreground, points=foreground.points[~_on_any(wheels, foreground.points)])
         levers = find_levers(apart_from, view.floor, hint)
-        pipes = find_pipes(foreground, view.floor, hint) if levers else []
+        pipes = find_pipes(foreground, view.floor, hint, levers) if levers else []
         for lever in levers:
-            valves += [
-                valve for pipe in pipes if (valve := _join(lever, pipe, foreground.index, view.floor)) is not None
-            ]
+            valves += [valve for pipe in pipes if (valve := _join(lever, pipe, foreground.index, view)) is not None]
+        valves = _rate_pipes(valves, foreground.index, view.floor)
     valves.sort(key=lambda valve: -valve.confidence)
     apart: list[_Lever] = []
     for valve in valves:
@@ -100,15 +101,14 @@ def detect_lever_valve(
     return [valve for valve in detections if valve.confidence >= _REPORTED]
 
 
-def _join(
-    lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: FloorPlane | None, *, has_grip: bool = False
-) -> _Lever | None:
+def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, view: View, *, has_grip: bool = False) -> _Lever | None:
     """Return the valve of a lever and a pipe; None when their sizes or positions do not fit.
 
     Args:
         has_grip: whether a grip shows where the lever ends.
     """
-    joint = joint_of(lever.bar, pipe.bar, (lever.fit.spread[0], pipe.fit.spread[0]), index)
+    tilts = (lever.fit.spread[0], pipe.fit.spread[0])
+    joint = _find_joint(lever.bar, pipe.bar, tilts, index, view)
     if joint is None:
         return None
     confidence = (
@@ -120,12 +120,14 @@ def _join(
         * rising(pipe.evidence.solid, 0.5, 0.75)
         * rising(pipe.evidence.air, *_AIR_ABOUT_A_PIPE)
         * rising(pipe.evidence.known, *_KNOWN_OF_IT)
+        * rising(pipe.bar.length, *_LONG_ENOUGH)
+        * pipe.rating
     )
     if confidence * _as_a_lever(joint.pivot, lever.bar.half[0]) < _HOPELESS:
         return None
-    both = settle_joint(lever.bar, pipe.bar, joint.pivot.along, joint.axis, index, floor)
-    tilts = [(new or old).spread[0] for new, old in zip(both.fits, (lever.fit, pipe.fit), strict=True)]
-    again = joint_of(both.lever, both.pipe, (tilts[0], tilts[1]), index)
+    both = settle_joint(lever.bar, pipe.bar, joint.pivot.along, joint.axis, index, view.floor)
+    tilts = (both.fits[0] or lever.fit).spread[0], (both.fits[1] or pipe.fit).spread[0]
+    again = _find_joint(both.lever, both.pipe, tilts, index, view)
     if again is None or (again.pivot.far > again.pivot.along) != (joint.pivot.far > joint.pivot.along):
         return None
     far_seen = has_grip or (both.is_seen and lever.ends.seen[joint.pivot.far == lever.bar.last])
@@ -134,20 +136,49 @@ def _join(
     return _Lever(lever, both.lever, again, float(confidence), pipe)
 
 
+def _find_joint(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex, view: View) -> LeverJoint | None:
+    """Return the joint of a bar and a pipe; a bar along its pipe with a grip on one end is held at the other."""
+    joint = joint_of(bar, pipe, tilts, index)
+    if joint is None or joint.pivot.confidence >= _SURE_END or not are_parallel(bar, pipe):
+        return joint
+    ways = (joint, joint.turn_round(bar, pipe, tilts))
+    length = abs(joint.pivot.far - joint.pivot.along)
+    has_grip = [find_grip(view.obstacles, way.pose(bar), length, bar.half[0], index)[0] > 0.0 for way in ways]
+    if has_grip[0] == has_grip[1]:
+        return joint
+    held = ways[int(has_grip[1])]
+    return replace(held, pivot=replace(held.pivot, confidence=_SURE_END))
+
+
+def _rate_pipes(valves: Sequence[_Lever], index: SightIndex, floor: FloorPlane | None) -> list[_Lever]:
+    """Return the valves, less sure where a box explains the rays about their pipe better than a round section."""
+    ratings: dict[int, float] = {}
+    rated = []
+    for valve in valves:
+        pipe = valve.pipe
+        if id(pipe) not in ratings:
+            rays = rays_about(index, run_of(pipe.bar), _BEYOND_PIPE, floor)
+            better = -rivalry(rays, pipe.bar, _BOXES, "box").share
+            ratings[id(pipe)] = rising(-better, -_BETTER_AS_BOX[1], -_BETTER_AS_BOX[0])
+        rating = ratings[id(pipe)]
+        rated.append(replace(valve, confidence=valve.confidence * rating, pipe=replace(pipe, rating=rating)))
+    return rated
+
+
 def _settle_crank(valve: _Lever, view: View, index: SightIndex) -> tuple[_Lever, tuple[float, float]]:
     """Return a lever, and length and distance of the grip at its end; a crank's bar is fitted without its grip's rays.
 
     Rays that end on the grip would pull the bar towards it.
     """
-    grip = find_grip(view.obstacles, valve.pose, valve.length, valve.bar.half[0])
+    grip = find_grip(view.obstacles, valve.pose, valve.length, valve.bar.half[0], index)
     if grip[0] == 0.0:
         return valve, grip
     beside = index_of(index.rays.select(~is_about_grip(index.rays.ends, valve.pose, grip, valve.bar.half[0])))
     fitted = fit_again(valve.bar, beside, view.floor)
-    again = None if fitted is None else _join(fitted, valve.pipe, beside, view.floor, has_grip=True)
+    again = None if fitted is None else _join(fitted, valve.pipe, beside, view, has_grip=True)
     if again is None:
         return valve, grip
-    grip = find_grip(view.obstacles, again.pose, again.length, again.bar.half[0])
+    grip = find_grip(view.obstacles, again.pose, again.length, again.bar.half[0], index)
     return (again, grip) if grip[0] > 0.0 else (valve, (0.0, valve.length))
 
 
@@ -191,11 +222,18 @@ def detect_turnable(view: View, hint: Float[np.ndarray, "3"] | None = None) -> l
     return detect_valve(view, hint)
 
 
-def detect_valve(view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Find valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers."""
+def detect_valve(
+    view: View, hint: Float[np.ndarray, "3"] | None = None, index: SightIndex | None = None
+) -> list[Detection]:
+    """Find valves, best first: those with ``outer_radius`` are wheels, those with ``lever_length`` are levers.
+
+    Args:
+        hint: (3,) a point near the valve [m].
+        index: of the view's rays; None: they are indexed anew.
+    """
     if not len(view.obstacles):
         return []
-    foreground = Foreground.of(view)
+    foreground = Foreground.of(view, index)
     wheels = [valve.as_detection() for valve in find_wheels(view, hint, foreground)]
     sure = [wheel for wheel in wheels if wheel.confidence >= (CONFIDENT if hint is None else _SURE)]
     # Spokes and rim segments look like levers, and round parts near a lever look like wheels.

@@ -29,7 +29,8 @@ _AT_RIM = (-0.018, -0.005)
 # radii, beyond _SHARPLY.
 _OPEN, _SHARPLY, _OPEN_BLURRED = 0.08, 0.2, 1.2
 _LEAST_HUB = 0.012
-_ASIDE, _WALL, _USUAL_DEPTH = (0.015, 0.1), 0.025, 0.015
+# Stretches behind the rim in which rays leave sideways: one for tubes, a short one for the drums of fans [m].
+_ASIDE, _WALL, _USUAL_DEPTH = ((0.015, 0.1), (0.015, 0.045)), 0.025, 0.015
 _ENCLOSED, _FREE_ASIDE, _LENIENT = 0.05, 0.15, 0.75
 # Standard deviation of the axis [rad].
 _SHARP, _BLUNT = np.radians([1.0, 2.0])
@@ -175,10 +176,13 @@ def _free_aside(rays: Sightlines, ring: Ring) -> float:
     # A ring fitted to the wall of a tube is deep: its depth is capped so that the wall behind it counts.
     deep = min(ring.half_depth, _USUAL_DEPTH)
     behind_there, behind_end = (-(start[:, 2] + t * way[:, 2]) - deep for t in (leaves, rays.length))
-    goes_in = (square > 0.0) & (behind_end > _ASIDE[0] - 0.005)
-    counted = goes_in & (behind_there > _ASIDE[0]) & (behind_there < _ASIDE[1])
-    n_out = float((rays.length[counted] > leaves[counted] + _WALL).sum())
-    return rising((n_out + _LENIENT) / (float(counted.sum()) + _LENIENT), _ENCLOSED, _FREE_ASIDE)
+    ratings = []
+    for nearest_by, farthest_by in _ASIDE:
+        goes_in = (square > 0.0) & (behind_end > nearest_by - 0.005)
+        counted = goes_in & (behind_there > nearest_by) & (behind_there < farthest_by)
+        n_out = float((rays.length[counted] > leaves[counted] + _WALL).sum())
+        ratings.append(rising((n_out + _LENIENT) / (float(counted.sum()) + _LENIENT), _ENCLOSED, _FREE_ASIDE))
+    return min(ratings)
 
 
 def _shares(sector: np.ndarray, these: Bool[np.ndarray, "N"], all_of: Bool[np.ndarray, "N"]) -> Float[np.ndarray, "S"]:

@@ -37,10 +37,10 @@ class Foreground:
     rng: np.random.Generator
 
     @staticmethod
-    def of(view: View) -> Foreground:
-        """Return the foreground of a view."""
+    def of(view: View, index: SightIndex | None = None) -> Foreground:
+        """Return the foreground of a view; its rays are indexed anew when no index is given."""
         rng = np.random.default_rng(0)
-        index = sight_index(view.cloud)
+        index = index or sight_index(view.cloud)
         return Foreground(view.obstacles[before_walls(view.obstacles, view.starts, index.rays, rng)], index, rng)
 
     def near(self, hint: Float[np.ndarray, "3"] | None, radius: float) -> Float[np.ndarray, "M 3"]:

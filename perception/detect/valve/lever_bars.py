@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +34,7 @@ _BEYOND = 0.1
 _HOPELESS = 0.15
 _MOST_RAYS = 400
 _SEEN_SIDE = 0.7
+_LENGTHENED, _OFF_PIPE = 0.4, 0.45  # of a line beyond its ends, and from it to a lever's nearer end [m]
 
 
 @dataclass(frozen=True)
@@ -44,11 +45,13 @@ class FittedBar:
         fit: the fitted bar and its uncertainty.
         ends: the bar cut to its ends, and which of them were seen.
         evidence: of the rays about it.
+        rating: of its round section against those of boxes, 0 to 1; 1 where they were not compared.
     """
 
     fit: BarFit
     ends: Ends
     evidence: BarEvidence
+    rating: float = 1.0
 
     @property
     def bar(self) -> Bar:
@@ -80,12 +83,16 @@ def find_levers(
 
 
 def find_pipes(
-    foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
+    foreground: Foreground,
+    floor: FloorPlane | None,
+    hint: Float[np.ndarray, "3"] | None,
+    levers: Sequence[FittedBar],
 ) -> list[FittedBar]:
-    """Return longer and thicker round bars; arguments as for :func:`find_levers`."""
+    """Return longer and thicker round bars near levers; other arguments as for :func:`find_levers`."""
     lines = _lines(foreground, hint, _PIPE_TUBES, _LEAST_PIPE, _PIPE_PAIRS, None)
     chosen = _in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
-    fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
+    near = [line for line in chosen if any(_is_about(line, lever.bar) for lever in levers)]
+    fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in near]
     return [
         candidate
         for candidate in fitted
@@ -109,6 +116,12 @@ def _lines(
     near = points[np.linalg.norm(points - hint, axis=1) < _HINT_RADIUS]
     more = find_lines(near, foreground.generator(), tubes, least_length, n_pairs=n_pairs, slim_ball=ball)
     return [line for line in lines if _distance(line, hint) < _HINT_RADIUS] + more
+
+
+def _is_about(line: Line, bar: Bar) -> bool:
+    """Return whether a line, lengthened, passes a bar so near that the bar may be a lever on a pipe there."""
+    longer = replace(line, first=line.first - _LENGTHENED, last=line.last + _LENGTHENED)
+    return _distance(longer, bar.middle) < 0.5 * bar.length + _OFF_PIPE
 
 
 def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:

@@ -54,6 +54,22 @@ class LeverJoint:
     pivot: Pivot
     spread: float
 
+    def pose(self, bar: Bar) -> Float[np.ndarray, "4 4"]:
+        """Return (4, 4): origin at the pivot of the bar, x along the lever, z the pivot's axis to the sensor."""
+        x = np.sign(self.pivot.far - self.pivot.along) * bar.axis
+        z = self.axis - (self.axis @ x) * x
+        z /= np.linalg.norm(z)
+        pose = np.eye(4)
+        pose[:3, :3] = np.column_stack([x, cross(z, x), z])
+        pose[:3, 3] = bar.centre + self.pivot.along * bar.axis
+        return pose
+
+    def turn_round(self, bar: Bar, pipe: Bar, tilts: tuple[float, float]) -> LeverJoint:
+        """Return the joint at the other end of a bar parallel to its pipe."""
+        end, far = (bar.first, bar.last) if self.pivot.far < self.pivot.along else (bar.last, bar.first)
+        pivot = replace(self.pivot, along=float(end + np.sign(far - end) * _OVERHANG * bar.half[0]), far=far)
+        return LeverJoint(_axis(bar, pipe, pivot.along, tilts)[0], pivot, self.spread)
+
 
 def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex) -> LeverJoint | None:
     """Return the joint of a bar and a pipe; None when their sizes or positions do not fit a lever on its pipe.
@@ -68,7 +84,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
     if pipe.half[0] < 1.2 * bar.half[0] or pipe.length < bar.length:
         return None
     cosine = float(bar.axis @ pipe.axis)
-    is_parallel = abs(cosine) > np.cos(np.radians(_PARALLEL_DEG))
+    is_parallel = are_parallel(bar, pipe)
     between = bar.middle - pipe.centre
     offset = bar.centre - pipe.centre
     if is_parallel:
@@ -101,6 +117,11 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
         pivot = replace(pivot, along=float(end + np.sign(pivot.far - end) * _OVERHANG * bar.half[0]))
     axis, spread = _axis(bar, pipe, pivot.along, tilts)
     return LeverJoint(axis, pivot, spread)
+
+
+def are_parallel(bar: Bar, pipe: Bar) -> bool:
+    """Return whether a bar goes along a pipe, so that their directions do not show where it is held."""
+    return bool(abs(bar.axis @ pipe.axis) > np.cos(np.radians(_PARALLEL_DEG)))
 
 
 def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:

@@ -10,14 +10,17 @@ from jaxtyping import Bool, Float
 from costs.scene import ConvexPiece
 from perception.detect.shared.arithmetic import cross
 from perception.detect.valve.ring import wheel_basis
+from perception.sightlines import SightIndex
 
-_CUT, _CUT_BEFORE = 0.02, 0.035  # around bar and grip, and on the sensor's side of the bar: noise lies along rays [m]
+_CUT, _CUT_BEFORE = 0.03, 0.035  # around bar and grip, and on the sensor's side of the bar: noise lies along rays [m]
 _BEYOND_STEM = 0.004  # of the stem's end before the bar [m]
 _ROUND = 12
 _AT_GRIP, _LEAST_GRIP, _MOST_GRIP = 0.028, 0.04, 0.25  # from the grip's axis; length of a grip [m]
 _LAYER, _FEWEST_IN_LAYER = 0.02, 2  # in which a grip shows points
 _ABOUT_GRIP = 0.045  # from a grip that is roughly known [m]
 _USUAL_GRIP_RADIUS = 0.014
+_MOST_HIDDEN = 4  # layers of a grip that points at the sensor
+_CORE, _FEWEST_PASSES = 0.007, 2  # radius that no ray passes within a grip [m]; rays that show that there is none
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,10 @@ class LeverDetection:
         """Return the ends as they are: a lever hides nothing that matters."""
         return ends
 
+    def list_sides(self) -> Float[np.ndarray, "F 4"]:
+        """Return no half-spaces: a lever fills no opening."""
+        return np.zeros((0, 4))
+
 
 def lever_bodies(lever: LeverDetection, margin: float = 0.004) -> dict[str, Float[np.ndarray, "V 3"]]:
     """Return what turns as convex vertex sets, world coordinates [m]: ``bar``, ``hub``, and a crank's ``grip``.
@@ -118,30 +125,50 @@ def is_about_grip(
 
 
 def find_grip(
-    points: Float[np.ndarray, "N 3"], pose: Float[np.ndarray, "4 4"], length: float, radius: float
+    points: Float[np.ndarray, "N 3"], pose: Float[np.ndarray, "4 4"], length: float, radius: float, index: SightIndex
 ) -> tuple[float, float]:
     """Return length of the grip at the end of a bar, and the distance of its axis from the spindle; 0 without one [m].
 
-    A grip shows points in every layer from the bar to its end.
+    A grip shows points in every layer from the bar to its end.  Of one that points at the sensor little more than the
+    end is seen: layers without points belong to it where no ray passes through them.
 
     Args:
         points: (N, 3) of the scan [m].
         pose: (4, 4) of the bar: origin at the spindle, x along it, z the spindle's axis towards the sensor.
         length: of the bar [m].
         radius: half its thickness [m].
+        index: of the scan's rays.
     """
     local = (points - pose[:3, 3]) @ pose[:3, :3]
     near = (np.abs(local[:, 1]) < _AT_GRIP) & (np.abs(local[:, 0] - length) < 2.0 * _AT_GRIP)
     near &= (local[:, 2] > radius) & (local[:, 2] < _MOST_GRIP)
     local = local[near]
-    n_layers = 0
-    for number in range(int(_MOST_GRIP / _LAYER)):
-        low = radius + number * _LAYER
-        if np.count_nonzero((local[:, 2] >= low) & (local[:, 2] < low + _LAYER)) < _FEWEST_IN_LAYER:
-            break
-        n_layers += 1
+    lows = radius + _LAYER * np.arange(int(_MOST_GRIP / _LAYER))
+    has_points = [
+        np.count_nonzero((local[:, 2] >= low) & (local[:, 2] < low + _LAYER)) >= _FEWEST_IN_LAYER for low in lows
+    ]
+    filled = np.flatnonzero(has_points)
+    empty = np.flatnonzero(~np.array(has_points))
+    n_layers = int(empty[0]) if len(empty) else len(lows)
+    hidden = filled[(filled > n_layers) & (filled <= n_layers + _MOST_HIDDEN)]
+    if len(hidden):
+        end = local[(local[:, 2] >= lows[hidden[0]]) & (local[:, 2] < lows[hidden[0]] + 2.0 * _LAYER), :2].mean(axis=0)
+        gap = np.array([[*end, height] for height in np.arange(lows[n_layers], lows[hidden[0]], 0.5 * _LAYER)])
+        if not _is_passed(gap @ pose[:3, :3].T + pose[:3, 3], index):
+            beyond = empty[empty > hidden[0]]
+            n_layers = int(beyond[0]) if len(beyond) else len(lows)
     within = local[local[:, 2] < radius + n_layers * _LAYER]
     tall = float(np.percentile(within[:, 2], 93)) if len(within) else 0.0
     if tall < _LEAST_GRIP:
         return 0.0, length
     return tall, float(np.median(within[within[:, 2] > 0.4 * tall, 0]))
+
+
+def _is_passed(places: Float[np.ndarray, "K 3"], index: SightIndex) -> bool:
+    """Return whether rays went on past places that a grip would fill."""
+    rays = index.passing(places, _CORE)
+    offset = places[None] - rays.start[:, None]
+    along = np.einsum("rkx,rx->rk", offset, rays.direction)
+    aside = np.linalg.norm(offset - along[:, :, None] * rays.direction[:, None], axis=2)
+    went_on = (aside < _CORE) & (along < rays.length[:, None] - _CUT)
+    return int(np.count_nonzero(went_on.any(axis=1))) >= _FEWEST_PASSES

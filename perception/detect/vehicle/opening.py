@@ -21,6 +21,7 @@ _REPORTED = 0.05
 _LEAST_SEAT = 0.25
 # A sill below an opening is evidence for a vehicle too, and the doubt about a seat is mostly about its back.
 _SEAT_TRUST = 0.6
+_ROOF_UNSEEN = 0.7  # factor as for an unseen post: the height is then a guess
 _HINT_TRUST = 0.7
 _LEAST_WIDTH = 0.35
 _MOST_WIDTH = 1.6
@@ -129,6 +130,7 @@ def _beside(
     confidence = (
         seat.confidence**_SEAT_TRUST
         * (0.4, 0.7, 1.0)[ends_seen]
+        * (1.0 if roof_is_seen else _ROOF_UNSEEN)
         * rising(open_share, 0.5, 0.85)
         * rising(seen_share, 0.1, 0.3)
         * rising(front - rear, _LEAST_WIDTH, 0.5)
