@@ -63,9 +63,15 @@ class MovedPoints:
 
     def differentiate(self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"]) -> Float[np.ndarray, "S C 3 n"]:
         """Return d point / dq in the world."""
+        return kinematics.topology.add_followers(self.differentiate_by_axes(kinematics, waypoints))
+
+    def differentiate_by_axes(
+        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"]
+    ) -> Float[np.ndarray, "S C 3 m"]:
+        """Return the derivatives of the points by the robot's axes (``costs.kinematics.Topology``)."""
         count = len(self.joint)
         points = self.locate(kinematics, waypoints).reshape(-1, 3)
-        rows = kinematics.point_jacobian(np.repeat(waypoints, count), np.tile(self.joint, len(waypoints)), points)
+        rows = kinematics.point_columns(np.repeat(waypoints, count), np.tile(self.joint, len(waypoints)), points)
         return rows.reshape(len(waypoints), count, 3, kinematics.jacobian.shape[2])
 
 

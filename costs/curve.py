@@ -1,4 +1,4 @@
-"""The executed curve, a C1 cubic Hermite spline through the waypoints, and its time law."""
+"""The executed curve, a C1 cubic Hermite spline through the waypoints, its time law, and curves of other planners."""
 
 from __future__ import annotations
 
@@ -46,14 +46,57 @@ class Curve:
         s = np.minimum(np.maximum(np.atleast_1d(np.asarray(s, dtype=float)), self.knots[0]), self.knots[-1])
         i = np.searchsorted(self.knots[1:-1], s, side="right")
         u = (s - self.knots[i])[:, None]
-        c0, c1, c2, c3 = self.coefficients()[:, i]
-        if order == 0:
-            return np.asarray(c0 + u * (c1 + u * (c2 + u * c3)))
-        if order == 1:
-            return np.asarray(c1 + u * (2.0 * c2 + u * 3.0 * c3))
-        if order == 2:
-            return np.asarray(2.0 * c2 + u * 6.0 * c3)
-        raise ValueError(f"order must be 0, 1 or 2, got {order}")
+        if order not in (0, 1, 2):
+            raise ValueError(f"order must be 0, 1 or 2, got {order}")
+        return evaluate_polynomials(differentiate(self.coefficients()[:, i], order), u)
+
+
+@dataclass(frozen=True)
+class PolynomialCurve(Curve):
+    """Curve of a given polynomial per interval, such as lines or quintics; continuous, but its slope may jump at knots.
+
+    Attributes:
+        pieces: (k, K-1, n) coefficients of ``q(s) = sum_k c_k u^k`` with ``u = s - knots[i]``, at least four rows.
+    """
+
+    pieces: Float[np.ndarray, "k K-1 n"]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rows, count, width = self.pieces.shape
+        if rows < 4 or (count, width) != (len(self.knots) - 1, self.positions.shape[1]):
+            raise ValueError(f"pieces must have at least 4 rows and one column per interval, got {self.pieces.shape}")
+
+    def coefficients(self) -> Float[np.ndarray, "k K-1 n"]:
+        """Return the coefficients of the polynomials."""
+        return self.pieces
+
+    def measure_position_error(self) -> float:
+        """Return the largest distance of an interval's ends from ``positions`` (nan where one is not finite)."""
+        h = np.diff(self.knots)[:, None]
+        ends = evaluate_polynomials(self.pieces, h) - self.positions[1:]
+        return float(max(np.abs(self.pieces[0] - self.positions[:-1]).max(), np.abs(ends).max()))
+
+    def measure_slope_jumps(self) -> Float[np.ndarray, "K-2 n"]:
+        """Return by how much dq/ds changes at each inner knot."""
+        slopes = differentiate(self.pieces)
+        return np.asarray(slopes[0, 1:] - evaluate_polynomials(slopes, np.diff(self.knots)[:, None])[:-1])
+
+
+def differentiate(coefficients: Float[np.ndarray, "k ..."], order: int = 1) -> Float[np.ndarray, "l ..."]:
+    """Return the coefficients of a derivative; the constant stands first."""
+    for _ in range(order):
+        powers = np.arange(1.0, len(coefficients)).reshape(-1, *(1,) * (coefficients.ndim - 1))
+        coefficients = coefficients[1:] * powers
+    return coefficients
+
+
+def evaluate_polynomials(coefficients: Float[np.ndarray, "k ..."], u: Float[np.ndarray, "..."]) -> np.ndarray:
+    """Return the values of polynomials, whose constants stand first, at ``u``."""
+    value = np.asarray(coefficients[-1])
+    for row in coefficients[-2::-1]:
+        value = row + u * value
+    return value
 
 
 @dataclass(frozen=True)

@@ -18,34 +18,55 @@ from costs.rotation import cross, skew
 class Topology:
     """Parts of a robot's kinematics that do not depend on the configuration.
 
+    A robot has ``m`` axes: one per coordinate, and one per joint that follows a coordinate (URDF's ``mimic``).
+
     Attributes:
         supports: (J, n) whether coordinate ``i`` moves joint ``j``.
+        moves: (J, m) whether axis ``i`` moves joint ``j``; ``supports`` where no joint follows another.
+        coordinate: (m,) the coordinate that each axis moves with.
         mass: (J,) mass carried by each joint [kg].
         lever: (J, 3) its centre in the joint's frame [m].
     """
 
     supports: Bool[np.ndarray, "J n"]
+    moves: Bool[np.ndarray, "J m"]
+    coordinate: Int[np.ndarray, "m"]
     mass: Float[np.ndarray, "J"]
     lever: Float[np.ndarray, "J 3"]
 
     @staticmethod
     def of(model: pin.Model) -> Topology:
         """Return the topology of a pinocchio model."""
-        supports = np.zeros((model.njoints, model.nv), dtype=bool)
+        moves = np.zeros((model.njoints, model.nvExtended), dtype=bool)
+        coordinate = np.zeros(model.nvExtended, dtype=int)
         for joint in range(1, model.njoints):
-            supports[joint] = supports[int(model.parents[joint])]
-            first = model.joints[joint].idx_v
-            supports[joint, first : first + model.joints[joint].nv] = True
+            made = model.joints[joint]
+            own = np.arange(made.idx_vExtended, made.idx_vExtended + made.nvExtended)
+            moves[joint] = moves[int(model.parents[joint])]
+            moves[joint, own] = True
+            coordinate[own] = made.idx_v + np.arange(made.nvExtended)
+        supports = moves
+        if model.nvExtended != model.nv:
+            supports = np.zeros((model.njoints, model.nv), dtype=bool)
+            for axis, column in enumerate(coordinate):
+                supports[:, column] |= moves[:, axis]
         mass = np.array([inertia.mass for inertia in model.inertias])
         lever = np.array([inertia.lever for inertia in model.inertias])
-        return Topology(supports, mass, lever)
+        return Topology(supports, moves, coordinate, mass, lever)
 
     @cached_property
-    def precedes(self) -> Bool[np.ndarray, "n n"]:
-        """(n, n) whether coordinate ``i`` moves the axis of coordinate ``j``, or is the same."""
+    def precedes(self) -> Bool[np.ndarray, "m m"]:
+        """(m, m) whether axis ``i`` moves axis ``j``, or is the same."""
+        m = self.moves.shape[1]
+        own = self.moves.argmax(axis=0)  # joints are numbered from the root: an axis moves its own joint first
+        return np.asarray(self.moves[own].T & (np.arange(m)[:, None] <= np.arange(m)))
+
+    def add_followers(self, columns: Float[np.ndarray, "*S m"]) -> Float[np.ndarray, "*S n"]:
+        """Return derivatives by the coordinates from derivatives by the axes: those of followers are added."""
         n = self.supports.shape[1]
-        own = self.supports.argmax(axis=0)  # joints are numbered from the root: a coordinate moves its own joint first
-        return np.asarray(self.supports[own].T & (np.arange(n)[:, None] <= np.arange(n)))
+        if columns.shape[-1] == n:
+            return columns
+        return np.asarray(columns @ (self.coordinate[:, None] == np.arange(n)).astype(float))
 
 
 @dataclass(frozen=True)
@@ -57,8 +78,8 @@ class Kinematics:
         q: (T, n) the iterate.
         rotation: (T, J, 3, 3) world from joint.
         position: (T, J, 3) joint origins in the world [m].
-        jacobian: (T, 6, n) spatial columns at the world's origin (linear, angular); column ``i`` acts on the joints
-            that coordinate ``i`` supports.
+        jacobian: (T, 6, m) spatial columns at the world's origin (linear, angular), one per axis; column ``i`` acts on
+            the joints that axis ``i`` moves, and is the derivative by the axis's coordinate (``topology.coordinate``).
         engine: computed them.
     """
 
@@ -67,7 +88,7 @@ class Kinematics:
     q: Float[np.ndarray, "T n"]
     rotation: Float[np.ndarray, "T J 3 3"]
     position: Float[np.ndarray, "T J 3"]
-    jacobian: Float[np.ndarray, "T 6 n"]
+    jacobian: Float[np.ndarray, "T 6 m"]
     engine: KinematicsEngine = field(repr=False)
 
     def at(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
@@ -83,9 +104,15 @@ class Kinematics:
         self, waypoint: Int[np.ndarray, "m"], joint: Int[np.ndarray, "m"], point: Float[np.ndarray, "m 3"]
     ) -> Float[np.ndarray, "m 3 n"]:
         """Return d point / dq of world points that move with a joint, at one waypoint each."""
+        return self.topology.add_followers(self.point_columns(waypoint, joint, point))
+
+    def point_columns(
+        self, waypoint: Int[np.ndarray, "k"], joint: Int[np.ndarray, "k"], point: Float[np.ndarray, "k 3"]
+    ) -> Float[np.ndarray, "k 3 m"]:
+        """Return the derivatives of world points by the axes, see ``point_jacobian``."""
         columns = self.jacobian[waypoint]
         linear = columns[:, :3] - skew(point) @ columns[:, 3:]
-        return np.asarray(linear * self.topology.supports[joint][:, None, :])
+        return np.asarray(linear * self.topology.moves[joint][:, None, :])
 
     def directional_jacobian(
         self,
@@ -97,11 +124,11 @@ class Kinematics:
         """Return ``direction . d point / dq``, one row per point; direction and point in the world."""
         wrench = np.concatenate([direction, cross(point, direction)], axis=1)
         rows = np.matmul(wrench[:, None, :], self.jacobian[waypoint])[:, 0]
-        return np.asarray(rows * self.topology.supports[joint])
+        return self.topology.add_followers(np.asarray(rows * self.topology.moves[joint]))
 
     def angular_jacobian(self, joint: int) -> Float[np.ndarray, "T 3 n"]:
         """Return the world angular velocity of a joint's frame per dq, at every waypoint."""
-        return np.asarray(self.jacobian[:, 3:] * self.topology.supports[joint])
+        return self.topology.add_followers(np.asarray(self.jacobian[:, 3:] * self.topology.moves[joint]))
 
     @cached_property
     def com(self) -> Float[np.ndarray, "T 3"]:
@@ -111,9 +138,14 @@ class Kinematics:
 
     @cached_property
     def com_jacobian(self) -> Float[np.ndarray, "T 3 n"]:
-        """d com / dq: every coordinate moves the mass it supports about its own axis."""
+        """d com / dq: every coordinate moves the mass it supports about its axes."""
+        return self.topology.add_followers(self.com_columns)
+
+    @cached_property
+    def com_columns(self) -> Float[np.ndarray, "T 3 m"]:
+        """Derivative of the centre of mass by the axes."""
         mass = self.topology.mass
-        supports = self.topology.supports.astype(float)
+        supports = self.topology.moves.astype(float)
         moved_mass = supports.T @ mass
         moved_moment = np.einsum("ji,j,tjk->tki", supports, mass, self._joint_centres)
         linear, angular = self.jacobian[:, :3], self.jacobian[:, 3:]
@@ -140,11 +172,11 @@ class KinematicsEngine:
     def __call__(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
         """Compute the kinematics of all waypoints."""
         model, data = self.robot.model, self._data
-        jacobian = np.empty((len(q), 6, model.nv))
+        jacobian = np.empty((len(q), 6, model.nvExtended))
 
         def compute(t: int) -> None:
             # pinocchio hands out the Jacobian of a single coordinate as a vector
-            jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nv)
+            jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nvExtended)
 
         return self._collect(q, compute, jacobian)
 

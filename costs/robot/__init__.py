@@ -13,8 +13,11 @@ from costs.robot.mechanism_urdf import (
     read_mechanism,
     read_mesh_hulls,
 )
+from costs.robot.mesh import find_package_folders
+from costs.robot.mesh.visual import VisualMesh
 from costs.robot.model import BASE_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
-from costs.robot.named import bundled_contacts, bundled_robots, load_robot
+from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_robot_visuals
+from costs.robot.srdf import format_srdf
 from costs.robot.still import StillShape, read_object_shapes
 
 __all__ = [
@@ -36,14 +39,18 @@ __all__ = [
     "Root",
     "StillShape",
     "UrdfMechanism",
+    "VisualMesh",
     "bundled_contacts",
     "bundled_robots",
     "check_limits",
+    "find_package_folders",
+    "format_srdf",
     "load_robot",
     "read_joint_axis",
     "read_mechanism",
     "read_mesh_hulls",
     "read_object_shapes",
+    "read_robot_visuals",
     "with_attached",
     "with_contacts",
     "with_mechanism",

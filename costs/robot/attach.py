@@ -17,11 +17,12 @@ from costs.names import would_do
 from costs.primitive import make_round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError
-from costs.robot.hull import find_hull_vertices, make_outer_hull
 from costs.robot.load import build_pinocchio_model, find_body_frame
+from costs.robot.mesh.hull import find_hull_vertices, make_outer_hull
 from costs.robot.model import LinkBody, RobotModel, RobotSource
 from costs.robot.poses import format_numbers, make_origin
 from costs.robot.self_pairs import find_same_joint_pairs, sort_pair
+from costs.robot.srdf import format_srdf
 from costs.robot.urdf import format_urdf, parse_urdf
 from costs.robot.xmlfile import parse_xml
 
@@ -79,6 +80,7 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
     words = {"adjacent": "Adjacent", "same joint": "Adjacent", "derived": "Always"}
     srdf_reasons = {pair: robot.ignored_reasons.get(pair, "User").removeprefix("srdf").strip(" ()") for pair in ignored}
     srdf_reasons = {pair: words.get(word, word or "User") for pair, word in srdf_reasons.items()}
+    srdf = format_srdf(robot.source.srdf, robot.name, srdf_reasons)
     still = {item.name for item in attached if int(find_body_frame(model, item.name).parentJoint) == 0}
     return replace(
         robot,
@@ -86,7 +88,7 @@ def with_attached(robot: RobotModel, attached: Sequence[AttachedBody]) -> RobotM
         bodies=tuple(bodies),
         ignored_pairs=ignored,
         fixed_links=robot.fixed_links | still,
-        source=RobotSource(format_urdf(urdf), _format_srdf(robot, srdf_reasons), robot.source.files),
+        source=RobotSource(format_urdf(urdf), srdf, robot.source.files, robot.source.roots),
         ignored_reasons={pair: f"srdf ({word})" for pair, word in srdf_reasons.items()},
     )
 
@@ -136,14 +138,3 @@ def _make_joint(item: AttachedBody) -> etree._Element:
     etree.SubElement(joint, "child", link=item.name)
     joint.append(make_origin(item.pose_link_body))
     return joint
-
-
-def _format_srdf(robot: RobotModel, srdf_reasons: Mapping[tuple[str, str], str]) -> str:
-    """Format the robot's SRDF (or a new one), which lists every pair that is not checked with its reason."""
-    source = robot.source.srdf or f'<robot name="{robot.name}"/>'
-    tree = parse_xml(source, robot.name, "robot")
-    for element in tree.findall("disable_collisions"):
-        tree.remove(element)
-    for (first, second), reason in sorted(srdf_reasons.items()):
-        etree.SubElement(tree, "disable_collisions", link1=first, link2=second, reason=reason)
-    return str(etree.tostring(tree, encoding="unicode"))

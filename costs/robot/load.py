@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -13,16 +16,24 @@ from jaxtyping import Float
 from costs.primitive import make_round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError
-from costs.robot.hull import find_hull_vertices, make_outer_hull
-from costs.robot.meshes import read_vertices, resolve_mesh
+from costs.robot.followers import let_follow
+from costs.robot.mesh import Derived, DerivedCache, make_key, read_bytes, read_vertices, resolve_mesh
+from costs.robot.mesh.hull import (
+    EXACT_VERTICES,
+    find_hull_vertices,
+    has_crowded_vertex,
+    make_outer_hull,
+    thicken_flat_points,
+)
 from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
-from costs.robot.urdf import Urdf, format_urdf, make_pinocchio_xml, parse_urdf
-from costs.robot.urdf_elements import Shape
+from costs.robot.urdf import Urdf, format_urdf, make_pinocchio_xml, merge_notes, parse_urdf
+from costs.robot.urdf_elements import Joint, Shape
 from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0
+STILL = 1e-6  # range that counts as none [rad, m]
 Root = Literal["floating", "fixed"]
 
 
@@ -53,14 +64,25 @@ def build_robot(
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
     names = _name_coordinates(model, urdf_where)
-    limits = _collect_limits(urdf, names)
-    bodies, files = _make_bodies(urdf, model, roots, urdf_where)
+    notes = [*urdf.notes, *srdf.notes]
+    limits = _collect_limits(urdf, names, notes)
+    meshes = _MeshFiles(roots, {}, {})
+    meshes.read(urdf, urdf_where)
+    cache = DerivedCache.of_user()
+    key = make_key([format_urdf(urdf), root, str(bool(srdf.disabled_pairs)), *meshes.digests.values()])
+    known = cache.get(key)
+    bodies, hulls = _make_bodies(urdf, model, meshes, known, urdf_where, notes)
+    pairs = None
     if srdf.disabled_pairs:
         reasons = dict.fromkeys(find_same_joint_pairs(bodies), "same joint")
         reasons |= {pair: f"srdf ({reason})" if reason else "srdf" for pair, reason in srdf.disabled_pairs.items()}
     else:
-        derived = derive_ignored_pairs(model, bodies, limits["lower"], limits["upper"])
-        reasons = {pair: "derived" if reason == "Always" else "adjacent" for pair, reason in derived.items()}
+        pairs = None if known is None else known.pairs
+        if pairs is None:
+            pairs = derive_ignored_pairs(model, bodies, limits["lower"], limits["upper"])
+        reasons = {pair: "derived" if reason == "Always" else "adjacent" for pair, reason in pairs.items()}
+    if known is None:
+        cache.put(key, Derived(hulls, tuple(body.outer for body in bodies), pairs))
     return RobotModel(
         name=urdf.name,
         model=model,
@@ -74,10 +96,11 @@ def build_robot(
         ignored_pairs=frozenset(reasons),
         fixed_links=frozenset(link for link in urdf.links if find_body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
-        source=RobotSource(format_urdf(urdf), srdf_source, files),
+        source=RobotSource(format_urdf(urdf), srdf_source, meshes.files, tuple(roots)),
         ignored_reasons=reasons,
         contacts={},
         hands={},
+        notes=merge_notes(notes),
     )
 
 
@@ -94,22 +117,30 @@ def build_pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
         base = pin.JointModelComposite(pin.JointModelTranslation())
         base.addJoint(pin.JointModelSphericalZYX())
         model = pin.buildModelFromXML(xml, base)
-    if model.nq != model.nv or model.nq == 0:
-        raise RobotError(f"{where}: has {model.nq} coordinates and {model.nv} velocities; at least one joint must move")
+    if model.nq == 0:
+        kinds = Counter(joint.kind for joint in urdf.joints.values())
+        count = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none"
+        raise RobotError(f"{where}: no joint moves (joints: {count}); a robot has at least one that does")
+    model = let_follow(model, {j.name: j.mimic for j in urdf.joints.values() if j.mimic is not None}, where)
+    for frame in model.frames:
+        # A joint may have the name of a link; frames of that name are then those of links.
+        if frame.type != pin.FrameType.BODY and frame.name in urdf.links:
+            frame.name = f"joint:{frame.name}"
     return model
 
 
 def _name_coordinates(model: pin.Model, where: str) -> tuple[str, ...]:
     names: list[str] = []
     for joint in range(1, model.njoints):
-        names.extend([model.names[joint]] if model.joints[joint].nq == 1 else BASE_NAMES)
+        if model.joints[joint].nq:
+            names.extend([model.names[joint]] if model.joints[joint].nq == 1 else BASE_NAMES)
     taken = [name for name in BASE_NAMES if names.count(name) > 1]
     if taken:
         raise RobotError(f"{where}: joint name '{taken[0]}' is reserved for the floating base; rename it")
     return tuple(names)
 
 
-def _collect_limits(urdf: Urdf, names: Sequence[str]) -> dict[str, Float[np.ndarray, "n"]]:
+def _collect_limits(urdf: Urdf, names: Sequence[str], notes: list[str]) -> dict[str, Float[np.ndarray, "n"]]:
     """Return limits by name of the ``RobotModel`` field; the base's are infinite."""
     limits = {key: np.full(len(names), np.inf) for key in ("lower", "upper", "velocity", "acceleration", "effort")}
     limits["lower"] *= -1.0
@@ -120,7 +151,35 @@ def _collect_limits(urdf: Urdf, names: Sequence[str]) -> dict[str, Float[np.ndar
         for key in ("lower", "upper", "velocity", "effort"):
             limits[key][column] = getattr(joint, key)
         limits["acceleration"][column] = DEFAULT_ACCELERATION if joint.acceleration is None else joint.acceleration
+    for joint in urdf.joints.values():
+        if joint.mimic is not None:
+            _limit_by_follower(limits, names.index(joint.mimic[0]), joint, joint.mimic[1], joint.mimic[2], notes)
     return limits
+
+
+def _limit_by_follower(
+    limits: Mapping[str, Float[np.ndarray, "n"]],
+    column: int,
+    joint: Joint,
+    multiplier: float,
+    offset: float,
+    notes: list[str],
+) -> None:
+    """Narrow the limits of a coordinate so that a joint that follows it stays within its own.
+
+    A follower's velocity of 0 is not stated. The effort is that of the joint that moves both.
+    """
+    ends = sorted(((joint.lower - offset) / multiplier, (joint.upper - offset) / multiplier))
+    lower, upper = max(limits["lower"][column], ends[0]), min(limits["upper"][column], ends[1])
+    if upper - lower <= STILL < limits["upper"][column] - limits["lower"][column]:
+        leader = joint.mimic[0] if joint.mimic else ""
+        notes.append(f"joint '{joint.name}' cannot follow '{leader}' within its own limits, which do not count")
+        return
+    limits["lower"][column], limits["upper"][column] = lower, upper
+    if joint.velocity > 0.0:
+        limits["velocity"][column] = min(limits["velocity"][column], joint.velocity / abs(multiplier))
+    if joint.acceleration is not None:
+        limits["acceleration"][column] = min(limits["acceleration"][column], joint.acceleration / abs(multiplier))
 
 
 def find_body_frame(model: pin.Model, link: str) -> pin.Frame:
@@ -129,41 +188,90 @@ def find_body_frame(model: pin.Model, link: str) -> pin.Frame:
 
 
 def _make_bodies(
-    urdf: Urdf, model: pin.Model, roots: Sequence[Path], where: str
-) -> tuple[tuple[LinkBody, ...], Mapping[str, Path]]:
-    """Make one convex body per <collision>, in the frame of the joint that carries it; also return the mesh files."""
+    urdf: Urdf, model: pin.Model, meshes: _MeshFiles, known: Derived | None, where: str, notes: list[str]
+) -> tuple[tuple[LinkBody, ...], Mapping[str, Float[np.ndarray, "V 3"]]]:
+    """Make one convex body per <collision>, in the frame of the joint that carries it; also return the meshes' hulls.
+
+    ``known`` has hulls and outer hulls, if they were derived before.
+    """
     bodies: list[LinkBody] = []
-    files: dict[str, Path] = {}
+    hulls: dict[str, Float[np.ndarray, "V 3"]] = {} if known is None else dict(known.hulls)
+    outers = () if known is None else known.outers
     for link, link_shapes in urdf.links.items():
         frame = find_body_frame(model, link)
         for index, shape in enumerate(link_shapes):
             inside = f"{where}: link '{link}'"
-            points = _read_points(shape, roots, files, inside)
+            points = _read_points(shape, meshes, hulls, inside)
             pose = frame.placement.homogeneous @ shape.pose_link_shape
             vertices = find_hull_vertices(points @ pose[:3, :3].T + pose[:3, 3], inside)
+            if shape.kind == "mesh" and has_crowded_vertex(vertices):
+                vertices = make_outer_hull(vertices)
+                notes.append(
+                    f"link '{link}': a flat face with very many corners is replaced by one with fewer around it"
+                )
             name = link if index == 0 else f"{link}/{index}"
             round_shape = make_round_shape(shape.kind, shape.size)
             exact = None if round_shape is None else round_shape.move(pose)
-            outer = make_outer_hull(vertices) if exact is None else shapes.make_swept_hull(exact, vertices)
+            if exact is None and len(vertices) > EXACT_VERTICES and len(outers) > len(bodies):
+                outer = outers[len(bodies)]
+            else:
+                outer = make_outer_hull(vertices) if exact is None else shapes.make_swept_hull(exact, vertices)
             bodies.append(LinkBody(name, link, int(frame.parentJoint), vertices, outer, exact))
     names = [body.name for body in bodies]
     if len(set(names)) != len(names):
         repeated = next(name for name in names if names.count(name) > 1)
         raise RobotError(f"{where}: two bodies have the name '{repeated}'; rename the link of that name")
-    return tuple(bodies), files
+    return tuple(bodies), hulls
 
 
-def _read_points(shape: Shape, roots: Sequence[Path], files: dict[str, Path], where: str) -> Float[np.ndarray, "V 3"]:
-    """Return points whose hull contains the shape, in its own frame [m]; add a mesh's file to ``files``."""
+@dataclass(frozen=True)
+class _MeshFiles:
+    """Mesh files of a robot.
+
+    Attributes:
+        roots: folders they are looked for in.
+        files: real path by the key that a result folder stores the file under.
+        digests: SHA-256 of each file's content by its path.
+    """
+
+    roots: Sequence[Path]
+    files: dict[str, Path]
+    digests: dict[Path, str]
+
+    def read(self, urdf: Urdf, where: str) -> None:
+        """Find all mesh files of a URDF's collision shapes."""
+        for link, link_shapes in urdf.links.items():
+            for shape in link_shapes:
+                if shape.kind == "mesh":
+                    self.find(shape, f"{where}: link '{link}'")
+
+    def find(self, shape: Shape, where: str) -> Path:
+        """Return the file of a mesh, whose element then has the path that a result folder stores it under."""
+        key, path = resolve_mesh(shape.uri, self.roots, where)
+        if self.files.setdefault(key, path) != path:
+            raise RobotError(f"{where}: mesh '{shape.uri}' names another file than '{key}' elsewhere; rename one")
+        if "://" not in shape.uri:
+            # A path with '..' would leave the folder a result is written to.
+            shape.element.set("filename", key)
+        if path not in self.digests:
+            self.digests[path] = hashlib.sha256(read_bytes(path, where)).hexdigest()
+        return path
+
+
+def _read_points(
+    shape: Shape, meshes: _MeshFiles, hulls: dict[str, Float[np.ndarray, "V 3"]], where: str
+) -> Float[np.ndarray, "V 3"]:
+    """Return points whose hull contains the shape, in its own frame [m]; add a mesh's hull to ``hulls``."""
     if shape.kind != "mesh":
         return shapes.make_points(shape.kind, shape.size)
-    key, path = resolve_mesh(shape.uri, roots, where)
-    if files.setdefault(key, path) != path:
-        raise RobotError(f"{where}: mesh '{shape.uri}' names another file than '{key}' elsewhere; rename one")
-    if "://" not in shape.uri:
-        # A path with '..' would leave the folder a result is written to.
-        shape.element.set("filename", key)
-    return np.asarray(read_vertices(path, where) * shape.size)
+    path = meshes.find(shape, where)
+    digest = meshes.digests[path]
+    if digest not in hulls:
+        data = read_bytes(path, where)
+        if hashlib.sha256(data).hexdigest() != digest:
+            raise RobotError(f"{where}: mesh '{path.name}' changed while it was read; load the robot again")
+        hulls[digest] = find_hull_vertices(thicken_flat_points(read_vertices(path, where, data)), where)
+    return np.asarray(hulls[digest] * shape.size)
 
 
 def _read_posture(

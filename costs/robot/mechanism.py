@@ -11,7 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot.errors import RobotError
-from costs.robot.hull import find_hull_vertices, make_outer_hull
+from costs.robot.mesh.hull import find_hull_vertices, make_outer_hull
 from costs.robot.model import LinkBody, RobotModel
 
 JointKind = Literal["revolute", "prismatic"]

@@ -12,9 +12,9 @@ from jaxtyping import Float
 from costs.names import would_do
 from costs.robot import shapes
 from costs.robot.errors import RobotError
-from costs.robot.hull import find_hull_vertices
 from costs.robot.mechanism import MechanismJoint
-from costs.robot.meshes import read_vertices, resolve_mesh
+from costs.robot.mesh import read_vertices, resolve_mesh
+from costs.robot.mesh.hull import find_hull_vertices
 from costs.robot.urdf import Urdf, parse_urdf
 from costs.robot.urdf_elements import Joint, Shape
 
@@ -95,7 +95,11 @@ def read_mechanism(
         RobotError: one line: the URDF is not valid (a loop, an unknown link, a joint type that is not supported), no
             joint moves, a joint has no body, a joint of ``starts`` is unknown or would start past its limits.
     """
-    urdf = parse_urdf(text, where, {})
+    urdf = parse_urdf(text, where, {}, is_robot=False)
+    follower = next((joint for joint in urdf.joints.values() if joint.mimic is not None), None)
+    if follower is not None:
+        words = f"joint '{follower.name}' mimics '{follower.mimic[0] if follower.mimic else ''}'"
+        raise RobotError(f"{where}: {words}, which is not supported in a mechanism; make it a fixed joint")
     moving = [joint for joint in urdf.joints.values() if joint.kind != "fixed"]
     if not moving:
         raise RobotError(f"{where}: no joint moves; a mechanism has at least one revolute or prismatic joint")
@@ -164,7 +168,7 @@ def read_mesh_hulls(text: str, where: str, folder: Path) -> dict[str, Float[np.n
         RobotError: one line; the URDF is not valid, or a mesh is outside the folder, missing or cannot be used.
     """
     return _read_hulls(
-        parse_urdf(text, where, {}),
+        parse_urdf(text, where, {}, is_robot=False),
         where,
         lambda uri, inside: read_vertices(resolve_mesh(uri, (folder,), inside)[1], inside),
     )

@@ -46,11 +46,13 @@ class RobotSource:
         urdf: text of the URDF.
         srdf: text of the SRDF ("" if none).
         files: mesh files by their path relative to the written ``package_dirs`` entry.
+        roots: folders that its meshes are looked for in.
     """
 
     urdf: str
     srdf: str
     files: Mapping[str, Path]
+    roots: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ class RobotModel:
             overlap in nearly all poses), ``same joint``; for users only, no check relies on it.
         contacts: patches by name that may carry force, on the surfaces of the bodies (``costs.robot.contact_patches``).
         hands: by side (``left``, ``right``); empty where nothing names them.
+        notes: what the files leave open or state in an unusual way, and how it was read.
     """
 
     name: str
@@ -120,6 +123,7 @@ class RobotModel:
     ignored_reasons: Mapping[tuple[str, str], str] = field(default_factory=dict)
     contacts: Mapping[str, Contact] = field(default_factory=dict)
     hands: Mapping[str, RobotHand] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:

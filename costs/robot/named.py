@@ -11,7 +11,9 @@ from costs.robot.atlas import load_atlas, load_contacts
 from costs.robot.atlas.description import HandKind
 from costs.robot.errors import RobotError
 from costs.robot.load import Root, load_files
+from costs.robot.mesh.visual import VisualMesh, read_visuals
 from costs.robot.model import RobotModel
+from costs.robot.urdf import parse_urdf
 
 _BUNDLED = {"atlas": "Atlas v5: 30 joints, floating base, 158.6 kg, a hook on each hand"}
 
@@ -30,6 +32,14 @@ def bundled_contacts(name: str) -> Mapping[str, Contact]:
     if name not in _BUNDLED:
         raise RobotError(f"unknown robot '{name}'; expected {would_do(name, _BUNDLED)}")
     return load_contacts()
+
+
+def read_robot_visuals(robot: RobotModel) -> tuple[VisualMesh, ...]:
+    """Read the meshes that a robot looks like, simplified; none where they are the files of its collision shapes."""
+    urdf = parse_urdf(robot.source.urdf, robot.name, {})
+    drawn = {mesh.get("filename") for mesh in urdf.tree.iterfind("link/visual/geometry/mesh")}
+    solid = {mesh.get("filename") for mesh in urdf.tree.iterfind("link/collision/geometry/mesh")}
+    return read_visuals(urdf, robot.source.roots) if drawn - solid else ()
 
 
 def load_robot(

@@ -115,15 +115,15 @@ def count_contacts(
         return counts
     wanted = np.array([[sort_pair(a.link, b.link) in counts for b in bodies] for a in bodies], dtype=bool)
     wanted &= np.triu(np.ones_like(wanted), 1)
-    longest = max(len(body.vertices) for body in bodies)
-    local = np.array([np.resize(body.vertices, (longest, 3)) for body in bodies])
+    boxes = np.array([[body.vertices.min(axis=0), body.vertices.max(axis=0)] for body in bodies])
+    middle, half = 0.5 * (boxes[:, 0] + boxes[:, 1]), 0.5 * (boxes[:, 1] - boxes[:, 0])
     solids = [convex(body.vertices) for body in bodies]
     data = model.createData()
     for pose in poses:
         pin.forwardKinematics(model, data, pose)
         placements = [coal.Transform3s(data.oMi[b.joint].rotation, data.oMi[b.joint].translation) for b in bodies]
         overlapping: set[tuple[str, str]] = set()
-        for i, j in np.argwhere(wanted & _boxes_meet(local, placements)):
+        for i, j in np.argwhere(wanted & _boxes_meet(middle, half, placements)):
             pair = sort_pair(bodies[i].link, bodies[j].link)
             if pair not in overlapping and _overlap(solids[i], placements[i], solids[j], placements[j]):
                 overlapping.add(pair)
@@ -164,12 +164,15 @@ def derive_ignored_pairs(
     return reasons
 
 
-def _boxes_meet(local: Float[np.ndarray, "B V 3"], placements: Sequence[coal.Transform3s]) -> Bool[np.ndarray, "B B"]:
-    """Return which bodies' axis-aligned boxes overlap."""
+def _boxes_meet(
+    middle: Float[np.ndarray, "B 3"], half: Float[np.ndarray, "B 3"], placements: Sequence[coal.Transform3s]
+) -> Bool[np.ndarray, "B B"]:
+    """Return which bodies' boxes overlap, each the axis-aligned box of its turned box; half edge lengths are given."""
     rotation = np.array([placement.getRotation() for placement in placements]).reshape(-1, 3, 3)
-    translation = np.array([placement.getTranslation() for placement in placements]).reshape(-1, 1, 3)
-    world = local @ rotation.transpose(0, 2, 1) + translation
-    low, high = world.min(axis=1), world.max(axis=1)
+    translation = np.array([placement.getTranslation() for placement in placements]).reshape(-1, 3)
+    centre = np.einsum("bij,bj->bi", rotation, middle) + translation
+    reach = np.einsum("bij,bj->bi", np.abs(rotation), half)
+    low, high = centre - reach, centre + reach
     return np.asarray(((low[:, None] <= high) & (low <= high[:, None])).all(axis=2))
 
 

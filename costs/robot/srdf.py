@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
 
 from lxml import etree
 
@@ -25,6 +26,7 @@ class Srdf:
         states: joint values by state name (a floating virtual joint: x y z qx qy qz qw).
         virtual_joint: name of the joint between world and root link, or "".
         disabled_pairs: link pairs (sorted) not to check, with the reason that the file gives ("" if none).
+        notes: names that the URDF does not have, which are left out.
     """
 
     groups: Mapping[str, frozenset[str]]
@@ -32,54 +34,70 @@ class Srdf:
     states: Mapping[str, Mapping[str, tuple[float, ...]]]
     virtual_joint: str
     disabled_pairs: Mapping[tuple[str, str], str]
+    notes: tuple[str, ...] = ()
 
 
+ROOT_JOINT = "root_joint"
 EMPTY = Srdf({}, {}, {}, "", {})
 
 
 def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
-    """Read and check an SRDF.
+    """Read and check an SRDF. Links and joints that the URDF does not have are left out, with a note.
 
     Raises:
-        RobotError: for links, joints and groups the URDF or SRDF does not have, loops of groups, wrong values.
+        RobotError: for groups that the SRDF does not have, loops of groups, wrong values.
     """
     tree = parse_xml(text, where, "robot")
-    reader = _GroupReader(tree, where, urdf)
+    notes: list[str] = []
+    reader = _GroupReader(tree, where, urdf, notes)
     names = list(reader.elements)
     virtual = tree.find("virtual_joint")
     virtual_name = "" if virtual is None else read_attribute(virtual, "name", where)
     return Srdf(
         groups={name: reader.find_joints(name, ()) for name in names},
         link_groups={name: links for name in names if (links := reader.find_links(name, ()))},
-        states=_read_states(tree, where, urdf, virtual_name),
+        states=_read_states(tree, where, urdf, virtual_name, notes),
         virtual_joint=virtual_name,
         disabled_pairs={
-            _read_pair(element, where, urdf): element.get("reason", "")
+            pair: element.get("reason", "")
             for element in tree.findall("disable_collisions")
+            if (pair := _read_pair(element, where, urdf, notes)) is not None
         },
+        notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def format_srdf(source: str, name: str, reasons: Mapping[tuple[str, str], str]) -> str:
+    """Format an SRDF (``source``, or a new one if that is empty) that lists exactly these pairs with their reasons."""
+    tree = parse_xml(source or f"<robot name={quoteattr(name)}/>", name, "robot")
+    for element in tree.findall("disable_collisions"):
+        tree.remove(element)
+    for (first, second), reason in sorted(reasons.items()):
+        etree.SubElement(tree, "disable_collisions", link1=first, link2=second, reason=reason)
+    etree.indent(tree)
+    return str(etree.tostring(tree, encoding="unicode")) + "\n"
 
 
 class _GroupReader:
     """Resolves groups that name joints, links, chains and each other."""
 
-    def __init__(self, tree: etree._Element, where: str, urdf: Urdf) -> None:
-        self.where, self.urdf = where, urdf
+    def __init__(self, tree: etree._Element, where: str, urdf: Urdf, notes: list[str]) -> None:
+        self.where, self.urdf, self.notes = where, urdf, notes
         self.elements = {read_attribute(element, "name", where): element for element in tree.findall("group")}
         self.parent_joint = {joint.child: joint.name for joint in urdf.joints.values()}
 
     def find_joints(self, group: str, above: tuple[str, ...]) -> frozenset[str]:
         """Return the movable joints of a group: named ones, the parents of named links, those along chains."""
         element = self._find_element(group, above)
-        place = f"{self._locate(group)}: joint"
-        items = element.findall("joint")
-        names = {_check_known(read_attribute(item, "name", self.where), self.urdf.joints, place) for item in items}
+        items = [read_attribute(item, "name", self.where) for item in element.findall("joint")]
+        names = {name for name in items if _is_known("joint", name, self.urdf.joints, self.notes)}
         names.update(self.parent_joint.get(link, "") for link in self._read_links(element, group))
         for chain in element.findall("chain"):
             names.update(self.parent_joint[link] for link in self._follow_chain(chain, group)[1:])
         for item in element.findall("group"):
             names |= self.find_joints(read_attribute(item, "name", self.where), (*above, group))
-        return frozenset(name for name in names if name and self.urdf.joints[name].kind in MOVABLE)
+        joints = self.urdf.joints
+        return frozenset(n for n in names if n and joints[n].kind in MOVABLE and joints[n].mimic is None)
 
     def find_links(self, group: str, above: tuple[str, ...]) -> tuple[str, ...]:
         """Return the links a group names, those along its chains and those of its subgroups, in file order."""
@@ -99,16 +117,15 @@ class _GroupReader:
 
     def _read_links(self, element: etree._Element, group: str) -> list[str]:
         names = [read_attribute(item, "name", self.where) for item in element.findall("link")]
-        return [_check_known(name, self.urdf.links, f"{self._locate(group)}: link") for name in names]
+        return [name for name in names if _is_known("link", name, self.urdf.links, self.notes)]
 
     def _follow_chain(self, chain: etree._Element, group: str) -> list[str]:
         """Return the links from base to tip, both included."""
-        base = _check_known(
-            read_attribute(chain, "base_link", self.where), self.urdf.links, f"{self._locate(group)}: base_link"
-        )
-        tip = _check_known(
-            read_attribute(chain, "tip_link", self.where), self.urdf.links, f"{self._locate(group)}: tip_link"
-        )
+        base = read_attribute(chain, "base_link", self.where)
+        tip = read_attribute(chain, "tip_link", self.where)
+        ends = [_is_known("link", name, self.urdf.links, self.notes) for name in (base, tip)]
+        if not all(ends):
+            return []
         links = [tip]
         while links[-1] != base:
             joint = self.parent_joint.get(links[-1])
@@ -122,7 +139,7 @@ class _GroupReader:
 
 
 def _read_states(
-    tree: etree._Element, where: str, urdf: Urdf, virtual: str
+    tree: etree._Element, where: str, urdf: Urdf, virtual: str, notes: list[str]
 ) -> Mapping[str, Mapping[str, tuple[float, ...]]]:
     """Read joint values by state name; states of one name (for several groups) are merged."""
     states: dict[str, dict[str, tuple[float, ...]]] = {}
@@ -132,8 +149,10 @@ def _read_states(
         values = states.setdefault(name, {})
         for item in element.findall("joint"):
             joint = read_attribute(item, "name", inside)
-            if joint not in urdf.joints and joint != virtual:
-                raise RobotError(f"{inside}: unknown joint '{joint}'; expected {would_do(joint, urdf.joints)}")
+            if joint == ROOT_JOINT != virtual:
+                continue  # the base, as others call it
+            if joint != virtual and not _is_known("joint", joint, urdf.joints, notes):
+                continue
             count = 7 if joint == virtual else 1
             values[joint] = tuple(
                 parse_numbers(read_attribute(item, "value", inside), count, f"{inside}: joint '{joint}'")
@@ -143,11 +162,21 @@ def _read_states(
     return states
 
 
-def _read_pair(element: etree._Element, where: str, urdf: Urdf) -> tuple[str, str]:
+def _read_pair(element: etree._Element, where: str, urdf: Urdf, notes: list[str]) -> tuple[str, str] | None:
+    """Return the link pair of an element; None, and a note, for a link that the URDF does not have."""
     inside = f"{where}: disable_collisions"
-    a = _check_known(read_attribute(element, "link1", inside), urdf.links, f"{inside}: link1")
-    b = _check_known(read_attribute(element, "link2", inside), urdf.links, f"{inside}: link2")
+    a, b = (read_attribute(element, key, inside) for key in ("link1", "link2"))
+    known = [_is_known("link", name, urdf.links, notes) for name in (a, b)]  # both, so that both get their note
+    if not all(known):
+        return None
     return (a, b) if a < b else (b, a)
+
+
+def _is_known(kind: str, name: str, known: Mapping[str, object], notes: list[str]) -> bool:
+    """Return whether the URDF has a link or joint of that name; add a note if not."""
+    if name not in known:
+        notes.append(f"{kind} '{name}': the SRDF names it, the URDF does not; left out")
+    return name in known
 
 
 def _check_known(name: str, known: Mapping[str, object], what: str) -> str:

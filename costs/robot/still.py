@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot.errors import RobotError
-from costs.robot.meshes import resolve_mesh
+from costs.robot.mesh import resolve_mesh
 from costs.robot.shapes import make_points
 from costs.robot.urdf import Urdf, parse_urdf
 from costs.robot.urdf_elements import MOVABLE
@@ -46,7 +46,7 @@ def read_object_shapes(urdf: Path) -> tuple[StillShape, ...]:
         RobotError: one line; the URDF is not valid, a joint cannot be at zero, or there are no shapes or too many.
     """
     where, text = urdf.name, read_xml_text(urdf)
-    read = parse_urdf(text, where, dict.fromkeys(_find_free_joints(text, where), 0.0))
+    read = parse_urdf(text, where, dict.fromkeys(_find_free_joints(text, where), 0.0), is_robot=False)
     for joint in read.joints.values():
         if not joint.lower <= 0.0 <= joint.upper:
             raise RobotError(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
 
 import numpy as np
 from lxml import etree
@@ -12,12 +14,25 @@ from lxml import etree
 from costs.names import would_do
 from costs.robot.errors import RobotError
 from costs.robot.poses import format_numbers, make_origin, parse_origin
-from costs.robot.urdf_elements import MOVABLE, Joint, Shape, lock_joints, parse_joint, parse_shape
+from costs.robot.urdf_bases import expand_bases
+from costs.robot.urdf_elements import (
+    DEFAULT_VELOCITY,
+    MOVABLE,
+    Joint,
+    Shape,
+    find_stopped_joints,
+    follow_leaders,
+    lock_joints,
+    parse_joint,
+    parse_shape,
+)
 from costs.robot.xmlfile import parse_number, parse_xml, read_attribute
 
 MAX_LINKS = 512
 MAX_DEPTH = 128
 INERTIA_ROUNDING = 1e-2  # of files that write few digits: principal moments this far below zero, of the largest
+LEAST_INERTIA = 1e-6  # moments smaller than this count as zero [kg m^2]
+MERGED = 3  # notes about more joints or links than this are merged into one
 
 
 @dataclass(frozen=True)
@@ -30,6 +45,7 @@ class Urdf:
         root: name of the root link.
         links: collision shapes by link name, in file order.
         joints: joints by name, in file order.
+        notes: what the file leaves open or states in an unusual way, and how it is read.
     """
 
     name: str
@@ -37,16 +53,26 @@ class Urdf:
     root: str
     links: Mapping[str, tuple[Shape, ...]]
     joints: Mapping[str, Joint]
+    notes: tuple[str, ...] = ()
 
 
-def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urdf:
+def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float], *, is_robot: bool = True) -> Urdf:
     """Read and check a URDF; ``locked_joints`` become fixed at the given position [rad or m].
+
+    A robot may have planar and floating joints as its base, an object or mechanism may not.
 
     Raises:
         RobotError: for anything pinocchio would crash on, load from elsewhere or misread in silence.
     """
     tree = parse_xml(text, where, "robot")
-    name = read_attribute(tree, "name", where)
+    notes: list[str] = []
+    name = (tree.get("name") or "").strip()
+    if not name:
+        name = PurePath(where).stem or "robot"
+        tree.set("name", name)
+        notes.append(f"the file does not name the robot; it is called '{name}'")
+    if is_robot:
+        expand_bases(tree, where, notes)
     link_elements = tree.findall("link")
     if not link_elements:
         raise RobotError(f"{where}: no <link>; a robot has at least one")
@@ -56,18 +82,51 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float]) -> Urd
     joint_names = [read_attribute(element, "name", where) for element in tree.findall("joint")]
     _refuse_repeated(where, "link", link_names)
     _refuse_repeated(where, "joint", joint_names)
-    _refuse_shared(where, link_names, joint_names)
     joints = {}
     for element in tree.findall("joint"):
-        joint = parse_joint(element, where)
+        joint = parse_joint(element, where, notes)
         joints[joint.name] = joint
-    joints = lock_joints(tree, joints, dict(locked_joints), where)
+    joints = follow_leaders(_give_speeds(joints, notes), where, notes)
+    joints = lock_joints(tree, joints, find_stopped_joints(joints.values(), notes) | dict(locked_joints), where)
     links = {}
     for element in link_elements:
         link = read_attribute(element, "name", where)
-        _check_inertia(element, f"{where}: link '{link}'")
-        links[link] = tuple(parse_shape(shape, f"{where}: link '{link}'") for shape in element.findall("collision"))
-    return Urdf(name, tree, _check_tree(links, joints, where), links, joints)
+        _check_inertia(element, f"{where}: link '{link}'", notes)
+        shapes = (parse_shape(shape, f"{where}: link '{link}'", notes) for shape in element.findall("collision"))
+        links[link] = tuple(shape for shape in shapes if shape is not None)
+    root = _check_tree(links, joints, where)
+    return Urdf(name, tree, root, links, joints, merge_notes([note.removeprefix(f"{where}: ") for note in notes]))
+
+
+def _give_speeds(joints: dict[str, Joint], notes: list[str]) -> dict[str, Joint]:
+    """Give all joints a velocity limit where the file states 0 for each of them, which means nothing was stated."""
+    moving = [joint for joint in joints.values() if joint.kind in MOVABLE and joint.mimic is None]
+    if not moving or any(joint.velocity != 0.0 for joint in moving):
+        return joints
+    notes.append(f"all velocity limits are 0, which counts as not stated: {DEFAULT_VELOCITY:g} rad/s or m/s are used")
+    return {
+        name: replace(joint, velocity=DEFAULT_VELOCITY) if joint.kind in MOVABLE else joint
+        for name, joint in joints.items()
+    }
+
+
+def merge_notes(notes: Sequence[str]) -> tuple[str, ...]:
+    """Merge notes that say the same about several joints or links."""
+    same: dict[tuple[str, str], list[str]] = {}
+    merged: dict[str, None] = {}
+    for note in notes:
+        found = re.fullmatch(r"(joint|link) '([^']*)':? (.*)", note)
+        if found:
+            same.setdefault((found[1], found[3]), []).append(found[2])
+    for note in notes:
+        found = re.fullmatch(r"(joint|link) '([^']*)':? (.*)", note)
+        names = same[found[1], found[3]] if found else []
+        if found is None or len(names) <= MERGED:
+            merged[note] = None
+        else:
+            shown = ", ".join(names[:MERGED])
+            merged[f"{found[1]}s {shown} and {len(names) - MERGED} more: {found[3]}"] = None
+    return tuple(merged)
 
 
 def make_pinocchio_xml(urdf: Urdf) -> str:
@@ -91,8 +150,9 @@ def make_pinocchio_xml(urdf: Urdf) -> str:
         if joint.kind in MOVABLE:
             etree.SubElement(element, "axis", xyz=format_numbers(joint.axis))
             lower, upper = np.clip([joint.lower, joint.upper], -1e6, 1e6)
+            velocity, effort = np.minimum([joint.velocity, joint.effort], 1e6)  # the caller knows the limits
             etree.SubElement(element, "limit", lower=repr(float(lower)), upper=repr(float(upper)),
-                             velocity=repr(joint.velocity), effort=repr(joint.effort))  # fmt: skip
+                             velocity=repr(float(velocity)), effort=repr(float(effort)))  # fmt: skip
     return str(etree.tostring(robot, encoding="unicode"))
 
 
@@ -110,14 +170,8 @@ def _refuse_repeated(where: str, tag: str, names: list[str]) -> None:
             raise RobotError(f"{where}: {tag} name '{name}' is reserved; rename it")
 
 
-def _refuse_shared(where: str, links: list[str], joints: list[str]) -> None:
-    """Refuse joints that are named as links are: pinocchio could not tell their frames apart."""
-    shared = sorted(set(links) & set(joints))
-    if shared:
-        raise RobotError(f"{where}: '{shared[0]}' is the name of a link and of a joint; rename the joint")
-
-
-def _check_inertia(element: etree._Element, where: str) -> None:
+def _check_inertia(element: etree._Element, where: str, notes: list[str]) -> None:
+    """Check an <inertial>; remove one that lacks mass or inertia, with a note."""
     inertial = element.find("inertial")
     if inertial is None:
         return
@@ -125,17 +179,21 @@ def _check_inertia(element: etree._Element, where: str) -> None:
     mass = inertial.find("mass")
     inertia = inertial.find("inertia")
     if mass is None or inertia is None:
-        raise RobotError(f"{where}: <inertial> needs <mass> and <inertia>")
+        notes.append(
+            f"{where}: <inertial> lacks <{'mass' if mass is None else 'inertia'}>; the link counts as massless"
+        )
+        element.remove(inertial)
+        return
     if parse_number(read_attribute(mass, "value", where), f"{where}: mass") < 0.0:
         raise RobotError(f"{where}: mass {mass.get('value')} is negative")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     values = {key: parse_number(read_attribute(inertia, key, where), f"{where}: inertia {key}") for key in keys}
     for key in ("ixx", "iyy", "izz"):
-        if values[key] < 0.0:
+        if values[key] < -LEAST_INERTIA:
             raise RobotError(f"{where}: inertia {key} is {values[key]:g}; a moment of inertia is never negative")
     ixx, ixy, ixz, iyy, iyz, izz = values.values()
     least, *_, most = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-    if least < -INERTIA_ROUNDING * most:
+    if least < -max(INERTIA_ROUNDING * most, LEAST_INERTIA):
         raise RobotError(
             f"{where}: inertia has the principal moments {least:.3g} to {most:.3g}; none may be negative: "
             "ixy, ixz or iyz is too large"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +12,11 @@ from lxml import etree
 from costs.names import would_do
 from costs.robot.errors import RobotError
 from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
-from costs.robot.xmlfile import parse_number, parse_numbers, read_attribute
+from costs.robot.xmlfile import MADE_HERE, parse_number, parse_numbers, read_attribute
 
 MOVABLE = ("revolute", "continuous", "prismatic")
+DEFAULT_VELOCITY = 1.0
+"""Velocity limit of the joints of a file that gives none to any of them [rad/s, m/s]."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +39,11 @@ class Shape:
     element: etree._Element
 
 
-def parse_shape(element: etree._Element, where: str) -> Shape:
-    """Read and check one <collision>."""
+def parse_shape(element: etree._Element, where: str, notes: list[str]) -> Shape | None:
+    """Read and check one <collision>; return None for a shape without extent, and add a note."""
     geometry = element.find("geometry")
     if geometry is None or len(geometry) != 1:
-        raise RobotError(f"{where}: <collision> needs a <geometry> with one shape in it")
+        raise RobotError(f"{where}: <{element.tag}> needs a <geometry> with one shape in it")
     shape = geometry[0]
     kind, uri = str(shape.tag), ""
     if kind == "box":
@@ -57,6 +60,11 @@ def parse_shape(element: etree._Element, where: str) -> Shape:
         raise RobotError(f"{where}: shape <{kind}> is not known; use box, sphere, cylinder, capsule or mesh")
     if kind == "mesh" and np.any(size == 0.0):
         raise RobotError(f"{where}: mesh scale {shape.get('scale')!r} flattens the mesh; no factor may be 0")
+    if kind != "mesh" and np.all(size >= 0.0) and not np.any(size > 0.0):
+        notes.append(f"{where}: a {kind} of size 0 is left out")
+        return None
+    if kind == "sphere" and size[0] == 0.0:
+        return None
     if kind != "mesh" and np.any(size <= 0.0):
         raise RobotError(f"{where}: {kind} of size {format_numbers(size)}; every length must be positive")
     return Shape(kind, size, uri, parse_origin(element, where), shape)
@@ -91,8 +99,8 @@ class Joint:
     mimic: tuple[str, float, float] | None
 
 
-def parse_joint(element: etree._Element, where: str) -> Joint:
-    """Read and check one <joint>."""
+def parse_joint(element: etree._Element, where: str, notes: list[str]) -> Joint:
+    """Read and check one <joint>; add a note for what the file leaves open."""
     name = read_attribute(element, "name", where)
     where = f"{where}: joint '{name}'"
     kind = read_attribute(element, "type", where)
@@ -115,13 +123,68 @@ def parse_joint(element: etree._Element, where: str) -> Joint:
         axis = axis / length
     joint = Joint(name, ends["parent"], ends["child"], kind, parse_origin(element, where), axis,
                   0.0, 0.0, np.inf, np.inf, None, None)  # fmt: skip
-    return joint if kind == "fixed" else _with_limits(joint, element, where)
+    return joint if kind == "fixed" else _with_limits(joint, element, where, notes)
+
+
+def follow_leaders(joints: dict[str, Joint], where: str, notes: list[str]) -> dict[str, Joint]:
+    """Let each mimicking joint follow one that moves by itself, where it mimics another mimicking joint.
+
+    A joint that mimics one that is unknown moves by itself, with a note.
+
+    Raises:
+        RobotError: a joint mimics itself.
+    """
+    followed = {}
+    for name in list(joints):
+        joint = joints[name]
+        multiplier, offset, leader, passed = 1.0, 0.0, joint, [name]
+        while leader.mimic is not None:
+            above, ratio, shift = leader.mimic
+            if above not in joints:
+                notes.append(
+                    f"joint '{leader.name}' mimics '{above}', which the file does not have: it moves by itself"
+                )
+                joints[leader.name] = leader = replace(leader, mimic=None)
+                break
+            if above in passed:
+                raise RobotError(f"{where}: joint '{name}' mimics itself ({' > '.join([*passed, above])})")
+            multiplier, offset = multiplier * ratio, offset + multiplier * shift
+            leader = joints[above]
+            passed.append(above)
+        is_own = leader.name == name
+        followed[name] = leader if is_own else replace(joint, mimic=(leader.name, multiplier, offset))
+    return followed
+
+
+def find_stopped_joints(joints: Iterable[Joint], notes: list[str]) -> dict[str, float]:
+    """Return positions of joints that cannot move: velocity limit 0, or following a joint that is fixed.
+
+    A follower's own velocity limit does not count: the joint that it follows moves it.
+    """
+    known = {joint.name: joint for joint in joints}
+    stopped = {}
+    for joint in known.values():
+        if joint.kind not in MOVABLE:
+            continue
+        if joint.mimic is not None:
+            leader, multiplier, offset = joint.mimic
+            if multiplier == 0.0 or known[leader].kind not in MOVABLE:
+                notes.append(f"joint '{joint.name}' follows '{leader}', which does not move it: fixed at {offset:g}")
+                stopped[joint.name] = offset
+        elif joint.velocity == 0.0:
+            stopped[joint.name] = float(np.clip(0.0, joint.lower, joint.upper))
+            notes.append(f"joint '{joint.name}' has a velocity limit of 0: fixed at {stopped[joint.name]:g}")
+    return stopped
 
 
 def lock_joints(
     tree: etree._Element, joints: dict[str, Joint], locked: dict[str, float], where: str
 ) -> dict[str, Joint]:
-    """Turn locked joints (and those that mimic them) into fixed ones, in the XML too; refuse what still mimics."""
+    """Turn locked joints (and those that mimic them) into fixed ones, in the XML too.
+
+    Raises:
+        RobotError: a joint to lock is unknown or does not move, or its position is not finite.
+    """
     movable = [name for name, joint in joints.items() if joint.kind in MOVABLE]
     for name, position in locked.items():
         if name not in movable:
@@ -134,10 +197,8 @@ def lock_joints(
         if joint.mimic is None or joint.name in locked:
             continue
         leader, multiplier, offset = joint.mimic
-        if leader not in locked:
-            follows = f"joint '{joint.name}' mimics '{leader}'"
-            raise RobotError(f"{where}: {follows}, which is not supported; lock '{leader}' or itself")
-        locked[joint.name] = multiplier * locked[leader] + offset
+        if leader in locked:
+            locked[joint.name] = multiplier * locked[leader] + offset
     elements = {element.get("name"): element for element in tree.findall("joint")}
     for name, position in locked.items():
         joint = joints[name]
@@ -151,24 +212,26 @@ def lock_joints(
     return joints
 
 
-def _with_limits(joint: Joint, element: etree._Element, where: str) -> Joint:
+def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[str]) -> Joint:
     limit = element.find("limit")
     lower, upper, velocity, effort = -np.inf, np.inf, np.inf, np.inf
     acceleration = None
     if limit is None and joint.kind != "continuous":
         raise RobotError(f"{where}: {joint.kind} but without <limit>; give lower, upper, velocity and effort")
     if limit is not None:
-        if joint.kind != "continuous":
+        # A follower without a range of its own goes as far as the joint that it follows.
+        is_open = element.find("mimic") is not None and limit.get("lower") is None and limit.get("upper") is None
+        if joint.kind != "continuous" and not is_open:
             lower = parse_number(limit.get("lower", "0"), f"{where}: limit lower")
             upper = parse_number(limit.get("upper", "0"), f"{where}: limit upper")
-        velocity = parse_number(read_attribute(limit, "velocity", where), f"{where}: limit velocity")
-        effort = parse_number(read_attribute(limit, "effort", where), f"{where}: limit effort")
+        velocity = _read_limit(limit, "velocity", where, notes)
+        effort = _read_limit(limit, "effort", where, notes)
         if limit.get("acceleration") is not None:
             acceleration = parse_number(limit.get("acceleration", ""), f"{where}: limit acceleration")
     if lower > upper:
         raise RobotError(f"{where}: limit lower {lower:g} exceeds upper {upper:g}; swap them")
-    if velocity <= 0.0 or effort < 0.0 or (acceleration is not None and acceleration <= 0.0):
-        raise RobotError(f"{where}: limit velocity and acceleration must be positive, effort not negative")
+    if velocity < 0.0 or effort < 0.0 or (acceleration is not None and acceleration <= 0.0):
+        raise RobotError(f"{where}: limit velocity and effort must not be negative, acceleration positive")
     mimic_element = element.find("mimic")
     mimic = None
     if mimic_element is not None:
@@ -177,6 +240,16 @@ def _with_limits(joint: Joint, element: etree._Element, where: str) -> Joint:
                  parse_number(mimic_element.get("offset", "0"), f"{where}: mimic offset"))  # fmt: skip
     return replace(joint, lower=lower, upper=upper, velocity=velocity, effort=effort,
                    acceleration=acceleration, mimic=mimic)  # fmt: skip
+
+
+def _read_limit(limit: etree._Element, key: str, where: str, notes: list[str]) -> float:
+    """Return a limit of speed or force; infinity where the file does not state it, with a note unless it is ours."""
+    text = limit.get(key)
+    if text is None:
+        if limit.get(MADE_HERE) is None:
+            notes.append(f"{where}: no {key} limit is given; it counts as unlimited")
+        return float(np.inf)
+    return parse_number(text, f"{where}: limit {key}")
 
 
 def _fix_element(element: etree._Element, pose: Float[np.ndarray, "4 4"]) -> None:

@@ -13,6 +13,8 @@ from costs.robot.errors import RobotError
 
 MAX_XML_BYTES = 4 * 1024 * 1024
 
+MADE_HERE = "made_here"  # attribute of elements that no file had
+
 
 def read_xml_text(path: Path) -> str:
     """Read the text of an XML file of at most ``MAX_XML_BYTES``.
@@ -33,13 +35,14 @@ def read_xml_text(path: Path) -> str:
         raise RobotError(f"{path}: not UTF-8 (byte {error.start}); save it as UTF-8") from None
 
 
-def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
+def parse_xml(text: str, where: str, root_tag: str, max_bytes: int = MAX_XML_BYTES) -> etree._Element:
     """Parse an XML text whose root element is ``<root_tag>``.
 
     Entities are never resolved; a DOCTYPE is refused, since it can define entity bombs and external references.
+    Elements of the root's own namespace are read as if they had none, those of other namespaces are dropped.
     """
-    if len(text) > MAX_XML_BYTES:
-        raise RobotError(f"{where}: larger than {MAX_XML_BYTES // 2**20} MB; a robot description is far smaller")
+    if len(text) > max_bytes:
+        raise RobotError(f"{where}: larger than {max_bytes // 2**20} MB; a robot description is far smaller")
     # Entities in attributes would be expanded while parsing, so a DOCTYPE in plain sight is refused before.
     refused = RobotError(f"{where}: DOCTYPE is refused; remove it")
     if "<!DOCTYPE" in text:
@@ -56,9 +59,32 @@ def parse_xml(text: str, where: str, root_tag: str) -> etree._Element:
     if root.getroottree().docinfo.doctype:
         # One hidden by the declared encoding.
         raise refused
+    _drop_namespaces(root, where)
     if root.tag != root_tag:
         raise RobotError(f"{where}: the root element is <{root.tag}>; it must be <{root_tag}>")
     return root
+
+
+def _drop_namespaces(root: etree._Element, where: str) -> None:
+    """Drop elements of foreign namespaces, and the namespace of the others.
+
+    Raises:
+        RobotError: the file is a template of xacro.
+    """
+    namespace = etree.QName(root).namespace
+    for element in list(root.iter()):
+        if not isinstance(element.tag, str):
+            continue
+        name = etree.QName(element)
+        if name.namespace is not None and name.namespace.rstrip("/").endswith("xacro"):
+            stem = where.rsplit("/", 1)[-1].split(".", 1)[0] or "robot"
+            raise RobotError(
+                f"{where}: is a xacro file; expand it first: xacro {where} > {stem}.urdf (pip install xacro)"
+            )
+        if name.namespace == namespace or element is root:
+            element.tag = name.localname
+        elif name.namespace is not None and element.getparent() is not None:
+            element.getparent().remove(element)
 
 
 def read_attribute(element: etree._Element, attribute: str, where: str) -> str:
@@ -87,7 +113,8 @@ def _parse_finite(text: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise RobotError(f"{where}: {_shorten(text)!r} is not a number") from None
+        hint = "; the file is a xacro template, expand it with the command xacro" if "${" in text else ""
+        raise RobotError(f"{where}: {_shorten(text)!r} is not a number{hint}") from None
     if not math.isfinite(value):
         raise RobotError(f"{where}: {_shorten(text)!r} is not a finite number")
     return value

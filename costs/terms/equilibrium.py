@@ -115,12 +115,13 @@ class FrictionPyramid(Residual[LoadedState]):
         kinematics, here = state.kinematics, self._waypoints
         faces = self._points.turn(kinematics, here, self.point, self._face)
         forces = state.forces[here][:, self.point]
-        n, n_rows = kinematics.jacobian.shape[2], len(self.point)
+        n, n_rows = kinematics.q.shape[1], len(self.point)
         rows = np.zeros((len(here), n_rows, n + 3 * len(self._points)))
         # A face a that turns with w dq: (w x a) . f = w . (a x f).
         axes = kinematics.jacobian[here, 3:]
-        carried = kinematics.topology.supports[self._points.normal_joint[self.point]]
-        rows[:, :, :n] = np.einsum("srk,skn->srn", np.cross(faces, forces), axes) * carried
+        carried = kinematics.topology.moves[self._points.normal_joint[self.point]]
+        turned = np.einsum("srk,skn->srn", np.cross(faces, forces), axes) * carried
+        rows[:, :, :n] = kinematics.topology.add_followers(turned)
         columns = n + 3 * self.point[:, None] + np.arange(3)
         rows[:, np.arange(n_rows)[:, None], columns] = faces
         return make_waypoint_rows(self.value(state), rows, here, kinematics)
@@ -217,9 +218,11 @@ class MechanismBalance(Residual[LoadedState]):
         self._points = points
         self._waypoints = np.asarray(waypoints)
         self._touching = np.flatnonzero(points.reference_joint)
-        supports = Topology.of(robot.model).supports[points.reference_joint[self._touching]]
-        self._coordinates = np.flatnonzero(supports.any(axis=0))
-        self._moves = supports[:, self._coordinates].astype(float)
+        topology = Topology.of(robot.model)
+        moves = topology.moves[points.reference_joint[self._touching]]
+        self._axes = np.flatnonzero(moves.any(axis=0))  # of a mechanism, where no joint follows another
+        self._coordinates = topology.coordinate[self._axes]
+        self._moves = moves[:, self._axes].astype(float)
         names = [robot.joint_names[k] for k in self._coordinates]
         given = {} if loads is None else loads
         unknown = sorted(set(given) - set(names))
@@ -229,18 +232,18 @@ class MechanismBalance(Residual[LoadedState]):
 
     def value(self, state: LoadedState) -> Float[np.ndarray, "m"]:
         wrench = self._wrench(state)[0]
-        columns = state.kinematics.jacobian[self._waypoints][:, :, self._coordinates]
+        columns = state.kinematics.jacobian[self._waypoints][:, :, self._axes]
         pushed = -np.einsum("sck,skm,cm->sm", wrench, columns, self._moves)
         return np.asarray((pushed - self._load).ravel())
 
     def linearize(self, state: LoadedState) -> AffineRows:
         kinematics, here = state.kinematics, self._waypoints
-        n, n_points, n_rows = kinematics.jacobian.shape[2], len(self._points), len(self._coordinates)
+        n, n_points, n_rows = kinematics.q.shape[1], len(self._points), len(self._coordinates)
         rows = np.zeros((len(here), n_rows, n + 3 * n_points))
         if not n_rows:
             return make_waypoint_rows(self.value(state), rows, here, kinematics)
         wrench, places, forces = self._wrench(state)
-        columns = kinematics.jacobian[here][:, :, self._coordinates]
+        columns = kinematics.jacobian[here][:, :, self._axes]
         linear, angular = columns[:, :3], columns[:, 3:]
         moves = self._points.places.differentiate(kinematics, here)[:, self._touching]
         # The point moves: -w_k . (dp x f) = -(f x w_k) . dp.
@@ -251,7 +254,7 @@ class MechanismBalance(Residual[LoadedState]):
         v, w = linear.transpose(0, 2, 1), angular.transpose(0, 2, 1)
         d_linear = np.cross(w[:, None], v[:, :, None]) + np.cross(v[:, None], w[:, :, None])
         change = np.concatenate([d_linear, np.cross(w[:, None], w[:, :, None])], axis=3)  # (S, row k, column j, 6)
-        carried = kinematics.topology.precedes[np.ix_(self._coordinates, self._coordinates)].T
+        carried = kinematics.topology.precedes[np.ix_(self._axes, self._axes)].T
         rows[:, :, self._coordinates] -= np.einsum("skjm,skm->skj", change, total) * carried
         at_points = linear[:, None] + np.cross(angular[:, None], places[..., None], axis=2)  # (S, c, 3, rows)
         for c, point in enumerate(self._touching):

@@ -35,7 +35,7 @@ class StaticTorque:
         moves, forces = self._gather(state, waypoints)
         angular = state.kinematics.jacobian[waypoints, 3:]
         turned = np.einsum("skn,ck,cn->sn", angular, self._loads.moment, self._carries(state))
-        return np.asarray(-np.einsum("sckn,sck->sn", moves, forces) - turned)
+        return state.kinematics.topology.add_followers(-np.einsum("sckn,sck->sn", moves, forces) - turned)
 
     def differentiate(
         self, state: LoadedState, waypoints: Int[np.ndarray, "S"]
@@ -46,7 +46,8 @@ class StaticTorque:
         ``f . (w_i x dp/dq_j)`` for a coordinate ``i`` before ``j`` on the chain, ``w_i`` its axis.
         """
         moves, forces = self._gather(state, waypoints)
-        precedes = state.kinematics.topology.precedes
+        topology = state.kinematics.topology
+        precedes = topology.precedes
         angular = state.kinematics.jacobian[waypoints, 3:]
         turning = np.cross(moves, forces[..., None], axis=2).sum(axis=1)
         upper = np.einsum("ski,skj->sij", angular, turning) * precedes
@@ -55,26 +56,28 @@ class StaticTorque:
             # Row k along an earlier coordinate j: m . (w_j x w_k).
             axes = np.cross(moment, angular, axisa=0, axisb=1, axisc=1)
             by_q -= np.einsum("skr,skj->srj", angular, axes) * precedes.T * carries[:, None]
+        by_q = topology.add_followers(topology.add_followers(by_q).transpose(0, 2, 1)).transpose(0, 2, 1)
         n_points = len(self._points)
-        by_forces = -moves[:, :n_points].transpose(0, 3, 1, 2).reshape(len(waypoints), -1, 3 * n_points)
+        at_contacts = topology.add_followers(moves[:, :n_points])
+        by_forces = -at_contacts.transpose(0, 3, 1, 2).reshape(len(waypoints), -1, 3 * n_points)
         return by_q, by_forces
 
     def _gather(
         self, state: LoadedState, waypoints: Int[np.ndarray, "S"]
-    ) -> tuple[Float[np.ndarray, "S A 3 n"], Float[np.ndarray, "S A 3"]]:
-        """Return forces and the Jacobians of where they act: contacts, loads, the weight."""
+    ) -> tuple[Float[np.ndarray, "S A 3 m"], Float[np.ndarray, "S A 3"]]:
+        """Return where forces act (contacts, loads, the weight), differentiated by the robot's axes, and the forces."""
         kinematics = state.kinematics
         moves = (
-            self._points.places.differentiate(kinematics, waypoints),
-            self._loads.points.differentiate(kinematics, waypoints),
-            kinematics.com_jacobian[waypoints][:, None],
+            self._points.places.differentiate_by_axes(kinematics, waypoints),
+            self._loads.points.differentiate_by_axes(kinematics, waypoints),
+            kinematics.com_columns[waypoints][:, None],
         )
         given = np.concatenate([self._loads.force, DOWN[None]])
         forces = state.forces[waypoints], np.broadcast_to(given, (len(waypoints), *given.shape))
         return np.concatenate(moves, axis=1), np.concatenate(forces, axis=1)
 
-    def _carries(self, state: LoadedState) -> Float[np.ndarray, "L n"]:
-        return np.asarray(state.kinematics.topology.supports[self._loads.points.joint], dtype=float)
+    def _carries(self, state: LoadedState) -> Float[np.ndarray, "L m"]:
+        return np.asarray(state.kinematics.topology.moves[self._loads.points.joint], dtype=float)
 
 
 class JointTorque(Residual[LoadedState]):

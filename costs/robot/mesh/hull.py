@@ -17,6 +17,15 @@ from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot.errors import RobotError
 
+FLAT_SHARE = 1e-3
+"""Thickness that a flat mesh gets, as a share of its extent."""
+
+LEAST_EXTENT_M = 1e-4
+"""Extent of a mesh below which it says nothing about its body."""
+
+MOST_NEIGHBOURS = 250
+"""Neighbours of a vertex; coal keeps 255."""
+
 EXACT_VERTICES = 32
 """Most vertices of a body that is its own outer hull."""
 
@@ -28,17 +37,41 @@ _FACE_ROWS = 3
 _EXCESS_ROWS = 6
 
 
+def thicken_flat_points(points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
+    """Return points with those of a plane or line doubled across it, a little apart; others as they are.
+
+    The distance is ``FLAT_SHARE`` of the extent.
+    """
+    _, axes = np.linalg.eigh(np.cov(points.T))
+    heights = (points - points.mean(axis=0)) @ axes
+    extent = np.ptp(heights, axis=0)
+    half = 0.5 * FLAT_SHARE * float(extent.max())
+    for axis in axes.T[extent <= 1e-9 * extent.max()]:
+        points = np.vstack([points - half * axis, points + half * axis])
+    return points
+
+
 def find_hull_vertices(points: Float[np.ndarray, "V 3"], where: str) -> Float[np.ndarray, "W 3"]:
     """Find the vertices of the convex hull of ``points``, in their order.
 
     Raises:
-        RobotError: the points lie in a plane.
+        RobotError: the points lie in a plane, or nearly at one place.
     """
+    extent = float(np.ptp(points, axis=0).max())
+    if extent < LEAST_EXTENT_M:
+        raise RobotError(f"{where}: all its points are within {extent:.3g} m; a body needs a size")
     try:
         hull = ConvexHull(points)
     except QhullError:
         raise RobotError(f"{where}: its points lie in a plane; a body needs a volume") from None
     return np.ascontiguousarray(points[np.sort(hull.vertices)])
+
+
+def has_crowded_vertex(vertices: Float[np.ndarray, "V 3"]) -> bool:
+    """Return whether a vertex of the hull's triangles has more neighbours than coal keeps."""
+    if len(vertices) <= MOST_NEIGHBOURS:
+        return False
+    return bool(np.bincount(ConvexHull(vertices).simplices.ravel()).max() > MOST_NEIGHBOURS)
 
 
 def make_outer_hull(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
@@ -115,7 +148,7 @@ def _find_best_move(
     n_unknowns = points.size + 1
     face_rows, face_columns, face_values, face_limits = _make_face_rows(points, vertices)
     height = points @ planes[:, :3].T + planes[:, 3]
-    nearest = np.argsort(-height, axis=1)[:, :_EXCESS_ROWS]
+    nearest = np.argpartition(-height, min(_EXCESS_ROWS, height.shape[1]) - 1, axis=1)[:, :_EXCESS_ROWS]
     point = np.repeat(np.arange(len(points)), nearest.shape[1])
     plane = nearest.ravel()
     excess_rows = len(face_limits) + np.arange(len(plane))
@@ -145,7 +178,7 @@ def _make_face_rows(
     hull = ConvexHull(points)
     normals = hull.equations[:, :3]
     height = vertices @ normals.T + hull.equations[:, 3]
-    highest = np.argsort(-height, axis=0)[:_FACE_ROWS]
+    highest = np.argpartition(-height, _FACE_ROWS - 1, axis=0)[:_FACE_ROWS]
     face = np.tile(np.arange(len(normals)), (len(highest), 1)).ravel()
     vertex = highest.ravel()
     above = height[vertex, face]
