@@ -1,6 +1,6 @@
 """State machine of an execution: phases in order, guards, pause, resume, abort."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -51,7 +51,8 @@ def balance_of(margins):
     index = np.searchsorted(ENDS[:-1], times, side="right")
     # The centre of mass goes from between the feet over the left one and back.
     x = np.where(index == 1, 0.0, 0.25)
-    return PlannedBalance(times, np.stack([x, 0 * x], axis=1), np.array([margins(t) for t in times]), index, phases)
+    com, feet = np.stack([x, 0 * x], axis=1), ("l_foot", "r_foot")
+    return PlannedBalance(times, com, np.array([margins(t) for t in times]), index, phases, feet)
 
 
 def run(machine, schedule=None, findings=lambda state: (), limit_s=30.0, state=None):
@@ -125,6 +126,15 @@ def test_an_abort_out_of_balance_goes_back_to_the_last_pose_in_balance(at):
     assert states[-1].time_s == pytest.approx(0.5, abs=2e-3)
     assert states[-1].phase == 0
     check_smooth(states, machine.settings)
+
+
+def test_an_abort_does_not_take_hold_again_of_what_a_hand_let_go():
+    balance = balance_of(lambda t: 0.1 if t <= 0.5 else 0.02 - 0.01 * abs(t - 2.5))
+    first = replace(balance.phases[0], contacts=(*balance.phases[0].contacts, planted("r_hand", 0.2)))
+    balance = replace(balance, phases=(first, *balance.phases[1:]))
+    states = run(ExecutionMachine(PHASES, balance), {2.8: Order.ABORT})
+    assert states[-1].mode is Mode.ABORTED
+    assert states[-1].time_s == pytest.approx(2.5, abs=2e-3)
 
 
 def test_without_any_pose_of_the_required_margin_an_abort_takes_the_largest():

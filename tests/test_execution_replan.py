@@ -9,14 +9,17 @@ import pinocchio as pin
 import pytest
 from small_plan import small_plan
 
+from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from service import parse_request, plan, write_result
-from service.errors import ExecutionError, ResultError
+from service.demands.door_demand import SeenDoor
+from service.errors import ExecutionError, RequestError, ResultError
 from service.execution.execution import Execution
 from service.execution.machine import Order
 from service.execution.replan import adjust_request, plan_rest, read_certified, write_state
 from service.execution.tracking import Action, KinematicRobot, track
 from service.replay.replay import verify_result
 from service.result.result import Verdict
+from service.setup.world import Surroundings
 
 PERIOD = 1e-2
 
@@ -106,16 +109,51 @@ def test_a_valve_given_by_its_circle_is_displaced():
     assert replace(moved, task=request.task) == request
 
 
+def test_a_given_door_is_displaced_with_its_handle():
+    leaf = {"hinge": [0.9, 0.5, 0.0], "edge": [0.9, -0.4, 0.0]}
+    door = {"opens": "push", "leaf": leaf, "handle": {"kind": "lever", "centre": [0.85, -0.3, 1.0]}}
+    request = parse_request({"robot": {"name": "atlas"}, "task": {"door": door}})
+    moved, _ = adjust_request(request, None, "door", np.array([0.01, 0.02, 0.0]))
+    for now, before in (
+        (moved.task.door.leaf.hinge, leaf["hinge"]),
+        (moved.task.door.leaf.edge, leaf["edge"]),
+        (moved.task.door.handle.centre, [0.85, -0.3, 1.0]),
+    ):
+        np.testing.assert_allclose(np.subtract(now, before), [0.01, 0.02, 0.0], atol=1e-12)
+    with pytest.raises(RequestError, match="no target 'valve'"):
+        adjust_request(request, None, "valve", np.array([0.01, 0.0, 0.0]))
+
+
+def test_a_door_of_the_scan_is_displaced_with_its_handle():
+    seen = DoorGeometry(
+        hinge=np.zeros(3),
+        along=np.array([0.0, 1.0, 0.0]),
+        normal=np.array([-1.0, 0.0, 0.0]),
+        face=0.0,
+        width=0.9,
+        height=2.0,
+        thickness=0.04,
+        opens="push",
+        handle=HandleGeometry("lever", np.array([-0.05, 0.8, 1.0]), np.array([0.0, -1.0, 0.0]), 0.12, 0.01),
+    )
+    request = parse_request({"robot": {"name": "atlas"}, "scene": {"cloud": "scan.pcd"}, "task": {"door": {}}})
+    around = Surroundings((), (), doors=(SeenDoor(seen, 0.9),))
+    same, moved = adjust_request(request, around, "door", np.array([0.0, 0.01, 0.0]))
+    assert same == request
+    np.testing.assert_allclose(moved.doors[0].geometry.hinge, [0.0, 0.01, 0.0])
+    np.testing.assert_allclose(moved.doors[0].geometry.handle.centre, [-0.05, 0.81, 1.0])
+
+
 @pytest.mark.parametrize(
     ("goal", "target", "message"),
     [
-        ({"joints": {"l_arm_elx": 1.0}}, "l_tool", "only poses of a goal and valves can be"),
+        ({"joints": {"l_arm_elx": 1.0}}, "l_tool", "only poses of a goal, valves and doors can be"),
         ({"poses": [{"link": "l_tool", "position": [0.6, 0.2, 1.0]}]}, "r_tool", "expected l_tool"),
     ],
 )
 def test_a_target_that_the_request_does_not_have_is_refused(goal, target, message):
     request = parse_request({"robot": {"name": "atlas"}, "goal": goal})
-    with pytest.raises(ExecutionError, match=message):
+    with pytest.raises(RequestError, match=message):
         adjust_request(request, None, target, np.array([0.01, 0.0, 0.0]))
 
 

@@ -14,7 +14,7 @@ from small_robots import box, floating_joint, robot_of
 
 from costs.curve import Curve, TimeLaw
 from costs.robot import MechanismJoint, Release, RobotModel, with_mechanism
-from costs.robot.hull import make_outer_hull
+from costs.robot.mesh.hull import make_outer_hull
 from costs.robot.model import LinkBody
 from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError, ResultError

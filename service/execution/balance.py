@@ -27,6 +27,7 @@ class PlannedBalance:
         margin: (S,) how far it is inside the support of its phase with all contacts [m]; inf for a fixed base.
         phase: (S,) index of the phase.
         phases: of the plan's motion.
+        feet: links that may be put down again on the way back.
     """
 
     times: Float[np.ndarray, "S"]
@@ -34,6 +35,7 @@ class PlannedBalance:
     margin: Float[np.ndarray, "S"]
     phase: Int[np.ndarray, "S"]
     phases: tuple[Phase, ...]
+    feet: tuple[str, ...] = ()
 
     @staticmethod
     def of(reference: PlannedReference) -> PlannedBalance:
@@ -51,7 +53,7 @@ class PlannedBalance:
             here = index == k
             if phase.contacts and robot.is_floating:
                 margin[here] = -outside_polygon(_find_support(phase), com[here])
-        return PlannedBalance(times, com, margin, index, phases)
+        return PlannedBalance(times, com, margin, index, phases, robot.link_groups.get("feet", ()))
 
     def find_last(self, time_s: float, lost: Collection[str], margin_m: float) -> float:
         """Return the latest time up to ``time_s`` at which the plan is in balance without contacts that are lost.
@@ -62,12 +64,26 @@ class PlannedBalance:
             margin_m: required margin; where no earlier time has it, the time with the largest one counts.
         """
         before = np.flatnonzero(self.times <= time_s + 1e-9)
+        before = before[self.phase[before] >= self._find_first(int(self.phase[before[-1]]))]
         margins = np.array([self._find_margin(int(k), lost) for k in before])
         enough = np.flatnonzero(margins >= margin_m)
         if len(enough) and (enough[-1] == len(before) - 1):
             return time_s
         best = enough[-1] if len(enough) else int(margins.argmax())
         return float(self.times[before[best]])
+
+    def _find_first(self, k: int) -> int:
+        """Return the first of the phases up to one that hold the robot by the same links besides its feet.
+
+        Feet are put down again where they stood; hands and trunk would have to take hold again of what they let go.
+        """
+
+        def others(phase: Phase) -> set[str]:
+            return {contact.link for contact in phase.contacts} - set(self.feet)
+
+        while k > 0 and others(self.phases[k - 1]) == others(self.phases[k]):
+            k -= 1
+        return k
 
     def _find_margin(self, k: int, lost: Collection[str]) -> float:
         phase = self.phases[self.phase[k]]

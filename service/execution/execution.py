@@ -25,6 +25,7 @@ from service.execution.reference import PlannedReference, ReferencePhase, Refere
 from service.execution.shift import Shift, ShiftLimits, step_shift
 from service.execution.touchdown import (
     FootReading,
+    Stage,
     TouchdownSettings,
     TouchdownState,
     find_ankle,
@@ -32,6 +33,7 @@ from service.execution.touchdown import (
     soften,
     step_touchdown,
 )
+from service.execution.yielding import ArmYield, Yielding, YieldSettings, holds_arm
 from service.verify import PlantedContact
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
@@ -51,7 +53,10 @@ class ExecutionSettings:
         touchdown: of feet that land; None lands them stiff.
         shifts: how fast operator's displacements of targets come.
         hand_gains: PID control that corrects where the hands are measured to be [m per m]; None for none.  It rests
-            while a hand is planted, and while hands press on a mechanism.
+            while hands press on a mechanism, and in plans that plant arms.
+        load_gain: speed at which both feet, while they alone are planted, move up and down against each other per
+            newton by which they share the weight otherwise than planned; 0 for none [m/(N s)].
+        yielding: of arms in contact; None to hold them as stiff as the servos are.
         noise: of the sensors, for the pelvis estimator.
     """
 
@@ -61,6 +66,8 @@ class ExecutionSettings:
     touchdown: TouchdownSettings | None = field(default_factory=TouchdownSettings)
     shifts: ShiftLimits = field(default_factory=ShiftLimits)
     hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.0, ki=2.0, limit=0.05))
+    load_gain: float = 4e-5
+    yielding: YieldSettings | None = field(default_factory=YieldSettings)
     noise: SensorNoise = field(default_factory=SensorNoise)
 
 
@@ -125,6 +132,7 @@ class Execution:
             other = sorted(set(driver.joint_names) ^ set(reference.joint_names))
             raise ExecutionError(f"the driver's joints are not those of the plan: {', '.join(other[:3])}")
         self._touchdown: dict[str, TouchdownState] = {}
+        self._yields: dict[str, ArmYield] = {}
         self._shifts: dict[str, Shift] = {}
         self._forces: MeasuredForces | None = None
         self._estimate: PelvisEstimate | None = None
@@ -153,12 +161,15 @@ class Execution:
         if settings.touchdown is not None and self._has_forces:
             self._ankles = {foot: find_ankle(robot, driver.joint_names, foot) for foot in feet}
         self._touchdown = {foot: self._touchdown.get(foot, TouchdownState.stiff()) for foot in self._ankles}
+        planted = [contact for phase in reference.phases for contact in phase.contacts] if self._has_forces else []
+        self._yielding = Yielding(robot, driver.joint_names, planted if settings.yielding else [], settings.yielding)
+        self._yields = {**self._yielding.start(), **{k: v for k, v in self._yields.items() if k in self._yielding.arms}}
         tools = sorted({load.tool for phase in reference.phases for load in phase.loads}) if self._has_forces else []
         self._meter = ForceMeter(robot, driver.joint_names, tools, driver.period_s)
         self._forces = None
         self._hands = tuple(robot.link_groups.get("hands", ())) if self._has_forces else ()
-        if settings.hand_gains is None:
-            self._hands = ()
+        if settings.hand_gains is None or self._yielding.arms:
+            self._hands = ()  # a hand that is moved near what the arms hold on to presses the robot off it
         self._corrections = {hand: PidState.zero((3,)) for hand in self._hands}
         self._corrected = {hand: np.zeros(3) for hand in self._hands}
         self._hand_errors: dict[str, np.ndarray] = {}
@@ -255,6 +266,8 @@ class Execution:
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
         self._step_touchdown(phase, reading, wanted)
+        self._share_weight(phase, wanted)
+        self._step_yielding()
         self._n_cycles += 1
         if self._n_cycles % HAND_CYCLES == 0:
             self._correct_hands(phase, reading, wanted, HAND_CYCLES * period)
@@ -296,6 +309,12 @@ class Execution:
     def _current_phases(self) -> tuple[ReferencePhase, ReferencePhase | None]:
         phases, k = self.reference.phases, self.state.phase
         return phases[k], phases[k + 1] if k + 1 < len(phases) else None
+
+    def _list_landing(self) -> list[PlantedContact]:
+        """Return the contacts that the next phase adds."""
+        phase, following = self._current_phases()
+        held = {contact.link for contact in phase.contacts}
+        return [] if following is None else [contact for contact in following.contacts if contact.link not in held]
 
     def _check_start(self, start: ReferenceState) -> None:
         measured = self.driver.read().q
@@ -354,6 +373,22 @@ class Execution:
                 period_s=self.driver.period_s,
             )
 
+    def _step_yielding(self) -> None:
+        """Advance the arms that press on something, or are about to."""
+        if not self._yields or self._forces is None:
+            return
+        phase, _ = self._current_phases()
+        self._yields = self._yielding.step(
+            self._yields,
+            self.command.q,
+            phase.contacts,
+            self._list_landing(),
+            is_waiting=self.state.mode is Mode.WAITING,
+            measured=self._forces.contacts,
+            expected=self._wanted.contact_wrenches,
+            period_s=self.driver.period_s,
+        )
+
     def _compare_sole(self, contact: PlantedContact) -> tuple[float, float]:
         """Return the height of a placed sole's lowest point over the plan's ground [m], and its slope there [rad]."""
         place = self._data.oMf[self.reference.robot.model.getFrameId(contact.link)]
@@ -379,14 +414,12 @@ class Execution:
         gains = self.settings.hand_gains
         if not self._hands or gains is None or self._estimate is None or phase.loads:
             return
-        model = self.reference.robot.model
+        model, landing = self.reference.robot.model, self._list_landing()
         self._place(wanted.configuration)
         places = {hand: self._data.oMf[model.getFrameId(hand)].translation.copy() for hand in self._hands}
         self._place(self._read_configuration(reading, wanted))
-        frames = model.frames
-        held = {frames[model.getFrameId(contact.link)].parentJoint for contact in phase.contacts}
         for hand in self._hands:
-            if frames[model.getFrameId(hand)].parentJoint in held:
+            if holds_arm(model, hand, (*phase.contacts, *landing)):
                 continue  # it would press on what it holds
             shift = self._shifts.get(hand)
             target = places[hand] if shift is None else places[hand] + shift.offset
@@ -395,6 +428,26 @@ class Execution:
             self._hand_errors[hand] = error
             output, state = step_pid(gains, self._corrections[hand], error, period_s)
             self._corrections[hand], self._corrected[hand] = state, output
+
+    def _share_weight(self, phase: ReferencePhase, wanted: ReferenceState) -> None:
+        """Lower the foot that carries less than planned and raise the other one, while they alone are planted."""
+        settings, forces, period = self.settings.touchdown, self._forces, self.driver.period_s
+        planted = {contact.link for contact in phase.contacts}
+        both = len(self._ankles) == 2 and planted == set(self._ankles)
+        if settings is None or forces is None or not both or not self.settings.load_gain:
+            return
+        left, right = self._ankles
+        more = 0.5 * sum(
+            sign * (float(forces.contacts[foot][2]) - float(wanted.contact_wrenches[foot][2]))
+            for foot, sign in ((left, 1.0), (right, -1.0))
+        )
+        speed = float(np.clip(self.settings.load_gain * more, -settings.probe_speed, settings.probe_speed))
+        for foot, sign in ((left, 1.0), (right, -1.0)):
+            state = self._touchdown[foot]
+            if state.stage in (Stage.STIFF, Stage.SETTLED):
+                at = float(np.clip(state.height.offset[2] + sign * speed * period, -settings.probe_m, settings.probe_m))
+                offset = np.array([0.0, 0.0, at])
+                self._touchdown[foot] = replace(state, height=Shift(offset, np.zeros(3), offset))
 
     def list_shifts(self) -> Mapping[str, Shift]:
         """Return the displacements of all targets: the operator's, of corrected hands, and of feet on the ground."""
@@ -412,6 +465,9 @@ class Execution:
         command = JointCommand(
             self.command.q[self._columns], self.command.qd[self._columns], wanted.tau[self._order_of_plan]
         )
+        for link, state in self._yields.items():
+            if state.offset.any():
+                command.q[self._yielding.arms[link].joints] += state.offset
         if self.settings.touchdown is not None:
             for foot, ankle in self._ankles.items():
                 command = soften(self.settings.touchdown, ankle, self._touchdown[foot], command, reading)

@@ -11,11 +11,19 @@ from scipy.optimize import nnls
 from costs.stopping import poll
 from service.verify import Motion, Phase
 from service.verify.forces.contact_forces import ContactShare, Joints
-from service.verify.forces.dynamics import compute_inverse_dynamics, list_levers, make_contact_share, make_joints
+from service.verify.forces.dynamics import (
+    compute_inverse_dynamics,
+    list_levers,
+    make_contact_share,
+    make_joints,
+    map_axes,
+)
 from service.verify.forces.hand_loads import list_load_cases
 
 _EXACT = 1e3  # weight of the wrench against the size of forces in the least-squares program
 _EDGE = 1e-4  # weight of each edge of a friction pyramid: of two ways to make a force, the shorter
+_CAPPED = 30.0  # weight of a normal force beyond its cap
+_CAP_SHARE = 0.85  # of a cap that is used where other contacts can carry the rest
 _UNLOADED = 30.0  # weight of the forces at a contact that comes or goes, against 1 of the others
 
 
@@ -59,10 +67,7 @@ def carry_motion(
     for joint, part in list_load_cases(motion.robot, q, phase.loads)[-1].parts:
         part = part * loaded[:, None]
         wrench -= part
-        carried = np.zeros(model.nv)
-        for above in list(model.supports[joint])[1:]:
-            carried[model.joints[above].idx_v : model.joints[above].idx_v + model.joints[above].nv] = 1.0
-        torque -= np.einsum("sij,si->sj", inverse.jacobians, part) * carried
+        torque -= np.einsum("sij,si->sj", inverse.jacobians, part) @ map_axes(model, joint)
     if not phase.contacts:
         return CarriedMotion(torque, np.zeros((len(q), 0, 3)), np.zeros(len(q)))
     share = make_contact_share(motion, phase)
@@ -79,27 +84,35 @@ def share_forces(
 ) -> Float[np.ndarray, "S C 3"]:
     """Return forces inside the friction pyramids that make wrenches about the world's origin [N].
 
-    They are small, and so are the joints' torques relative to their limits: least squares with a strictly convex cost,
-    so that forces change continuously with wrench and weights.
+    Normal forces stay below 85 % of their caps where other contacts can carry the rest.  Forces are small, and so are
+    the joints' torques relative to their limits: least squares with a strictly convex cost, so that forces change
+    continuously with wrench and weights.
     """
     wanted = share.about_middle(wrench) / share.weight
     edges = share.edges
-    count = len(share.ground.points)
+    count, n_edges, n_joints = len(share.ground.points), share.edges.shape[1], len(joints.effort)
     forces = np.zeros((len(wrench), count, 3))
-    n_joints = len(joints.effort)
-    table = np.concatenate(
-        [_EXACT * share.grasp @ edges, edges, np.zeros((n_joints, edges.shape[1])), _EDGE * np.eye(edges.shape[1])]
-    )
+    caps = _CAP_SHARE * share.ground.caps / share.weight
+    capped = np.flatnonzero(caps < 1.0)  # one that could carry the whole robot does not bind
+    # The last columns are what is left of each cap: normal force + rest = cap, and no rest is negative.
+    table = np.zeros((6 + 3 * count + n_joints + n_edges + len(capped), n_edges + len(capped)))
     target = np.zeros(len(table))
-    torques = slice(6 + 3 * count, 6 + 3 * count + n_joints)
+    points, torques = slice(6, 6 + 3 * count), slice(6 + 3 * count, 6 + 3 * count + n_joints)
+    last = len(table) - len(capped)
+    table[:6, :n_edges] = _EXACT * share.grasp @ edges
+    table[last - n_edges : last, :n_edges] = _EDGE * np.eye(n_edges)
+    of_point = np.repeat(np.eye(count), n_edges // count, axis=1)  # each edge has a unit normal force
+    table[last:, :n_edges] = _CAPPED * of_point[capped]
+    table[last:, n_edges:] = _CAPPED * np.eye(len(capped))
+    target[last:] = _CAPPED * caps[capped]
     for k, row in enumerate(wanted):
         poll()
         weights = np.repeat(1.0 + (_UNLOADED - 1.0) * loosened[k], 3)
-        table[6 : 6 + 3 * count] = weights[:, None] * edges
-        table[torques] = share.weight * (joints.lever[k] @ edges) / joints.effort[:, None]
+        table[points, :n_edges] = weights[:, None] * edges
+        table[torques, :n_edges] = share.weight * (joints.lever[k] @ edges) / joints.effort[:, None]
         target[:6], target[torques] = _EXACT * row, joints.torque[k] / joints.effort
         try:
-            amount = np.asarray(nnls(table, target)[0])
+            amount = np.asarray(nnls(table, target)[0])[:n_edges]
         except RuntimeError:  # too many steps
             forces[k] = forces[k - 1] if k else 0.0
             continue

@@ -51,6 +51,7 @@ class GuardSettings:
     Attributes:
         touch_n: upright force at which a foot counts as put down [N].
         hand_touch_n: the same of any other link, along the normal of what it is put on [N].
+        cap_share: of the cap of a planted link, at which it aborts; plans use caps fully.
         load_share: where between expected force and cap a hand's force aborts.
         lost_share: a foot counts as lost below this share of the upright force that the plan expects of it.
         lost_n: feet that the plan expects less of are not compared [N].
@@ -60,6 +61,7 @@ class GuardSettings:
 
     touch_n: float = 25.0
     hand_touch_n: float = 5.0
+    cap_share: float = 1.5
     load_share: float = 0.5
     lost_share: float = 0.05
     lost_n: float = 400.0
@@ -67,8 +69,10 @@ class GuardSettings:
     fall_rad: float = 0.35
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.load_share <= 1.0:
-            raise ExecutionError(f"guards: load_share {self.load_share:g}; expected 0 to 1")
+        if not 0.0 <= self.load_share <= 1.0 or not self.cap_share > 0.0:
+            raise ExecutionError(
+                f"guards: load_share {self.load_share:g}, cap_share {self.cap_share:g}; expected 0 to 1, and above 0"
+            )
         if not (
             min(self.touch_n, self.hand_touch_n) > 0.0
             and 0.0 <= self.lost_share < 1.0
@@ -131,9 +135,10 @@ class Guards:
                 continue
             force, cap = press_on(contact, contacts[link]), contact.force_cap_n * len(contact.sole)
             wanted = press_on(contact, expected[link][:3]) if link in expected else 0.0
-            if force > cap:
-                words = f"{link} carries {force:.0f} N in '{phase.name}', its cap is {cap:.0f} N"
-                over[link, "cap"] = Finding(Severity.ABORT, link, force, cap, words)
+            most = limits.cap_share * cap
+            if force > most:
+                words = f"{link} carries {force:.0f} N in '{phase.name}'; its cap is {cap:.0f} N, abort at {most:.0f} N"
+                over[link, "cap"] = Finding(Severity.ABORT, link, force, most, words)
             least = limits.lost_share * wanted
             if wanted >= limits.lost_n and force < least:
                 words = f"{link} carries {force:.0f} N in '{phase.name}'; the plan expects {wanted:.0f} N"

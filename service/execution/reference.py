@@ -23,6 +23,7 @@ from service.verify.forces.dynamics import (
     find_limited_joints,
     list_levers,
     make_contact_share,
+    map_axes,
 )
 from service.verify.forces.hand_loads import list_load_cases
 from service.verify.frame_paths import find_mechanism_joints
@@ -352,11 +353,8 @@ def _apply_loads(
     model: pin.Model = motion.robot.model
     wrench, torque = wrench.copy(), torque.copy()
     for joint, part in list_load_cases(motion.robot, q, loads)[-1].parts:
-        carried = np.zeros(model.nv)
-        for above in list(model.supports[joint])[1:]:
-            carried[model.joints[above].idx_v : model.joints[above].idx_v + model.joints[above].nv] = 1.0
         wrench -= share * part
-        torque -= share * np.einsum("sij,si->sj", jacobians, part) * carried
+        torque -= share * np.einsum("sij,si->sj", jacobians, part) @ map_axes(model, joint)
     return wrench, torque
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,15 @@ from jaxtyping import Float
 
 from costs.robot import BASE_NAMES
 from costs.rotation import make_quaternions
-from service.errors import ExecutionError, ResultError, would_do
+from service.errors import ExecutionError, ResultError
 from service.execution.execution import Execution
 from service.execution.reference import PlannedReference
-from service.execution.shift import Shift
 from service.planner import plan
+from service.replay.adjust import adjust_request
 from service.replay.replay import verify_result
 from service.replay.resume import make_rest_request, read_recorded_scan
-from service.request.schema import PlanRequest
 from service.result.folder import check_folder
 from service.result.output import write_result
-from service.setup.world import Surroundings
-
-VALVE = "valve"
 
 
 def write_state(execution: Execution, path: Path) -> None:
@@ -60,41 +55,6 @@ def _describe_state(execution: Execution) -> dict[str, Any]:
             "quaternion_wxyz": make_quaternions(q[None, 3 : len(BASE_NAMES)])[0].tolist(),
         }
     return state
-
-
-def adjust_request(
-    request: PlanRequest, around: Surroundings | None, target: str, offset: Float[np.ndarray, "3"]
-) -> tuple[PlanRequest, Surroundings | None]:
-    """Return a request, and what its scan shows, with a target displaced.
-
-    Args:
-        request: the request for the rest.
-        around: what its scan shows, if it has one.
-        target: link of a goal's pose, or ``valve``.
-        offset: displacement in world axes [m].
-
-    Raises:
-        ExecutionError: the request has no such target, or the displacement makes no sense.
-    """
-    offset = Shift.zero().towards(offset).goal
-    valve = None if request.task is None else request.task.valve
-    poses = () if request.goal is None else request.goal.poses
-    known = [pose.link for pose in poses] if valve is None else [VALVE]
-    if target not in known:
-        expected = f"expected {would_do(target, known)}" if known else "only poses of a goal and valves can be"
-        raise ExecutionError(f"adjust: this plan has no target {target!r} that can be displaced; {expected}")
-    if request.goal is not None:
-        moved = tuple(
-            replace(pose, position=_add(pose.position, offset)) if pose.link == target else pose for pose in poses
-        )
-        return replace(request, goal=replace(request.goal, poses=moved)), around
-    if valve is not None and request.task is not None and valve.centre is not None:
-        given = replace(valve, centre=_add(valve.centre, offset))
-        return replace(request, task=replace(request.task, valve=given)), around
-    if around is None or not around.valves:
-        raise ExecutionError("adjust: the earlier plan recorded no valve")
-    first = replace(around.valves[0], centre=around.valves[0].centre + offset)
-    return request, replace(around, valves=(first, *around.valves[1:]))
 
 
 def plan_rest(
@@ -148,8 +108,3 @@ def read_certified(folder: Path) -> PlannedReference:
         why = summary["explanation"][0] if summary["explanation"] else "no certificate"
         raise ResultError(f"{folder} is {summary['verdict']}: {why}; only certified plans are carried out")
     return PlannedReference.read(folder)
-
-
-def _add(place: tuple[float, float, float], offset: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
-    x, y, z = (np.asarray(place) + offset).tolist()
-    return x, y, z

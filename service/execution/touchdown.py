@@ -47,6 +47,7 @@ class TouchdownSettings:
         touch_s: time for which it must be exceeded [s].
         settle_s: time after the touch in which the sole comes flat, and then time in which the ankle becomes stiff [s].
         probe_speed: of the foot that looks for ground below its planned place [m/s].
+        return_speed: of a lifted foot back to the plan's height [m/s].
         probe_m: how far the ground may be from where the plan has it [m].
         ground_m: error of the ground's measured height, which is not corrected [m].
         ground_rad: error of the ground's measured slope, to which the ankle does not stay adapted [rad].
@@ -63,6 +64,7 @@ class TouchdownSettings:
     touch_s: float = 0.004
     settle_s: float = 0.25
     probe_speed: float = 0.03
+    return_speed: float = 0.015
     probe_m: float = 0.03
     ground_m: float = 0.005
     ground_rad: float = 0.03
@@ -206,7 +208,8 @@ def step_touchdown(
     step = settings.tilt_rate * period_s
     if not lands and not planted:  # in the air: the foot goes back to its command
         offset = state.offset - np.clip(state.offset, -step, step)
-        height = step_shift(state.height.towards(np.zeros(3)), settings.limits, period_s)
+        slow = replace(settings.limits, speed=settings.return_speed)  # or it would press on ground that it leaves
+        height = step_shift(state.height.towards(np.zeros(3)), slow, period_s)
         return replace(TouchdownState.stiff(), offset=offset, height=height)
     if state.stage is Stage.STIFF and lands:
         state = replace(state, stage=Stage.TILTED, since_s=0.0)
@@ -232,8 +235,8 @@ def _step_free(
         state = replace(state, has_touched=False)  # an edge was high, the ground below the sole is not: look further
     if not state.has_touched and state.pressed_s > settings.touch_s:
         # Heights within the error of the measurement are the plan's own.
-        off = foot.ground_off if abs(foot.ground_off) > settings.ground_m else 0.0
-        off = float(np.clip(off, -settings.probe_m, settings.probe_m)) if left_s > 0.0 else state.height.offset[2]
+        off = foot.ground_off if left_s > 0.0 else float(state.height.offset[2])
+        off = float(np.clip(off, -settings.probe_m, settings.probe_m)) if abs(off) > settings.ground_m else 0.0
         height = state.height.towards(np.array([0.0, 0.0, off]))
         state = replace(state, has_touched=True, since_s=0.0, height=height)
     if state.has_touched and state.since_s > settings.settle_s and planted:

@@ -10,11 +10,12 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from costs.robot import RobotHand, read_joint_axis
+from costs.robot import RobotHand, RobotModel, read_joint_axis
 from costs.robot.servo import DAMPING_S, default_stiffness, list_servo_joints
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
+from service.simulation.perturb import Perturbation, draw_perturbation
 from service.simulation.resistance import MechanismPhysics
 from service.verify import Motion
 from service.verify.frame_paths import find_mechanism_joints
@@ -40,6 +41,23 @@ PEG_RADIUS = RobotHand.peg_radius + 5e-4  # from a peg's middle to what it press
 
 
 @dataclass(frozen=True)
+class Follower:
+    """Joint that follows another one: ``value = offset + ratio * leader``.
+
+    Attributes:
+        joint, leader: names.
+        column: of the leader in a configuration of the plan.
+        ratio, offset: [rad/rad], [rad] or the like for prismatic joints.
+    """
+
+    joint: str
+    leader: str
+    column: int
+    ratio: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class PhysicsModel:
     """A compiled MuJoCo model and where the quantities of a plan are in it.
 
@@ -58,6 +76,8 @@ class PhysicsModel:
         grips: per phase of the motion the indices of the equalities that hold a gripper at the mechanism.
         physics: what the mechanism opposes.
         base_link: the link that carries the inertial unit.
+        perturbation: errors of the physics against the plan.
+        followers: per joint that follows another one: address of its position, and the follower.
     """
 
     mj: Any
@@ -81,6 +101,8 @@ class PhysicsModel:
     grips: tuple[tuple[int, ...], ...]
     physics: MechanismPhysics
     base_link: str
+    perturbation: Perturbation
+    followers: tuple[tuple[int, Follower], ...]
 
     @property
     def moved_names(self) -> tuple[str, ...]:
@@ -119,12 +141,15 @@ def build_physics(
         ResultError: MuJoCo is not installed, or cannot use the robot.
     """
     mujoco = import_mujoco()
-    builder = _Builder(mujoco, motion, physics, options)
+    model = motion.robot.model
+    names = list_servo_joints(motion.robot)
+    is_turning = np.array([bool(np.any(read_joint_axis(motion.robot, model.getJointId(name))[3:])) for name in names])
+    perturbation = draw_perturbation(motion, is_turning, options)
+    builder = _Builder(mujoco, motion, physics, options, perturbation)
     builder.add_world()
     builder.add_joints()
     builder.exclude_pairs()
     table = {**default_stiffness(motion.robot), **(stiffness or {})}
-    names = list_servo_joints(motion.robot)
     kp = np.array([table[name] for name in names]) * options.stiffness_scale
     kd = DAMPING_S * kp
     columns = [motion.robot.joint_names.index(name) for name in names]
@@ -132,6 +157,7 @@ def build_physics(
     builder.add_servos(names, kp, kd, effort)
     latches = builder.add_latches()
     grips = builder.add_grips()
+    followers = builder.add_followers()
     try:
         mj = builder.spec.compile()
     except ValueError as error:
@@ -174,18 +200,44 @@ def build_physics(
         grips=tuple(tuple(index for index, _ in parts) for parts in grips),
         physics=physics,
         base_link=builder.base_link,
+        perturbation=perturbation,
+        followers=tuple((address(follower.joint)[0], follower) for follower in followers),
     )
 
 
 BASE = "base"
 
 
+def _is_follower(robot: RobotModel, joint: int) -> bool:
+    return bool(robot.model.joints[joint].shortname() == "JointModelMimic")
+
+
+def _list_followers(robot: RobotModel) -> list[Follower]:
+    """Return the joints that follow another one (URDF's ``mimic``)."""
+    followers = []
+    for joint in range(1, robot.model.njoints):
+        if _is_follower(robot, joint):
+            made = robot.model.joints[joint]
+            own, column = made.extract(), int(made.idx_q)
+            leader = robot.joint_names[column]
+            name = str(robot.model.names[joint])
+            followers.append(Follower(name, leader, column, float(own.scaling), float(own.offset)))
+    return followers
+
+
 class _Builder:
     """MjSpec of a motion, part by part."""
 
-    def __init__(self, mujoco: Any, motion: Motion, physics: MechanismPhysics, options: SimulationOptions) -> None:
+    def __init__(
+        self,
+        mujoco: Any,
+        motion: Motion,
+        physics: MechanismPhysics,
+        options: SimulationOptions,
+        perturbation: Perturbation,
+    ) -> None:
         self.mujoco, self.motion, self.robot = mujoco, motion, motion.robot
-        self.physics, self.options = physics, options
+        self.physics, self.options, self.perturbation = physics, options, perturbation
         self.spec = mujoco.MjSpec()
         self.spec.compiler.balanceinertia = True
         self.spec.compiler.degree = False
@@ -208,6 +260,7 @@ class _Builder:
         tops = [top for top in floors if top is not None]
         for piece in self.motion.scene.pieces:
             top = find_level_top(piece.vertices) if piece.kind == "floor" else None
+            moved = self.perturbation.places[piece.name]
             if top is not None and top <= min(tops) + 1e-9:
                 middle = piece.vertices.mean(axis=0)
                 self._add_geom(
@@ -216,10 +269,10 @@ class _Builder:
                     ("world", piece.name),
                     type=self.mujoco.mjtGeom.mjGEOM_PLANE,
                     size=[*(0.5 * np.ptp(piece.vertices[:, :2], axis=0)), 1.0],
-                    pos=[middle[0], middle[1], top],
+                    pos=[middle[0] + moved[0], middle[1] + moved[1], top + moved[2]],
                 )
             else:
-                self._add_hull(self.spec.worldbody, piece.name, ("world", piece.name), piece.vertices)
+                self._add_hull(self.spec.worldbody, piece.name, ("world", piece.name), piece.vertices + moved)
 
     def add_joints(self) -> None:
         """Add a body per joint of robot and mechanism, with its inertia, and a body per link with its shapes."""
@@ -324,6 +377,20 @@ class _Builder:
                 index += 1
         return phases
 
+    def add_followers(self) -> tuple[Follower, ...]:
+        """Add an equality per joint that follows another one: ``value = offset + ratio * leader``."""
+        followers = tuple(_list_followers(self.robot))
+        for follower in followers:
+            equality = self.spec.add_equality(
+                type=self.mujoco.mjtEq.mjEQ_JOINT,
+                name1=follower.joint,
+                name2=follower.leader,
+                objtype=self.mujoco.mjtObj.mjOBJ_JOINT,
+                **STIFF,
+            )
+            equality.data[:5] = [follower.offset, follower.ratio, 0.0, 0.0, 0.0]
+        return followers
+
     def _add_assumed_spokes(self, bodies: Mapping[int, Any]) -> None:
         """Add the spokes that a peg presses where the record shows none: a thin box before each place of a load."""
         if not self.physics.has_assumed_spokes or any(SPOKE in body.name for body in self.robot.bodies):
@@ -368,10 +435,11 @@ class _Builder:
             body.gravcomp = 1.0  # the request's loads are all that a mechanism opposes
             return
         inertia = self.robot.model.inertias[joint]
-        mass = float(inertia.mass)
+        factor = self.perturbation.masses[joint]
+        mass = factor * float(inertia.mass)
         body.mass = max(mass, LEAST_MASS)
         body.ipos = np.array(inertia.lever)
-        values, axes = np.linalg.eigh(np.array(inertia.inertia))
+        values, axes = np.linalg.eigh(factor * np.array(inertia.inertia))
         if np.linalg.det(axes) < 0.0:
             axes[:, 0] = -axes[:, 0]
         body.inertia = np.maximum(values, LEAST_INERTIA)
@@ -381,11 +449,13 @@ class _Builder:
         model = self.robot.model
         name = str(model.names[joint])
         column = int(model.joints[joint].idx_q)
-        axis = read_joint_axis(self.robot, joint)
+        axis, is_follower = read_joint_axis(self.robot, joint), _is_follower(self.robot, joint)
+        if is_follower:  # its axis comes multiplied by its ratio
+            axis = axis / float(model.joints[joint].extract().scaling)
         is_turning = bool(np.any(axis[3:]))
         kind = self.mujoco.mjtJoint
         low, high = float(self.robot.lower[column]), float(self.robot.upper[column])
-        limited = bool(np.isfinite([low, high]).all())
+        limited = not is_follower and bool(np.isfinite([low, high]).all())
         made = body.add_joint(
             name=name,
             type=kind.mjJNT_HINGE if is_turning else kind.mjJNT_SLIDE,
@@ -396,8 +466,8 @@ class _Builder:
         if is_moved:
             made.armature, made.frictionloss = MECHANISM_ARMATURE, self._resist(name)
         else:
-            made.armature = self.armature
-            made.frictionloss = self.options.joint_friction * float(self.robot.effort[column])
+            made.armature = 0.0 if is_follower else self.armature
+            made.frictionloss = 0.0 if is_follower else self.options.joint_friction * float(self.robot.effort[column])
 
     def _resist(self, name: str) -> float:
         resistance = self.physics.joints.get(name)
@@ -412,7 +482,8 @@ class _Builder:
 
     def _add_geom(self, body: Any, name: str, owner: tuple[str, str], **fields: Any) -> None:
         kind = owner[0]
-        friction = {"robot": SELF_FRICTION, "mechanism": MECHANISM_FRICTION, "world": self.options.friction}[kind]
+        of_world = max(self.options.friction + self.perturbation.friction, 0.0)
+        friction = {"robot": SELF_FRICTION, "mechanism": MECHANISM_FRICTION, "world": of_world}[kind]
         body.add_geom(
             name=f"{kind}:{name}",
             contype=1 if kind == "robot" else 0,

@@ -18,9 +18,11 @@ class SimulationOptions:
         noise: size of the sensors' noise; 1 is that of good encoders, inertial units and force sensors.
         delay_ms: time from a command to its servo.
         joint_friction: dry friction in every joint, as a share of its effort limit.
+        perturb: size of random errors of the physics against the plan; at 1 surfaces are off by up to 1 cm along each
+            axis, masses by 5 %, friction by 0.1, and joints at the beginning by 10 mrad.
         settle_s: time that the robot stands on the first pose before the plan begins.
         after_s: time that it stands on the last pose after the plan.
-        seed: of the noise.
+        seed: of noise and errors.
     """
 
     friction: float = 0.8
@@ -29,6 +31,7 @@ class SimulationOptions:
     noise: float = 0.0
     delay_ms: float = 0.0
     joint_friction: float = 0.0
+    perturb: float = 0.0
     settle_s: float = 1.0
     after_s: float = 0.5
     seed: int = 0
@@ -41,6 +44,7 @@ class SimulationOptions:
             "noise": (0.0, 1000.0),
             "delay_ms": (0.0, 1000.0),
             "joint_friction": (0.0, 1.0),
+            "perturb": (0.0, 5.0),
             "settle_s": (0.0, 60.0),
             "after_s": (0.0, 60.0),
             "seed": (0, 2**32 - 1),

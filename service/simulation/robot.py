@@ -47,7 +47,11 @@ class SimulatedRobot:
     """
 
     def __init__(
-        self, model: PhysicsModel, start: Float[np.ndarray, "n"], options: SimulationOptions | None = None
+        self,
+        model: PhysicsModel,
+        start: Float[np.ndarray, "n"],
+        options: SimulationOptions | None = None,
+        steps: int = 1,
     ) -> None:
         """Put the robot and its mechanism at a configuration of the plan, at rest.
 
@@ -55,7 +59,9 @@ class SimulatedRobot:
             model: from ``build_physics``.
             start: (n,) configuration of the plan's model: base, joints, mechanism.
             options: noise, delay, feed-forward.
+            steps: of the physics, 1 ms each, per command.
         """
+        self._steps = steps
         self.mujoco = import_mujoco()
         self.model, self.options = model, options or SimulationOptions()
         self.data: Any = self.mujoco.MjData(model.mj)
@@ -76,7 +82,7 @@ class SimulatedRobot:
             dtype=int,
         )
         self._gyro, self._accelerometer = (int(model.mj.sensor(name).adr[0]) for name in ("gyro", "accelerometer"))
-        self._delay_steps = round(self.options.delay_ms * 1e-3 / TIME_STEP_S)
+        self._delay_steps = round(self.options.delay_ms * 1e-3 / self.period_s)
         self._is_latched = [True] * len(model.latches)
         self.place(start)
 
@@ -88,7 +94,7 @@ class SimulatedRobot:
     @property
     def period_s(self) -> float:
         """Seconds between two commands."""
-        return TIME_STEP_S
+        return self._steps * TIME_STEP_S
 
     @property
     def time_s(self) -> float:
@@ -111,9 +117,12 @@ class SimulatedRobot:
             data.qpos[at + 3 : at + 7] = [xyzw[3], *xyzw[:3]]
         data.qpos[model.qpos] = configuration[self._columns]
         data.qpos[model.moved_qpos] = configuration[n - n_moved :]
+        for address, follower in model.followers:
+            data.qpos[address] = follower.offset + follower.ratio * configuration[follower.column]
         self._rest = np.array(configuration[n - n_moved :], dtype=float)
         self._desired = data.qpos[model.qpos].copy()
         data.ctrl[model.actuator] = model.stiffness * self._desired
+        data.qpos[model.qpos] += model.perturbation.start
         self._is_latched = [True] * len(model.latches)
         self._update_latches()
         self._delayed.clear()
@@ -146,8 +155,9 @@ class SimulatedRobot:
         self._delayed.append(command)
         if len(self._delayed) > self._delay_steps:
             self._apply(self._delayed.popleft())
-        self._oppose()
-        self.mujoco.mj_step(self.model.mj, self.data)
+        for _ in range(self._steps):
+            self._oppose()
+            self.mujoco.mj_step(self.model.mj, self.data)
 
     def hold_grips(self, phase: int | None) -> None:
         """Close the grippers of a phase of the plan, by its number, and open all others; None opens all."""
@@ -158,7 +168,7 @@ class SimulatedRobot:
     def _apply(self, command: JointCommand) -> None:
         """Set the servos to follow a command, at most as fast as the joints may move."""
         model = self.model
-        reach = model.velocity * TIME_STEP_S
+        reach = model.velocity * self.period_s
         self._desired = np.minimum(np.maximum(command.q, self._desired - reach), self._desired + reach)
         speed = np.minimum(np.maximum(command.qd, -model.velocity), model.velocity)
         control = model.stiffness * self._desired + model.damping * speed + self.options.feed_forward * command.tau
