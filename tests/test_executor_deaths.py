@@ -19,8 +19,8 @@ import executor_jobs as jobs
 import pytest
 from executor_waiting import Events, is_running, parent_of, until
 
-from service.executor import Job, JobCancelled, LocalPool, WorkerDied, WorkerState, supervisor
-from service.executor.messages import Kind
+from service.executor import Job, JobCancelled, LocalPool, WorkerDied, WorkerState, local_pool, supervisor
+from service.executor.channel import Kind
 
 SOON_S = 20.0  # far more than anything takes
 SUPPORT = Path(jobs.__file__).parent
@@ -32,7 +32,8 @@ def pids(pool: LocalPool) -> list[int]:
 
 def running_on(pool: LocalPool, todo: list[Job[str]]) -> list[int]:
     """Return the process ids of the workers that run one of these jobs."""
-    return [job.pid for job in todo if job.pid is not None and job.running() and pool.queue_position(job) is None]
+    pids = [job.pid for job in todo if job.pid is not None and job.running() and pool.queue_position(job) is None]
+    return [pid for pid in pids if is_running(pid)]  # the pool learns of a death a moment later
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,7 @@ def short_retry_waits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_killing_workers_under_load_loses_no_job_and_ends_none_twice(tmp_path: Path) -> None:
     n_ends: Counter[int] = Counter()
+    victims: list[list[int]] = []
     with LocalPool(2) as pool:
         assert pool.wait_ready(SOON_S)
         todo = [pool.submit(jobs.append_mark_late, tmp_path, str(i), 0.004) for i in range(150)]
@@ -64,8 +66,8 @@ def test_killing_workers_under_load_loses_no_job_and_ends_none_twice(tmp_path: P
             job.add_done_callback(lambda job: n_ends.update([job.number]))
         for n_done in range(10, 140, 20):
             assert until(lambda n_done=n_done: sum(job.done() for job in todo) >= n_done, SOON_S)
-            assert until(lambda: running_on(pool, todo))
-            os.kill(running_on(pool, todo)[0], signal.SIGKILL)
+            assert until(lambda: victims.append(running_on(pool, todo)) or victims[-1])
+            os.kill(victims[-1][0], signal.SIGKILL)
         assert [job.result(SOON_S) for job in todo] == [str(i) for i in range(150)]
         assert pool.stats().restarts == 7
     assert n_ends == Counter(job.number for job in todo)
@@ -398,3 +400,83 @@ def test_a_closed_pool_leaves_neither_processes_nor_threads_nor_descriptors() ->
     assert not any(is_running(pid) for pid in (*workers, fork_server))
     assert set(threading.enumerate()) == threads
     assert len(os.listdir("/proc/self/fd")) == fds
+
+
+def test_a_stopped_worker_is_replaced_and_its_job_started_elsewhere() -> None:
+    with LocalPool(1) as pool:
+        job = pool.submit(jobs.nap, 0.5)
+        assert until(lambda: job.pid is not None and job.running())
+        assert job.pid is not None
+        os.kill(job.pid, signal.SIGSTOP)
+        assert job.result(SOON_S) == 0.5
+        assert job.attempts == 2
+
+
+def test_a_worker_that_waits_for_a_stopped_process_of_its_own_is_replaced(tmp_path: Path) -> None:
+    with LocalPool(1) as pool:
+        job = pool.submit(jobs.wait_for_stopped_child, tmp_path)
+        assert job.result(SOON_S) == 2
+
+
+def test_a_stopped_fork_server_is_continued_and_a_killed_one_replaced_by_its_standby() -> None:
+    with LocalPool(1, preload=("json",)) as pool:
+        assert pool.wait_ready(SOON_S)
+        job = pool.submit(jobs.nap, 0.5)
+        assert until(lambda: job.pid is not None and job.running())
+        assert job.pid is not None
+        fork_server = parent_of(job.pid)
+        os.kill(fork_server, signal.SIGSTOP)
+        os.kill(job.pid, signal.SIGKILL)
+        assert job.result(SOON_S) == 0.5
+        for _ in range(2):
+            again = pool.submit(jobs.nap, 0.5)
+            assert until(lambda job=again: job.pid is not None and job.running())
+            assert again.pid is not None
+            parent = parent_of(again.pid)
+            os.kill(parent, signal.SIGKILL)
+            assert again.result(SOON_S) == 0.5
+            assert again.pid is not None
+            assert parent_of(again.pid) != parent
+        last = parent_of(again.pid)
+    assert until(lambda: not is_running(last))
+
+
+def test_a_worker_that_waits_with_the_interpreters_lock_is_replaced(tmp_path: Path) -> None:
+    with LocalPool(1) as pool:
+        assert pool.submit(jobs.keep_the_lock_once, tmp_path).result(SOON_S) == 2
+
+
+def test_a_worker_that_computes_with_the_interpreters_lock_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local_pool, "WATCH_EVERY_S", 0.05)  # so that a waiting one is replaced within half a second
+    with LocalPool(1) as pool:
+        job = pool.submit(jobs.sum_up, 4 * 10**7)
+        assert job.result(SOON_S) > 0
+        assert job.attempts == 1
+
+
+def test_a_worker_that_computes_with_the_interpreters_lock_for_too_long_is_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(local_pool, "STUCK_S", 0.3)
+    with LocalPool(1) as pool, pytest.raises(WorkerDied, match="SIGKILL"):
+        pool.submit(jobs.sum_up, 10**11, max_attempts=1).result(SOON_S)
+
+
+def test_workers_come_back_when_the_fork_server_and_a_standby_die_together() -> None:
+    with LocalPool(1, preload=("json",)) as pool:
+        assert pool.wait_ready(SOON_S)
+        job = pool.submit(jobs.nap, 0.5)
+        assert until(lambda: job.pid is not None and job.running())
+        assert job.pid is not None
+        fork_server = parent_of(job.pid)
+        assert until(lambda: len(standbys(fork_server)) == local_pool.N_STANDBYS)
+        standby, *others = standbys(fork_server)
+        for pid in (fork_server, standby):
+            os.kill(pid, signal.SIGKILL)
+        assert job.result(SOON_S) == 0.5
+        assert parent_of(job.pid) in others
+
+
+def standbys(fork_server: int) -> list[int]:
+    children = Path(f"/proc/{fork_server}/task/{fork_server}/children").read_text().split()
+    return [int(pid) for pid in children if Path(f"/proc/{pid}/comm").read_text().strip() == "scopt-standby"]

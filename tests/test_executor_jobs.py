@@ -17,7 +17,7 @@ import pytest
 from executor_waiting import Events, until
 
 from service.executor import DeadlineExceeded, JobCancelled, JobFailed, LocalPool, PoolClosed, WorkerState
-from service.executor.ray_worker import RayWorker
+from service.executor.ray_pool import RayWorker
 from service.executor.worker import WorkerSetup
 
 SOON_S = 20.0  # far more than anything takes

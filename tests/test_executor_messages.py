@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from service.executor.messages import (
+from service.executor.channel import (
     BlockingChannel,
     Kind,
     MalformedMessageError,

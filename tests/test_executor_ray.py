@@ -16,7 +16,7 @@ from executor_waiting import Events, is_running, until
 from ray_cluster import SOON_S, ray_cluster
 
 from service.executor import DeadlineExceeded, JobCancelled, JobFailed, WorkerDied
-from service.executor.interface import CancellableExecutor
+from service.executor import Pool as CancellableExecutor
 
 if importlib.util.find_spec("ray") is None:
     pytest.skip("ray is not installed (make test-ray has an environment with it)", allow_module_level=True)

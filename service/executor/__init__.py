@@ -1,34 +1,36 @@
 """Executors that run functions in worker processes: jobs can be cancelled, report events and survive dead workers."""
 
-from service.executor.errors import (
+from service.executor.job import (
+    NOBODY,
+    Control,
     DeadlineExceeded,
     ExecutorError,
+    Job,
     JobCancelled,
     JobFailed,
+    Lane,
+    OnEvent,
+    Place,
     PoolClosed,
     WorkerDied,
 )
-from service.executor.interface import (
-    CancellableExecutor,
-    Control,
-    Job,
-    OnEvent,
-    PoolStats,
-    WorkerState,
-    WorkerStats,
-)
 from service.executor.local_pool import LocalPool
+from service.executor.pool import Pool, PoolStats, WorkerStats
+from service.executor.supervisor import WorkerState
 
 __all__ = [
-    "CancellableExecutor",
+    "NOBODY",
     "Control",
     "DeadlineExceeded",
     "ExecutorError",
     "Job",
     "JobCancelled",
     "JobFailed",
+    "Lane",
     "LocalPool",
     "OnEvent",
+    "Place",
+    "Pool",
     "PoolClosed",
     "PoolStats",
     "WorkerDied",

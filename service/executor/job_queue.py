@@ -1,273 +1,231 @@
-"""The jobs that a pool has accepted: their order, their deadlines, and their results, each set exactly once."""
+"""Jobs without a result, and the order of those that wait: lanes first, then equal shares of worker time.
+
+Start-time fair queueing (Goyal, Vin and Cheng, SIGCOMM 1996) without known durations: the owner whose jobs have used
+the least worker time gets the next worker.
+"""
 
 from __future__ import annotations
 
-import enum
-import heapq
-import logging
-import pickle
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
-from service.executor.errors import DeadlineExceeded, ExecutorError, JobCancelled, JobFailed, WorkerDied
-from service.executor.interface import Job, OnEvent
+from service.executor.job import Job, JobRecord, Lane
 
-LOG = logging.getLogger("service.executor")
-
-
-class StopReason(enum.Enum):
-    """Why a job is asked to stop."""
-
-    CANCELLED = "cancelled"
-    DEADLINE = "deadline"
+BATCH_AFTER = 4  # consecutive interactive jobs after which a waiting batch job is next
 
 
-_ERRORS: dict[StopReason, Callable[[str], ExecutorError]] = {
-    StopReason.CANCELLED: lambda text: JobCancelled(f"cancelled{text}"),
-    StopReason.DEADLINE: lambda text: DeadlineExceeded(f"the deadline passed{text}"),
-}
-
-
-@dataclass(eq=False)
-class JobRecord:
-    """A job with what the pool needs to run it.
+@dataclass
+class _Owner:
+    """Waiting and running jobs of one owner.
 
     Attributes:
-        job: the caller's side of it.
-        payload: the pickled call.
-        on_event: called with each event that the function reports.
-        max_attempts: how often the job may be started.
-        stop_reason: why it was asked to stop; None while it was not.
+        waiting: by lane, in order of submission.
+        used_s: worker time that is compared with other owners' [s].
+        running: start of each running job by its number [s].
     """
 
-    job: Job[Any]
-    payload: bytes
-    on_event: OnEvent | None
-    max_attempts: int
-    stop_reason: StopReason | None = None
+    used_s: float
+    waiting: dict[Lane, deque[JobRecord]] = field(default_factory=lambda: {lane: deque() for lane in Lane})
+    running: dict[int, float] = field(default_factory=dict)
 
-    def note_start(self, pid: int | None) -> None:
-        """Note that a worker starts the job now."""
-        self.job.started, self.job.pid, self.job.attempts = time.monotonic(), pid, self.job.attempts + 1
+    @property
+    def is_active(self) -> bool:
+        return bool(self.running) or any(self.waiting.values())
+
+    def cost_s(self, now: float) -> float:
+        return self.used_s + sum(now - start for start in self.running.values())
+
+
+class FairQueue:
+    """Waiting jobs; not safe for several threads."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._again: deque[JobRecord] = deque()  # jobs whose worker died, before all others
+        self._owners: dict[str, _Owner] = {}
+        self._floor_s = 0.0  # least cost among owners with jobs; a new owner begins there
+        self._n_interactive = 0  # consecutive ones while batch jobs waited
+        self._n = 0
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __iter__(self) -> Iterator[JobRecord]:
+        """Iterate over the waiting jobs in order of submission."""
+        lanes = (queue for owner in self._owners.values() for queue in owner.waiting.values())
+        jobs = [*self._again, *(record for queue in lanes for record in queue)]
+        return iter(sorted(jobs, key=lambda record: record.job.number))
+
+    def put(self, record: JobRecord) -> None:
+        """Add a new job behind the owner's other jobs of its lane."""
+        owner = self._owners.setdefault(record.place.owner, _Owner(self._floor_s))
+        if not owner.is_active:
+            owner.used_s = max(owner.used_s, self._floor_s)
+        owner.waiting[record.place.lane].append(record)
+        self._n += 1
+
+    def put_back(self, record: JobRecord) -> None:
+        """Add a job that was started before, in front of all others."""
+        self.note_end(record)
+        self._again.appendleft(record)
+        self._n += 1
+
+    def take(self, only_light: bool = False) -> JobRecord | None:
+        """Remove and return the next job, which is running from now on; None if there is none."""
+        record = self._take_again(only_light) or self._take_waiting(only_light)
+        if record is not None:
+            self._n -= 1
+            owner = self._owners.setdefault(record.place.owner, _Owner(self._floor_s))
+            owner.running[record.job.number] = self._clock()
+        return record
+
+    def remove(self, record: JobRecord) -> bool:
+        """Remove a waiting job; return whether it was there."""
+        owner = self._owners.get(record.place.owner)
+        for queue in (self._again, *([] if owner is None else [owner.waiting[record.place.lane]])):
+            if record in queue:
+                queue.remove(record)
+                self._n -= 1
+                self._forget_idle()
+                return True
+        return False
+
+    def note_end(self, record: JobRecord) -> None:
+        """Count the worker time of a job that no longer runs."""
+        owner = self._owners.get(record.place.owner)
+        start = None if owner is None else owner.running.pop(record.job.number, None)
+        if owner is not None and start is not None:
+            owner.used_s += self._clock() - start
+            self._forget_idle()
+
+    def position(self, record: JobRecord) -> int | None:
+        """Return the expected place of a waiting job, 1 for the next one; None for a job that does not wait."""
+        if record in self._again:
+            return self._again.index(record) + 1
+        own = self._owners.get(record.place.owner)
+        lane = record.place.lane
+        if own is None or record not in own.waiting[lane]:
+            return None
+        index, now = own.waiting[lane].index(record), self._clock()
+        ahead = len(self._again) + index
+        for owner in self._owners.values():
+            ahead += sum(len(queue) for other, queue in owner.waiting.items() if other < lane)
+            if owner is not own:
+                turns = index + (owner.cost_s(now) <= own.cost_s(now))
+                ahead += min(len(owner.waiting[lane]), turns)
+        return ahead + 1
+
+    def _take_again(self, only_light: bool) -> JobRecord | None:
+        for record in self._again:
+            if not only_light or record.place.lane is Lane.LIGHT:
+                self._again.remove(record)
+                return record
+        return None
+
+    def _take_waiting(self, only_light: bool) -> JobRecord | None:
+        lanes = [lane for lane in Lane if any(owner.waiting[lane] for owner in self._owners.values())]
+        if only_light:
+            lanes = [lane for lane in lanes if lane is Lane.LIGHT]
+        if not lanes:
+            return None
+        lane = lanes[0]
+        if lane is Lane.INTERACTIVE:
+            is_batch_next = self._n_interactive >= BATCH_AFTER and Lane.BATCH in lanes
+            self._n_interactive = 0 if is_batch_next or Lane.BATCH not in lanes else self._n_interactive + 1
+            lane = Lane.BATCH if is_batch_next else lane
+        now = self._clock()
+        owner = min(
+            (owner for owner in self._owners.values() if owner.waiting[lane]),
+            key=lambda owner: (owner.cost_s(now), len(owner.running), owner.waiting[lane][0].job.number),
+        )
+        self._floor_s = max(self._floor_s, min(o.cost_s(now) for o in self._owners.values() if o.is_active))
+        return owner.waiting[lane].popleft()
+
+    def _forget_idle(self) -> None:
+        """Forget owners without jobs that would begin at the floor anyway."""
+        for name in [n for n, owner in self._owners.items() if not owner.is_active and owner.used_s <= self._floor_s]:
+            del self._owners[name]
+        if not any(owner.is_active for owner in self._owners.values()):
+            self._owners.clear()  # nobody has waited for anybody
+            self._floor_s = 0.0
 
 
 class JobQueue:
-    """Jobs without a result, the queued ones in order of submission; safe to use from several threads."""
+    """The pool's jobs without a result, of which some wait; safe to use from several threads.
+
+    Attributes:
+        n_done: number of jobs that have ended.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._queued: deque[JobRecord] = deque()
-        self._open: dict[int, JobRecord] = {}  # by the job's number: queued or running
-        self._deadlines: list[tuple[float, int]] = []  # a heap; jobs that ended early drop out late
-        self._n_done = 0
+        self._waiting = FairQueue()
+        self._open: dict[int, JobRecord] = {}  # by the job's number: waiting or running
+        self.n_done = 0
 
     @property
     def n_queued(self) -> int:
-        """Number of queued jobs."""
-        return len(self._queued)
+        """Number of waiting jobs."""
+        return len(self._waiting)
 
     @property
     def n_open(self) -> int:
         """Number of jobs without a result."""
         return len(self._open)
 
-    @property
-    def n_done(self) -> int:
-        """Number of jobs that have ended."""
-        return self._n_done
-
     def put(self, record: JobRecord) -> None:
-        """Add a new job at the end."""
+        """Add a new job, which is forgotten when it ends."""
         with self._changed:
             self._open[record.job.number] = record
-            self._queued.append(record)
-            if record.job.deadline is not None:
-                heapq.heappush(self._deadlines, (record.job.deadline, record.job.number))
-                self._prune_deadlines()
+            self._waiting.put(record)
+        record.job.add_done_callback(lambda _: self._forget(record))
 
     def put_back(self, record: JobRecord) -> None:
         """Add a job that was started before, in front of all others."""
         with self._changed:
-            self._queued.appendleft(record)
+            record.job.pid = None
+            self._waiting.put_back(record)
 
-    def take(self) -> JobRecord | None:
-        """Remove and return the first queued job."""
+    def take(self, only_light: bool = False) -> JobRecord | None:
+        """Remove and return the next waiting job, of any lane or only of the light one."""
         with self._changed:
-            return self._queued.popleft() if self._queued else None
+            return self._waiting.take(only_light)
 
     def withdraw(self, record: JobRecord) -> bool:
-        """Remove a job from the queue; return whether it was there."""
+        """Remove a job from those that wait; return whether it was there."""
         with self._changed:
-            if record not in self._queued:
-                return False
-            self._queued.remove(record)
-            return True
-
-    def close(self, record: JobRecord) -> None:
-        """Forget a job that has ended."""
-        with self._changed:
-            if self._open.pop(record.job.number, None) is not None:
-                self._n_done += 1
-            self._changed.notify_all()
+            return self._waiting.remove(record)
 
     def find(self, number: int) -> JobRecord | None:
         """Return the record of a job that has not ended."""
         return self._open.get(number)
 
     def position(self, job: Job[Any]) -> int | None:
-        """Return 1 for the job that is next, None for a job that is not queued."""
+        """Return 1 for the job that is next, None for a job that does not wait."""
         with self._changed:
-            return next((i for i, record in enumerate(self._queued, 1) if record.job is job), None)
+            record = self._open.get(job.number)
+            return None if record is None else self._waiting.position(record)
 
-    def list_queued(self) -> list[JobRecord]:
-        """Return the queued jobs, in order."""
+    def list_open(self, only_queued: bool = False) -> list[JobRecord]:
+        """Return the jobs without a result, or only those that wait, in order of submission."""
         with self._changed:
-            return list(self._queued)
-
-    def list_open(self) -> list[JobRecord]:
-        """Return the jobs without a result, in order of submission."""
-        with self._changed:
-            return list(self._open.values())
-
-    def next_deadline(self) -> float | None:
-        """Return the earliest deadline, on the clock of ``time.monotonic`` [s]."""
-        with self._changed:
-            return self._deadlines[0][0] if self._deadlines else None
-
-    def take_overdue(self, now: float) -> list[JobRecord]:
-        """Return the jobs whose deadline has passed at ``now``; each is returned once."""
-        with self._changed:
-            overdue = []
-            while self._deadlines and self._deadlines[0][0] <= now:
-                record = self._open.get(heapq.heappop(self._deadlines)[1])
-                if record is not None:
-                    overdue.append(record)
-            return overdue
+            return list(self._waiting if only_queued else self._open.values())
 
     def wait_empty(self, timeout_s: float | None) -> bool:
         """Wait until all jobs have ended; return whether they have."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._open, timeout_s)
 
-    def _prune_deadlines(self) -> None:
-        if len(self._deadlines) > 2 * len(self._open) + 64:
-            self._deadlines = [entry for entry in self._deadlines if entry[1] in self._open]
-            heapq.heapify(self._deadlines)
-
-
-class JobResults:
-    """Sets the result or exception of a queue's jobs; used by the supervisor's thread only."""
-
-    def __init__(self, queue: JobQueue) -> None:
-        self._queue = queue
-
-    def take_next(self) -> JobRecord | None:
-        """Remove and return the next job to run; jobs past their deadline fail instead."""
-        while (record := self._queue.take()) is not None:
-            if not self._claim(record):
-                continue
-            if record.job.deadline is None or record.job.deadline > time.monotonic():
-                return record
-            self._fail_queued(record, StopReason.DEADLINE)
-        return None
-
-    def drop_queued(self, record: JobRecord, reason: StopReason) -> bool:
-        """End a queued job; return False when it is not queued."""
-        if not self._queue.withdraw(record):
-            return False
-        if self._claim(record):
-            self._fail_queued(record, reason)
-        return True
-
-    def fail_all_queued(self, reason: str) -> None:
-        """End all queued jobs, since no worker can be started."""
-        for record in self._queue.list_queued():
-            if self._queue.withdraw(record) and self._claim(record):
-                self.fail(record, WorkerDied("none could be started", record.job.attempts, reason[-1000:]))
-
-    def set_returned(self, record: JobRecord, payload: bytes | bytearray) -> None:
-        """End a job with a pickled result."""
-        try:
-            result = pickle.loads(payload)
-        except Exception as error:
-            self.fail(record, _unreadable(error))
-            return
-        record.job.set_result(result)
-        self._queue.close(record)
-
-    def set_raised(self, record: JobRecord, payload: bytes | bytearray) -> None:
-        """End a job with an exception pickled by ``worker.pickle_exception``."""
-        try:
-            error, summary, trace = pickle.loads(payload)
-        except Exception as unread:
-            self.fail(record, _unreadable(unread))
-            return
-        if isinstance(error, JobCancelled):
-            error = None if record.stop_reason is None else _ERRORS[record.stop_reason]("; it stopped by itself")
-        raised: Exception = JobFailed(summary) if error is None else error
-        raised.__cause__ = RemoteTraceback(trace)
-        self.fail(record, raised)
-
-    def set_killed(self, record: JobRecord) -> None:
-        """End a job whose worker was killed because it did not stop."""
-        if record.stop_reason is None:  # a worker's message alone ends no job without a result
-            self.fail(record, ExecutorError("ended although it was not asked to stop"))
-        else:
-            self.fail(record, _ERRORS[record.stop_reason]("; it did not stop by itself and was ended"))
-
-    def retry_or_fail(self, record: JobRecord, cause: str, last_output: str) -> None:
-        """Put a job whose worker died in front of the queue, or end it when it may not be started again."""
-        if record.stop_reason is not None:
-            self.set_killed(record)
-        elif record.job.attempts >= record.max_attempts:
-            self.fail(record, WorkerDied(cause, record.job.attempts, last_output))
-        else:
-            self._queue.put_back(record)
-
-    def fail(self, record: JobRecord, error: Exception) -> None:
-        """End a job with an exception, unless it has ended."""
-        if not record.job.done():
-            record.job.set_exception(error)
-        self._queue.close(record)
-
-    def deliver_event(self, record: JobRecord, payload: bytes | bytearray) -> None:
-        """Pass an event to the caller; errors in that are logged, and the job goes on."""
-        if record.on_event is None:
-            return
-        try:
-            record.on_event(pickle.loads(payload))
-        except Exception:
-            LOG.exception("an event of job %d could not be delivered", record.job.number)
-
-    def _claim(self, record: JobRecord) -> bool:
-        """Mark a job as running, so that ``cancel`` no longer ends it directly; False when it was cancelled before."""
-        if record.job.attempts or record.job.set_running_or_notify_cancel():
-            return True
-        self._queue.close(record)
-        return False
-
-    def _fail_queued(self, record: JobRecord, reason: StopReason) -> None:
-        if reason is StopReason.CANCELLED:
-            text = " while it waited for another worker"
-        else:
-            text = f" while it waited, started {record.job.attempts} times"
-        self.fail(record, _ERRORS[reason](text))
-
-
-class RemoteTraceback(Exception):  # noqa: N818
-    """The traceback of an exception that was raised in a worker."""
-
-    def __init__(self, trace: str) -> None:
-        super().__init__(trace)
-        self.trace = trace
-
-    def __str__(self) -> str:
-        return f"\n{self.trace}"
-
-
-def _unreadable(error: Exception) -> JobFailed:
-    return JobFailed(f"its result cannot be unpickled here: {type(error).__name__}: {error}")
+    def _forget(self, record: JobRecord) -> None:
+        with self._changed:
+            is_withdrawn = record.job.cancelled() and self._waiting.remove(record)  # else the supervisor is taking it
+            self._waiting.note_end(record)
+            del self._open[record.job.number]
+            self.n_done += 1
+            self._changed.notify_all()
+        if is_withdrawn:
+            record.job.set_running_or_notify_cancel()  # `concurrent.futures.wait` looks for this

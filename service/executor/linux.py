@@ -89,8 +89,58 @@ def children() -> set[int]:
         return set()
 
 
+def state_of(pid: int) -> str:
+    """Return the letter that ``ps`` shows for a process: R, S, D, T, Z; empty when it has ended."""
+    return (_read_stat(f"/proc/{pid}/stat") or [""])[0]
+
+
+def is_running(pid: int) -> bool:
+    """Return whether a process has not ended."""
+    return state_of(pid) not in ("", "Z", "X")
+
+
+def read_activity(pid: int) -> tuple[bool, float]:
+    """Return whether all threads of a process wait for something, and the processor time it has used [s]."""
+    try:
+        threads = [_read_stat(f"/proc/{pid}/task/{thread}/stat") for thread in os.listdir(f"/proc/{pid}/task")]
+    except OSError:
+        return False, 0.0
+    ticks = sum(int(fields[11]) + int(fields[12]) for fields in threads if fields)
+    return all(fields and fields[0] in "ST" for fields in threads), ticks / os.sysconf("SC_CLK_TCK")
+
+
+def descendants(pid: int) -> set[int]:
+    """Return the processes that a process and its descendants started; empty where the kernel keeps no such list."""
+    pids, waiting = set[int](), [pid]
+    while waiting:
+        with suppress(OSError):
+            folder = f"/proc/{waiting.pop()}/task"
+            for thread in os.listdir(folder):
+                started = {int(child) for child in _read(f"{folder}/{thread}/children").split()} - pids
+                pids |= started
+                waiting.extend(started)
+    return pids
+
+
+def _read_stat(path: str) -> list[str]:
+    """Return the fields of a ``stat`` file from the state on; none when the process has ended."""
+    try:
+        return _read(path).rpartition(b") ")[2].decode().split()  # the name before may hold anything
+    except OSError:
+        return []
+
+
 def _read_statm(pid: int | str, field: int) -> int:
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[field]) * os.sysconf("SC_PAGE_SIZE")
+    return int(_read(f"/proc/{pid}/statm").split()[field]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _read(path: str) -> bytes:
+    """Return the content of a small file, in a third of the time that a ``Path`` needs."""
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        return os.read(fd, 2**16)
+    finally:
+        os.close(fd)
 
 
 def _prctl(option: int, argument: int | ctypes.c_char_p) -> None:

@@ -4,22 +4,32 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import selectors
-import threading
+import pickle
+import socket
 from collections.abc import Callable
-from typing import Any
+from contextlib import suppress
 
-from service.executor.interface import WorkerState
-from service.executor.job_queue import LOG, JobQueue, JobRecord
-from service.executor.local_processes import ForkServer, WorkerProcess
-from service.executor.messages import Kind, Message
-from service.executor.pool import Pool, check_callable, check_workers
-from service.executor.supervisor import PoolSettings, Supervisor
-from service.executor.worker import WorkerSetup
+from service.executor import linux
+from service.executor.channel import Kind, Message, MessageReader, MessageWriter, ProcessOutput
+from service.executor.fork_server import ForkServer
+from service.executor.job import LOG, JobRecord
+from service.executor.job_queue import JobQueue
+from service.executor.pool import Pool
+from service.executor.supervisor import PoolSettings, Supervisor, WorkerHandle, WorkerState
+from service.executor.worker import SharedFlags, WorkerSetup
+
+N_STANDBYS = 2  # copies of the fork server, since importing takes longer than anybody wants to wait
+WATCH_EVERY_S = 0.25  # between two looks at the processes
+STOPPED_LOOKS = 2  # in a row at a stopped process, after which it counts as one that does not go on
+SILENT_LOOKS = 4  # at a worker that neither beats nor computes
+STUCK_S = 10.0  # processor time without a beat, in a native call; the planner's longest take 0.3 s
 
 
 class LocalPool(Pool):
     """Long-lived worker processes, forked from a process that has imported the modules they need.
+
+    A worker that dies, is stopped by a signal, or whose Python does not go on, is replaced, and its job is started
+    again.
 
     The workers, and the processes they start, end with this process, however it ends. The functions they run are looked
     up by name in modules; the main script is not imported again, so its own functions cannot be run.
@@ -35,6 +45,7 @@ class LocalPool(Pool):
         max_bytes: int | None = None,
         recycle_after: int | None = None,
         start_timeout_s: float = 120.0,
+        light_workers: int = 0,
     ) -> None:
         """Start workers; ``wait_ready`` waits for them.
 
@@ -47,82 +58,142 @@ class LocalPool(Pool):
             max_bytes: address space of a worker; None for no limit.
             recycle_after: jobs after which a worker is replaced; None for never.
             start_timeout_s: in which modules are imported, and in which a worker becomes ready [s].
+            light_workers: further workers, so that jobs of the light lane never wait for others. Any worker may run
+                them; at most ``workers`` run other jobs.
         """
-        check_workers(workers)
-        check_callable(warm_up)
-        settings = PoolSettings(warm_up, tuple(preload), grace_s, max_bytes, recycle_after, start_timeout_s)
+        settings = PoolSettings(
+            workers, warm_up, tuple(preload), grace_s, max_bytes, recycle_after, start_timeout_s, light_workers
+        )
         queue = JobQueue()
-        super().__init__(queue, _LocalSupervisor(workers, settings, queue))
+        super().__init__(queue, _LocalSupervisor(settings, queue))
 
 
-class _LocalSupervisor(Supervisor[WorkerProcess]):
-    """The thread that keeps the fork server and its workers running and talks to them without ever blocking."""
+class _WorkerProcess(WorkerHandle):
+    """The pool's view of one worker process.
 
-    def __init__(self, target: int, settings: PoolSettings, queue: JobQueue) -> None:
-        super().__init__("scopt-pool", target, settings, queue)
+    Attributes:
+        is_lost: it has closed its socket or sent nonsense.
+        is_retiring: it has done ``recycle_after`` jobs and ends as soon as its replacement is up.
+        output: what it writes.
+        sock: the pool's end of the socket to it.
+        reader, writer: the messages on the socket.
+    """
+
+    def __init__(self, number: int, server: ForkServer, setup: WorkerSetup) -> None:
+        """Fork the process.
+
+        Raises:
+            OSError: out of resources, or the fork server has ended.
+        """
+        super().__init__(number)
+        self.is_lost = self.is_retiring = False
+        self.output = ProcessOutput(f"worker {number}")
+        self.sock, child_sock = socket.socketpair()
+        self.sock.setblocking(False)
+        fd, self._flags = SharedFlags.create()
+        self.reader, self.writer = MessageReader(self.sock), MessageWriter(self.sock)
+        self.writer.put(Message(Kind.SETUP, 0, pickle.dumps(setup)))
+        self._n_stopped = self._n_waiting = self._last_beats = 0  # looks in a row; beats at the last one
+        self._busy_s: list[float] = []
+        try:
+            server.fork_worker(number, [child_sock.fileno(), fd, self.output.write_fd])
+        except OSError:
+            self.close()
+            raise
+        finally:
+            child_sock.close()
+            os.close(fd)
+            self.output.close_write_end()
+
+    @property
+    def rss_bytes(self) -> int:
+        """Resident memory, shared pages included; 0 where it is not known."""
+        return 0 if self.pid is None else linux.rss_bytes(self.pid)
+
+    def request_stop(self, record: JobRecord) -> None:
+        """Have ``should_stop`` of its job return True."""
+        self._flags.cancelled = record.job.number
+
+    def find_fault(self) -> str:
+        """Return why it does not go on, empty while it does; called every ``WATCH_EVERY_S``."""
+        if self.pid is None or self.state is WorkerState.STOPPING:
+            return ""
+        started = linux.descendants(self.pid) if self.state is WorkerState.BUSY else ()
+        is_stopped = any(linux.state_of(pid) == "T" for pid in (self.pid, *started))
+        self._n_stopped = self._n_stopped + 1 if is_stopped else 0
+        beats, self._last_beats = self._last_beats, self._flags.beats
+        if beats != self._last_beats or not self.is_up:  # while it starts, it may wait for a disk
+            self._n_waiting, self._busy_s = 0, []
+        else:
+            is_waiting, used_s = linux.read_activity(self.pid)
+            self._n_waiting = self._n_waiting + 1 if is_waiting and self._busy_s[-1:] == [used_s] else 0
+            self._busy_s = [*self._busy_s[:1], used_s]  # at the first look without a beat, and at this one
+        fault = ""
+        if self._n_stopped > STOPPED_LOOKS:
+            fault = "is stopped"
+        elif self._n_waiting > SILENT_LOOKS:
+            fault = "waits for something that does not happen and keeps the interpreter's lock"
+        elif self._busy_s and self._busy_s[-1] - self._busy_s[0] > STUCK_S:
+            fault = f"has kept the interpreter's lock for {STUCK_S:g} s of processor time"
+        if fault:  # named again only if it still holds after some time
+            self._n_stopped, self._n_waiting, self._busy_s = 0, 0, []
+        return fault
+
+    def close(self) -> None:
+        """Close its socket, output and flags once it has ended."""
+        self.sock.close()
+        self.output.close()
+        del self._flags  # whose memory keeps a descriptor
+
+
+class _LocalSupervisor(Supervisor[_WorkerProcess]):
+    """Keeps the fork server and its workers running, and talks to them without ever waiting for one of them."""
+
+    def __init__(self, settings: PoolSettings, queue: JobQueue) -> None:
+        super().__init__("scopt-pool", settings, queue)
         self._setup = WorkerSetup((), settings.warm_up, settings.max_bytes)
-        self._fork_server: ForkServer | None = None
-        self._selector = selectors.DefaultSelector()
-        self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._selector.register(self._wake_fd, selectors.EVENT_READ, lambda _: os.eventfd_read(self._wake_fd))
-        self._waking = threading.Lock()  # held while the descriptor may be used
+        self._server: ForkServer | None = None
+        self._standbys: list[ForkServer] = []
+        self._n_stopped = 0  # looks in a row at a stopped fork server
+        self._output = ProcessOutput("fork server")
+        self._loop.add_reader(self._output.fd, self._output.read)
+        self._loop.call_soon(self._watch)
         self._thread.start()
 
-    def wake(self) -> bool:
-        with self._waking:
-            if not self._is_over:
-                os.eventfd_write(self._wake_fd, 1)
-            return not self._is_over
-
-    def _wait_for_events(self, timeout_s: float | None) -> None:
-        for key, mask in self._selector.select(timeout_s):
-            if self._selector.get_map().get(key.fd) is key:  # an event before may have closed it
-                key.data(mask)
-
     def _close_workers(self) -> None:
-        if self._fork_server is not None:
-            self._fork_server.close()
+        for server in (self._server, *self._standbys):
+            if server is not None:
+                server.close()
         for worker in self.workers:
             worker.close()
-        self.workers = ()
-        self._selector.close()
-        with self._waking:
-            self._is_over = True
-            os.close(self._wake_fd)
+        self._output.close()
 
     # Fork server.
 
-    def _check_fork_server(self, now: float) -> None:
-        """Start the fork server when there is none, end one that does not become ready."""
-        server = self._fork_server
-        if server is None:
-            if not self._backoff.is_waiting:
-                self._start_fork_server()
-        elif not server.is_ready and server.started + self._settings.start_timeout_s <= now:
-            self._note_failed_start(f"importing {self._name_preload()} took too long")
-            self._close_fork_server(server)
-
-    def _start_fork_server(self) -> None:
+    def _start_server(self) -> None:
         # Modules that workers import themselves need not be imported before.
         preload = () if self._setup.preload else self._settings.preload
         try:
-            self._fork_server = server = ForkServer(preload)
+            self._server = server = ForkServer.start(preload, self._output.write_fd)
         except OSError as error:
             self._note_failed_start(str(error))
             return
-        self._selector.register(server.control, selectors.EVENT_READ, lambda _: self._on_fork_server(server))
-        self._selector.register(server.output.fd, selectors.EVENT_READ, lambda _: server.output.read())
+        self._loop.add_reader(server.control, self._on_server, server)
+        self._loop.call_later(self._settings.start_timeout_s, self._kill_unready_server, server)
 
-    def _on_fork_server(self, server: ForkServer) -> None:
+    def _add_standbys(self, server: ForkServer) -> None:
+        with suppress(OSError):  # without any, the next fork server imports everything
+            while len(self._standbys) < N_STANDBYS:
+                self._standbys.append(standby := server.fork_standby())
+                self._loop.add_reader(standby.control, self._on_server, standby)
+
+    def _on_server(self, server: ForkServer) -> None:
+        """Handle a message of the fork server or a standby."""
         message = server.receive()
         if message is None:
-            server.output.read()
-            reason = f"the process that workers are forked from (pid {server.pid}) ended: {server.output.tail}"
-            if server.is_ready:
-                LOG.error("%s", reason)
-            elif not self._backoff.is_waiting:  # else it has sent the reason
-                self._note_failed_start(reason)
-            self._close_fork_server(server)
+            self._on_server_ended(server)
+        elif "pid" in message:
+            server.pid = message["pid"]
         elif "ready" in message:
             self._on_imported(server, message["ready"])
         elif "failed" in message:
@@ -135,103 +206,139 @@ class _LocalSupervisor(Supervisor[WorkerProcess]):
     def _on_imported(self, server: ForkServer, n_threads: int) -> None:
         if n_threads == 1:
             server.is_ready = True
-            return
-        LOG.warning("%s: %d threads once imported, so each worker imports for itself", self._name_preload(), n_threads)
-        self._setup = dataclasses.replace(self._setup, preload=self._settings.preload)
-        self._close_fork_server(server)
+            self._add_standbys(server)
+        else:
+            text = "%s: %d threads once imported, so each worker imports for itself"
+            LOG.warning(text, self._name_preload(), n_threads)
+            self._setup = dataclasses.replace(self._setup, preload=self._settings.preload)
+            self._close_server(server)
+        self._check()
+
+    def _kill_unready_server(self, server: ForkServer) -> None:
+        if server is self._server and not server.is_ready:
+            self._note_failed_start(f"importing {self._name_preload()} took too long")
+            self._close_server(server)
+            self._check()
 
     def _name_preload(self) -> str:
         return ", ".join(self._settings.preload) or "nothing"
 
-    def _close_fork_server(self, server: ForkServer) -> None:
-        self._selector.unregister(server.control)
-        self._selector.unregister(server.output.fd)
+    def _on_server_ended(self, server: ForkServer) -> None:
+        self._output.read()
+        reason = f"the process that workers are forked from (pid {server.pid}) ended: {self._output.tail}"
+        if server is not self._server:
+            self._standbys.remove(server)
+            if server.pid and self._server is not None:  # else it could not be forked
+                self._add_standbys(self._server)
+        elif server.is_ready:
+            LOG.error("%s", reason)
+        elif self._may_start:  # else it has sent the reason
+            self._note_failed_start(reason)
+        self._close_server(server)
+        self._check()
+
+    def _close_server(self, server: ForkServer) -> None:
+        """Close the fork server, whose place a standby takes, or a standby."""
+        self._loop.remove_reader(server.control)
         server.close()
-        self._fork_server = None
+        if server is not self._server:
+            return
         for worker in self.workers:
             self._on_worker_ended(worker, "lost with the process it was forked from")
+        self._server = self._standbys.pop(0) if self._standbys else None
+        if self._server is not None:
+            self._add_standbys(self._server)
 
     # Workers.
 
-    def _adjust_workers(self, now: float) -> None:
-        self._check_fork_server(now)
+    def _watch(self) -> None:
+        """Continue a stopped fork server, and replace a worker that does not go on."""
+        self._loop.call_later(WATCH_EVERY_S, self._watch)
+        server = self._server
+        is_stopped = server is not None and linux.state_of(server.pid) == "T"
+        self._n_stopped = self._n_stopped + 1 if is_stopped else 0
+        if server is not None and self._n_stopped > STOPPED_LOOKS:
+            LOG.warning("the process that workers are forked from (pid %d) is stopped; it is continued", server.pid)
+            server.resume()
+        for worker in self.workers:
+            if fault := worker.find_fault():
+                LOG.warning("worker %d (pid %s) %s; it is replaced", worker.number, worker.pid, fault)
+                self._kill(worker)
+
+    def _adjust_workers(self) -> None:
+        if self._server is None and self._may_start:
+            self._start_server()
         lasting = [w for w in self.workers if w.state is not WorkerState.STOPPING and not w.is_retiring]
-        if self._fork_server is not None and self._fork_server.is_ready:
+        if self._server is not None and self._server.is_ready:
             for _ in range(self.target - len(lasting)):
-                if not self._backoff.is_waiting:
-                    self._start_worker(self._fork_server)
+                if self._may_start:
+                    self._start_worker(self._server)
         surplus = [w for w in lasting if w.state is not WorkerState.BUSY][: max(0, len(lasting) - self.target)]
         if sum(worker.is_up for worker in lasting) >= self.target:
             surplus += [w for w in self.workers if w.is_retiring and w.state is WorkerState.IDLE]
         for worker in surplus:
             self._end_worker(worker)
 
-    def _next_checks(self) -> list[float | None]:
-        server = self._fork_server
-        return [] if server is None or server.is_ready else [server.started + self._settings.start_timeout_s]
-
     def _start_worker(self, server: ForkServer) -> None:
         self._n_started += 1
         try:
-            worker = server.start_worker(self._n_started, self._setup)
+            worker = _WorkerProcess(self._n_started, server, self._setup)
         except OSError as error:
             self._note_failed_start(str(error))
             return
-        self.workers = (*self.workers, worker)
-        self._selector.register(worker.sock, selectors.EVENT_READ, lambda mask: self._on_socket(worker, mask))
-        self._selector.register(worker.output.fd, selectors.EVENT_READ, lambda _: self._on_output(worker))
+        self._note_started(worker)
+        self._loop.add_reader(worker.sock, self._read, worker)
+        self._loop.add_reader(worker.output.fd, self._read_output, worker)
         self._flush(worker)
 
-    def _end_worker(self, worker: WorkerProcess) -> None:
-        worker.state, worker.kill_at = WorkerState.STOPPING, None
-        self._unregister(worker.sock)
+    def _end_worker(self, worker: _WorkerProcess) -> None:
+        worker.state = WorkerState.STOPPING
         self._kill(worker)
 
-    def _kill(self, worker: WorkerProcess) -> None:
-        if self._fork_server is not None:
-            self._fork_server.kill_worker(worker)
+    def _kill(self, worker: _WorkerProcess) -> None:
+        self._limit(worker, None)
+        self._stop_talking(worker)
+        if self._server is not None:
+            self._server.kill_worker(worker.number)
 
-    def _on_worker_ended(self, worker: WorkerProcess, cause: str) -> None:
+    def _on_worker_ended(self, worker: _WorkerProcess, cause: str) -> None:
         if worker.state is not WorkerState.STOPPING:
             self._read(worker, everything=True)  # it may have sent a result before
-        self.workers = tuple(other for other in self.workers if other is not worker)
-        self._unregister(worker.sock)
-        self._unregister(worker.output.fd)
+        self._stop_talking(worker)
+        self._loop.remove_reader(worker.output.fd)
         worker.close()
         self._note_death(worker, cause, cause, worker.output.tail)
 
-    # Sockets and output of workers.
+    # Sockets and output.
 
-    def _on_socket(self, worker: WorkerProcess, mask: int) -> None:
-        if mask & selectors.EVENT_WRITE:
-            self._flush(worker)
-        if mask & selectors.EVENT_READ:
-            self._read(worker)
+    def _stop_talking(self, worker: _WorkerProcess) -> None:
+        self._loop.remove_reader(worker.sock)
+        self._loop.remove_writer(worker.sock)
 
-    def _on_output(self, worker: WorkerProcess) -> None:
+    def _read_output(self, worker: _WorkerProcess) -> None:
         if not worker.output.read():
-            self._unregister(worker.output.fd)
+            self._loop.remove_reader(worker.output.fd)
 
-    def _flush(self, worker: WorkerProcess) -> None:
+    def _flush(self, worker: _WorkerProcess) -> None:
         """Send a worker its messages, now or as soon as its socket takes more."""
-        events = selectors.EVENT_READ if worker.flush() else selectors.EVENT_READ | selectors.EVENT_WRITE
-        key = self._selector.get_key(worker.sock)
-        if key.events != events:
-            self._selector.modify(worker.sock, events, key.data)
+        if worker.writer.flush():
+            self._loop.remove_writer(worker.sock)
+        else:
+            self._loop.add_writer(worker.sock, self._flush, worker)
 
-    def _read(self, worker: WorkerProcess, everything: bool = False) -> None:
+    def _read(self, worker: _WorkerProcess, everything: bool = False) -> None:
         """Handle a worker's messages; only the first ones, since other workers wait, unless ``everything`` is set."""
         try:
-            for message in worker.read(everything):
+            for message in worker.reader.read(everything):
                 self._on_message(worker, message)
         except Exception:  # whatever a worker sends, the others' jobs go on
             LOG.exception("worker %d (pid %s) sent a malformed message", worker.number, worker.pid)
             worker.is_lost = True
+        worker.is_lost |= worker.reader.is_closed
         if worker.is_lost:  # it has ended, which the fork server reports, or is of no more use
-            self._unregister(worker.sock)
             self._kill(worker)
 
-    def _on_message(self, worker: WorkerProcess, message: Message) -> None:
+    def _on_message(self, worker: _WorkerProcess, message: Message) -> None:
         is_starting = worker.state is WorkerState.STARTING
         if is_starting and message.kind is Kind.STARTED:
             worker.pid = int(message.payload)
@@ -246,32 +353,28 @@ class _LocalSupervisor(Supervisor[WorkerProcess]):
         elif worker.state is not WorkerState.STOPPING:
             raise ValueError(f"{message.kind.name} of a worker that is {worker.state.value}")
 
-    def _unregister(self, source: Any) -> None:
-        if source in self._selector.get_map():
-            self._selector.unregister(source)
-
     # Jobs.
 
-    def _select_idle(self) -> list[WorkerProcess]:
+    def _select_idle(self) -> list[_WorkerProcess]:
         return sorted((w for w in super()._select_idle() if not w.is_lost), key=lambda worker: worker.is_retiring)
 
-    def _send_job(self, worker: WorkerProcess, record: JobRecord) -> None:
-        worker.put_job(record)
+    def _send_job(self, worker: _WorkerProcess, record: JobRecord) -> None:
+        worker.writer.put(Message(Kind.RUN, record.job.number, record.payload))
         self._flush(worker)
 
-    def _on_job_message(self, worker: WorkerProcess, message: Message) -> None:
+    def _on_job_message(self, worker: _WorkerProcess, message: Message) -> None:
         record = worker.record
         if record is None or record.job.number != message.job:
             return  # of a job that has ended
         if message.kind is Kind.EVENT:
-            self._results.deliver_event(record, message.payload)
+            record.deliver_event(message.payload)
             return
         limit = self._settings.recycle_after
         if limit is not None and worker.jobs_done + 1 >= limit:
             worker.is_retiring = not any(other.is_retiring for other in self.workers)  # at most one at a time
-        self._finish_job(worker, record, message.kind is Kind.RETURNED, message.payload)
+        self._finish_job(worker, message.kind is Kind.RETURNED, message.payload)
 
-    def _kill_overdue(self, worker: WorkerProcess) -> None:
+    def _kill_overdue(self, worker: _WorkerProcess) -> None:
         self._read(worker)
         if worker.record is not None:  # else it has stopped at the last moment
             super()._kill_overdue(worker)

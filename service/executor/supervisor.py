@@ -1,62 +1,76 @@
-"""The supervisor thread that pools have in common: hands jobs to workers, stops and kills them, replaces the dead."""
+"""The thread that looks after a pool's workers: hands them jobs, stops and kills them, replaces the dead.
+
+It runs an event loop, and everything that changes a worker or a running job happens in it.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import enum
 import threading
-import time
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from service.executor.errors import ExecutorError
-from service.executor.interface import WorkerState
-from service.executor.job_queue import LOG, JobQueue, JobRecord, JobResults, StopReason
+from service.executor.job import LOG, ExecutorError, JobRecord, Lane, StopReason, WorkerDied
+from service.executor.job_queue import JobQueue
 
-FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0
+FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0  # after a failed start, twice as long after each in a row
 _HOPELESS = 3  # failures in a row
 
 
 @dataclass(frozen=True)
 class PoolSettings:
-    """Settings of a pool, as its constructor documents them."""
+    """Settings of a pool, as its constructor documents them.
 
+    Raises:
+        ValueError: there are no workers.
+        TypeError: workers do not know ``warm_up``.
+    """
+
+    workers: int
     warm_up: Callable[[], object] | None
     preload: tuple[str, ...]
     grace_s: float
     max_bytes: int | None
     recycle_after: int | None
     start_timeout_s: float
+    light_workers: int = 0
+
+    def __post_init__(self) -> None:
+        check_workers(self.workers)
+        check_callable(self.warm_up)
 
 
-class RetryBackoff:
-    """Wait after failed starts, twice as long after each in a row.
+def check_callable(fn: Callable[..., Any] | None) -> None:
+    """Refuse a function that workers cannot import.
 
-    Attributes:
-        until: when to try again, on the clock of ``time.monotonic`` [s].
+    Raises:
+        TypeError: it is of the main script, which workers do not import.
     """
+    if getattr(fn, "__module__", None) == "__main__":
+        name = getattr(fn, "__qualname__", fn)
+        raise TypeError(f"{name} is a function of the main script; workers know only functions of modules")
 
-    def __init__(self) -> None:
-        self.until = 0.0
-        self._n_failures = 0
 
-    @property
-    def is_waiting(self) -> bool:
-        """Whether it is too early to try again."""
-        return time.monotonic() < self.until
+def check_workers(workers: int) -> None:
+    """Refuse a pool without workers.
 
-    def count_failure(self) -> bool:
-        """Count a failure, at most one per attempt; return whether there were several in a row."""
-        if self.is_waiting:
-            return False
-        self.until = time.monotonic() + min(FIRST_WAIT_S * 2**self._n_failures, _LONGEST_WAIT_S)
-        self._n_failures += 1
-        return self._n_failures >= _HOPELESS
+    Raises:
+        ValueError: ``workers`` is less than 1.
+    """
+    if workers < 1:
+        raise ValueError(f"workers must be at least 1; got {workers}")
 
-    def reset(self) -> None:
-        """Count from zero again."""
-        self._n_failures = 0
+
+class WorkerState(enum.Enum):
+    """State of a worker; one that has ended is forgotten."""
+
+    STARTING = "starting"
+    IDLE = "idle"
+    BUSY = "busy"
+    STOPPING = "stopping"
 
 
 class WorkerHandle(ABC):
@@ -67,9 +81,8 @@ class WorkerHandle(ABC):
         state: what it is doing.
         pid: on its own machine; None until it has sent it.
         record: the job it runs.
-        kill_at: when it is killed unless its job stops before, on the clock of ``time.monotonic`` [s].
+        limit: kills it when it does not become ready, or does not stop.
         jobs_done: how many jobs it has finished.
-        started: when it was started [s].
     """
 
     def __init__(self, number: int) -> None:
@@ -77,9 +90,8 @@ class WorkerHandle(ABC):
         self.state = WorkerState.STARTING
         self.pid: int | None = None
         self.record: JobRecord | None = None
-        self.kill_at: float | None = None
+        self.limit: asyncio.TimerHandle | None = None
         self.jobs_done = 0
-        self.started = time.monotonic()
 
     @property
     def is_up(self) -> bool:
@@ -100,37 +112,45 @@ W = TypeVar("W", bound=WorkerHandle)
 
 
 class Supervisor(ABC, Generic[W]):
-    """One thread that alone changes workers; other threads leave it requests and read the attributes.
+    """Keeps the workers; other threads leave it requests and read the attributes.
 
     Attributes:
-        target: how many workers there shall be.
+        target: how many workers there shall be, those for light jobs alone included.
         workers: those there are; a new tuple at each change.
         restarts: how many workers died or were killed.
     """
 
-    def __init__(self, name: str, target: int, settings: PoolSettings, queue: JobQueue) -> None:
-        self.target = target
+    def __init__(self, name: str, settings: PoolSettings, queue: JobQueue) -> None:
+        self.target = settings.workers + settings.light_workers
         self.workers: tuple[W, ...] = ()
         self.restarts = 0
         self._settings = settings
         self._queue = queue
-        self._results = JobResults(queue)
-        self._backoff = RetryBackoff()
-        self._n_started = 0
-        self._to_cancel: deque[JobRecord] = deque()
+        self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(self._stop_after_error)
+        self._n_started = self._n_failures = 0  # workers; starts in a row that failed
+        self._next_start = 0.0
         self._is_closing = self._is_over = False
         self._ready = threading.Condition()
         self._thread = threading.Thread(target=self._supervise, name=name, daemon=True)
 
     # Called by other threads.
 
-    @abstractmethod
-    def wake(self) -> bool:
-        """Have the thread check everything now; return False when it has ended."""
+    def wake(self) -> None:
+        """Have the thread check everything now."""
+        self._call(self._check)
+
+    def accept(self, record: JobRecord) -> bool:
+        """Look after a job that was put in the queue; return False when the thread has ended."""
+        return self._call(self._accept, record)
 
     def cancel(self, record: JobRecord) -> None:
         """Stop a job that runs, or was started and is queued again."""
-        self._to_cancel.append(record)
+        self._call(self._stop, record, StopReason.CANCELLED)
+
+    def resize(self, workers: int) -> None:
+        """Change the number of workers that take all jobs."""
+        self.target = workers + self._settings.light_workers
         self.wake()
 
     def close(self, wait: bool) -> None:
@@ -150,14 +170,17 @@ class Supervisor(ABC, Generic[W]):
     def _n_up(self) -> int:
         return sum(worker.is_up for worker in self.workers)
 
+    def _call(self, fn: Callable[..., None], *args: Any) -> bool:
+        try:
+            self._loop.call_soon_threadsafe(fn, *args)
+        except RuntimeError:  # the loop is closed
+            return False
+        return True
+
     # Differs between pools.
 
     @abstractmethod
-    def _wait_for_events(self, timeout_s: float | None) -> None:
-        """Handle what workers and other threads send, waiting at most that long for it."""
-
-    @abstractmethod
-    def _adjust_workers(self, now: float) -> None:
+    def _adjust_workers(self) -> None:
         """Start missing workers and end surplus ones."""
 
     @abstractmethod
@@ -170,111 +193,169 @@ class Supervisor(ABC, Generic[W]):
 
     @abstractmethod
     def _close_workers(self) -> None:
-        """End all workers; from then on ``wake`` returns False."""
+        """End all workers."""
 
     def _select_idle(self) -> list[W]:
         """Return the workers that can take a job, in the order in which they get one."""
         return [worker for worker in self.workers if worker.state is WorkerState.IDLE]
 
-    def _next_checks(self) -> list[float | None]:
-        """Return further times at which something is due without an event [s]."""
-        return []
-
     # The thread.
 
     def _supervise(self) -> None:
         try:
-            while not (self._is_closing and not self._queue.n_open):
-                self._wait_for_events(self._do_due())
-        except BaseException:
-            LOG.critical("the pool's supervisor failed", exc_info=True)
+            self._loop.call_soon(self._check)
+            self._loop.run_forever()
         finally:
+            self._is_over = True
             self._close_workers()
+            self.workers = ()
+            self._loop.close()  # from now on no job is accepted
             for record in self._queue.list_open():  # none, unless this thread failed
-                self._results.fail(record, ExecutorError("the pool failed; see its log"))
-            self._notify_ready()
+                record.fail(ExecutorError("the pool failed; see its log"))
+            with self._ready:
+                self._ready.notify_all()
 
-    def _do_due(self) -> float | None:
-        """Do all that is due; return the time until something is due again [s]."""
-        while self._to_cancel:
-            self._stop(self._to_cancel.popleft(), StopReason.CANCELLED)
-        now = time.monotonic()
-        for record in self._queue.take_overdue(now):
-            self._stop(record, StopReason.DEADLINE)
-        for worker in self.workers:
-            if worker.kill_at is not None and worker.kill_at <= now:
-                self._kill_overdue(worker)
-            elif worker.state is WorkerState.STARTING and worker.started + self._settings.start_timeout_s <= now:
-                self._end_worker(worker)
-                self._note_failed_start(self._describe_timeout(worker))
-        self._adjust_workers(now)
-        self._dispatch()
-        times = [self._queue.next_deadline(), self._backoff.until if self._backoff.is_waiting else None]
-        times += [worker.kill_at for worker in self.workers]
-        times += [w.started + self._settings.start_timeout_s for w in self.workers if w.state is WorkerState.STARTING]
-        times += self._next_checks()
-        return min((max(0.0, at - time.monotonic()) for at in times if at is not None), default=None)
+    def _stop_after_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        LOG.critical("the pool's supervisor failed: %s", context["message"], exc_info=context.get("exception"))
+        loop.stop()
 
-    def _dispatch(self) -> None:
+    def _check(self) -> None:
+        """Bring the number of workers to what it shall be, and give jobs to idle ones; end when all is done."""
+        if self._is_over:
+            return
+        if self._is_closing and not self._queue.n_open:
+            self._loop.stop()
+            return
+        self._adjust_workers()
+        n_heavy = sum(worker.record is not None and worker.record.place.lane > Lane.LIGHT for worker in self.workers)
         for worker in self._select_idle():
-            record = self._results.take_next()
+            record = self._take_job(only_light=n_heavy >= self.target - self._settings.light_workers)
             if record is None:
                 return
+            n_heavy += record.place.lane > Lane.LIGHT
             record.note_start(worker.pid)
-            worker.state, worker.record, worker.kill_at = WorkerState.BUSY, record, None
+            worker.state, worker.record = WorkerState.BUSY, record
             self._send_job(worker, record)
 
-    def _finish_job(self, worker: W, record: JobRecord, is_result: bool, payload: bytes) -> None:
-        """Free a worker and set its job's result or exception."""
-        worker.record, worker.kill_at, worker.state = None, None, WorkerState.IDLE
-        worker.jobs_done += 1
-        if is_result:
-            self._results.set_returned(record, payload)
-        else:
-            self._results.set_raised(record, payload)
+    # Jobs.
+
+    def _accept(self, record: JobRecord) -> None:
+        if record.job.deadline is not None:
+            limit = self._loop.call_at(record.job.deadline, self._stop, record, StopReason.DEADLINE)
+            record.job.add_done_callback(lambda _: self._call(limit.cancel))
+        self._check()
+
+    def _take_job(self, only_light: bool) -> JobRecord | None:
+        """Remove and return the next job to run; jobs past their deadline fail instead."""
+        while (record := self._queue.take(only_light)) is not None:
+            if record.claim():
+                if record.job.deadline is None or record.job.deadline > self._loop.time():
+                    return record
+                record.set_dropped(StopReason.DEADLINE)
+        return None
 
     def _stop(self, record: JobRecord, reason: StopReason) -> None:
         """Ask a job to stop, or end it when it is queued."""
-        if self._results.drop_queued(record, reason) or record.stop_reason is not None:
-            return
-        worker = next((worker for worker in self.workers if worker.record is record), None)
-        if worker is not None:
-            worker.kill_at = time.monotonic() + self._settings.grace_s
-            worker.request_stop(record)
-            record.stop_reason = reason
+        if self._queue.withdraw(record):
+            if record.claim():
+                record.set_dropped(reason)
+        elif record.stop_reason is None:
+            for worker in self.workers:
+                if worker.record is record:
+                    record.stop_reason = reason
+                    worker.request_stop(record)
+                    self._limit(worker, self._settings.grace_s, self._kill_overdue)
+        self._loop.call_soon(self._check)
+
+    def _finish_job(self, worker: W, is_result: bool, payload: bytes) -> None:
+        """Free a worker and set its job's result or exception."""
+        record = self._take_record(worker)
+        worker.state = WorkerState.IDLE
+        worker.jobs_done += 1
+        if record is not None and is_result:
+            record.set_returned(payload)
+        elif record is not None:
+            record.set_raised(payload)
+        self._loop.call_soon(self._check)
 
     def _kill_overdue(self, worker: W) -> None:
         """Kill the worker of a job that was asked to stop and did not."""
-        record, worker.record = worker.record, None
+        record = self._take_record(worker)
         self.restarts += 1
         self._end_worker(worker)
         if record is not None:
-            self._results.set_killed(record)
+            record.set_killed()
+        self._loop.call_soon(self._check)
+
+    def _take_record(self, worker: W) -> JobRecord | None:
+        """Return a worker's job, which it no longer runs."""
+        self._limit(worker, None)
+        record, worker.record = worker.record, None
+        return record
+
+    # Workers.
+
+    def _limit(self, worker: W, seconds: float | None, kill: Callable[[W], None] | None = None) -> None:
+        """Have ``kill`` called with the worker after a time [s] instead of any earlier limit."""
+        if worker.limit is not None:
+            worker.limit.cancel()
+        worker.limit = None if seconds is None or kill is None else self._loop.call_later(seconds, kill, worker)
+
+    @property
+    def _may_start(self) -> bool:
+        """Whether enough time has passed since the last start that failed."""
+        return self._loop.time() >= self._next_start
+
+    def _note_started(self, worker: W) -> None:
+        """Look after a worker whose start has begun."""
+        self.workers = (*self.workers, worker)
+        self._limit(worker, self._settings.start_timeout_s, self._kill_unready)
 
     def _note_up(self, worker: W) -> None:
         """Note that a worker has become ready."""
-        self._backoff.reset()
+        self._n_failures = 0
+        self._limit(worker, None)
         worker.state = WorkerState.IDLE
-        self._notify_ready()
-
-    def _notify_ready(self) -> None:
         with self._ready:
             self._ready.notify_all()
+        self._loop.call_soon(self._check)
+
+    def _kill_unready(self, worker: W) -> None:
+        self._end_worker(worker)
+        self._note_failed_start(self._describe_timeout(worker))
 
     def _note_death(self, worker: W, cause: str, details: str, last_output: str) -> None:
         """Note that a worker has ended; its job is started again or fails."""
+        self.workers = tuple(other for other in self.workers if other is not worker)
+        record = self._take_record(worker)
         if worker.state is WorkerState.STARTING:
             self._note_failed_start(f"worker {worker.number} ended ({cause}) before it was ready: {last_output}")
         elif worker.state is not WorkerState.STOPPING:
             self.restarts += 1
             LOG.warning("worker %d (pid %s) ended: %s", worker.number, worker.pid, details)
-        if worker.record is not None:
-            self._results.retry_or_fail(worker.record, cause, last_output)
+        if record is None:
+            pass
+        elif record.stop_reason is not None:
+            record.set_killed()
+        elif record.job.attempts >= record.max_attempts:
+            record.fail(WorkerDied(cause, record.job.attempts, last_output))
+        else:
+            self._queue.put_back(record)
+        self._loop.call_soon(self._check)
 
     def _note_failed_start(self, reason: str) -> None:
+        """Wait before the next start; after several failures in a row there is no hope for queued jobs."""
         LOG.error("a worker could not be started: %s", reason)
-        if self._backoff.count_failure() and self._n_up == 0:
-            self._results.fail_all_queued(reason)
+        if not self._may_start:  # of several workers that fail together one counts
+            return
+        wait_s = min(FIRST_WAIT_S * 2**self._n_failures, _LONGEST_WAIT_S)
+        self._next_start = self._loop.time() + wait_s
+        self._loop.call_later(wait_s + 0.001, self._check)
+        self._n_failures += 1
+        if self._n_failures >= _HOPELESS and self._n_up == 0:
+            for record in self._queue.list_open(only_queued=True):
+                if self._queue.withdraw(record) and record.claim():
+                    record.fail(WorkerDied("none could be started", record.job.attempts, reason[-1000:]))
 
     def _describe_timeout(self, worker: W) -> str:
         return f"worker {worker.number} was not ready after {self._settings.start_timeout_s:g} s"

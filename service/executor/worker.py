@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import ctypes
 import faulthandler
 import gc
@@ -18,11 +19,13 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 from service.executor import linux
-from service.executor.errors import JobFailed
-from service.executor.messages import BlockingChannel, Kind
+from service.executor.channel import BlockingChannel, Kind
+from service.executor.job import JobFailed
+
+BEAT_EVERY_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -48,22 +51,29 @@ class WorkerSetup:
             self.warm_up()
 
 
-class CancelFlag(Protocol):
-    """Holds the number of the job that shall stop; 0 while there is none."""
+class SharedFlags(ctypes.Structure):
+    """Memory that the pool may share with a worker; ``open`` maps it.
 
-    value: int
+    Attributes:
+        cancelled: number of the job that shall stop; 0 while there is none.
+        beats: counts up every ``BEAT_EVERY_S`` while the worker's Python runs.
+    """
 
+    cancelled: int
+    beats: int
+    _fields_ = (("cancelled", ctypes.c_uint64), ("beats", ctypes.c_uint64))
 
-def create_cancel_flag() -> tuple[int, ctypes.c_uint64]:
-    """Create a cancel flag in shared memory; return its file descriptor and the flag."""
-    fd = os.memfd_create("cancel-flag")
-    os.ftruncate(fd, ctypes.sizeof(ctypes.c_uint64))
-    return fd, open_cancel_flag(fd)
+    @classmethod
+    def create(cls) -> tuple[int, SharedFlags]:
+        """Return the file descriptor of new flags, and the flags."""
+        fd = os.memfd_create("worker-flags")
+        os.ftruncate(fd, ctypes.sizeof(cls))
+        return fd, cls.open(fd)
 
-
-def open_cancel_flag(fd: int) -> ctypes.c_uint64:
-    """Map the cancel flag behind a file descriptor, which all processes that have the descriptor share."""
-    return ctypes.c_uint64.from_buffer(mmap.mmap(fd, ctypes.sizeof(ctypes.c_uint64)))
+    @classmethod
+    def open(cls, fd: int) -> SharedFlags:
+        """Map the flags behind a file descriptor, which all processes that have the descriptor share."""
+        return cls.from_buffer(mmap.mmap(fd, ctypes.sizeof(cls)))
 
 
 class JobControl:
@@ -72,18 +82,18 @@ class JobControl:
     def __init__(
         self,
         job: int,
-        cancel_flag: CancelFlag | ctypes.c_uint64,
+        flags: SharedFlags,
         send: Callable[[Kind, int, bytes], None],
         clock_offset_s: float = 0.0,
     ) -> None:
         self._job = job
-        self._cancel_flag = cancel_flag
+        self._flags = flags
         self._send = send
         self._clock_offset_s = clock_offset_s  # 0 on one machine, whose processes share the clock
 
     def should_stop(self) -> bool:
         """Whether the pool wants the job to stop."""
-        return self._cancel_flag.value == self._job
+        return self._flags.cancelled == self._job
 
     def report(self, event: Any) -> None:
         """Send an event."""
@@ -97,9 +107,9 @@ class JobControl:
 class Worker:
     """Runs the calls that arrive on a socket and sends back their events and results."""
 
-    def __init__(self, sock: socket.socket, cancel_flag: ctypes.c_uint64) -> None:
+    def __init__(self, sock: socket.socket, flags: SharedFlags) -> None:
         self._channel = BlockingChannel(sock)
-        self._cancel_flag = cancel_flag
+        self._flags = flags
         self._sending = threading.Lock()  # a function may report from threads of its own
 
     def run(self) -> None:
@@ -107,12 +117,13 @@ class Worker:
         faulthandler.enable()  # a crash prints its stack on standard error
         linux.raise_oom_score()
         linux.lower_priority()
+        _thread.start_new_thread(self._beat, ())  # no `threading.Thread`: functions see only threads of their own
         self._send(Kind.STARTED, 0, str(os.getpid()).encode())
         setup = self._channel.receive()
         if setup is None or not self._set_up(setup.payload):
             return
         while (message := self._channel.receive()) is not None:
-            control = JobControl(message.job, self._cancel_flag, self._send)
+            control = JobControl(message.job, self._flags, self._send)
             kind, payload = run_call(message.payload, control)
             self._send(kind, message.job, payload)
 
@@ -127,6 +138,11 @@ class Worker:
             return False
         self._send(Kind.READY, 0, b"")
         return True
+
+    def _beat(self) -> None:
+        while True:
+            self._flags.beats += 1
+            time.sleep(BEAT_EVERY_S)
 
     def _send(self, kind: Kind, job: int, payload: bytes) -> None:
         with self._sending:

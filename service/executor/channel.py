@@ -1,18 +1,23 @@
-"""Messages on the socket between pool and worker: a kind, a job's number and a payload, framed by a header."""
+"""Between the pool and a process: messages on a socket (kind, number of the job, payload), and output on a pipe."""
 
 from __future__ import annotations
 
 import enum
+import os
 import socket
 import struct
 from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from service.executor.job import LOG
+
 MAX_PAYLOAD_BYTES = 2**30
 _HEADER = struct.Struct("<BQQ")  # kind, job, length of the payload
 _CHUNK = 2**16
 _MAX_SENT = 2**20  # at a time
+_MAX_LINE = 2000
+_MAX_TAIL = 4000  # a crash of a worker prints some 30 lines of stack after its own last words
 
 
 class Kind(enum.IntEnum):
@@ -40,43 +45,13 @@ class MalformedMessageError(Exception):
     """Received bytes are not a message."""
 
 
-class BlockingChannel:
-    """The worker's end of the socket: each call waits until the whole message is through."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._sock = sock
-
-    def send(self, kind: Kind, job: int, payload: bytes) -> None:
-        """Send a message."""
-        header = _HEADER.pack(kind, job, len(payload))
-        if len(payload) < _CHUNK:
-            self._sock.sendall(header + payload)  # in one call, since each call wakes the other side
-        else:
-            self._sock.sendall(header)
-            self._sock.sendall(payload)
-
-    def receive(self) -> Message | None:
-        """Return the next message, None when the other side has closed."""
-        header = self._receive_bytes(_HEADER.size)
-        if header is None:
-            return None
-        kind, job, length = _HEADER.unpack(header)
-        payload = self._receive_bytes(length)
-        return None if payload is None else Message(Kind(kind), job, bytes(payload))
-
-    def _receive_bytes(self, n: int) -> bytearray | None:
-        buffer = bytearray(n)
-        view, filled = memoryview(buffer), 0
-        while filled < n:
-            n_received = self._sock.recv_into(view[filled:])
-            if n_received == 0:
-                return None
-            filled += n_received
-        return buffer
+def _encode(kind: Kind, job: int, payload: bytes) -> list[bytes]:
+    header = _HEADER.pack(kind, job, len(payload))
+    return [header + payload] if len(payload) < _CHUNK else [header, payload]  # each part wakes the other side
 
 
 class MessageReader:
-    """The pool's reading end: takes the bytes that have arrived and never waits for more."""
+    """The reading end: takes the bytes that have arrived; the pool's socket never waits for more."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock = sock
@@ -128,11 +103,7 @@ class MessageWriter:
 
     def put(self, message: Message) -> None:
         """Queue a message behind those not sent yet."""
-        header = _HEADER.pack(message.kind, message.job, len(message.payload))
-        if len(message.payload) < _CHUNK:
-            self._unsent.append(memoryview(header + message.payload))
-        else:
-            self._unsent += [memoryview(header), memoryview(message.payload)]
+        self._unsent += map(memoryview, _encode(*message))
 
     def flush(self) -> bool:
         """Send some of what can be sent without waiting; return whether nothing is left."""
@@ -152,3 +123,72 @@ class MessageWriter:
             else:
                 self._unsent.popleft()
         return not self._unsent
+
+
+class BlockingChannel:
+    """The worker's end of the socket: each call waits until the whole message is through."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._sock = sock
+        self._received = self._receive_all()
+
+    def send(self, kind: Kind, job: int, payload: bytes) -> None:
+        """Send a message."""
+        for part in _encode(kind, job, payload):
+            self._sock.sendall(part)
+
+    def receive(self) -> Message | None:
+        """Return the next message, None when the other side has closed."""
+        return next(self._received, None)
+
+    def _receive_all(self) -> Iterator[Message]:
+        reader = MessageReader(self._sock)
+        while not reader.is_closed:
+            yield from reader.read()
+
+
+class ProcessOutput:
+    """A pipe for a process's standard output and error: logged line by line, its end kept.
+
+    Attributes:
+        name: of the process in the log.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._line = b""
+        self._tail = b""
+        self.fd, self.write_fd = os.pipe()
+        os.set_blocking(self.fd, False)
+
+    @property
+    def tail(self) -> str:
+        """The end of the output."""
+        return self._tail.decode(errors="replace").strip()
+
+    def read(self) -> bool:
+        """Log what has arrived; return False when no more can follow."""
+        try:
+            data = os.read(self.fd, _CHUNK)
+        except BlockingIOError:
+            return True
+        self._tail = (self._tail + data)[-_MAX_TAIL:]
+        *lines, self._line = (self._line + data).split(b"\n")
+        if len(self._line) > _MAX_LINE or not data:
+            lines, self._line = [*lines, self._line], b""
+        for line in lines:
+            if line.strip():
+                LOG.info("%s: %s", self.name, line[:_MAX_LINE].decode(errors="replace").rstrip())
+        return bool(data)
+
+    def close_write_end(self) -> None:
+        """Close the writing end once the process has its copy."""
+        if self.write_fd >= 0:
+            os.close(self.write_fd)
+            self.write_fd = -1
+
+    def close(self) -> None:
+        """Log the rest and close the pipe."""
+        self.close_write_end()
+        self.read()
+        os.close(self.fd)
