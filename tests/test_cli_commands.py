@@ -85,7 +85,7 @@ def test_every_verdict_has_its_exit_code_one_object_and_a_folder(
 
 def test_exit_codes_are_the_documented_ones() -> None:
     plans = {verdict.value for verdict in Verdict}
-    carried_out = {"STOOD": 0, "TRACKED": 0, "FELL": 7, "ABORTED": 8}
+    carried_out = {"VIOLATED": 4, "STOOD": 0, "TRACKED": 0, "FELL": 7, "ABORTED": 8}
     documented = {"CERTIFIED": 0, "INVALID_REQUEST": 3, "TIME_LIMIT": 5, "CANCELLED": 130}
     assert {**dict.fromkeys(plans, 4), **documented, **carried_out} == EXIT_CODES
 
@@ -262,10 +262,13 @@ main()
 """
 
 
-def _interrupted(tmp_path: Path, times: int) -> tuple[int, dict[str, Any]]:
-    """Return exit code and JSON of a plan that receives Ctrl-C that many times."""
+def _interrupted(tmp_path: Path, times: int, *, is_silent: bool = False) -> tuple[int, dict[str, Any]]:
+    """Return exit code and JSON of a plan that receives Ctrl-C that many times; silent work does not ask for it."""
     program = SLOW_PLANNER.format(
-        support=str(ROOT / "tests" / "support"), waits=times > 1, request=str(REQUEST), out=str(tmp_path / "plan")
+        support=str(ROOT / "tests" / "support"),
+        waits=times > 1 or is_silent,
+        request=str(REQUEST),
+        out=str(tmp_path / "plan"),
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -285,6 +288,25 @@ def test_ctrl_c_hands_over_the_best_so_far(tmp_path: Path) -> None:
     assert (code, data["verdict"]) == (130, "CANCELLED")
     assert (tmp_path / "plan" / "result.json").is_file()
     assert [path.name for path in tmp_path.iterdir()] == ["plan"]
+
+
+def test_ctrl_c_keeps_an_earlier_result(tmp_path: Path) -> None:
+    from small_plan import small_plan
+
+    from service import write_result
+
+    write_result(small_plan(), tmp_path / "plan")
+    before = {path: path.read_bytes() for path in (tmp_path / "plan").rglob("*") if path.is_file()}
+    code, data = _interrupted(tmp_path, 1)
+    assert (code, data["verdict"]) == (130, "CANCELLED")
+    assert "result" not in data
+    assert {path: path.read_bytes() for path in (tmp_path / "plan").rglob("*") if path.is_file()} == before
+
+
+def test_ctrl_c_ends_work_that_does_not_ask_for_it(tmp_path: Path) -> None:
+    code, data = _interrupted(tmp_path, 1, is_silent=True)
+    assert (code, data["verdict"]) == (130, "CANCELLED")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_ctrl_c_twice_stops_at_once_and_writes_nothing(tmp_path: Path) -> None:

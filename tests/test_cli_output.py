@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from posed_results import make_graph
 from scipy.spatial.transform import Rotation
 from small_plan import small_plan
 
@@ -106,8 +109,9 @@ def test_csv_and_json_hold_the_same_samples(folder: Path) -> None:
     trajectory = read_result(folder)["trajectory"]
     with (folder / "trajectory.csv").open() as file:
         header, *rows = csv.reader(file)
-    assert header == ["time", *trajectory["joint_names"]]
-    table = np.array(rows, dtype=float)
+    width = 1 + len(trajectory["joint_names"])
+    assert header[:width] == ["time", *trajectory["joint_names"]]
+    table = np.array(rows, dtype=float)[:, :width]
     np.testing.assert_allclose(table[:, 0], trajectory["times"], rtol=1e-9)
     np.testing.assert_allclose(table[:, 1:], trajectory["positions"], atol=1e-9)
 
@@ -213,6 +217,17 @@ def test_an_interrupted_write_leaves_the_earlier_result_and_nothing_else(
         write_result(replace(plan, notes=("second",)), tmp_path / "plan")
     assert [path.name for path in tmp_path.iterdir()] == ["plan"]
     assert read_result(tmp_path / "plan")["notes"] == ["made by hand"]
+
+
+def test_a_graph_of_poses_comes_to_the_page_with_the_links_of_its_poses(plan: PlanResult, tmp_path: Path) -> None:
+    graph = make_graph()
+    graph["poses"] = [{**pose, "q": plan.start[: plan.robot.n].tolist()} for pose in graph["poses"]]
+    page = write_result(replace(plan, pose_graph=graph), tmp_path / "plan").viewer.read_text("utf-8")
+    payload = re.search(r'id="payload">(.*?)</script>', page, re.DOTALL)
+    assert payload is not None
+    drawn = json.loads(payload.group(1))["pose_graph"]
+    assert len(drawn["poses"]) == len(graph["poses"])
+    assert set(drawn["links"]) == {body.link for body in plan.robot.bodies}
 
 
 def test_an_earlier_result_returns_when_the_new_one_cannot_take_its_place(

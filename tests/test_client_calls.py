@@ -492,7 +492,7 @@ def test_without_files_an_earlier_result_stays(stand_in: PlannerStandIn, target:
 def test_the_client_loads_nothing_that_plans_and_nothing_of_the_server() -> None:
     program = (
         "import sys, service.client\n"
-        "heavy = {'pinocchio', 'coal', 'scipy', 'open3d', 'scopt', 'perception'}\n"
+        "heavy = {'numpy', 'pinocchio', 'coal', 'scipy', 'open3d', 'scopt', 'perception'}\n"
         "ours = {'service.server', 'service.store', 'service.executor', 'service.work', 'service.planner'}\n"
         "costs = {name for name in sys.modules if name.startswith('costs.')} - {'costs.names'}  # for error messages\n"
         "print(sorted((heavy | ours) & set(sys.modules) | costs))\n"

@@ -103,7 +103,8 @@ def _error_text(kind: str, target: str, **settings: Any) -> str:
 @pytest.mark.parametrize("kind", CLIENTS)
 def test_an_address_without_a_server_is_named(kind: str, tmp_path: Path) -> None:
     for target in ("localhost:1", f"unix:{tmp_path}/socket"):
-        assert _error_text(kind, target) == f"no server answers at {target}; start one there with `scopt serve`"
+        words = "start one there with `scopt serve`, or try again if it is still starting"
+        assert _error_text(kind, target) == f"no server answers at {target}; {words}"
     target = "no.such.host.invalid:50051"
     assert _error_text(kind, target) == f"target: no address is known for {target}; check the name"
 

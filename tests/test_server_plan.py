@@ -11,14 +11,18 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 from google.rpc.error_details_pb2 import BadRequest
 from google.rpc.status_pb2 import Status
-from planner_calls import ENDLESS, QUICK, finished, plan_request, wait_for
+from planner_calls import ENDLESS, QUICK, finished, plan_request, refusal, wait_for
 from planner_server import ServerProcess, planner_server
 
+from service.client import PlannerClient
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, VERDICT_TIME_LIMIT, MotionResult
+from service.result.approval import check_approval, read_public_key
 from service.wire.hashes import hash_trajectory
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -26,7 +30,13 @@ pytestmark = pytest.mark.filterwarnings("error")
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    with planner_server(tmp_path_factory.mktemp("server") / "data", "--queue", "2") as started:
+    folder = tmp_path_factory.mktemp("server")
+    key = Ed25519PrivateKey.generate()
+    (folder / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    (folder / "key.pem").chmod(0o600)
+    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    (folder / "key.pub").write_bytes(public)
+    with planner_server(folder / "data", "--queue", "2", "--sign-key", str(folder / "key.pem")) as started:
         yield started
 
 
@@ -77,7 +87,9 @@ def test_files_of_a_plan_are_those_of_the_command_line(stub: PlannerServiceStub,
     assert json.loads(files["result.json"])["verdict"] == "CERTIFIED"
 
 
-def test_finished_plan_can_be_fetched_verified_and_reviewed(stub: PlannerServiceStub) -> None:
+def test_finished_plan_can_be_fetched_verified_reviewed_and_checked_without_the_server(
+    server: ServerProcess, stub: PlannerServiceStub, tmp_path: Path
+) -> None:
     plan_id = finished(stub.Plan(plan_request(QUICK, with_files=True), timeout=60)).plan_id
     parts = list(stub.GetPlan(wire.GetPlanRequest(plan_id=plan_id, with_files=True), timeout=20))
     record = parts[0].record
@@ -93,8 +105,19 @@ def test_finished_plan_can_be_fetched_verified_and_reviewed(stub: PlannerService
         trajectory_sha256=trajectory,
         certificate_sha256=certificate,
     )
+    code, words, _ = refusal(lambda: stub.ReviewPlan(review, timeout=20))
+    assert (code, "page_sha256: expected that of the stored plan" in words) == ("FAILED_PRECONDITION", True)
+    review.page_sha256 = record.page_sha256
     stub.ReviewPlan(review, timeout=20)
     assert next(iter(stub.GetPlan(wire.GetPlanRequest(plan_id=plan_id)))).record.is_approved
+    with PlannerClient(server.address) as client:
+        client.get_plan(plan_id, out=tmp_path / "out")
+    approval = check_approval(tmp_path / "out", read_public_key(server.log.parent / "key.pub"))
+    assert (approval.plan_id, approval.trajectory_sha256, approval.page_sha256) == (
+        plan_id,
+        trajectory,
+        record.page_sha256,
+    )
     review.trajectory_sha256 = "0" * 64
     with pytest.raises(grpc.RpcError) as refused:
         stub.ReviewPlan(review, timeout=20)
@@ -147,27 +170,6 @@ def test_bytes_that_are_no_message_are_an_invalid_argument(server: ServerProcess
         with pytest.raises(grpc.RpcError) as refused:
             list(call(b"\xff\xff\xff", timeout=20))
     assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
-
-
-def test_field_of_a_later_version_is_refused_rather_than_ignored(server: ServerProcess) -> None:
-    message = plan_request(QUICK)
-    payload = message.SerializeToString() + b"\xfa\x3f\x00"  # field 1023 of PlanRequest
-    inner = message.request.SerializeToString() + b"\xfa\x3f\x00"
-    with grpc.insecure_channel(server.address) as channel:
-        call = channel.unary_stream("/planner.v1.PlannerService/Plan")
-        for data in (payload, b"\x12" + _length(inner) + inner):
-            with pytest.raises(grpc.RpcError) as refused:
-                list(call(data, timeout=20))
-            assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT  # type: ignore[attr-defined]
-            assert "1023" in refused.value.details()  # type: ignore[attr-defined]
-
-
-def _length(data: bytes) -> bytes:
-    size, out = len(data), b""
-    while size > 127:
-        out += bytes([size & 127 | 128])
-        size >>= 7
-    return out + bytes([size])
 
 
 def test_file_of_the_server_is_refused_unless_its_folder_is_allowed(stub: PlannerServiceStub) -> None:

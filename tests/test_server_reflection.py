@@ -1,4 +1,7 @@
-"""A client that knows nothing but where the server is: it learns the service from its reflection, and plans."""
+"""A client that knows nothing but where the server is: it learns the service from its reflection, and plans.
+
+The server is started from a configuration file, and probed at its Unix socket.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,9 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import grpc
 import pytest
+from grpc_reflection.v1alpha import reflection_pb2
 from planner_server import ServerProcess, planner_server
 
 # In a process of its own, so that nothing of the project and no generated code can be known to it.
@@ -49,7 +54,10 @@ with grpc.insecure_channel(sys.argv[1]) as channel:
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    with planner_server(tmp_path_factory.mktemp("server") / "data") as started:
+    folder = tmp_path_factory.mktemp("server")
+    config = folder / "server.toml"
+    config.write_text('socket = "probe.sock"\nmetrics = "127.0.0.1:0"\nbudget = ["egress=200"]\n')
+    with planner_server(folder / "data", "--config", str(config)) as started:
         yield started
 
 
@@ -71,3 +79,32 @@ def test_client_made_of_reflection_alone_plans_and_reads_the_verdict(server: Ser
     elbow = result["trajectory"]["joint_names"].index("l_arm_elx")
     last = result["trajectory"]["positions"][-len(result["trajectory"]["joint_names"]) :]
     assert last[elbow] == pytest.approx(1.2, abs=1e-3)
+
+
+@pytest.mark.parametrize("version", ["v1", "v1alpha"])
+def test_reflection_answers_in_both_versions_and_describes_itself(server: ServerProcess, version: str) -> None:
+    ask = reflection_pb2.ServerReflectionRequest
+    with grpc.insecure_channel(server.address) as channel:
+        call = channel.stream_stream(
+            f"/grpc.reflection.{version}.ServerReflection/ServerReflectionInfo",
+            request_serializer=ask.SerializeToString,
+            response_deserializer=reflection_pb2.ServerReflectionResponse.FromString,
+        )
+        names = {f"grpc.reflection.{it}.ServerReflection" for it in ("v1", "v1alpha")}
+        requests = [ask(list_services=""), *(ask(file_containing_symbol=name) for name in sorted(names))]
+        services, *files = call(iter(requests), timeout=30)
+    assert names <= {it.name for it in services.list_services_response.service}
+    assert [len(it.file_descriptor_response.file_descriptor_proto) for it in files] == [1, 1]
+
+
+def test_a_probe_at_the_socket_learns_that_the_server_accepts_work(server: ServerProcess) -> None:
+    def probe(target: str) -> subprocess.CompletedProcess[str]:
+        program = [sys.executable, "-c", "from service.cli.app import main; main()", "health", "--target", target]
+        return subprocess.run(program, capture_output=True, text=True, timeout=60)
+
+    socket = server.log.parent / "probe.sock"
+    answer = probe(f"unix:{socket}")
+    assert (answer.returncode, answer.stdout) == (0, "SERVING\n"), answer.stderr
+    nobody = probe("127.0.0.1:1")
+    assert nobody.returncode == 69
+    assert nobody.stderr == "UNAVAILABLE: 127.0.0.1:1 does not answer within 3 s (UNAVAILABLE)\n"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 from pathlib import Path
 
 import pytest
 from google.rpc.error_details_pb2 import BadRequest
 from google.rpc.status_pb2 import Status
 
-from service.executor.worker import JobControl
+from service.executor.worker import JobControl, SharedFlags
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.server.cloud_requests import NamedFile, rename_fields
 from service.server.refusals import refuse_invalid
@@ -21,7 +20,7 @@ from service.work.plan import Refused
 
 HEADERS_BYTES = 8 * 2**10  # beyond which gRPC ends a call in its own way
 
-CONTROL = JobControl(1, ctypes.c_uint64(0), lambda *_: None)  # of a job that nobody stops
+CONTROL = JobControl(1, SharedFlags(), lambda *_: None)  # of a job that nobody stops
 
 
 def _told(refusal: Refusal) -> list[BadRequest.FieldViolation]:

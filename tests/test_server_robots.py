@@ -53,7 +53,7 @@ def test_robots_come_change_break_and_go_while_the_server_runs(stub: PlannerServ
 
     (robots / "other").mkdir()
     (robots / "other" / "robot.urdf").write_text(URDF.format(upper=1))
-    assert told() == "robot: unknown robot 'swinger'; expected atlas; this server also has other"
+    assert told() == "robot.name: unknown robot 'swinger'; expected atlas, other"
     urdf = robots / "swinger" / "robot.urdf"
     urdf.parent.mkdir()
     urdf.write_text(URDF.format(upper=1))

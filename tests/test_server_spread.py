@@ -49,7 +49,7 @@ class _Stays:
 
 
 def _answer(verdict: Verdict, name: str = "") -> PlanAnswer:
-    return PlanAnswer(verdict.value, name.encode(), "", "", b"", {})
+    return PlanAnswer(verdict.value, name.encode(), "", "", b"", "", {})
 
 
 def _raced(*ends: tuple[float, PlanAnswer | Refused | Exception]) -> tuple[PlanAnswer | Refused, list[bool]]:

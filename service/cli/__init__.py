@@ -11,8 +11,20 @@ of ``options.CloudOptions`` and ``options.ServerOptions``.  A new command is a f
 | stance | ``stance`` |
 | bench | ``bench`` |
 | scene, detect | ``scene`` |
-| serve, token | ``serve`` |
+| serve, token, health | ``server`` |
 | request, review, top: clients of a server, on ``connect`` | ``request``, ``review``, ``top`` |
 
 ``run`` turns errors into exit codes, ``report`` prints results.
 """
+
+import sys
+
+
+def main() -> None:
+    """Entry point of the ``scopt`` program, which also takes a Ctrl-C while its modules are imported."""
+    try:
+        from service.cli.app import main as run_command
+    except KeyboardInterrupt:
+        print("cancelled", file=sys.stderr)
+        raise SystemExit(130) from None
+    run_command()

@@ -6,16 +6,23 @@ Commands import what they need when they run, so that ``scopt --help`` answers a
 from __future__ import annotations
 
 import os
-from typing import Annotated
+import sys
+from contextlib import suppress
+from typing import Annotated, NoReturn
 
 import typer
 
 from service.cli.bench import bench_command
-from service.cli.plan import plan_command, robots_command, verify_command, view_command
+from service.cli.certify import certify_command
+from service.cli.export import export_command
+from service.cli.plan import plan_command, verify_command, view_command
 from service.cli.request import request_command
 from service.cli.review import review_command
+from service.cli.robots import robots_command
 from service.cli.scene import detect_command, scene_command
-from service.cli.serve import serve_command, token_command
+from service.cli.server.health import health_command
+from service.cli.server.serve import serve_command
+from service.cli.server.token import token_command
 from service.cli.simulate import simulate_command
 from service.cli.stance import stance_command
 from service.cli.top import top_command
@@ -31,22 +38,24 @@ TRACK_EXIT_CODES = (
 LOCAL_EXIT_CODES = EXIT_CODE_HELP.format("", "")
 REMOTE_EXIT_CODES = EXIT_CODE_HELP.format("6 OVERLOADED, 69 UNAVAILABLE, ", "77 NOT_ALLOWED, ")
 SIMULATION_EXIT_CODES = "Exit codes: 0 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 70 internal error, 130 CANCELLED."
+EXIT_CANCELLED = 130
 app = typer.Typer(
     name="scopt",
     help="Whole-body trajectories for humanoids, with a certificate that a stranger can replay.",
     epilog=LOCAL_EXIT_CODES,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # its help page loads a Markdown parser and a syntax highlighter: 0.16 s
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("plan", epilog=LOCAL_EXIT_CODES)(plan_command)
 app.command("verify", epilog=LOCAL_EXIT_CODES)(verify_command)
+app.command("certify", epilog=LOCAL_EXIT_CODES)(certify_command)
 app.command("simulate", epilog=SIMULATION_EXIT_CODES)(simulate_command)
 app.command("track", epilog=TRACK_EXIT_CODES)(track_command)
 app.command("stance")(stance_command)
 app.command("view")(view_command)
+app.command("export")(export_command)
 app.command("bench")(bench_command)
 app.command("robots")(robots_command)
 app.command("scene")(scene_command)
@@ -56,11 +65,30 @@ app.command("review")(review_command)
 app.command("top")(top_command)
 app.command("serve")(serve_command)
 app.command("token")(token_command)
+app.command("health")(health_command)
 
 
 def main() -> None:
-    """Entry point of the ``scopt`` program."""
-    app()
+    """Entry point of the ``scopt`` program.
+
+    A cancelled command ends at once: without the destructors of libraries, which may take half a second.
+    """
+    try:
+        app()
+    except KeyboardInterrupt:  # while a command was imported
+        print("cancelled", file=sys.stderr)
+        _end_now(EXIT_CANCELLED)
+    except SystemExit as ended:
+        if ended.code == EXIT_CANCELLED:
+            _end_now(EXIT_CANCELLED)
+        raise
+
+
+def _end_now(exit_code: int) -> NoReturn:
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(exit_code)
 
 
 def _print_version(is_wanted: bool) -> None:

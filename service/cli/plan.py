@@ -1,11 +1,11 @@
-"""``scopt plan``, ``verify``, ``view`` and ``robots``: plans and results on this machine."""
+"""``scopt plan``, ``verify`` and ``view``: plans and results on this machine."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,8 +13,11 @@ from costs.stopping import stops_when
 from costs.threads import use_all_cores
 from service.cli.command import command
 from service.cli.options import Json
-from service.cli.report import print_result, print_table
+from service.cli.report import print_result
 from service.cli.run import cancellable, consoles, print_json, progress
+
+if TYPE_CHECKING:
+    from service.result.approval import Approval
 
 ResultPath = Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")]
 
@@ -38,6 +41,13 @@ def plan_command(
         Path | None,
         typer.Option(help="File with the robot's state, for --from-phase: joints, base, mechanism, contacts."),
     ] = None,
+    adjust: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="With --from-phase: a target is elsewhere [m]; a goal's link, valve, a contact patch or an obstacle.",
+            metavar="TARGET:X,Y,Z",
+        ),
+    ] = None,
     trajopt: Annotated[bool, typer.Option("--trajopt", help="REQUEST is a TrajOpt problem (docs/trajopt.md).")] = False,
     robot: Annotated[str | None, typer.Option(help="Bundled robot or URDF of a TrajOpt problem.")] = None,
     srdf: Annotated[Path | None, typer.Option(help="SRDF of that URDF; manip may name its groups.")] = None,
@@ -51,6 +61,13 @@ def plan_command(
     time_limit: Annotated[
         float | None, typer.Option(help="Seconds a TrajOpt problem may take (60).", min=0.01, max=3600.0)
     ] = None,
+    untimed: Annotated[
+        bool,
+        typer.Option("--untimed", help="Plan and certify the path of a TrajOpt problem alone: no speeds, no forces."),
+    ] = False,
+    no_torque: Annotated[
+        bool, typer.Option("--no-torque", help="Do not check the joint torques of a TrajOpt problem.")
+    ] = False,
 ) -> str:
     """Plan a request, certify the motion, write the result.
 
@@ -58,18 +75,19 @@ def plan_command(
     with --scene or --cloud. It starts at --start, else at the first row of a given_traj, else at the robot's posture.
 
     With --from-phase, REQUEST is the result of an earlier plan. The new motion starts at --state and keeps the earlier
-    plan's choices; --cloud gives a new scan.
+    plan's choices; --cloud gives a new scan, and --adjust displaces what is not where it was.
     """
     if (from_phase is None) != (state is None):
         raise typer.BadParameter("--from-phase and --state come together")
+    if adjust and from_phase is None:
+        raise typer.BadParameter("--adjust goes with --from-phase")
     name = request.stem if from_phase is None else f"{(request.parent if request.is_file() else request).name}-rest"
     folder = out if out is not None else Path("out") / name
-    if not trajopt and any(
-        value is not None for value in (robot, srdf, package_root, floating, scene, start, time_limit)
-    ):
+    given = any(value is not None for value in (robot, srdf, package_root, floating, scene, start, time_limit))
+    if not trajopt and (given or untimed or no_torque):
         raise typer.BadParameter(
-            "--robot, --srdf, --package-root, --floating-base, --scene, --start and --time-limit "
-            "go with --trajopt; a request holds all of them"
+            "--robot, --srdf, --package-root, --floating-base, --scene, --start, --time-limit, --untimed and "
+            "--no-torque go with --trajopt; a request holds all of them"
         )
     stdout, stderr = consoles()
     with progress(stderr, "read request") as report, cancellable(stderr) as should_stop:
@@ -82,32 +100,42 @@ def plan_command(
             from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
             limit_s = TrajoptFiles.time_limit_s if time_limit is None else time_limit
-            files = TrajoptFiles(robot, srdf, package_root, floating, scene, start, limit_s)
+            paths = (robot, srdf, package_root, floating, scene, start)
+            files = TrajoptFiles(*paths, limit_s, is_timed=not untimed, checks_torque=not no_torque)
             plan_request = load_trajopt_request(request, files)
         elif from_phase is not None and state is not None:
+            from service.replay.adjust import adjust_request, read_adjustment
             from service.replay.resume import make_rest_request, read_recorded_scan
 
             plan_request = make_rest_request(request, from_phase, state, cloud)
             around = read_recorded_scan(request, plan_request) if cloud is None else None
+            for target, offset in map(read_adjustment, adjust or []):
+                plan_request, around = adjust_request(plan_request, around, target, offset)
         else:
             plan_request = load_request(request)
         if cloud is not None and from_phase is None:
             plan_request = replace_cloud(plan_request, cloud)
         from service.planner import plan
-        from service.result.folder import check_folder
+        from service.result.folder import RESULT_NAME, check_folder
         from service.result.output import write_result
         from service.result.result_json import summary_json
 
         check_folder(folder)
         use_all_cores()
         result = plan(plan_request, on_progress=report, should_stop=should_stop, around=around)
-        report("write result", 1.0)
-        written = write_result(result, folder)
+        is_kept = result.verdict.value == "CANCELLED" and (folder / RESULT_NAME).is_file()
+        written = None
+        if not is_kept:
+            report("write result", 1.0)
+            written = write_result(result, folder)
     summary = summary_json(result)
+    if written is None:
+        stderr.print(f"{folder} keeps its earlier result", markup=False, soft_wrap=True)
     if as_json:
-        print_json({**summary, **written.to_json()})
+        print_json({**summary, **({} if written is None else written.to_json())})
     else:
-        print_result(stdout, summary, {"viewer": written.viewer, "trajectory": written.trajectory})
+        lines = {} if written is None else {"viewer": written.viewer, "trajectory": written.trajectory}
+        print_result(stdout, summary, lines)
     return str(result.verdict.value)
 
 
@@ -121,10 +149,15 @@ def verify_command(
         list[Path] | None,
         typer.Option(help="Cloud (or scene) file of that request, read again; repeat for several."),
     ] = None,
+    trust: Annotated[
+        Path | None,
+        typer.Option(help="Public key (PEM): require approval.json in the folder, signed for exactly these files."),
+    ] = None,
     as_json: Json = False,
 ) -> str:
     """Check a result anew, without the planner."""
     stdout, stderr = consoles()
+    approval = None if trust is None else _read_approval(result, trust)
     with progress(stderr, "read result") as report, cancellable(stderr) as should_stop:
         report("read result", 0.0)
         from service.replay.replay import verify_result
@@ -133,10 +166,18 @@ def verify_command(
         with stops_when(should_stop):
             summary = verify_result(result, request, cloud or [])
     if as_json:
-        print_json(summary)
+        print_json(summary if approval is None else {**summary, "approval": dataclasses.asdict(approval)})
     else:
-        print_result(stdout, summary)
+        lines = {} if approval is None else {"approved by": f"{approval.reviewer}, plan {approval.plan_id}"}
+        print_result(stdout, summary, lines)
     return str(summary["verdict"])
+
+
+def _read_approval(result: Path, trust: Path) -> Approval:
+    from service.result.approval import check_approval, read_public_key
+    from service.result.folder import result_path
+
+    return check_approval(result_path(result).parent, read_public_key(trust))
 
 
 @command()
@@ -154,45 +195,3 @@ def view_command(result: ResultPath) -> None:
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(viewer.as_uri())
     typer.echo(str(viewer))
-
-
-@command()
-def robots_command(as_json: Json = False) -> None:
-    """List the robots that ship with scopt, and the patches of theirs that may carry force."""
-    from costs.robot import PATCH_DEFAULTS, bundled_contacts, bundled_robots
-
-    robots, out = bundled_robots(), consoles()[0]
-    contacts = {name: bundled_contacts(name) for name in robots}
-    if as_json:
-        listed = [
-            {
-                "name": name,
-                "description": text,
-                "contacts": {
-                    patch: {
-                        "link": contact.link,
-                        "points": contact.points.tolist(),
-                        "normal": contact.normals[0].tolist(),
-                        "friction": contact.friction,
-                        "force_cap_n": contact.force_cap_n,
-                    }
-                    for patch, contact in contacts[name].items()
-                },
-            }
-            for name, text in robots.items()
-        ]
-        kinds = {kind: dataclasses.asdict(default) for kind, default in PATCH_DEFAULTS.items()}
-        print_json({"robots": listed, "contact_defaults": kinds})
-        return
-    print_table(out, ("robot", "description"), list(robots.items()))
-    columns = ("contact patch", "robot", "link", "points", "friction", "force cap per point")
-    rows = [
-        (patch, name, contact.link, str(len(contact.points)), f"{contact.friction:g}", f"{contact.force_cap_n:g} N")
-        for name in robots
-        for patch, contact in contacts[name].items()
-    ]
-    out.print()
-    print_table(out, columns, rows)
-    out.print()
-    kinds_rows = [(kind, f"{d.friction:g}", f"{d.force_cap_n:g} N") for kind, d in PATCH_DEFAULTS.items()]
-    print_table(out, ("kind of a patch in a request", "friction", "force cap per point"), kinds_rows)

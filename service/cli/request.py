@@ -28,6 +28,7 @@ def request_command(
     request_id: Annotated[
         str | None, typer.Option(help="Id of the request; the same id gives the same plan again.", metavar="ID")
     ] = None,
+    batch: Annotated[bool, typer.Option("--batch", help="Let interactive requests go first.")] = False,
     attempts: Annotated[int, typer.Option(help="Attempts if the server is unreachable or overloaded.", min=1)] = 3,
     as_json: Json = False,
 ) -> str:
@@ -53,7 +54,12 @@ def request_command(
             report(f"upload {names}, send request" if names else "send request", 0.0)
             show_event = _EventReport(report, 0.0 if stderr.is_terminal else LOG_PERIOD_S)
             plan = client.plan(
-                plan_request, request_id=request_id, out=folder, on_progress=show_event, deadline_s=deadline
+                plan_request,
+                request_id=request_id,
+                out=folder,
+                on_progress=show_event,
+                deadline_s=deadline,
+                is_batch=batch,
             )
     summary = summarize(plan.result)
     files = None if plan.folder is None else ResultFiles(plan.folder)
@@ -79,6 +85,8 @@ class _EventReport:
             case "accepted":
                 known = " (known)" if event.accepted.is_known else ""
                 self._report(f"accepted as {event.accepted.plan_id}{known}", 0.0)
+                for warning in event.accepted.warnings:
+                    self._report(f"warning: {warning}", 0.0)
             case "queued":
                 wait = f", about {event.queued.expected_wait_s:.1f} s" if event.queued.place else ""
                 self._report(f"queued behind {event.queued.place}{wait}", 0.0)

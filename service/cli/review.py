@@ -32,8 +32,9 @@ def review_command(
 ) -> None:
     """Accept or reject a plan of a server.
 
-    The review is bound to the hashes of the trajectory and the certificate that are shown. Without --accept or
-    --reject, the plan and its reviews are shown. With --out, its files are fetched.
+    The review is bound to the hashes of the trajectory, the certificate and the viewer's page that are shown. Without
+    --accept or --reject, the plan and its reviews are shown. With --out, its files are fetched, with approval.json if
+    the server signs approvals.
     """
     from service.cli.connect import connect
     from service.client.answers import summarize
@@ -51,12 +52,13 @@ def review_command(
             lines = {
                 "trajectory": record.result.trajectory.sha256 or "none",
                 "certificate": record.result.certificate.sha256 or "none",
+                "page": record.page_sha256 or "none",
                 **({} if files is None else {"viewer": files.viewer}),
             }
             print_result(stdout, summarize(record.result), lines)
         if is_accepted is not None:
             client.review(record, accept=is_accepted, comment=comment)
-            record = client.get_plan(plan_id).record
+            record = client.get_plan(plan_id, out=out).record  # with its approval, if the server signs
     if as_json:
         print_json(
             {
@@ -65,6 +67,7 @@ def review_command(
                 **({} if files is None else files.to_json()),
                 "trajectory_sha256": record.result.trajectory.sha256,
                 "certificate_sha256": record.result.certificate.sha256,
+                "page_sha256": record.page_sha256,
                 "is_approved": record.is_approved,
                 "reviews": [dict(zip(_COLUMNS, _make_row(review), strict=True)) for review in record.reviews],
             }

@@ -25,6 +25,7 @@ EXIT_CODES = {
     "FEASIBLE_AT_SAMPLES": 4,
     "NOT_FOUND": 4,
     "INFEASIBLE": 4,
+    "VIOLATED": 4,
     "INVALID_REQUEST": 3,
     "TIME_LIMIT": 5,
     "CANCELLED": 130,
@@ -35,6 +36,7 @@ EXIT_CODES = {
 }
 EXIT_INTERNAL = 70
 INTERNAL_ERROR = "INTERNAL_ERROR"
+SILENT_S = 0.2  # after Ctrl-C, in which work polls whether to stop
 MIN_WIDTH = 120  # a table in a log file need not be squeezed into 80 columns
 TRACEBACK_VARIABLE = "SCOPT_TRACEBACK"
 Report = Callable[[str, float | None], None]
@@ -127,12 +129,29 @@ _PRINT_END: ContextVar[Callable[[EndedError], None]] = ContextVar("print_end", d
 def cancellable(stderr: Console) -> Iterator[Callable[[], bool]]:
     """Stop the work of the body, which returns its best result, on Ctrl-C; the second Ctrl-C ends this process.
 
-    Neither raises an exception in the body, which may run native code whose threads would go on.  Yields a function
-    that returns whether to stop.
+    Work that polls is not interrupted by an exception, since it may run native code whose threads would go on.  A step
+    that does not poll within ``SILENT_S`` (imports, reading and writing files) ends by ``KeyboardInterrupt``.  Yields a
+    function that returns whether to stop.
     """
-    stop = threading.Event()
+    stop, heard = threading.Event(), threading.Event()
+
+    def should_stop() -> bool:
+        if stop.is_set():
+            heard.set()
+            return True
+        return False
+
+    def interrupt_silent_step() -> None:
+        if not heard.wait(SILENT_S) and not is_over.is_set():
+            is_silent.set()
+            signal.raise_signal(signal.SIGINT)
 
     def request_stop(signum: int, frame: FrameType | None) -> None:
+        if is_silent.is_set() and not is_ended.is_set():
+            is_ended.set()
+            raise KeyboardInterrupt
+        if is_ended.is_set():
+            return  # the command ends already
         if stop.is_set():
             with suppress(RuntimeError, OSError):  # a write may be in progress
                 _PRINT_END.get()(_CANCELLED)
@@ -140,12 +159,16 @@ def cancellable(stderr: Console) -> Iterator[Callable[[], bool]]:
             os._exit(_CANCELLED.exit_code)
         stop.set()
         stderr.print("stopping; Ctrl-C again stops at once", style="yellow")
+        threading.Thread(target=interrupt_silent_step, daemon=True).start()
 
+    is_silent, is_ended, is_over = threading.Event(), threading.Event(), threading.Event()
     earlier = signal.signal(signal.SIGINT, request_stop)
     try:
-        yield stop.is_set
+        yield should_stop
     finally:
-        signal.signal(signal.SIGINT, earlier)
+        is_over.set()
+        if not is_ended.is_set():
+            signal.signal(signal.SIGINT, earlier)
 
 
 @contextmanager

@@ -34,7 +34,10 @@ def simulate_command(
     joint_friction: Annotated[
         float, typer.Option(help="Dry friction in every joint, as a share of its torque limit.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    perturb: Annotated[
+        float, typer.Option(help="Size of random errors of surfaces, masses, friction and first pose; 1: 1 cm, 5 %.")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of noise and errors.")] = 0,
     as_json: Json = False,
 ) -> str:
     """Carry out a plan in physics: does the robot stand, and does the wheel turn?
@@ -55,6 +58,7 @@ def simulate_command(
             noise=noise,
             delay_ms=delay,
             joint_friction=joint_friction,
+            perturb=perturb,
             seed=seed,
         )
         with stops_when(should_stop):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -18,7 +19,9 @@ MOST_ROWS = 8
 
 @command()
 def stance_command(
-    request: Annotated[Path, typer.Argument(help="Request file with task.door or task.valve.", metavar="REQUEST")],
+    request: Annotated[
+        Path, typer.Argument(help="Request file with task.door, task.valve or task.mechanism.", metavar="REQUEST")
+    ],
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for stance.json and stance.svg; by default out/NAME-stance.", show_default=False),
@@ -60,7 +63,7 @@ def stance_command(
                 f"{candidate['score']:.2f}",
                 ", ".join(f"{value:.2f}" for value in candidate["base"]["position"][:2]),
                 f"{candidate['yaw_deg']:.0f}",
-                f"{candidate['parts']['angle_deg']:.0f} of {candidate['parts']['asked_deg']:.0f}",
+                _describe_reached(candidate["parts"]),
                 f"{1e3 * candidate['parts']['balance_m']:.0f}",
                 f"{1e3 * candidate['parts']['clearance_m']:.0f}",
                 candidate["hold"] + (f" ({candidate['missing']})" if candidate["missing"] else ""),
@@ -68,7 +71,7 @@ def stance_command(
             for candidate in summary["candidates"]
             if not candidate["refused"]
         ]
-        header = ("score", "base x, y", "yaw", "angle", "balance mm", "clear mm", "hold")
+        header = ("score", "base x, y", "yaw", "reached", "balance mm", "clear mm", "hold")
         print_table(stdout, header, rows[:MOST_ROWS])
         for note in summary["notes"]:
             stdout.print(f"note: {note}", markup=False, soft_wrap=True)
@@ -83,3 +86,10 @@ def stance_command(
     if best is not None:
         return None
     return "NOT_FOUND" if search.is_complete else "TIME_LIMIT"
+
+
+def _describe_reached(parts: Mapping[str, Any]) -> str:
+    """Return how far the mechanism gets, as an angle or as a share of its way."""
+    if parts["angle_deg"] is None:
+        return f"{100.0 * parts['share']:.0f} %"
+    return f"{parts['angle_deg']:.0f} of {parts['asked_deg']:.0f} deg"

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from service.execution.execution import Cycle, Execution
     from service.execution.reference import PlannedReference
     from service.execution.tracking import Action
+    from service.simulation.options import SimulationOptions
 
 SETTLE_S = 1.0  # that a robot in physics stands before and after the plan [s]
 SHIFT = re.compile(r"([^:@\s]+):([^@]+)@(.+)")
@@ -47,7 +48,7 @@ def track_command(
     adjust: Annotated[
         str | None,
         typer.Option(
-            help="Pause at a time, and plan again from that phase on with a displaced target: a goal's link, or valve.",
+            help="Pause at a time and plan again from that phase on with a displaced goal's link, valve or door.",
             metavar="TARGET:X,Y,Z@TIME",
         ),
     ] = None,
@@ -57,6 +58,10 @@ def track_command(
     ] = 0.5,
     stiff: Annotated[bool, typer.Option("--stiff", help="Without soft touchdown.")] = False,
     noise: Annotated[float, typer.Option(help="Of the sensors in physics; 1 is usual, 0 is none.")] = 0.0,
+    perturb: Annotated[
+        float, typer.Option(help="Size of random errors of the physics against the plan; 1: surfaces 1 cm, masses 5 %.")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of noise and errors.")] = 0,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File for the report (JSON).")] = None,
     as_json: Json = False,
 ) -> str:
@@ -91,7 +96,9 @@ def track_command(
         look: Callable[[Cycle], Mapping[str, float]] | None = None
         driver: RobotDriver
         if physics:
-            driver, look = _make_physics(folder, reference, noise)
+            from service.simulation.options import SimulationOptions
+
+            driver, look = _make_physics(folder, reference, SimulationOptions(noise=noise, perturb=perturb, seed=seed))
         else:
             driver = KinematicRobot(reference.joint_names, reference.at(0.0).q)
         execution = Execution(reference, driver, settings)
@@ -168,29 +175,16 @@ def _read_shift(option: str, text: str) -> Action:
 
 
 def _make_physics(
-    folder: Path, reference: PlannedReference, noise: float
+    folder: Path, reference: PlannedReference, options: SimulationOptions
 ) -> tuple[RobotDriver, Callable[[Cycle], Mapping[str, float]]]:
     """Return a simulated robot that stands at the plan's start, and a function that compares it with what is known."""
     import numpy as np
     import pinocchio as pin
 
-    from service.execution.driver import JointCommand
-    from service.replay.replay import read_request
-    from service.result.folder import read_result
-    from service.simulation.model import build_physics
-    from service.simulation.options import SimulationOptions
-    from service.simulation.resistance import read_mechanism_physics
-    from service.simulation.robot import SimulatedRobot
+    from service.simulation.stand import read_recorded_request, stand_in_physics
 
-    options = SimulationOptions(noise=noise)
-    request = read_request(read_result(folder), folder)
-    model = build_physics(reference.motion, read_mechanism_physics(request), options)
-    start = reference.at(0.0)
-    robot = SimulatedRobot(model, start.configuration, options)
-    still = JointCommand(start.q, np.zeros_like(start.qd), start.tau)
-    for _ in range(round(SETTLE_S / robot.period_s)):
-        robot.command(still)
-    count = 0
+    robot = stand_in_physics(reference, read_recorded_request(folder), options)
+    count, numbers = 0, {phase.name: k for k, phase in enumerate(reference.phases)}  # a new plan keeps the names
     data = reference.robot.model.createData()
     groups = reference.robot.link_groups
     links = (*groups.get("feet", ()), *groups.get("hands", ()))
@@ -204,7 +198,7 @@ def _make_physics(
         count += 1
         if count % 10:
             return {}
-        robot.hold_grips(reference.find_phase_number(cycle.state.time_s))
+        robot.hold_grips(numbers.get(cycle.phase))
         commanded, true = place(cycle.command.q), place(robot.configuration())
         off = {f"{link} off its command [m]": float(np.linalg.norm(commanded[link] - true[link])) for link in links}
         if cycle.estimate is not None:

@@ -1,14 +1,17 @@
-"""Admission of requests: a queue bounded in number and time, and refusal of deadlines that cannot be met."""
+"""Admission of requests: a queue bounded in number and time and shared by clients; deadlines that cannot be met."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Collection
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from statistics import fmean
 
 import grpc
 
+from service.executor import NOBODY, Place
 from service.server.refusals import refuse_overload
 from service.trust.rpc import Refusal
 
@@ -20,6 +23,12 @@ LEAST_S = 1e-6
 MEAN_OVER, MAX_MEANS = 8, 1000  # requests per running mean of the relative duration; means that are stored
 SLOW = 99.0  # percentile of these means that the queue is planned for
 MAX_SLOWNESS = 1.5  # greater relative durations come from harder requests, not from a slower machine
+
+SHORTEST_DELAY_S = 0.05  # before another try
+EARLY_S = 0.02  # by which a client may come before its reservation
+RESERVED_S = 2.0  # beyond its delay, for which a place is reserved
+MAX_RESERVATIONS = 1000
+REMEMBERED_S = 2.0  # for which a client without open requests counts for the shares of others
 
 
 @dataclass
@@ -55,34 +64,56 @@ class Durations:
         known = self._seconds.get(kind, ())
         return _percentile(known, QUICKEST) if len(known) >= MIN_DURATIONS else 0.0
 
-    def percentile(self, share: float) -> float:
-        """Return a percentile over all kinds [s]; 0 without durations."""
-        known = [seconds for kind in self._seconds.values() for seconds in kind]
-        return _percentile(known, share) if known else 0.0
-
 
 def _percentile(values: Collection[float], share: float) -> float:
     """Return the value that ``share`` percent do not exceed; twenty times faster than numpy for a few hundred."""
     return sorted(values)[min(int(0.01 * share * len(values)), len(values) - 1)]
 
 
+@dataclass(frozen=True)
+class _Request:
+    """A request that waits or runs."""
+
+    kind: str
+    place: Place
+
+
+@dataclass(frozen=True)
+class _Reservation:
+    """A place in the queue that is kept for a refused client which comes back in time.
+
+    Attributes:
+        due: from when on [s].
+        until: to when [s].
+    """
+
+    due: float
+    until: float
+
+
 @dataclass
 class Admission:
-    """Count of waiting and running requests, and its bound.
+    """Count of waiting and running requests by client, and its bound.
 
     A waiting request shall begin within the time that ``queue_limit`` usual requests take, also in a slow period: the
-    more durations vary, the fewer requests may wait.
+    more durations vary, the fewer requests may wait. Clients share the places; one that is alone may use all of them,
+    and the last quarter is for those below their share. A refused client is told when to come back, and a place is
+    reserved for it then.
 
     Attributes:
         workers: number of requests that run at a time.
         queue_limit: greatest number of waiting requests.
         durations: recent durations by kind of work.
+        clock: monotonic [s].
     """
 
     workers: int
     queue_limit: int
     durations: Durations = field(default_factory=Durations)
-    _open: dict[int, str] = field(default_factory=dict)  # kind by ticket
+    clock: Callable[[], float] = time.monotonic
+    _open: dict[int, _Request] = field(default_factory=dict)  # by ticket
+    _reserved: dict[str, _Reservation] = field(default_factory=dict)  # by client, in order of their refusals
+    _last_seen: dict[str, float] = field(default_factory=dict)  # by client, when it last had an open request
     _tickets: int = 0
 
     @property
@@ -95,31 +126,56 @@ class Admission:
         """Number of running requests."""
         return min(len(self._open), self.workers)
 
-    def expected_wait_s(self) -> float:
-        """Return the time until a worker would begin the next request [s]."""
-        if len(self._open) < self.workers:
+    def expected_wait_s(self, place: Place = NOBODY) -> float:
+        """Return the time until a worker would begin the next request of a client [s]."""
+        requests = list(self._open.values())
+        if len(requests) < self.workers:
             return 0.0
-        kinds = list(self._open.values())
         # A running request is half done on average.
-        work = sum(self.durations.mean(kind) * (0.5 if i < self.workers else 1.0) for i, kind in enumerate(kinds))
+        work = sum(0.5 * self.durations.mean(request.kind) for request in requests[: self.workers])
+        waiting = requests[self.workers :]
+        n_own = sum(_is_ahead(request, place, same=True) for request in waiting)
+        turns = Counter[str]()
+        for request in waiting:
+            is_own = request.place.owner == place.owner
+            if _is_ahead(request, place, same=is_own) and (is_own or turns[request.place.owner] <= n_own):
+                turns[request.place.owner] += 1
+                work += self.durations.mean(request.kind)
         return work / self.workers
+
+    def wait_at(self, position: int) -> float:
+        """Return the time until a worker begins the request at a position of the queue, 1 for the next one [s]."""
+        return (position - 0.5) * self._place_every_s
 
     def is_full(self) -> bool:
         """Whether no further request may wait."""
-        return len(self._open) >= self.workers + round(self.queue_limit / self.durations.slowness)
+        return self._n_free <= 0
 
-    def check(self, kind: str, left_s: float | None) -> None:
+    def check(self, kind: str, left_s: float | None, place: Place = NOBODY) -> None:
         """Refuse a request that exceeds the queue, or cannot be done in the ``left_s`` seconds until its deadline.
 
         Raises:
             Refusal: RESOURCE_EXHAUSTED with a delay, or DEADLINE_EXCEEDED.
         """
-        wait = self.expected_wait_s()
-        if self.is_full():
-            load = f"requests running: {self.running}, waiting: {self.queued}"
+        self._drop_expired()
+        client = place.owner
+        n_own = sum(request.place.owner == client for request in self._open.values())
+        n_clients = len({client, *self._reserved, *self._last_seen, *(r.place.owner for r in self._open.values())})
+        share = math.ceil(self._n_places / n_clients)
+        reservation = self._reserved.get(client)
+        is_due = reservation is not None and self.clock() >= reservation.due - EARLY_S
+        others = self._reserved.keys() - {client}
+        n_held = 0 if is_due else min(len(others), max(1, self._n_places // 2))
+        if self._n_free - n_held < 1:
+            raise self._refuse(client, is_due)
+        if n_clients > 1 and n_own >= share and self._n_free - n_held <= self._n_places // 4:
+            delay = self._place_every_s * n_clients
             raise refuse_overload(
-                f"{load}, which is about {wait:.1f} s of work; try again in {wait / 2.0:.1f} s", wait / 2.0
+                f"{n_own} requests of this client run or wait, which is its share beside {n_clients - 1} other "
+                f"client{'s' if n_clients > 2 else ''}; try again in {delay:.1f} s",
+                delay,
             )
+        wait = self.expected_wait_s(place)
         needed = wait + self.durations.quickest(kind)
         if left_s is not None and left_s < needed:
             raise Refusal(
@@ -128,14 +184,57 @@ class Admission:
                 f"{wait:.2f} of it waiting; it was not begun",
             )
 
-    def enter(self, kind: str) -> int:
-        """Add a request; returns the ticket for ``leave``."""
+    def enter(self, kind: str, place: Place = NOBODY) -> int:
+        """Add a request, which uses its client's reservation; returns the ticket for ``leave``."""
         self._tickets += 1
-        self._open[self._tickets] = kind
+        self._open[self._tickets] = _Request(kind, place)
+        self._reserved.pop(place.owner, None)
         return self._tickets
 
     def leave(self, ticket: int, seconds: float | None) -> None:
         """Remove a request; ``seconds`` is its duration in a worker, None for a cancelled or refused one."""
-        kind = self._open.pop(ticket)
+        request = self._open.pop(ticket)
+        self._last_seen[request.place.owner] = self.clock()
         if seconds is not None:
-            self.durations.add(kind, seconds)
+            self.durations.add(request.kind, seconds)
+
+    @property
+    def _n_places(self) -> int:
+        return self.workers + round(self.queue_limit / self.durations.slowness)
+
+    @property
+    def _n_free(self) -> int:
+        return self._n_places - len(self._open)
+
+    @property
+    def _place_every_s(self) -> float:
+        """Expected time between two requests that end [s]."""
+        requests = list(self._open.values())[: self.workers]
+        return fmean([self.durations.mean(request.kind) for request in requests] or [FIRST_GUESS_S]) / self.workers
+
+    def _refuse(self, client: str, is_due: bool) -> Refusal:
+        """Make the refusal of a full queue, and reserve a place for the client."""
+        now = self.clock()
+        reservation = self._reserved.get(client)
+        if reservation is None or is_due:
+            n_ahead = list(self._reserved).index(client) if is_due else len(self._reserved)
+            delay = max((n_ahead + 0.5) * self._place_every_s, SHORTEST_DELAY_S)
+            reservation = _Reservation(now + delay, now + 2.0 * delay + RESERVED_S)
+            if len(self._reserved) < MAX_RESERVATIONS or is_due:
+                self._reserved[client] = reservation  # keeps its position if it had one
+        delay = max(reservation.due - now, SHORTEST_DELAY_S)
+        load = f"requests running: {self.running}, waiting: {self.queued}"
+        work = self.expected_wait_s()
+        return refuse_overload(
+            f"{load}, which is about {work:.1f} s of work; try again in {delay:.1f} s, a place is reserved then", delay
+        )
+
+    def _drop_expired(self) -> None:
+        now = self.clock()
+        self._reserved = {client: place for client, place in self._reserved.items() if place.until > now}
+        self._last_seen = {client: then for client, then in self._last_seen.items() if now - then < REMEMBERED_S}
+
+
+def _is_ahead(request: _Request, place: Place, same: bool) -> bool:
+    """Whether a waiting request may go before a new one of a client (``same``: only the client's own count)."""
+    return request.place.lane <= place.lane and (not same or request.place.owner == place.owner)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from service.errors import RequestError, shown
+from service.executor import Place
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     BuildSceneResponse,
@@ -37,7 +38,7 @@ from service.server.cloud_requests import (
 )
 from service.server.disk import DiskWatch
 from service.server.jobs import JobRunner, await_result
-from service.server.refusals import refuse_invalid, refuse_overload
+from service.server.refusals import discard_uploads, refuse_invalid, refuse_overload
 from service.server.requests import RequestReader, select_uploads
 from service.server.settings import SMALL_BYTES
 from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
@@ -97,9 +98,12 @@ class UploadHandler:
             raise refuse_invalid(
                 [f"header.size_bytes: expected at most {most}, got {announced}; downsample the cloud first"]
             )
-        known_size = self._clouds.size(f"{UPLOADED}{claimed}{suffix}") if claimed else None
-        if known_size is not None:
-            return UploadCloudResponse(cloud_id=f"{UPLOADED}{claimed}{suffix}", size_bytes=known_size, was_known=True)
+        known_id = f"{UPLOADED}{claimed}{suffix}"
+        # A file that was damaged on the disk is removed, so that this upload replaces it.
+        if claimed and self._clouds.has(known_id) and await asyncio.to_thread(self._clouds.check, known_id):
+            known_size = self._clouds.size(known_id)
+            if known_size is not None:
+                return UploadCloudResponse(cloud_id=known_id, size_bytes=known_size, was_known=True)
         self._disk.require_space()
         with self._clouds.upload(client.name, suffix) as upload:
             self._count(client.key, announced)
@@ -184,6 +188,7 @@ class CloudHandlers:
                 deadline=deadline_of(context),
                 budget_s=self._settings.budget_s("scene"),
                 on_event=steps.put_nowait,
+                place=Place(current_caller().owner),
             )
             handle.ended.add_done_callback(lambda _: steps.put_nowait(None))
             try:
@@ -223,6 +228,7 @@ class CloudHandlers:
                 scene.hint,
                 deadline=deadline_of(context),
                 budget_s=self._settings.budget_s("detect"),
+                place=Place(current_caller().owner),
             )
             result = self._accept(answer, clouds, scene)
         return DetectResponse(hits=detections_to_messages(result["hits"]), notes=result["notes"])
@@ -287,6 +293,8 @@ class CloudHandlers:
             Refusal: the worker refused the clouds.
         """
         if isinstance(answer, Refused):
+            if answer.damaged:
+                raise discard_uploads(self._clouds, answer.damaged)
             pairs = zip(scene.cloud_files, clouds.files, strict=True)
             files = [NamedFile(f"clouds.clouds[{k}].file", cloud.file, path) for k, (cloud, path) in enumerate(pairs)]
             problems = rename_fields(answer.problems, [*files, *more])

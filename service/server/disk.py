@@ -68,4 +68,4 @@ class DiskWatch:
         elif self._problem and not problem:
             _LOG.info("results can be stored again")
         self._problem = problem
-        self._health.set_serving(not problem)
+        self._health.set_ready("disk", not problem)

@@ -11,7 +11,17 @@ from typing import Any, Generic, TypeVar
 
 import grpc
 
-from service.executor import CancellableExecutor, DeadlineExceeded, ExecutorError, Job, PoolClosed, WorkerDied
+from service.executor import (
+    NOBODY,
+    DeadlineExceeded,
+    ExecutorError,
+    Job,
+    Lane,
+    Place,
+    Pool,
+    PoolClosed,
+    WorkerDied,
+)
 from service.server.admission import Admission
 from service.server.refusals import STOPPING
 from service.trust.rpc import Refusal
@@ -51,7 +61,7 @@ class JobRunner:
         is_closed: no further jobs are accepted.
     """
 
-    def __init__(self, executor: CancellableExecutor, admission: Admission) -> None:
+    def __init__(self, executor: Pool, admission: Admission) -> None:
         self.executor = executor
         self.admission = admission
         self._open: dict[int, tuple[str, Job[Any], float]] = {}  # kind, job and budget by ticket
@@ -69,6 +79,8 @@ class JobRunner:
         budget_s: float,
         on_event: Callable[[Any], object] | None = None,
         is_typical: Callable[[T], bool] = lambda _: True,
+        place: Place = NOBODY,
+        is_accepted: bool = False,
     ) -> JobHandle[T]:
         """Hand a job to the executor.
 
@@ -80,6 +92,8 @@ class JobRunner:
             budget_s: how long it may run [s].
             on_event: called on the event loop with each event that ``fn`` reports.
             is_typical: whether the duration of a result counts for later estimates.
+            place: whose job it is and how it waits; light jobs are not counted.
+            is_accepted: whether it was accepted before, so that it is not refused now.
 
         Raises:
             Refusal: the queue is full, the deadline cannot be met, or the server is stopping.
@@ -87,18 +101,21 @@ class JobRunner:
         loop = asyncio.get_running_loop()
         if self.is_closed:
             raise STOPPING
-        self.admission.check(kind, None if deadline is None else deadline - time.monotonic())
+        is_light = place.lane is Lane.LIGHT
+        if not is_light and not is_accepted:
+            self.admission.check(kind, None if deadline is None else deadline - time.monotonic(), place)
 
         def forward(event: Any) -> None:
             if on_event is not None:
                 loop.call_soon_threadsafe(on_event, event)
 
-        self._free_worker()
+        if not is_light:
+            self._free_worker()
         try:
-            job = self.executor.submit(fn, *args, on_event=forward, deadline=deadline)
+            job = self.executor.submit(fn, *args, on_event=forward, deadline=deadline, place=place)
         except PoolClosed:
             raise STOPPING from None
-        ticket = self.admission.enter(kind)
+        ticket = -job.number if is_light else self.admission.enter(kind, place)
         self._open[ticket] = (kind, job, budget_s)
         ended: asyncio.Future[T] = loop.create_future()
         job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end, ticket, job, ended, is_typical))
@@ -118,13 +135,21 @@ class JobRunner:
         job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end_spare, job, ended))
         return JobHandle(job, ended)
 
-    async def run(self, kind: str, fn: Callable[..., T], *args: Any, deadline: float | None, budget_s: float) -> T:
+    async def run(
+        self,
+        kind: str,
+        fn: Callable[..., T],
+        *args: Any,
+        deadline: float | None,
+        budget_s: float,
+        place: Place = NOBODY,
+    ) -> T:
         """Run a job to its end; it is stopped when the awaiting task is cancelled.
 
         Raises:
             Refusal: as ``start`` and ``await_result``.
         """
-        handle = self.start(kind, fn, *args, deadline=deadline, budget_s=budget_s)
+        handle = self.start(kind, fn, *args, deadline=deadline, budget_s=budget_s, place=place)
         try:
             return await await_result(handle)
         except asyncio.CancelledError:
@@ -188,7 +213,8 @@ class JobRunner:
         del self._open[ticket]
         is_answer = not job.cancelled() and job.exception() is None and is_typical(job.result())
         took = None if job.started is None or not is_answer else time.monotonic() - job.started
-        self.admission.leave(ticket, took)
+        if ticket >= 0:
+            self.admission.leave(ticket, took)
         for listener in list(self._listeners):
             listener()
         why = self._stop_reasons.pop(ticket, None)

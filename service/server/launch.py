@@ -11,13 +11,15 @@ from typing import Any
 import platformdirs
 
 from service.errors import RequestError, would_do
-from service.executor import CancellableExecutor
+from service.executor import Pool
+from service.result.approval import Signer
 from service.server.serve import PRELOAD, Endpoint, serve
 from service.server.settings import BUDGETS_S, KINDS, ServerSettings
 from service.telemetry import SentSpans, set_up_logs
-from service.trust import ClientLimiter, ClientLimits, TlsFiles, Tokens, find_listen_problems
+from service.trust import ClientLimiter, ClientLimits, TlsFiles, Tokens, find_listen_problems, find_socket_problems
 from service.work.plan import warm_up
 
+LIGHT_WORKERS = 1  # beside those that plan: they list robots and check names while all others are busy
 LOCAL, RAY = "local", "ray://"
 BURST_S = 5.0  # a burst may have as many requests as the rate allows in this time
 SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_ENDPOINT"  # OpenTelemetry's variable for the collector's address
@@ -33,7 +35,10 @@ class ServeOptions:
         budgets: ``KIND=SECONDS`` each.
         tls: files of the certificate, its key and the authority of client certificates.
         tokens: file of known clients.
+        sign_key: private key that signs approvals; None without.
         metrics: address of the metrics.
+        is_metrics_remote: whether other machines may reach it.
+        socket: Unix socket for clients of this machine, besides ``listen``.
         executor: ``local`` or ``ray://HOST:PORT``.
         requests_per_s: rate of each client in the long run; None for the default.
     """
@@ -43,7 +48,10 @@ class ServeOptions:
     budgets: tuple[str, ...] = ()
     tls: tuple[Path | None, Path | None, Path | None] = (None, None, None)
     tokens: Path | None = None
+    sign_key: Path | None = None
     metrics: str | None = None
+    is_metrics_remote: bool = False
+    socket: Path | None = None
     executor: str = LOCAL
     requests_per_s: float | None = None
 
@@ -61,12 +69,26 @@ async def launch(options: ServeOptions, on_ready: Callable[[str], None]) -> None
         raise RequestError(f"--robots {settings.robots}: is no folder")
     tokens = None if options.tokens is None else Tokens(options.tokens)
     tls = _make_tls(options.tls)
+    signer = None if options.sign_key is None else Signer(options.sign_key)
     problems = find_listen_problems(options.listen, tls, tokens)  # before any worker is started
+    if options.socket is not None:
+        problems += [line.replace("--listen unix:", "--socket ") for line in find_socket_problems(options.socket)]
     if problems:
         raise RequestError(problems)
     set_up_logs()
     spans = SentSpans() if os.environ.get(SPANS_VARIABLE) else None
-    endpoint = Endpoint(options.listen, tls, tokens, _make_limiter(options.requests_per_s), options.metrics, spans)
+    limiter = _make_limiter(options.requests_per_s)
+    endpoint = Endpoint(
+        options.listen,
+        tls,
+        tokens,
+        limiter,
+        options.metrics,
+        options.is_metrics_remote,
+        None if options.socket is None else str(options.socket),
+        spans,
+        signer,
+    )
     await serve(settings, endpoint, _make_executor(options.executor, settings), on_ready)
 
 
@@ -100,18 +122,29 @@ def _make_tls(files: tuple[Path | None, Path | None, Path | None]) -> TlsFiles |
     return TlsFiles(cert, key, client_ca)
 
 
-def _make_executor(name: str, settings: ServerSettings) -> CancellableExecutor:
+def _make_executor(name: str, settings: ServerSettings) -> Pool:
     if name == LOCAL:
         from service.executor.local_pool import LocalPool
 
-        return LocalPool(settings.workers, warm_up=warm_up, preload=PRELOAD, max_bytes=settings.worker_bytes)
+        return LocalPool(
+            settings.workers,
+            warm_up=warm_up,
+            preload=PRELOAD,
+            max_bytes=settings.worker_bytes,
+            light_workers=LIGHT_WORKERS,
+        )
     if name.startswith(RAY):
-        try:
-            from service.executor.ray_pool import RayPool
-        except ImportError:
-            raise RequestError(f"--executor {name}: Ray is not installed; run pip install 'scopt[ray]'") from None
+        from service.executor.ray_pool import RayPool
+
         try:
             return RayPool(name, settings.workers, warm_up=warm_up, preload=PRELOAD, max_bytes=settings.worker_bytes)
+        except ImportError:
+            raise RequestError(f"--executor {name}: Ray is not installed; run pip install 'scopt[ray]'") from None
         except ConnectionError as error:
             raise RequestError(f"--executor {name}: {error}") from None
+        except Exception as error:
+            if type(error).__name__ != "AuthenticationError":  # a class that older versions of Ray do not have
+                raise
+            text = "the cluster expects its token; set RAY_AUTH_TOKEN_PATH or RAY_AUTH_TOKEN as for `ray start`"
+            raise RequestError(f"--executor {name}: {text}") from None
     raise RequestError(f"--executor: expected {LOCAL} or ray://HOST:PORT, got {name!r}")

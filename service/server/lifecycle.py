@@ -18,7 +18,7 @@ _Status = health_pb2.HealthCheckResponse
 
 
 class Health(health_pb2_grpc.HealthServicer):  # type: ignore[misc]
-    """Health of the server as a whole and of its services, which share one state.
+    """Health of the server as a whole and of its services, which share one state: that of all parts together.
 
     A watch ends with the server's health, so that a drain need not wait for it.
 
@@ -28,18 +28,21 @@ class Health(health_pb2_grpc.HealthServicer):  # type: ignore[misc]
 
     def __init__(self, services: Iterable[str]) -> None:
         self._services = frozenset(("", *services))
-        self._is_serving, self._is_ending = True, False
+        self._problems: set[str] = set()
+        self._is_ending = False
         self._changed = asyncio.Event()
 
-    def set_serving(self, is_serving: bool) -> None:
-        """Set whether new work is accepted; without effect after ``end``."""
-        if is_serving != self._is_serving and not self._is_ending:
-            self._is_serving = is_serving
-            self._wake()
+    def set_ready(self, part: str, is_ready: bool) -> bool:
+        """Set whether a part of the server is ready; work is accepted while all are. Returns whether that is new."""
+        if is_ready is (part not in self._problems):
+            return False
+        (self._problems.discard if is_ready else self._problems.add)(part)
+        self._wake()
+        return True
 
     def end(self) -> None:
         """Report NOT_SERVING from now on, and end all watches."""
-        self._is_serving, self._is_ending = False, True
+        self._is_ending = True
         self._wake()
 
     async def Check(self, request: health_pb2.HealthCheckRequest, context: Context) -> health_pb2.HealthCheckResponse:
@@ -61,7 +64,8 @@ class Health(health_pb2_grpc.HealthServicer):  # type: ignore[misc]
     def _status(self, request: health_pb2.HealthCheckRequest) -> health_pb2.HealthCheckResponse:
         if request.service not in self._services:
             return _Status(status=_Status.SERVICE_UNKNOWN)
-        return _Status(status=_Status.SERVING if self._is_serving else _Status.NOT_SERVING)
+        is_serving = not self._problems and not self._is_ending
+        return _Status(status=_Status.SERVING if is_serving else _Status.NOT_SERVING)
 
     def _wake(self) -> None:
         # All current waiters hold this event; later waiters get the new one.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import grpc
@@ -17,9 +18,12 @@ from service.server.plan_handler import PlanHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import refuse_error, refuse_invalid
 from service.server.settings import SMALL_BYTES
-from service.trust.rpc import Context, refuse
-from service.wire.message_checks import find_excess, find_unknown_fields
+from service.server.warnings import set_warnings
+from service.trust.rpc import Context, refuse, shorten
+from service.wire.message_checks import MAX_MESSAGES, find_excess, find_unknown_fields, has_unknown_fields
 
+WARNING_KEY = "scopt-warning"  # of the trailing metadata
+MAX_WARNINGS, MAX_WARNING_BYTES = 10, 200  # they travel in a header
 SERVICE = wire.DESCRIPTOR.services_by_name["PlannerService"]
 
 
@@ -109,31 +113,41 @@ def _serialize(message: Message) -> bytes:
     return message.SerializeToString()
 
 
-async def _check(request: Message | UnreadableMessage) -> Message:
-    """Return a message of bounded size without unknown fields.
+async def _check(request: Message | UnreadableMessage, context: Context) -> Message:
+    """Return a message of bounded size; the client is warned of its unknown fields.
 
     Raises:
         Refusal: INVALID_ARGUMENT.
     """
     if isinstance(request, UnreadableMessage):
         raise refuse_invalid([f"the bytes are no {request.name}"])
-    if request.ByteSize() <= SMALL_BYTES:
-        return _check_fields(request)
-    return await asyncio.to_thread(_check_fields, request)
-
-
-def _check_fields(request: Message) -> Message:
-    excess = find_excess(request)
-    problems = [excess] if excess else list(dict.fromkeys(find_unknown_fields(request)))
-    if problems:
-        raise refuse_invalid(problems)
+    is_small = request.ByteSize() <= SMALL_BYTES
+    warnings = _find_warnings(request) if is_small else await asyncio.to_thread(_find_warnings, request)
+    set_warnings(warnings)
+    if warnings:
+        context.set_trailing_metadata([(WARNING_KEY, shorten(warning, MAX_WARNING_BYTES)) for warning in warnings])
     return request
+
+
+def _find_warnings(request: Message) -> tuple[str, ...]:
+    """Return a sentence per unknown field, which is ignored.
+
+    Raises:
+        Refusal: there are too many entries.
+    """
+    if request.ByteSize() > MAX_MESSAGES:  # an entry takes at least one byte
+        excess = find_excess(request)
+        if excess:
+            raise refuse_invalid([excess])
+    if not has_unknown_fields(request):
+        return ()
+    return tuple(islice(dict.fromkeys(find_unknown_fields(request)), MAX_WARNINGS))
 
 
 def _answer_once(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
     async def call(request: Any, context: Context) -> Message | None:
         try:
-            return await behaviour(await _check(request), context)
+            return await behaviour(await _check(request, context), context)
         except grpc.aio.AbortError:
             raise
         except Exception as error:
@@ -143,13 +157,13 @@ def _answer_once(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Cal
 
 
 def _take_stream(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
-    async def check_all(requests: AsyncIterator[Any]) -> AsyncIterator[Any]:
+    async def check_all(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Any]:
         async for request in requests:
-            yield await _check(request)
+            yield await _check(request, context)
 
     async def call(requests: AsyncIterator[Any], context: Context) -> Message | None:
         try:
-            return await behaviour(check_all(requests), context)
+            return await behaviour(check_all(requests, context), context)
         except grpc.aio.AbortError:
             raise
         except Exception as error:
@@ -161,7 +175,7 @@ def _take_stream(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Cal
 def _stream_responses(behaviour: Callable[[Any, Context], AsyncIterator[Message]]) -> Callable[[Any, Context], Any]:
     async def call(request: Any, context: Context) -> AsyncIterator[Message]:
         try:
-            async for message in behaviour(await _check(request), context):
+            async for message in behaviour(await _check(request, context), context):
                 yield message
         except grpc.aio.AbortError:
             raise

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import tarfile
 from collections.abc import AsyncIterator, Iterator
+from functools import partial
 from typing import IO
 
 from service.proto.planner.v1.result_pb2 import FileChunk
 from service.store import Store
+from service.store.seals import hash_chunks
 
 CHUNK_BYTES = 512 * 2**10
 
@@ -18,6 +20,7 @@ async def stream_files(store: Store, plan_id: str) -> AsyncIterator[FileChunk]:
 
     Raises:
         NotStoredError: the plan has no files.
+        DamagedError: its files are not what was stored.
     """
     chunks = _split(store, plan_id)
     while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:
@@ -31,6 +34,19 @@ def read_files(store: Store, plan_id: str) -> dict[str, bytes]:
         NotStoredError: the plan has no files.
     """
     return {name: content.read() for name, _, content in _open_members(store, plan_id)}
+
+
+def hash_files(store: Store, plan_id: str) -> dict[str, str]:
+    """Return the sha256 of all files of a plan, by path.
+
+    Raises:
+        NotStoredError: the plan has no files.
+        DamagedError: its files are not what was stored.
+    """
+    return {
+        name: hash_chunks(iter(partial(content.read, CHUNK_BYTES), b""))
+        for name, _, content in _open_members(store, plan_id)
+    }
 
 
 def _split(store: Store, plan_id: str) -> Iterator[FileChunk]:

@@ -12,7 +12,15 @@ from dataclasses import dataclass, fields
 import grpc
 import structlog
 
-from service.proto.planner.v1.planner_pb2 import PlanAccepted, PlanFinished, PlanRequest, PlanResponse
+from service.executor import Lane, Place
+from service.proto.planner.v1.planner_pb2 import (
+    PRIORITY_BATCH,
+    PlanAccepted,
+    PlanFinished,
+    PlanRequest,
+    PlanResponse,
+    Priority,
+)
 from service.proto.planner.v1.result_pb2 import MotionResult
 from service.request.file import request_hash
 from service.request.schema import PlanRequest as Request
@@ -20,11 +28,12 @@ from service.result.result import Verdict
 from service.server.disk import DiskWatch
 from service.server.jobs import JobHandle, JobRunner, await_result
 from service.server.plan_files import stream_files
-from service.server.refusals import refuse_error, refuse_invalid
+from service.server.refusals import GOING_DOWN, STOPPING, discard_uploads, refuse_error, refuse_invalid
 from service.server.requests import WITHIN, RequestReader, kind_of, list_files
 from service.server.running_plans import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES
 from service.server.spread import Answer, await_certified, with_other_seed
+from service.server.warnings import current_warnings
 from service.store import PlanRecord, PlanState, Store
 from service.telemetry import bind
 from service.trust import current_caller
@@ -34,6 +43,7 @@ from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 _LOG = structlog.get_logger("scopt.server")
 FIELDS = frozenset(field.name for field in fields(Request))
 FIRST_STEP = re.compile(r"([A-Za-z_]\w*)[^\s:]*: ")
+LOG_AFTER_S = 0.01  # so that the answer is sent before
 REQUEST_ID = re.compile(r"[A-Za-z0-9._:@/+=-]{0,100}")
 
 
@@ -75,7 +85,7 @@ class PlanHandler:
         bind(request_id=message.request_id)
         request = await self._read(message)
         record, plan = await self._find_or_start(message, request, client, deadline)
-        accepted = PlanAccepted(plan_id=record.plan_id, request_id=record.request_id)
+        accepted = PlanAccepted(plan_id=record.plan_id, request_id=record.request_id, warnings=current_warnings())
         if plan is None:
             accepted.is_known = True
             yield PlanResponse(accepted=accepted)
@@ -90,6 +100,38 @@ class PlanHandler:
             async for chunk in stream_files(self._store, record.plan_id):
                 yield PlanResponse(file=chunk)
 
+    async def resume(self) -> None:
+        """Begin the plans again that were accepted before a restart; a client may join them by their request id."""
+        for record in self._store.plans.resumable:
+            bind(plan_id=record.plan_id)
+            try:
+                self._resume(record)
+            except Exception as error:
+                refusal = refuse_error(error)
+                self._store.plans.give_up(record.plan_id, f"the server was restarted, and then: {refusal.text}")
+            else:
+                _LOG.info("resumed", kind=record.kind)
+            await asyncio.sleep(0)
+
+    def _resume(self, record: PlanRecord) -> None:
+        """Begin a stored plan again."""
+        message = PlanRequest.FromString(record.request)
+        request = self._reader.read(message.request)
+        left_s = None if record.deadline is None else record.deadline - time.time()
+        deadline = None if left_s is None else time.monotonic() + left_s
+        plan = RunningPlan(self._jobs)
+        plan.plan_id = record.plan_id
+        with ExitStack() as files:
+            undo = files.enter_context(ExitStack())
+            undo.callback(plan.discard)
+            local = files.enter_context(self._reader.open_files(request))
+            lane = Lane.BATCH if message.priority == PRIORITY_BATCH else Lane.INTERACTIVE
+            place = Place(record.client, lane)
+            accepted = _AcceptedRequest(kind_of(request), message, request, local, record.request_sha256, place, ())
+            handle = self._submit(plan, accepted, deadline, is_accepted=True)
+            undo.pop_all()
+            self._watch_end(plan, accepted, handle, deadline, files.pop_all())
+
     async def wait_for_all(self) -> None:
         """Wait until all plans have ended."""
         while self._tasks:
@@ -98,6 +140,8 @@ class PlanHandler:
     async def _read(self, message: PlanRequest) -> Request:
         if not REQUEST_ID.fullmatch(message.request_id):
             raise refuse_invalid(["request_id: expected at most 100 letters, digits and ._:@/+=-"])
+        if message.priority not in Priority.values():
+            raise refuse_invalid([f"priority: expected PRIORITY_INTERACTIVE or PRIORITY_BATCH, got {message.priority}"])
         if not message.HasField("request"):
             raise refuse_invalid(["request: is missing"])
         if message.request.ByteSize() <= SMALL_BYTES:
@@ -125,7 +169,8 @@ class PlanHandler:
             if record.state is PlanState.FINISHED or running is not None:
                 return record, running
         self._disk.require_space()
-        self._jobs.admission.check(kind, None if deadline is None else deadline - time.monotonic())
+        place = _place_of(message)
+        self._jobs.admission.check(kind, None if deadline is None else deadline - time.monotonic(), place)
         return self._start(client, request, sha, message, deadline)
 
     def _start(
@@ -137,20 +182,37 @@ class PlanHandler:
             undo = files.enter_context(ExitStack())
             undo.callback(plan.discard)
             local = files.enter_context(self._reader.open_files(request))
-            accepted = _AcceptedRequest(kind_of(request), message, request, local, sha)
+            accepted = _AcceptedRequest(
+                kind_of(request), message, request, local, sha, _place_of(message), current_warnings()
+            )
             handle = self._submit(plan, accepted, deadline)
             undo.callback(handle.cancel)
-            record = self._store.plans.begin(client, message.request_id, sha, accepted.kind)
+            stored = message.SerializeToString()
+            until = None if deadline is None else time.time() + deadline - time.monotonic()
+            record = self._store.plans.begin(client, message.request_id, sha, accepted.kind, stored, until)
             undo.pop_all()
             bind(plan_id=record.plan_id)
             plan.plan_id = record.plan_id
-            self.running.add(plan)
-            task = asyncio.create_task(self._finish(plan, accepted, handle, deadline, files.pop_all()))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+            self._watch_end(plan, accepted, handle, deadline, files.pop_all())
         return record, plan
 
-    def _submit(self, plan: RunningPlan, accepted: _AcceptedRequest, deadline: float | None) -> JobHandle[Answer]:
+    def _watch_end(
+        self,
+        plan: RunningPlan,
+        accepted: _AcceptedRequest,
+        handle: JobHandle[Answer],
+        deadline: float | None,
+        files: ExitStack,
+    ) -> None:
+        """Have a task wait for a plan's end."""
+        self.running.add(plan)
+        task = asyncio.create_task(self._finish(plan, accepted, handle, deadline, files))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def _submit(
+        self, plan: RunningPlan, accepted: _AcceptedRequest, deadline: float | None, is_accepted: bool = False
+    ) -> JobHandle[Answer]:
         """Hand a plan to a worker.
 
         The deadline only shortens the plan's time limit: the plan is stopped when its last watcher leaves.
@@ -163,6 +225,8 @@ class PlanHandler:
             budget_s=accepted.request.options.time_limit_s,
             on_event=plan.report_progress,
             is_typical=_is_typical,
+            place=accepted.place,
+            is_accepted=is_accepted,
         )
         plan.set_job(handle)
         return handle
@@ -181,8 +245,10 @@ class PlanHandler:
                 answer = await self._await_answer(handle, accepted, deadline)
                 while _is_cut_short(answer) and plan.is_awaited_beyond(deadline):
                     deadline = plan.latest_deadline
-                    handle = self._submit(plan, accepted, deadline)
+                    handle = self._submit(plan, accepted, deadline, is_accepted=True)
                     answer = await self._await_answer(handle, accepted, deadline)
+            if isinstance(answer, Refused) and answer.damaged:
+                raise discard_uploads(self._reader.clouds, answer.damaged)
             if isinstance(answer, Refused):
                 problems = _restore_names(answer.problems, accepted.request, accepted.local)
                 raise refuse_invalid(self._reader.robots.hide_paths(problems), WITHIN)
@@ -197,6 +263,7 @@ class PlanHandler:
             return
         await asyncio.sleep(0)  # the watchers get the plan before it is counted and logged
         self._on_verdict(accepted.kind, answer.verdict, {**answer.timings, "queue": handle.waited_s})
+        await asyncio.sleep(LOG_AFTER_S)
         seconds = round(answer.timings["total"], 3)
         _LOG.info("planned", kind=accepted.kind, verdict=answer.verdict, seconds=seconds)
 
@@ -215,7 +282,8 @@ class PlanHandler:
         """End a plan without a result."""
         refusal = refuse_error(error)
         try:
-            self._store.plans.give_up(plan.plan_id, refusal.text)
+            if refusal not in (STOPPING, GOING_DOWN):  # else it is begun again after the restart
+                self._store.plans.give_up(plan.plan_id, refusal.text)
         except Exception as unwritten:  # such as a full disk; the watchers are answered all the same
             refuse_error(unwritten)
         plan.end(refusal)
@@ -225,7 +293,8 @@ class PlanHandler:
         finish = self._store.plans.finish
         hashes = answer.trajectory_sha256, answer.certificate_sha256
         if answer.archive:
-            await asyncio.to_thread(finish, plan_id, answer.verdict, answer.reply, *hashes, answer.archive)
+            files = answer.archive, answer.page_sha256
+            await asyncio.to_thread(finish, plan_id, answer.verdict, answer.reply, *hashes, *files)
         else:
             finish(plan_id, answer.verdict, answer.reply, *hashes)
 
@@ -240,6 +309,8 @@ class _AcceptedRequest:
         request: the request it holds.
         local: the same with paths on the server.
         sha256: hash of ``request``.
+        place: whose plan it is and how it waits.
+        warnings: sentences about ignored fields, which become notes of the result.
     """
 
     kind: str
@@ -247,16 +318,31 @@ class _AcceptedRequest:
     request: Request
     local: Request
     sha256: str
+    place: Place
+    warnings: tuple[str, ...]
 
     def make_task(self, deadline: float | None) -> PlanTask:
         """Make the worker's task; the deadline is on the clock of ``time.monotonic`` [s]."""
         message = self.message
-        return PlanTask(self.local, deadline, message.with_files, message.with_waypoints, self.request, self.sha256)
+        return PlanTask(
+            self.local,
+            deadline,
+            message.with_files,
+            message.with_waypoints,
+            self.request,
+            self.sha256,
+            list_files(self.local.scene),
+            self.warnings,
+        )
 
 
 def parse_result(record: PlanRecord) -> MotionResult:
     """Parse the stored result of a finished plan."""
     return MotionResult.FromString(record.reply)
+
+
+def _place_of(message: PlanRequest) -> Place:
+    return Place(current_caller().owner, Lane.BATCH if message.priority == PRIORITY_BATCH else Lane.INTERACTIVE)
 
 
 def _is_cut_short(answer: Answer) -> bool:

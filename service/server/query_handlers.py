@@ -5,20 +5,21 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 
 import grpc
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from service.executor import WorkerState
+from service.executor import Lane, Place, WorkerState
 from service.executor.linux import rss_bytes
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.result_pb2 import FileChunk
+from service.result.approval import Approval, Signer
 from service.server.jobs import JobRunner
-from service.server.plan_files import read_files, stream_files
+from service.server.plan_files import hash_files, read_files, stream_files
 from service.server.plan_handler import parse_result
 from service.server.refusals import refuse_invalid
 from service.server.requests import RobotFolder
@@ -26,7 +27,7 @@ from service.server.running_plans import RunningPlans
 from service.server.settings import ServerSettings
 from service.store import Decision, PlanRecord, PlanState, Review, Store
 from service.store.reviews import MAX_COMMENT_CHARACTERS
-from service.telemetry import bind
+from service.telemetry import PlanCounts, bind
 from service.trust import Role, current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
 from service.wire.results import checks_to_messages, encode_verdict
@@ -54,7 +55,8 @@ class QueryHandlers:
         store: store of the plans.
         running: plans that have not ended.
         robots: own robots of the server.
-        verdicts: plans by verdict since the start.
+        counts: finished plans since the start.
+        signer: key that signs approvals; None without.
     """
 
     def __init__(
@@ -64,15 +66,17 @@ class QueryHandlers:
         store: Store,
         running: RunningPlans,
         robots: RobotFolder,
-        verdicts: Mapping[str, int],
+        counts: PlanCounts,
+        signer: Signer | None = None,
     ) -> None:
         self._settings = settings
         self._jobs = jobs
         self._store = store
-        self._verdicts = verdicts
+        self._counts = counts
         self._started = time.monotonic()
         self._running = running
         self._robots = robots
+        self._signer = signer
         self.is_draining = False
 
     async def get_plan(self, message: wire.GetPlanRequest, context: Context) -> AsyncIterator[wire.GetPlanResponse]:
@@ -111,8 +115,26 @@ class QueryHandlers:
             message.trajectory_sha256,
             message.certificate_sha256,
             message.comment,
+            message.page_sha256,
+            None if self._signer is None else partial(self._sign, self._signer),
         )
         return wire.ReviewPlanResponse(review=_review_to_message(review))
+
+    def _sign(self, signer: Signer, plan: PlanRecord, review: Review) -> bytes:
+        """Return the signed statement about an accepted plan."""
+        statement = Approval(
+            plan_id=plan.plan_id,
+            verdict=plan.verdict,
+            reviewer=review.reviewer,
+            comment=review.comment,
+            approved_at=review.time,
+            request_sha256=plan.request_sha256,
+            trajectory_sha256=review.plan_sha256,
+            certificate_sha256=review.certificate_sha256,
+            page_sha256=review.page_sha256,
+            files=hash_files(self._store, plan.plan_id) if plan.archive_bytes else {},
+        )
+        return signer.sign(statement)
 
     async def verify(self, message: wire.VerifyRequest, context: Context) -> wire.VerifyResponse:
         """Verify the recorded motion of a plan or of the message's files.
@@ -122,7 +144,12 @@ class QueryHandlers:
         """
         files = await self._read_plan(message)
         answer = await self._jobs.run(
-            "verify", verify, files, deadline=deadline_of(context), budget_s=self._settings.budget_s("verify")
+            "verify",
+            verify,
+            files,
+            deadline=deadline_of(context),
+            budget_s=self._settings.budget_s("verify"),
+            place=Place(current_caller().owner),
         )
         if isinstance(answer, Refused):
             raise refuse_invalid(answer.problems)
@@ -160,6 +187,7 @@ class QueryHandlers:
             given,
             deadline=deadline_of(context),
             budget_s=self._settings.budget_s("simulate"),
+            place=Place(current_caller().owner),
         )
         if isinstance(answer, Refused):
             raise refuse_invalid(answer.problems)
@@ -177,6 +205,7 @@ class QueryHandlers:
             self._robots.requests(),
             deadline=deadline_of(context),
             budget_s=self._settings.budget_s("robots"),
+            place=Place(current_caller().owner, Lane.LIGHT),
         )
         texts = self._robots.hide_paths(row["description"] for row in rows)
         robots = [wire.RobotInfo(**{**row, "description": text}) for row, text in zip(rows, texts, strict=True)]
@@ -202,9 +231,9 @@ class QueryHandlers:
             queue_limit=admission.queue_limit,
             workers=workers,
             worker_restarts=pool.restarts,
-            verdicts=self._verdicts,
-            solve_p50_s=admission.durations.percentile(50.0),
-            solve_p99_s=admission.durations.percentile(99.0),
+            verdicts=self._counts.verdicts,
+            solve_p50_s=self._counts.solve_percentile(50.0),
+            solve_p99_s=self._counts.solve_percentile(99.0),
             is_draining=self.is_draining,
             resident_bytes=rss_bytes(os.getpid()),
         )
@@ -227,14 +256,16 @@ class QueryHandlers:
         running = self._running.get(record.plan_id)
         if running is None and record.state is PlanState.ACCEPTED:
             record = replace(record, state=PlanState.LOST, why_lost=END_NOT_STORED)
+        reviews = self._store.reviews.find(record.plan_id)
         message = wire.PlanRecord(
             plan_id=record.plan_id,
             request_id=record.request_id,
             state=wire.PLAN_STATE_RUNNING if running is not None and running.has_begun else _STATES[record.state],
-            reviews=[_review_to_message(review) for review in self._store.reviews.find(record.plan_id)],
-            is_approved=self._store.reviews.is_accepted(record.plan_id),
+            reviews=[_review_to_message(review) for review in reviews],
+            is_approved=bool(reviews) and reviews[-1].decision is Decision.ACCEPTED,
             created=_timestamp(record.created),
             reason=record.why_lost,
+            page_sha256=record.page_sha256,
         )
         if record.state is PlanState.FINISHED:
             message.result.CopyFrom(parse_result(record))
@@ -266,6 +297,8 @@ def _review_to_message(review: Review) -> wire.Review:
         comment=review.comment,
         trajectory_sha256=review.plan_sha256,
         certificate_sha256=review.certificate_sha256,
+        page_sha256=review.page_sha256,
+        approval=review.approval,
         time=_timestamp(review.time),
     )
 

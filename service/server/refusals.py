@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import grpc
+import structlog
 
-from service.errors import RequestError
+from service.errors import RequestError, shown
 from service.store import (
+    CloudStore,
+    DamagedError,
     DiskError,
     NotStoredError,
     ReviewRefusedError,
@@ -20,7 +23,9 @@ from service.telemetry import log_incident
 from service.trust.rpc import Refusal
 from service.wire.violations import make_bad_request
 
+_LOG = structlog.get_logger("scopt.server")
 STATUS_OF_STORE_ERROR: dict[type[StoreError], grpc.StatusCode] = {
+    DamagedError: grpc.StatusCode.DATA_LOSS,
     NotStoredError: grpc.StatusCode.NOT_FOUND,
     ReviewRefusedError: grpc.StatusCode.FAILED_PRECONDITION,
     StoreFullError: grpc.StatusCode.RESOURCE_EXHAUSTED,
@@ -51,12 +56,27 @@ def refuse_overload(text: str, retry_after_s: float) -> Refusal:
     return Refusal(grpc.StatusCode.RESOURCE_EXHAUSTED, text, max(retry_after_s, 0.0))
 
 
+def discard_uploads(clouds: CloudStore, ids: Iterable[str]) -> Refusal:
+    """Remove uploads whose bytes on the disk are not those that were uploaded; returns DATA_LOSS, which names them."""
+    ids = tuple(ids)
+    for cloud_id in ids:
+        _LOG.error("a stored upload is damaged and is removed", upload=cloud_id)
+        clouds.discard(cloud_id)
+    lines = (
+        f"upload {shown(cloud_id)} was damaged on this server's disk and is removed; upload it again"
+        for cloud_id in ids
+    )
+    return Refusal(grpc.StatusCode.DATA_LOSS, "; ".join(lines))
+
+
 def refuse_error(error: Exception, within: str = "") -> Refusal:
     """Make the refusal for an error that ended a call; an unexpected error tells the client only its number."""
     if isinstance(error, Refusal):
         return error
     if isinstance(error, RequestError):
         return refuse_invalid(error.problems, within)
+    if isinstance(error, DamagedError):
+        _LOG.error("stored data are damaged", reason=str(error), detail=error.detail)
     if isinstance(error, StoreError) and type(error) in STATUS_OF_STORE_ERROR:
         return Refusal(STATUS_OF_STORE_ERROR[type(error)], str(error))
     if isinstance(error, DiskError):  # its text names the server's files; the log has it

@@ -8,21 +8,26 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from costs.robot import bundled_robots
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import MotionRequest
+from service.request.file import parse_request
 from service.request.scene import MeshRequest, SceneRequest
 from service.request.schema import PlanRequest, RobotRequest
-from service.server.refusals import refuse_error, refuse_invalid
+from service.server.refusals import refuse_invalid
 from service.server.settings import ServerSettings
 from service.store import CloudStore, Scenes
 from service.trust import BUILT, UPLOADED, AllowedFolders
-from service.wire.requests import request_from_message
+from service.wire.plain import to_plain
+
+if TYPE_CHECKING:
+    from service.server.known_robots import KnownRobots
 
 WITHIN = "request"  # the field of the wire's PlanRequest that the validator's paths start from
 URDF_NAME, SRDF_NAME = "robot.urdf", "robot.srdf"
-UNKNOWN_ROBOT = re.compile(r"(\S*robot: )?unknown robot ")
+UNKNOWN_ROBOT = re.compile(r"(\S*robot(\.name)?: )?unknown robot ")
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,10 @@ class RobotFolder:
 
     def get(self, name: str) -> RobotRequest | None:
         """Return an own robot; None if there is none of that name."""
-        return self.requests().get(name)
+        if self.folder is None or Path(name).name != name:
+            return None
+        path = self.folder.resolve() / name
+        return _robot_request(path) if (path / URDF_NAME).is_file() else None
 
 
 def _robot_request(folder: Path) -> RobotRequest:
@@ -85,6 +93,7 @@ class RequestReader:
         clouds: uploaded files.
         scenes: built scenes.
         robots: own robots of the server.
+        known: names that requests may use with a robot.
     """
 
     settings: ServerSettings
@@ -92,6 +101,7 @@ class RequestReader:
     clouds: CloudStore
     scenes: Scenes
     robots: RobotFolder
+    known: KnownRobots
 
     def read(self, message: MotionRequest) -> PlanRequest:
         """Read and check a message.
@@ -99,15 +109,18 @@ class RequestReader:
         Raises:
             Refusal: INVALID_ARGUMENT naming every wrong field.
         """
+        data = to_plain(message)
+        names = self.known.find_problems(data)
         try:
-            request = request_from_message(message)
+            request = parse_request(data)
         except RequestError as error:
-            raise refuse_error(error, WITHIN) from None
+            raise refuse_invalid([*error.problems, *names], WITHIN) from None
         problems = [f"{field}: {problem}" for field, problem in self.folders.find_problems(request)]
         budget = self.settings.budget_s(kind_of(request))
         limit = request.options.time_limit_s
         if limit > budget:
             problems.append(f"options.time_limit_s: expected at most {budget:g} on this server, got {limit:g}")
+        problems += names
         if problems:
             raise refuse_invalid(problems, WITHIN)
         return request

@@ -126,7 +126,7 @@ class RunningPlan:
             return
         position = None if self._handle is None else self._jobs.queue_position(self._handle)
         if position is not None:
-            wait = self._jobs.admission.expected_wait_s()
+            wait = self._jobs.admission.wait_at(position)
             self._report(PlanResponse(queued=PlanQueued(place=position, expected_wait_s=wait)))
 
     def _report(self, response: PlanResponse) -> None:

@@ -6,24 +6,25 @@ import asyncio
 import gc
 import signal
 import sys
-from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from logging import ERROR, INFO
 
 import grpc
 import structlog
 from grpc_health.v1 import health_pb2_grpc
 from grpc_health.v1.health import SERVICE_NAME as HEALTH_NAME
-from grpc_reflection.v1alpha import reflection
 
 from service.errors import ServiceError
-from service.executor import CancellableExecutor
+from service.executor import Lane, Place, Pool
+from service.result.approval import Signer
 from service.server.admission import Admission
 from service.server.cloud_handlers import CloudHandlers, UploadHandler
 from service.server.disk import DiskWatch
 from service.server.jobs import JobRunner
+from service.server.known_robots import KnownRobots
 from service.server.lifecycle import Health, OpenCalls
 from service.server.methods import SERVICE, Servicer, make_handlers
 from service.server.plan_handler import PlanHandler
@@ -32,7 +33,7 @@ from service.server.refusals import GOING_DOWN, STOPPING
 from service.server.requests import RequestReader, RobotFolder
 from service.server.settings import MAX_STREAMS, ServerSettings
 from service.store import CloudStore, Store
-from service.telemetry import Metrics, MetricsServer, Spans, TelemetryInterceptor
+from service.telemetry import Metrics, MetricsServer, PlanCounts, Spans, TelemetryInterceptor
 from service.trust import (
     UNIX,
     AccessInterceptor,
@@ -44,6 +45,9 @@ from service.trust import (
     find_listen_problems,
     resolve_folders,
 )
+from service.trust.rpc import Refusal
+from service.wire.reflection import enable_reflection
+from service.work.look import list_names
 
 _LOG = structlog.get_logger("scopt.server")
 PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve_task", "service.trajopt")
@@ -63,8 +67,11 @@ class Endpoint:
         tls: certificate files; None without TLS.
         tokens: known clients; None accepts every client of this machine.
         limiter: limits of each client.
-        metrics: address of the metrics, for this machine; None without.
+        metrics: address of the metrics; None without.
+        is_metrics_remote: whether that address may be one that other machines can reach.
+        socket: path of a Unix socket for clients of this machine, without TLS; None without.
         spans: recorder of spans.
+        signer: key that signs approvals; None without.
     """
 
     address: str
@@ -72,7 +79,10 @@ class Endpoint:
     tokens: Tokens | None = None
     limiter: ClientLimiter | None = None
     metrics: str | None = None
+    is_metrics_remote: bool = False
+    socket: str | None = None
     spans: Spans | None = None
+    signer: Signer | None = None
 
 
 @dataclass(frozen=True)
@@ -93,9 +103,7 @@ class RunningServer:
     certificates: Certificates | None
 
 
-async def serve(
-    settings: ServerSettings, endpoint: Endpoint, executor: CancellableExecutor, on_ready: Callable[[str], None]
-) -> None:
+async def serve(settings: ServerSettings, endpoint: Endpoint, executor: Pool, on_ready: Callable[[str], None]) -> None:
     """Serve until SIGTERM or SIGINT, then drain; a second signal ends at once.
 
     Args:
@@ -129,9 +137,7 @@ async def serve(
 
 
 @asynccontextmanager
-async def start_server(
-    settings: ServerSettings, endpoint: Endpoint, executor: CancellableExecutor
-) -> AsyncIterator[RunningServer]:
+async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: Pool) -> AsyncIterator[RunningServer]:
     """Start a server that answers while the body runs, and stop it without a drain.
 
     Raises:
@@ -150,11 +156,11 @@ async def start_server(
         metrics = Metrics()
         metrics.watch(pool=executor.stats, store=store, clouds=clouds)
         if endpoint.metrics is not None:
-            stack.enter_context(MetricsServer(endpoint.metrics, metrics.registry))
-        verdicts: Counter[str] = Counter()
+            stack.enter_context(MetricsServer(endpoint.metrics, metrics.registry, endpoint.is_metrics_remote))
+        counts = PlanCounts()
 
         def count(kind: str, verdict: str, timings: Mapping[str, float]) -> None:
-            verdicts[verdict] += 1
+            counts.add(verdict, timings)
             metrics.plan_finished(kind, verdict, timings)
 
         calls, health = OpenCalls(), Health((SERVICE.full_name,))
@@ -163,10 +169,11 @@ async def start_server(
         robots = RobotFolder(settings.robots)
         if robots.overriding:
             _LOG.warning("own robots override robots of scopt", names=list(robots.overriding))
-        reader = RequestReader(settings, folders, clouds, store.scenes, robots)
+        known = KnownRobots(robots)
+        reader = RequestReader(settings, folders, clouds, store.scenes, robots, known)
         plans = PlanHandler(reader, jobs, store, disk, count)
         uploads = UploadHandler(clouds, disk, limiter, metrics.upload_finished)
-        queries = QueryHandlers(settings, jobs, store, plans.running, robots, verdicts)
+        queries = QueryHandlers(settings, jobs, store, plans.running, robots, counts, endpoint.signer)
         uses_certificates = endpoint.tls is not None and endpoint.tls.client_ca is not None
         server = grpc.aio.server(
             interceptors=[
@@ -179,14 +186,16 @@ async def start_server(
         servicer = Servicer(plans, uploads, CloudHandlers(reader, jobs, store, disk), queries)
         server.add_generic_rpc_handlers((make_handlers(servicer),))
         health_pb2_grpc.add_HealthServicer_to_server(health, server)
-        names = (SERVICE.full_name, HEALTH_NAME, reflection.SERVICE_NAME)
-        reflection.enable_server_reflection(names, server)
+        enable_reflection(server, (SERVICE.full_name, HEALTH_NAME))
         address = _bind_port(server, endpoint.address, certificates)
+        if endpoint.socket is not None:
+            _bind_port(server, f"{UNIX}{endpoint.socket}", None)
         if not await asyncio.to_thread(executor.wait_ready):
             raise ServiceError("no worker could be started; see the log")
+        await plans.resume()
         await server.start()
         stack.push_async_callback(server.stop, 0.0)
-        for watch in (_stop_overdue_jobs(jobs), disk.watch()):
+        for watch in (_watch_jobs(jobs, health), disk.watch(), _learn_names(jobs, known, settings)):
             stack.callback(asyncio.create_task(watch).cancel)
         yield RunningServer(address, server, plans, queries, jobs, health, calls, certificates)
 
@@ -245,10 +254,23 @@ async def _drain(server: RunningServer, drain_s: float, now: asyncio.Event) -> N
     await server.plans.wait_for_all()
 
 
-async def _stop_overdue_jobs(jobs: JobRunner) -> None:
+async def _watch_jobs(jobs: JobRunner, health: Health) -> None:
+    """Stop overdue jobs, and report NOT_SERVING while there is no worker."""
     while True:
         await asyncio.sleep(CHECK_JOBS_EVERY_S)
         jobs.stop_overdue()
+        is_ready = jobs.executor.stats().ready > 0
+        if health.set_ready("workers", is_ready):
+            _LOG.log(INFO if is_ready else ERROR, "workers are ready" if is_ready else "no worker is ready")
+
+
+async def _learn_names(jobs: JobRunner, known: KnownRobots, settings: ServerSettings) -> None:
+    """Have a worker describe the package's robots; until then wrong names are refused by the workers that plan."""
+    place, budget_s = Place("", Lane.LIGHT), settings.budget_s("robots")
+    try:
+        known.learn(await jobs.run("robots", list_names, deadline=None, budget_s=budget_s, place=place))
+    except Refusal as error:
+        _LOG.warning("names of robots are not known before a plan", reason=error.text)
 
 
 def _reload(files: Mapping[str, Tokens | Certificates]) -> None:

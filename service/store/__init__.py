@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
-from service.store.clouds import CLOUD_ID, UPLOAD_SUFFIXES, CloudLimits, CloudStats, CloudStore, Upload
+from service.store.clouds import (
+    CLOUD_ID,
+    UPLOAD_SUFFIXES,
+    CloudLimits,
+    CloudStats,
+    CloudStore,
+    Upload,
+    find_damaged_uploads,
+)
 from service.store.errors import (
+    DamagedError,
     DiskError,
     NotStoredError,
     ReviewRefusedError,
@@ -29,6 +38,7 @@ __all__ = [
     "CloudLimits",
     "CloudStats",
     "CloudStore",
+    "DamagedError",
     "Decision",
     "DiskError",
     "NotStoredError",
@@ -45,4 +55,5 @@ __all__ = [
     "TooLargeError",
     "Upload",
     "UploadRefusedError",
+    "find_damaged_uploads",
 ]

@@ -19,6 +19,7 @@ from service.errors import shown
 from service.request.scene import MESH_SUFFIXES
 from service.store.errors import NotStoredError, StoreError, StoreFullError, TooLargeError, UploadRefusedError
 from service.store.folder import PARTIAL, LockedFolder
+from service.store.seals import hash_file
 
 # Formats of single files (perception.files reads folders too), listed here because the server loads no readers.
 CLOUD_SUFFIXES = (
@@ -136,6 +137,21 @@ class CloudStore:
         with self._lock:
             return self._bytes[cloud_id] if self._is_stored(cloud_id) else None
 
+    def check(self, cloud_id: str) -> bool:
+        """Return whether an upload is stored with the content that its id names; a damaged one is removed."""
+        if not self.has(cloud_id):
+            return False
+        is_sound = _is_sound(self._folder.path / cloud_id)
+        if not is_sound:
+            self.discard(cloud_id)
+        return is_sound
+
+    def discard(self, cloud_id: str) -> None:
+        """Remove an upload whose content is damaged."""
+        with self._lock:
+            if self._bytes.pop(cloud_id, None) is not None:
+                (self._folder.path / cloud_id).unlink(missing_ok=True)
+
     def stats(self) -> CloudStats:
         """Return number and size of the stored files."""
         with self._lock:
@@ -174,13 +190,10 @@ class CloudStore:
 
     def _add(self, partial: Path, cloud_id: str) -> None:
         with self._lock:
-            if self._is_stored(cloud_id):
-                partial.unlink()
-                self._touch(cloud_id)
-            else:
-                n_bytes = partial.stat().st_size
-                partial.rename(self._folder.path / cloud_id)
-                self._bytes[cloud_id] = n_bytes
+            n_bytes = partial.stat().st_size
+            partial.rename(self._folder.path / cloud_id)  # also over a stored file, which may be damaged
+            self._bytes[cloud_id] = n_bytes
+            self._touch(cloud_id)
 
     def _end_upload(self, client: str, n_bytes: int) -> None:
         with self._lock:
@@ -297,3 +310,23 @@ class Upload:
             self._file.close()
         self._partial.unlink(missing_ok=True)
         self._store._end_upload(self._client, self.n_bytes)
+
+
+def find_damaged_uploads(paths: Iterable[str]) -> tuple[str, ...]:
+    """Return the ids of uploads among paths whose content is not the one that the id names.
+
+    The name of an upload's file is its id; other files are left out.
+    """
+    names = dict.fromkeys(path for path in paths if CLOUD_ID.fullmatch(Path(path).name))
+    return tuple(Path(path).name for path in names if not _is_sound(Path(path)))
+
+
+def _is_sound(path: Path) -> bool:
+    try:
+        return hash_file(path) == _hash_of(path.name)
+    except OSError:
+        return False
+
+
+def _hash_of(cloud_id: str) -> str:
+    return cloud_id.partition(":")[2].partition(".")[0]

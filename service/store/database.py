@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-from service.store.errors import DiskError, StoreError
+from service.store.errors import DamagedError, DiskError, StoreError
 from service.store.folder import PARTIAL
+from service.store.seals import compute_seal
 
-VERSION = 1
+VERSION = 2
 _APPLICATION_ID = 0x5C097001
+UNREADABLE_ROW = "a row of the store is damaged on this server's disk; its operator has to restore the store"
 
 # Triggers keep ``totals``, so that limits are checked without counting rows.
 _SCHEMA = """
@@ -29,11 +33,18 @@ CREATE TABLE plans (
     reply BLOB NOT NULL DEFAULT x'',
     plan_sha256 TEXT NOT NULL DEFAULT '',
     certificate_sha256 TEXT NOT NULL DEFAULT '',
+    page_sha256 TEXT NOT NULL DEFAULT '',
+    archive_sha256 TEXT NOT NULL DEFAULT '',
     archive_bytes INTEGER NOT NULL DEFAULT 0,
     bytes INTEGER NOT NULL DEFAULT 0,
     is_reviewed INTEGER NOT NULL DEFAULT 0,
     created REAL NOT NULL,
     finished REAL,
+    request BLOB NOT NULL DEFAULT x'',
+    deadline REAL,
+    n_resumed INTEGER NOT NULL DEFAULT 0,
+    reviews_seal TEXT NOT NULL DEFAULT '',
+    seal TEXT NOT NULL DEFAULT '',
     UNIQUE (client, request_id)
 ) STRICT;
 CREATE INDEX plans_by_age ON plans (is_reviewed, number) WHERE state IN ('finished', 'lost');
@@ -47,7 +58,10 @@ CREATE TABLE reviews (
     decision TEXT NOT NULL CHECK (decision IN ('ACCEPTED', 'REJECTED')),
     reviewer TEXT NOT NULL,
     comment TEXT NOT NULL,
-    time REAL NOT NULL
+    time REAL NOT NULL,
+    page_sha256 TEXT NOT NULL DEFAULT '',
+    approval BLOB NOT NULL DEFAULT x'',
+    seal TEXT NOT NULL
 ) STRICT;
 CREATE INDEX reviews_of_plan ON reviews (plan_id, number);
 CREATE TRIGGER reviews_stay BEFORE UPDATE ON reviews BEGIN SELECT raise(ABORT, 'a review never changes'); END;
@@ -71,6 +85,8 @@ CREATE TRIGGER plan_out AFTER DELETE ON plans BEGIN
     UPDATE totals SET n = n - 1, bytes = bytes - old.bytes WHERE what = 'plans'; END;
 CREATE TRIGGER scene_in AFTER INSERT ON scenes BEGIN
     UPDATE totals SET n = n + 1, bytes = bytes + length(new.data) WHERE what = 'scenes'; END;
+CREATE TRIGGER scene_changes AFTER UPDATE OF data ON scenes BEGIN
+    UPDATE totals SET bytes = bytes + length(new.data) - length(old.data) WHERE what = 'scenes'; END;
 CREATE TRIGGER scene_out AFTER DELETE ON scenes BEGIN
     UPDATE totals SET n = n - 1, bytes = bytes - length(old.data) WHERE what = 'scenes'; END;
 """
@@ -93,6 +109,8 @@ class Database:
         with self._convert_errors():
             if not path.exists():
                 self._create()
+            elif path.stat().st_size:
+                self._migrate()
             self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
             with self._convert_errors():
@@ -123,7 +141,7 @@ class Database:
         Args:
             durable: wait for the disk, so that they survive a power cut, too.
         """
-        with self._lock, self._convert_errors():
+        with self._lock, self._convert_errors(is_open=True):
             if durable:
                 self._connection.execute("PRAGMA synchronous = FULL")
             try:
@@ -141,11 +159,43 @@ class Database:
 
     def _create(self) -> None:
         """Create the file under another name first, so that a kill leaves no incomplete one."""
+        self._make_partial().rename(self.path)
+
+    def _make_partial(self) -> Path:
+        """Write an empty database under another name; returns its path."""
         partial = self.path.with_name(f"{PARTIAL}{self.path.name}")
         partial.unlink(missing_ok=True)
         with closing(sqlite3.connect(partial)) as connection:
             marks = f"PRAGMA application_id = {_APPLICATION_ID}; PRAGMA user_version = {VERSION};"
             connection.executescript(f"BEGIN; {_SCHEMA} {marks} COMMIT;")
+        return partial
+
+    def _migrate(self) -> None:
+        """Copy a database of an earlier version into one of this version, which replaces it as a whole.
+
+        The earlier one is kept under another name, for a return to the version of scopt that wrote it.
+        """
+        with closing(sqlite3.connect(self.path)) as old:
+            marks = [old.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")]
+            if marks != [_APPLICATION_ID, 1]:
+                return
+            old.execute("PRAGMA journal_mode = DELETE")  # everything is in the one file that is replaced
+        partial = self._make_partial()
+        with closing(sqlite3.connect(partial, isolation_level=None)) as new:
+            new.row_factory = sqlite3.Row
+            new.execute("ATTACH ? AS old", (str(self.path),))
+            new.execute("BEGIN")
+            for table in ("plans", "scenes"):
+                names = ", ".join(row["name"] for row in new.execute(f"PRAGMA old.table_info({table})"))
+                new.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM old.{table}")
+            for row in new.execute("SELECT * FROM old.reviews ORDER BY plan_id, number").fetchall():
+                insert_review(new, {name: row[name] for name in row.keys() if name != "number"})  # noqa: SIM118
+            for (plan_id,) in new.execute("SELECT plan_id FROM plans").fetchall():
+                seal_plan(new, plan_id)
+            new.execute("COMMIT")
+        kept = self.path.with_name(f"{self.path.name}.version-1")
+        kept.unlink(missing_ok=True)
+        kept.hardlink_to(self.path)
         partial.rename(self.path)
 
     def _prepare(self) -> None:
@@ -170,20 +220,56 @@ class Database:
         report = execute("PRAGMA quick_check(1)").fetchone()[0]
         if report != "ok":
             raise StoreError(self._damage(report))
+        if self._read_schema(self._connection) != _expected_schema():
+            raise StoreError(self._damage("its tables are not those that scopt made"))
+
+    @staticmethod
+    def _read_schema(connection: sqlite3.Connection) -> list[tuple[str, ...]]:
+        rows = connection.execute("SELECT type, name, tbl_name, ifnull(sql, '') FROM sqlite_master ORDER BY type, name")
+        return [tuple(row) for row in rows]
 
     @contextmanager
-    def _convert_errors(self) -> Iterator[None]:
+    def _convert_errors(self, is_open: bool = False) -> Iterator[None]:
         try:
             yield
+        except UnicodeDecodeError:  # sqlite3 quotes a damaged schema in its own error
+            raise StoreError(self._damage("its schema is no text")) from None
         except sqlite3.DatabaseError as error:
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
             if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
-                raise StoreError(self._damage(str(error))) from None
+                damage = self._damage(str(error))
+                raise (DamagedError(UNREADABLE_ROW, damage) if is_open else StoreError(damage)) from None
             if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
                 self.write_error = f"{self.path}: cannot be written ({error}); check its disk"
                 raise DiskError(self.write_error) from None
+            if isinstance(error, sqlite3.OperationalError) and "decode" in str(error):  # text that is no UTF-8
+                raise DamagedError(UNREADABLE_ROW) from None
             raise
 
     def _damage(self, report: str) -> str:
         text = " ".join(report.split())
         return f"{self.path}: is damaged ({text}); restore it, or move the folder away to begin with an empty store"
+
+
+def seal_plan(db: sqlite3.Connection, plan_id: str) -> None:
+    """Set the seal of a plan's row after a change of it."""
+    row = db.execute("SELECT * FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
+    db.execute("UPDATE plans SET seal = ? WHERE plan_id = ?", (compute_seal(dict(row)), plan_id))
+
+
+def insert_review(db: sqlite3.Connection, review: Mapping[str, Any]) -> None:
+    """Add a review (value by column) behind the earlier ones of its plan; ``seal_plan`` has to follow."""
+    plan_id = review["plan_id"]
+    (previous,) = db.execute("SELECT reviews_seal FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
+    complete = {"page_sha256": "", "approval": b"", **review}
+    values = {**complete, "seal": compute_seal(complete, previous)}
+    names = ", ".join(values)
+    db.execute(f"INSERT INTO reviews ({names}) VALUES ({', '.join('?' * len(values))})", tuple(values.values()))
+    db.execute("UPDATE plans SET is_reviewed = 1, reviews_seal = ? WHERE plan_id = ?", (values["seal"], plan_id))
+
+
+@cache
+def _expected_schema() -> list[tuple[str, ...]]:
+    with closing(sqlite3.connect(":memory:")) as connection:
+        connection.executescript(_SCHEMA)
+        return Database._read_schema(connection)

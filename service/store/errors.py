@@ -17,6 +17,18 @@ class NotStoredError(StoreError):
     """A plan, scene or upload that is not in the store."""
 
 
+class DamagedError(StoreError):
+    """Stored data that are not what was written.  The text names them by their id, and is for clients.
+
+    Attributes:
+        detail: file and error for the server's log; may be empty.
+    """
+
+    def __init__(self, text: str, detail: str = "") -> None:
+        super().__init__(text)
+        self.detail = detail
+
+
 class ReviewRefusedError(StoreError):
     """A review that does not fit the stored plan."""
 

@@ -4,28 +4,37 @@ from __future__ import annotations
 
 import secrets
 import sqlite3
-from collections.abc import Callable
+import tarfile
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
 from typing import BinaryIO
 
 from service.errors import shown
-from service.store.database import Database
-from service.store.errors import NotStoredError, TooLargeError
+from service.store.database import UNREADABLE_ROW, Database, seal_plan
+from service.store.errors import DamagedError, NotStoredError, ReviewRefusedError, TooLargeError
 from service.store.folder import LockedFolder
 from service.store.records import PlanRecord, PlanState, StoreLimits
+from service.store.seals import CHUNK_BYTES, SEAL, compute_seal, hash_bytes, hash_chunks, hash_file
 
-_COLUMNS = (
-    "plan_id, client, ifnull(request_id, '') AS request_id, request_sha256, kind, state, why_lost, verdict, reply, "
-    "plan_sha256, certificate_sha256, archive_bytes, created, finished"
-)
+PAGE_NAME = "viewer.html"  # member of an archive
+MAX_RESUMED = 2  # restarts after which a plan is begun again; it may be the one that ends the server
 _NOT_OPEN = "no open plan has this id: it has its reply, was given up, or never existed"
 _RESTARTED = "the server was restarted before the plan finished"
+_LATE = "its deadline passed while the server was restarted"
+_REPEATED = f"the server was restarted {MAX_RESUMED + 1} times during this plan; it is not begun again"
 
 
 class Plans:
-    """The plans of a store; opening it marks all unfinished plans as lost, so that they may run again.
+    """The plans of a store.  Unfinished plans stay open when it is opened, unless they cannot be resumed.
+
+    What is read is compared with the seal of its row, and archives with their hash.
 
     Args:
         archives: folder of the plans' files.
+
+    Attributes:
+        resumable: the open plans at the start, oldest first; each has its ``request``.
     """
 
     def __init__(
@@ -36,46 +45,60 @@ class Plans:
         self._limits = limits
         self._clock = clock
         with database.transaction() as db:
-            db.execute(
-                "UPDATE plans SET state = 'lost', why_lost = ? WHERE state IN ('accepted', 'running')", (_RESTARTED,)
-            )
+            self.resumable = tuple(self._list_resumable(db))
             kept = {row["plan_id"] for row in db.execute("SELECT plan_id FROM plans WHERE archive_bytes > 0")}
         for file in archives.files():
             if file.name not in kept:  # its plan was never stored, or was deleted
                 file.unlink()
+        self._hash_old_archives()
 
     def find(self, client: str, request_id: str) -> PlanRecord | None:
         """Return the plan of a request that the client sent before; None for an empty id."""
         if not request_id:
             return None
         with self._database.transaction() as db:
-            row = db.execute(
-                f"SELECT {_COLUMNS} FROM plans WHERE client = ? AND request_id = ?", (client, request_id)
-            ).fetchone()
-        return None if row is None else _to_record(row)
+            return _find(db, client, request_id)
 
-    def begin(self, client: str, request_id: str, request_sha256: str, kind: str) -> PlanRecord:
+    def begin(
+        self,
+        client: str,
+        request_id: str,
+        request_sha256: str,
+        kind: str,
+        request: bytes = b"",
+        deadline: float | None = None,
+    ) -> PlanRecord:
         """Store a request, or return the client's plan with the same ``request_id``; a lost one is accepted again.
 
         Args:
             request_id: unique among the client's requests; a request with an empty one is always new.
+            request: what is needed to begin the plan again after a restart; without it the plan is lost then.
+            deadline: after which the plan is not begun again [s since 1970]; None for never.
+
+        Raises:
+            DamagedError: the stored plan with this ``request_id`` is damaged.
         """
         with self._database.transaction() as db:
-            row = db.execute(
-                f"SELECT {_COLUMNS} FROM plans WHERE client = ? AND request_id = ?", (client, request_id)
-            ).fetchone()
-            if row is None:
+            known = _find(db, client, request_id) if request_id else None
+            if known is None:
                 plan_id = secrets.token_hex(16)
                 db.execute(
-                    "INSERT INTO plans (plan_id, client, request_id, request_sha256, kind, state, created) "
-                    "VALUES (?, ?, ?, ?, ?, 'accepted', ?)",
-                    (plan_id, client, request_id or None, request_sha256, kind, self._clock()),
+                    "INSERT INTO plans "
+                    "(plan_id, client, request_id, request_sha256, kind, state, created, request, deadline) "
+                    "VALUES (?, ?, ?, ?, ?, 'accepted', ?, ?, ?)",
+                    (plan_id, client, request_id or None, request_sha256, kind, self._clock(), request, deadline),
                 )
+                seal_plan(db, plan_id)
                 deleted = self._make_space(db, plan_id)
             else:
-                plan_id, deleted = row["plan_id"], []
-                if row["state"] == PlanState.LOST and row["request_sha256"] == request_sha256:
-                    db.execute("UPDATE plans SET state = 'accepted', why_lost = '' WHERE plan_id = ?", (plan_id,))
+                plan_id, deleted = known.plan_id, []
+                if known.state is PlanState.LOST and known.request_sha256 == request_sha256:
+                    db.execute(
+                        "UPDATE plans SET state = 'accepted', why_lost = '', request = ?, deadline = ?, n_resumed = 0 "
+                        "WHERE plan_id = ?",
+                        (request, deadline, plan_id),
+                    )
+                    seal_plan(db, plan_id)
             record = _read(db, plan_id)
         self._delete_archives(deleted)
         return record
@@ -88,6 +111,7 @@ class Plans:
         plan_sha256: str = "",
         certificate_sha256: str = "",
         archive: bytes = b"",
+        page_sha256: str = "",
     ) -> None:
         """Store a reply; it survives the process as soon as this call has returned.
 
@@ -106,13 +130,15 @@ class Plans:
             _require_change(
                 db.execute(
                     "UPDATE plans SET state = 'finished', verdict = ?, reply = ?, plan_sha256 = ?, "
-                    "certificate_sha256 = ?, archive_bytes = ?, bytes = ?, finished = ? "
-                    "WHERE plan_id = ? AND state = 'accepted'",
+                    "certificate_sha256 = ?, page_sha256 = ?, archive_sha256 = ?, archive_bytes = ?, bytes = ?, "
+                    "finished = ?, request = x'' WHERE plan_id = ? AND state = 'accepted'",
                     (
                         verdict,
                         reply,
                         plan_sha256,
                         certificate_sha256,
+                        page_sha256,
+                        hash_bytes(archive) if archive else "",
                         len(archive),
                         n_bytes,
                         self._clock(),
@@ -120,6 +146,7 @@ class Plans:
                     ),
                 )
             )
+            seal_plan(db, plan_id)
             deleted = self._make_space(db, plan_id)
         self._delete_archives(deleted)
 
@@ -132,27 +159,53 @@ class Plans:
         with self._database.transaction() as db:
             _require_change(
                 db.execute(
-                    "UPDATE plans SET state = 'lost', why_lost = ? WHERE plan_id = ? AND state = 'accepted'",
+                    "UPDATE plans SET state = 'lost', why_lost = ?, request = x'' "
+                    "WHERE plan_id = ? AND state = 'accepted'",
                     (why[:1000], plan_id),
                 )
             )
+            seal_plan(db, plan_id)
 
     def get(self, plan_id: str) -> PlanRecord:
         """Return a plan in any state.
 
         Raises:
             NotStoredError: no plan has this id.
+            DamagedError: it is not what was stored.
         """
         with self._database.transaction() as db:
             return _read(db, plan_id)
+
+    def require_same(self, db: sqlite3.Connection, plan: PlanRecord) -> None:
+        """Check in a transaction that a plan is still as it was read.
+
+        Raises:
+            ReviewRefusedError: it was changed or reviewed meanwhile.
+        """
+        if _read(db, plan.plan_id) != plan:
+            raise ReviewRefusedError("the plan was reviewed by somebody else meanwhile; review it again")
 
     def open_archive(self, plan_id: str) -> BinaryIO:
         """Open the archive of a plan; it stays readable if the plan is deleted meanwhile.
 
         Raises:
             NotStoredError: no plan has this id, or it has no archive.
+            DamagedError: plan or archive are not what was stored.
         """
-        plan = self.get(plan_id)
+        return self._open_archive(self.get(plan_id))
+
+    def check_archive(self, plan: PlanRecord) -> None:
+        """Check the archive of a plan, if it has one.
+
+        Raises:
+            NotStoredError: it cannot be read.
+            DamagedError: it is not what was stored.
+        """
+        if plan.archive_bytes:
+            self._open_archive(plan).close()
+
+    def _open_archive(self, plan: PlanRecord) -> BinaryIO:
+        plan_id = plan.plan_id
         if plan.state is not PlanState.FINISHED:
             raise NotStoredError(f"plan {plan_id} has not finished; there are no files yet")
         if not plan.archive_bytes:
@@ -161,9 +214,50 @@ class Plans:
                 "(with_files; out= of the Python client)"
             )
         try:
-            return (self._archives.path / plan_id).open("rb")
+            file = (self._archives.path / plan_id).open("rb")
         except OSError as error:
             raise NotStoredError(f"plan {plan_id}: its archive cannot be read ({error.strerror})") from None
+        try:
+            if hash_chunks(iter(lambda: file.read(CHUNK_BYTES), b"")) != plan.archive_sha256:
+                raise DamagedError(f"plan {plan_id}: its files are damaged on this server's disk; plan it again")
+            file.seek(0)
+        except BaseException:
+            file.close()
+            raise
+        return file
+
+    def _list_resumable(self, db: sqlite3.Connection) -> Iterator[PlanRecord]:
+        """Yield the open plans that are begun again; the others become lost."""
+        ids = db.execute("SELECT plan_id FROM plans WHERE state IN ('accepted', 'running') ORDER BY number").fetchall()
+        for (plan_id,) in ids:
+            try:
+                plan = _read(db, plan_id)
+            except DamagedError:
+                continue  # stays open, so that a reader is told
+            is_late = plan.deadline is not None and plan.deadline <= self._clock()
+            if plan.request and not is_late and plan.n_resumed < MAX_RESUMED:
+                db.execute("UPDATE plans SET n_resumed = n_resumed + 1 WHERE plan_id = ?", (plan_id,))
+                seal_plan(db, plan_id)
+                yield _read(db, plan_id)
+            else:
+                why = _RESTARTED if not plan.request else _LATE if is_late else _REPEATED
+                db.execute(
+                    "UPDATE plans SET state = 'lost', why_lost = ?, request = x'' WHERE plan_id = ?", (why, plan_id)
+                )
+                seal_plan(db, plan_id)
+
+    def _hash_old_archives(self) -> None:
+        """Record the hashes of archives that a version without hashes wrote."""
+        with self._database.transaction() as db:
+            ids = db.execute("SELECT plan_id FROM plans WHERE archive_bytes > 0 AND archive_sha256 = ''").fetchall()
+            for (plan_id,) in ids:
+                path = self._archives.path / plan_id
+                try:
+                    hashes = hash_file(path), _hash_page(path)
+                except (OSError, tarfile.TarError):
+                    continue  # reported when it is read
+                db.execute("UPDATE plans SET archive_sha256 = ?, page_sha256 = ? WHERE plan_id = ?", (*hashes, plan_id))
+                seal_plan(db, plan_id)
 
     def _make_space(self, db: sqlite3.Connection, newest: str) -> list[str]:
         """Delete the oldest plans, reviewed ones last and the newest never; returns the ids of those with archives."""
@@ -191,16 +285,42 @@ class Plans:
 
 
 def _read(db: sqlite3.Connection, plan_id: str) -> PlanRecord:
-    row = db.execute(f"SELECT {_COLUMNS} FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
+    row = db.execute("SELECT * FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
     if row is None:
         raise NotStoredError(f"unknown plan {shown(plan_id)}; it was removed when the store was full, or never was")
-    return _to_record(row)
+    record = _to_record(row)
+    if record.plan_id != plan_id:
+        raise DamagedError(UNREADABLE_ROW)
+    return record
+
+
+def _find(db: sqlite3.Connection, client: str, request_id: str) -> PlanRecord | None:
+    row = db.execute("SELECT * FROM plans WHERE client = ? AND request_id = ?", (client, request_id)).fetchone()
+    if row is None:
+        return None
+    record = _to_record(row)
+    if (record.client, record.request_id) != (client, request_id):
+        raise DamagedError(UNREADABLE_ROW)
+    return record
 
 
 def _to_record(row: sqlite3.Row) -> PlanRecord:
-    return PlanRecord(**{**dict(row), "state": PlanState(row["state"])})
+    if compute_seal(dict(row)) != row[SEAL]:
+        raise DamagedError(
+            f"plan {shown(row['plan_id'])}: is damaged on this server's disk; plan it again under a new id"
+        )
+    values = {field.name: row[field.name] for field in fields(PlanRecord)}
+    return PlanRecord(**{**values, "request_id": row["request_id"] or "", "state": PlanState(row["state"])})
 
 
 def _require_change(update: sqlite3.Cursor) -> None:
     if update.rowcount != 1:
         raise NotStoredError(_NOT_OPEN)
+
+
+def _hash_page(path: Path) -> str:
+    """Return the hash of an archive's page; empty if it has none."""
+    with tarfile.open(path, "r:") as archive:
+        page = next((member for member in archive if member.name == PAGE_NAME), None)
+        content = None if page is None else archive.extractfile(page)
+        return "" if content is None else hash_bytes(content.read())

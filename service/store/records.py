@@ -35,8 +35,14 @@ class PlanRecord:
         verdict: verdict of a finished plan.
         reply: serialized result of a finished plan.
         plan_sha256, certificate_sha256: hashes that reviews refer to; empty without trajectory or certificate.
+        page_sha256: hash of the viewer's page in the archive, which reviews refer to as well; empty without one.
+        archive_sha256: hash of its archive; empty without one.
         archive_bytes: size of its archive, 0 without one.
         created, finished: [s since 1970].
+        request: content that begins an open plan again after a restart; empty for others.
+        deadline: after which an open plan is not begun again [s since 1970]; None for never.
+        n_resumed: restarts after which it was begun again.
+        reviews_seal: seal of its newest review; empty without one.
     """
 
     plan_id: str
@@ -50,17 +56,25 @@ class PlanRecord:
     reply: bytes
     plan_sha256: str
     certificate_sha256: str
+    page_sha256: str
+    archive_sha256: str
     archive_bytes: int
     created: float
     finished: float | None
+    request: bytes
+    deadline: float | None
+    n_resumed: int
+    reviews_seal: str
 
 
 @dataclass(frozen=True)
 class Review:
-    """A person's review, bound to the hashes of the plan and the certificate that were reviewed.
+    """A person's review, bound to the hashes of the trajectory, the certificate and the page that were reviewed.
 
     Attributes:
         time: [s since 1970].
+        page_sha256: empty for a plan without files.
+        approval: signed statement of an acceptance; empty without one.
     """
 
     plan_id: str
@@ -70,6 +84,8 @@ class Review:
     reviewer: str
     comment: str
     time: float
+    page_sha256: str = ""
+    approval: bytes = b""
 
 
 @dataclass(frozen=True)

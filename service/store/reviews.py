@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields, replace
 
 from service.errors import shown
-from service.store.database import Database
-from service.store.errors import NotStoredError, ReviewRefusedError
-from service.store.records import Decision, Review, StoreLimits
+from service.store.database import Database, insert_review, seal_plan
+from service.store.errors import DamagedError, ReviewRefusedError
+from service.store.plans import Plans
+from service.store.records import Decision, PlanRecord, PlanState, Review, StoreLimits
+from service.store.seals import SEAL, compute_seal
 
 MAX_COMMENT_CHARACTERS = 4000
 
@@ -16,8 +18,9 @@ MAX_COMMENT_CHARACTERS = 4000
 class Reviews:
     """The reviews of a store's plans; they are deleted only with their plan."""
 
-    def __init__(self, database: Database, limits: StoreLimits, clock: Callable[[], float]) -> None:
+    def __init__(self, database: Database, plans: Plans, limits: StoreLimits, clock: Callable[[], float]) -> None:
         self._database = database
+        self._plans = plans
         self._limits = limits
         self._clock = clock
 
@@ -29,14 +32,18 @@ class Reviews:
         plan_sha256: str,
         certificate_sha256: str,
         comment: str = "",
+        page_sha256: str = "",
+        sign: Callable[[PlanRecord, Review], bytes] | None = None,
     ) -> Review:
         """Store a review; it survives a power cut as soon as this call has returned.
 
         Args:
-            plan_sha256, certificate_sha256: hashes of the reviewed plan.
+            plan_sha256, certificate_sha256, page_sha256: hashes of the reviewed plan.
+            sign: makes the signed statement of an acceptance from the stored plan and its review.
 
         Raises:
             NotStoredError: no plan has this id.
+            DamagedError: the plan, its files or its reviews are not what was stored.
             ReviewRefusedError: the plan has not finished, has other hashes, or has no trajectory or certificate to
                 accept; or the review is too long, or one too many.
         """
@@ -44,36 +51,43 @@ class Reviews:
             raise ReviewRefusedError(
                 f"comment: expected at most {MAX_COMMENT_CHARACTERS} characters, got {len(comment)}"
             )
+        plan = self._plans.get(plan_id)
+        self._plans.check_archive(plan)  # before the transaction, since a large one takes a while
+        _check(plan, decision, plan_sha256, certificate_sha256, page_sha256)
+        earlier = self.find(plan_id)
+        if len(earlier) >= self._limits.max_reviews and not _withdraws(decision, earlier):
+            raise ReviewRefusedError(f"the plan has {len(earlier)} reviews already, and no more are stored")
+        review = Review(
+            plan_id, plan_sha256, certificate_sha256, decision, reviewer, comment, self._clock(), page_sha256
+        )
+        if sign is not None and decision is Decision.ACCEPTED:
+            review = replace(review, approval=sign(plan, review))
         with self._database.transaction(durable=True) as db:
-            plan = db.execute(
-                "SELECT state, plan_sha256, certificate_sha256 FROM plans WHERE plan_id = ?", (plan_id,)
-            ).fetchone()
-            if plan is None:
-                raise NotStoredError(
-                    f"unknown plan {shown(plan_id)}; it was removed when the store was full, or never was"
-                )
-            _check(plan, decision, plan_sha256, certificate_sha256)
-            rows = db.execute("SELECT decision FROM reviews WHERE plan_id = ? ORDER BY number", (plan_id,)).fetchall()
-            if len(rows) >= self._limits.max_reviews and not _withdraws(decision, rows):
-                raise ReviewRefusedError(f"the plan has {len(rows)} reviews already, and no more are stored")
-            review = Review(plan_id, plan_sha256, certificate_sha256, decision, reviewer, comment, self._clock())
-            db.execute(
-                "INSERT INTO reviews (plan_id, plan_sha256, certificate_sha256, decision, reviewer, comment, time) "
-                "VALUES (?, ?, ?, ?, ?, ?, ?)",
-                (plan_id, plan_sha256, certificate_sha256, decision, reviewer, comment, review.time),
-            )
-            db.execute("UPDATE plans SET is_reviewed = 1 WHERE plan_id = ?", (plan_id,))
+            self._plans.require_same(db, plan)
+            insert_review(db, {**asdict(review), "decision": decision.value})
+            seal_plan(db, plan_id)
         return review
 
     def find(self, plan_id: str) -> tuple[Review, ...]:
-        """Return all reviews of a plan, oldest first; empty for an unknown plan."""
+        """Return all reviews of a plan, oldest first; empty for an unknown plan.
+
+        Raises:
+            DamagedError: they are not what was stored.
+        """
         with self._database.transaction() as db:
-            rows = db.execute(
-                "SELECT plan_id, plan_sha256, certificate_sha256, decision, reviewer, comment, time FROM reviews "
-                "WHERE plan_id = ? ORDER BY number",
-                (plan_id,),
-            ).fetchall()
-        return tuple(Review(**{**dict(row), "decision": Decision(row["decision"])}) for row in rows)
+            plan = db.execute("SELECT reviews_seal FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
+            rows = db.execute("SELECT * FROM reviews WHERE plan_id = ? ORDER BY number", (plan_id,)).fetchall()
+        seal = ""
+        for row in rows:
+            seal = compute_seal(dict(row), seal)
+            if seal != row[SEAL]:
+                raise _damage(plan_id)
+        if plan is not None and seal != plan["reviews_seal"]:
+            raise _damage(plan_id)
+        names = [field.name for field in fields(Review)]
+        return tuple(
+            Review(**{**{name: row[name] for name in names}, "decision": Decision(row["decision"])}) for row in rows
+        )
 
     def is_accepted(self, plan_id: str) -> bool:
         """Return whether the newest review of a plan accepts it."""
@@ -81,23 +95,29 @@ class Reviews:
         return bool(reviews) and reviews[-1].decision is Decision.ACCEPTED
 
 
-def _withdraws(decision: Decision, rows: Sequence[sqlite3.Row]) -> bool:
+def _withdraws(decision: Decision, earlier: Sequence[Review]) -> bool:
     """Return whether a review withdraws an acceptance, which is stored beyond the limit."""
-    return decision is Decision.REJECTED and bool(rows) and rows[-1]["decision"] == Decision.ACCEPTED.value
+    return decision is Decision.REJECTED and bool(earlier) and earlier[-1].decision is Decision.ACCEPTED
 
 
-def _check(plan: sqlite3.Row, decision: Decision, plan_sha256: str, certificate_sha256: str) -> None:
-    if plan["state"] != "finished":
-        raise ReviewRefusedError(f"the plan is {plan['state']}; only a finished plan can be reviewed")
+def _damage(plan_id: str) -> DamagedError:
+    return DamagedError(f"plan {plan_id}: its reviews are damaged on this server's disk; plan it again and review that")
+
+
+def _check(plan: PlanRecord, decision: Decision, plan_sha256: str, certificate_sha256: str, page_sha256: str) -> None:
+    if plan.state is not PlanState.FINISHED:
+        raise ReviewRefusedError(f"the plan is {plan.state}; only a finished plan can be reviewed")
     hashes = {
-        "trajectory": (plan_sha256, plan["plan_sha256"]),
-        "certificate": (certificate_sha256, plan["certificate_sha256"]),
+        "trajectory": (plan_sha256, plan.plan_sha256),
+        "certificate": (certificate_sha256, plan.certificate_sha256),
     }
+    if decision is Decision.ACCEPTED or page_sha256:  # an approval covers the page; a rejection needs no look at it
+        hashes["page"] = (page_sha256, plan.page_sha256)
     for name, (value, stored) in hashes.items():
         if value != stored:
             raise ReviewRefusedError(
                 f"{name}_sha256: expected that of the stored plan, {shown(stored)}, got {shown(value)}; review it again"
             )
-    for name, (value, _) in hashes.items():
-        if decision is Decision.ACCEPTED and not value:
+    for name in ("trajectory", "certificate"):
+        if decision is Decision.ACCEPTED and not hashes[name][0]:
             raise ReviewRefusedError(f"the plan has no {name} and cannot be accepted")

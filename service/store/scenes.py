@@ -12,7 +12,7 @@ from pathlib import Path
 
 from service.errors import shown
 from service.store.database import Database
-from service.store.errors import DiskError, NotStoredError, TooLargeError
+from service.store.errors import DamagedError, DiskError, NotStoredError, TooLargeError
 from service.store.records import StoreLimits
 from service.trust.folders import BUILT
 
@@ -41,7 +41,7 @@ class Scenes:
         with self._database.transaction() as db:
             db.execute(
                 "INSERT INTO scenes (scene_id, client, data, created, used) VALUES (?, ?, ?, ?, ?) "
-                "ON CONFLICT (scene_id) DO UPDATE SET used = excluded.used",
+                "ON CONFLICT (scene_id) DO UPDATE SET used = excluded.used, data = excluded.data",
                 (scene_id, client, packed, now, now),
             )
             self._make_space(db, scene_id)
@@ -52,6 +52,7 @@ class Scenes:
 
         Raises:
             NotStoredError: no scene has this id.
+            DamagedError: it is not what was stored; it is removed.
         """
         with self._database.transaction() as db:
             row = db.execute("SELECT data FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone()
@@ -59,9 +60,18 @@ class Scenes:
             raise NotStoredError(
                 f"unknown scene {shown(scene_id)}; it was removed when the store was full, or never was"
             )
+        data = _unpack(row["data"])
+        is_sound = data is not None and BUILT + hashlib.sha256(data).hexdigest() == scene_id
         with suppress(DiskError), self._database.transaction() as db:  # a full disk can still be read
-            db.execute("UPDATE scenes SET used = ? WHERE scene_id = ?", (self._clock(), scene_id))
-        return zlib.decompress(row["data"])
+            if is_sound:
+                db.execute("UPDATE scenes SET used = ? WHERE scene_id = ?", (self._clock(), scene_id))
+            else:
+                db.execute("DELETE FROM scenes WHERE scene_id = ?", (scene_id,))
+        if data is None or not is_sound:
+            raise DamagedError(
+                f"scene {shown(scene_id)} was damaged on this server's disk and is removed; build it again"
+            )
+        return data
 
     def has(self, scene_id: str) -> bool:
         """Return whether a scene is stored."""
@@ -74,6 +84,7 @@ class Scenes:
 
         Raises:
             NotStoredError: no scene has this id.
+            DamagedError: it is not what was stored.
         """
         data = self.get(scene_id)
         with tempfile.NamedTemporaryFile(prefix="scopt-", suffix=".json") as file:
@@ -95,3 +106,10 @@ class Scenes:
             n, size = n - 1, size - n_bytes
             deleted.append((scene_id,))
         db.executemany("DELETE FROM scenes WHERE scene_id = ?", deleted)
+
+
+def _unpack(packed: bytes) -> bytes | None:
+    try:
+        return zlib.decompress(packed)
+    except zlib.error:
+        return None

@@ -45,7 +45,7 @@ class Store:
             self._database = Database(folder / DATABASE_NAME)
             stack.callback(self._database.close)
             self.plans = Plans(self._database, archives, limits, clock)
-            self.reviews = Reviews(self._database, limits, clock)
+            self.reviews = Reviews(self._database, self.plans, limits, clock)
             self.scenes = Scenes(self._database, limits, clock)
             self._resources = stack.pop_all()
 

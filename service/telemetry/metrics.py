@@ -14,24 +14,11 @@ from service.errors import shown
 from service.executor import PoolStats
 from service.store import CloudStore, Store
 from service.telemetry.errors import TelemetryError
+from service.telemetry.plan_counts import sum_phases
 from service.trust import is_loopback
 
 _RPC_BUCKETS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 120, 300)
 _PHASE_BUCKETS = (0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2, 4, 8, 15, 30, 60, 120, 300)
-
-# Phase of each planner step; all other steps belong to the solve.
-_PHASES = {
-    "queue": "queue",
-    "load_robot": "set-up",
-    "build_scene": "set-up",
-    "check_start": "set-up",
-    "perceive": "perceive",
-    "curve and timing": "timing",
-    "certificate": "certificate",
-    "explain": "explain",
-    "total": "total",
-}
-SOLVE = "solve"
 
 
 class Metrics:
@@ -90,30 +77,25 @@ class Metrics:
         self.registry.register(_StateCollector(pool, store, clouds))
 
 
-def sum_phases(timings: Mapping[str, float]) -> dict[str, float]:
-    """Sum seconds by step to seconds by phase."""
-    sums: dict[str, float] = {}
-    for step, seconds in timings.items():
-        phase = _PHASES.get(step, SOLVE)
-        sums[phase] = sums.get(phase, 0.0) + seconds
-    return sums
-
-
 class MetricsServer:
-    """Server of metrics at ``http://HOST:PORT/metrics``, for this machine only.
+    """Server of metrics at ``http://HOST:PORT/metrics``, which asks nobody who they are.
 
     Args:
-        address: ``HOST:PORT`` on the loopback; port 0 takes a free one.
+        address: ``HOST:PORT``; port 0 takes a free one.
+        is_remote: whether the address may be one that other machines can reach.
 
     Raises:
-        TelemetryError: other machines could reach the address, or it is in use.
+        TelemetryError: other machines could reach the address and may not, or it is in use.
     """
 
-    def __init__(self, address: str, registry: CollectorRegistry) -> None:
+    def __init__(self, address: str, registry: CollectorRegistry, is_remote: bool = False) -> None:
         host, _, port = address.rpartition(":")
-        if not port.isdecimal() or int(port) > 65535 or not is_loopback(host):
+        if not host or not port.isdecimal() or int(port) > 65535:
+            raise TelemetryError(f"--metrics {shown(address)}: expected HOST:PORT, such as 127.0.0.1:9464")
+        if not is_remote and not is_loopback(host):
             raise TelemetryError(
-                f"--metrics {shown(address)}: expected HOST:PORT on this machine, such as 127.0.0.1:9464"
+                f"--metrics {shown(address)}: can be reached from other machines, and metrics need no token; "
+                "expected this machine, such as 127.0.0.1:9464, or --remote-metrics"
             )
         try:
             self._server, self._thread = start_http_server(int(port), host.strip("[]"), registry)

@@ -7,10 +7,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 import numpy as np
+from google.protobuf.message import Message
+from jaxtyping import Float
 
 from service.json_data import to_json_data
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
-from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseReport, PhaseTimes, Trajectory
+from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseReport, Trajectory
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
 from service.request.file import request_hash
 from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
@@ -43,7 +45,7 @@ def result_to_message(result: PlanResult, sha256: str = "") -> MotionResult:
     if result.conflict is not None:
         message.conflict.update(to_json_data(result.conflict.to_dict()))
     if result.motion is not None:
-        message.trajectory.CopyFrom(_trajectory_to_message(result, result.motion))
+        _fill_trajectory(message.trajectory, result, result.motion)
     if result.certificate is not None:
         message.certificate.CopyFrom(_certificate_to_message(result.certificate))
     return message
@@ -74,22 +76,32 @@ def _to_float(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _trajectory_to_message(result: PlanResult, motion: Motion) -> Trajectory:
+def _fill_trajectory(message: Trajectory, result: PlanResult, motion: Motion) -> None:
     s, times = samples_of(motion), sample_times(motion)
     names = file_columns(result.robot)
     positions = file_positions(result.robot, motion.curve(s)[:, : result.robot.n])
     ends = np.interp([(phase.first, phase.last) for phase in motion.phases], s, times) if motion.phases else ()
-    return Trajectory(
-        joint_names=names,
-        times=times.tolist(),
-        positions=positions.ravel().tolist(),
-        phases=[
-            PhaseTimes(name=phase.name, start_s=start, end_s=end)
-            for phase, (start, end) in zip(motion.phases, ends, strict=True)
-        ],
-        is_timed=motion.law is not None,
-        sha256=hash_trajectory(names, times, positions),
-    )
+    message.joint_names.extend(names)
+    _set_numbers(message, "times", times)
+    _set_numbers(message, "positions", positions)
+    for phase, (start, end) in zip(motion.phases, ends, strict=True):
+        message.phases.add(name=phase.name, start_s=start, end_s=end)
+    message.is_timed = motion.law is not None
+    message.sha256 = hash_trajectory(names, times, positions)
+
+
+def _set_numbers(message: Message, name: str, values: Float[np.ndarray, "..."]) -> None:
+    """Append to a field of doubles by its encoding, ten times as fast as number by number."""
+    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    number = message.DESCRIPTOR.fields_by_name[name].number
+    message.MergeFromString(_encode_varint(number << 3 | 2) + _encode_varint(len(data)) + data)
+
+
+def _encode_varint(value: int) -> bytes:
+    data = b""
+    while value > 0x7F:
+        data, value = data + bytes([value & 0x7F | 0x80]), value >> 7
+    return data + bytes([value])
 
 
 def _certificate_to_message(certificate: Certificate) -> CertificateMessage:

@@ -13,6 +13,12 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class Priority(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    PRIORITY_UNSPECIFIED: _ClassVar[Priority]
+    PRIORITY_INTERACTIVE: _ClassVar[Priority]
+    PRIORITY_BATCH: _ClassVar[Priority]
+
 class PlanState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     PLAN_STATE_UNSPECIFIED: _ClassVar[PlanState]
@@ -26,6 +32,9 @@ class Decision(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     DECISION_UNSPECIFIED: _ClassVar[Decision]
     DECISION_ACCEPTED: _ClassVar[Decision]
     DECISION_REJECTED: _ClassVar[Decision]
+PRIORITY_UNSPECIFIED: Priority
+PRIORITY_INTERACTIVE: Priority
+PRIORITY_BATCH: Priority
 PLAN_STATE_UNSPECIFIED: PlanState
 PLAN_STATE_QUEUED: PlanState
 PLAN_STATE_RUNNING: PlanState
@@ -36,16 +45,18 @@ DECISION_ACCEPTED: Decision
 DECISION_REJECTED: Decision
 
 class PlanRequest(_message.Message):
-    __slots__ = ("request_id", "request", "with_files", "with_waypoints")
+    __slots__ = ("request_id", "request", "with_files", "with_waypoints", "priority")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     REQUEST_FIELD_NUMBER: _ClassVar[int]
     WITH_FILES_FIELD_NUMBER: _ClassVar[int]
     WITH_WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
+    PRIORITY_FIELD_NUMBER: _ClassVar[int]
     request_id: str
     request: _request_pb2.MotionRequest
     with_files: bool
     with_waypoints: bool
-    def __init__(self, request_id: _Optional[str] = ..., request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ..., with_files: bool = ..., with_waypoints: bool = ...) -> None: ...
+    priority: Priority
+    def __init__(self, request_id: _Optional[str] = ..., request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ..., with_files: bool = ..., with_waypoints: bool = ..., priority: _Optional[_Union[Priority, str]] = ...) -> None: ...
 
 class PlanResponse(_message.Message):
     __slots__ = ("accepted", "queued", "progress", "finished", "file")
@@ -62,14 +73,16 @@ class PlanResponse(_message.Message):
     def __init__(self, accepted: _Optional[_Union[PlanAccepted, _Mapping]] = ..., queued: _Optional[_Union[PlanQueued, _Mapping]] = ..., progress: _Optional[_Union[PlanProgress, _Mapping]] = ..., finished: _Optional[_Union[PlanFinished, _Mapping]] = ..., file: _Optional[_Union[_result_pb2.FileChunk, _Mapping]] = ...) -> None: ...
 
 class PlanAccepted(_message.Message):
-    __slots__ = ("plan_id", "request_id", "is_known")
+    __slots__ = ("plan_id", "request_id", "is_known", "warnings")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     IS_KNOWN_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     request_id: str
     is_known: bool
-    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., is_known: bool = ...) -> None: ...
+    warnings: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., is_known: bool = ..., warnings: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class PlanQueued(_message.Message):
     __slots__ = ("place", "expected_wait_s")
@@ -333,7 +346,7 @@ class VerifyResponse(_message.Message):
     def __init__(self, verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[_result_pb2.Check, _Mapping]]] = ..., min_clearance_m: _Optional[float] = ..., min_balance_margin_m: _Optional[float] = ..., held_to: _Optional[str] = ...) -> None: ...
 
 class SimulatePlanRequest(_message.Message):
-    __slots__ = ("plan_id", "files", "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed")
+    __slots__ = ("plan_id", "files", "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed", "perturb")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     FILES_FIELD_NUMBER: _ClassVar[int]
     FRICTION_FIELD_NUMBER: _ClassVar[int]
@@ -343,6 +356,7 @@ class SimulatePlanRequest(_message.Message):
     DELAY_MS_FIELD_NUMBER: _ClassVar[int]
     JOINT_FRICTION_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
+    PERTURB_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     files: _containers.RepeatedCompositeFieldContainer[_result_pb2.FileChunk]
     friction: float
@@ -352,7 +366,8 @@ class SimulatePlanRequest(_message.Message):
     delay_ms: float
     joint_friction: float
     seed: int
-    def __init__(self, plan_id: _Optional[str] = ..., files: _Optional[_Iterable[_Union[_result_pb2.FileChunk, _Mapping]]] = ..., friction: _Optional[float] = ..., feed_forward: _Optional[float] = ..., stiffness_scale: _Optional[float] = ..., noise: _Optional[float] = ..., delay_ms: _Optional[float] = ..., joint_friction: _Optional[float] = ..., seed: _Optional[int] = ...) -> None: ...
+    perturb: float
+    def __init__(self, plan_id: _Optional[str] = ..., files: _Optional[_Iterable[_Union[_result_pb2.FileChunk, _Mapping]]] = ..., friction: _Optional[float] = ..., feed_forward: _Optional[float] = ..., stiffness_scale: _Optional[float] = ..., noise: _Optional[float] = ..., delay_ms: _Optional[float] = ..., joint_friction: _Optional[float] = ..., seed: _Optional[int] = ..., perturb: _Optional[float] = ...) -> None: ...
 
 class SimulatePlanResponse(_message.Message):
     __slots__ = ("has_stood", "explanation", "notes", "figures")
@@ -423,7 +438,7 @@ class GetPlanResponse(_message.Message):
     def __init__(self, record: _Optional[_Union[PlanRecord, _Mapping]] = ..., file: _Optional[_Union[_result_pb2.FileChunk, _Mapping]] = ...) -> None: ...
 
 class PlanRecord(_message.Message):
-    __slots__ = ("plan_id", "request_id", "state", "result", "reviews", "is_approved", "created", "finished", "reason")
+    __slots__ = ("plan_id", "request_id", "state", "result", "reviews", "is_approved", "created", "finished", "reason", "page_sha256")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -433,6 +448,7 @@ class PlanRecord(_message.Message):
     CREATED_FIELD_NUMBER: _ClassVar[int]
     FINISHED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     request_id: str
     state: PlanState
@@ -442,37 +458,44 @@ class PlanRecord(_message.Message):
     created: _timestamp_pb2.Timestamp
     finished: _timestamp_pb2.Timestamp
     reason: str
-    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., reason: _Optional[str] = ...) -> None: ...
+    page_sha256: str
+    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., reason: _Optional[str] = ..., page_sha256: _Optional[str] = ...) -> None: ...
 
 class Review(_message.Message):
-    __slots__ = ("decision", "reviewer", "comment", "trajectory_sha256", "certificate_sha256", "time")
+    __slots__ = ("decision", "reviewer", "comment", "trajectory_sha256", "certificate_sha256", "time", "page_sha256", "approval")
     DECISION_FIELD_NUMBER: _ClassVar[int]
     REVIEWER_FIELD_NUMBER: _ClassVar[int]
     COMMENT_FIELD_NUMBER: _ClassVar[int]
     TRAJECTORY_SHA256_FIELD_NUMBER: _ClassVar[int]
     CERTIFICATE_SHA256_FIELD_NUMBER: _ClassVar[int]
     TIME_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    APPROVAL_FIELD_NUMBER: _ClassVar[int]
     decision: Decision
     reviewer: str
     comment: str
     trajectory_sha256: str
     certificate_sha256: str
     time: _timestamp_pb2.Timestamp
-    def __init__(self, decision: _Optional[_Union[Decision, str]] = ..., reviewer: _Optional[str] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ...) -> None: ...
+    page_sha256: str
+    approval: bytes
+    def __init__(self, decision: _Optional[_Union[Decision, str]] = ..., reviewer: _Optional[str] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., page_sha256: _Optional[str] = ..., approval: _Optional[bytes] = ...) -> None: ...
 
 class ReviewPlanRequest(_message.Message):
-    __slots__ = ("plan_id", "decision", "comment", "trajectory_sha256", "certificate_sha256")
+    __slots__ = ("plan_id", "decision", "comment", "trajectory_sha256", "certificate_sha256", "page_sha256")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     DECISION_FIELD_NUMBER: _ClassVar[int]
     COMMENT_FIELD_NUMBER: _ClassVar[int]
     TRAJECTORY_SHA256_FIELD_NUMBER: _ClassVar[int]
     CERTIFICATE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     decision: Decision
     comment: str
     trajectory_sha256: str
     certificate_sha256: str
-    def __init__(self, plan_id: _Optional[str] = ..., decision: _Optional[_Union[Decision, str]] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ...) -> None: ...
+    page_sha256: str
+    def __init__(self, plan_id: _Optional[str] = ..., decision: _Optional[_Union[Decision, str]] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., page_sha256: _Optional[str] = ...) -> None: ...
 
 class ReviewPlanResponse(_message.Message):
     __slots__ = ("review",)

@@ -220,7 +220,7 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand", "hands", "servo")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand", "hands", "servo", "locked", "torque")
     class ContactsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -235,6 +235,13 @@ class Robot(_message.Message):
         key: str
         value: RobotHand
         def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[RobotHand, _Mapping]] = ...) -> None: ...
+    class LockedEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     NAME_FIELD_NUMBER: _ClassVar[int]
     URDF_FIELD_NUMBER: _ClassVar[int]
     SRDF_FIELD_NUMBER: _ClassVar[int]
@@ -245,6 +252,8 @@ class Robot(_message.Message):
     HAND_FIELD_NUMBER: _ClassVar[int]
     HANDS_FIELD_NUMBER: _ClassVar[int]
     SERVO_FIELD_NUMBER: _ClassVar[int]
+    LOCKED_FIELD_NUMBER: _ClassVar[int]
+    TORQUE_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
@@ -255,7 +264,17 @@ class Robot(_message.Message):
     hand: HandKind
     hands: _containers.MessageMap[str, RobotHand]
     servo: RobotServo
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ..., servo: _Optional[_Union[RobotServo, _Mapping]] = ...) -> None: ...
+    locked: _containers.ScalarMap[str, float]
+    torque: RobotTorque
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ..., servo: _Optional[_Union[RobotServo, _Mapping]] = ..., locked: _Optional[_Mapping[str, float]] = ..., torque: _Optional[_Union[RobotTorque, _Mapping]] = ...) -> None: ...
+
+class RobotTorque(_message.Message):
+    __slots__ = ("check", "unchecked")
+    CHECK_FIELD_NUMBER: _ClassVar[int]
+    UNCHECKED_FIELD_NUMBER: _ClassVar[int]
+    check: bool
+    unchecked: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, check: bool = ..., unchecked: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RobotServo(_message.Message):
     __slots__ = ("stiffness",)
@@ -421,7 +440,7 @@ class Surface(_message.Message):
     def __init__(self, piece: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., corners: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., pieces: _Optional[_Iterable[str]] = ..., friction: _Optional[float] = ...) -> None: ...
 
 class ContactStance(_message.Message):
-    __slots__ = ("name", "make", "release")
+    __slots__ = ("name", "make", "release", "poses")
     class MakeEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -432,10 +451,24 @@ class ContactStance(_message.Message):
     NAME_FIELD_NUMBER: _ClassVar[int]
     MAKE_FIELD_NUMBER: _ClassVar[int]
     RELEASE_FIELD_NUMBER: _ClassVar[int]
+    POSES_FIELD_NUMBER: _ClassVar[int]
     name: str
     make: _containers.MessageMap[str, ContactPlace]
     release: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ...) -> None: ...
+    poses: KnownPoses
+    def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ..., poses: _Optional[_Union[KnownPoses, _Mapping]] = ...) -> None: ...
+
+class KnownPoses(_message.Message):
+    __slots__ = ("leaving", "arriving", "standing", "way")
+    LEAVING_FIELD_NUMBER: _ClassVar[int]
+    ARRIVING_FIELD_NUMBER: _ClassVar[int]
+    STANDING_FIELD_NUMBER: _ClassVar[int]
+    WAY_FIELD_NUMBER: _ClassVar[int]
+    leaving: NominalPose
+    arriving: NominalPose
+    standing: NominalPose
+    way: _containers.RepeatedCompositeFieldContainer[NominalPose]
+    def __init__(self, leaving: _Optional[_Union[NominalPose, _Mapping]] = ..., arriving: _Optional[_Union[NominalPose, _Mapping]] = ..., standing: _Optional[_Union[NominalPose, _Mapping]] = ..., way: _Optional[_Iterable[_Union[NominalPose, _Mapping]]] = ...) -> None: ...
 
 class ContactPlace(_message.Message):
     __slots__ = ("surface", "at", "yaw_deg")
@@ -648,14 +681,14 @@ class MeshHull(_message.Message):
     def __init__(self, points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ...) -> None: ...
 
 class Egress(_message.Message):
-    __slots__ = ("side", "hint", "surfaces", "phases", "phases_file", "samples", "torque_share", "margin_n")
+    __slots__ = ("side", "hint", "surfaces", "phases", "phases_file", "samples", "torque_share", "margin_n", "until")
     class SurfacesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
         VALUE_FIELD_NUMBER: _ClassVar[int]
         key: str
-        value: EgressSurface
-        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[EgressSurface, _Mapping]] = ...) -> None: ...
+        value: Surface
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[Surface, _Mapping]] = ...) -> None: ...
     SIDE_FIELD_NUMBER: _ClassVar[int]
     HINT_FIELD_NUMBER: _ClassVar[int]
     SURFACES_FIELD_NUMBER: _ClassVar[int]
@@ -664,29 +697,17 @@ class Egress(_message.Message):
     SAMPLES_FIELD_NUMBER: _ClassVar[int]
     TORQUE_SHARE_FIELD_NUMBER: _ClassVar[int]
     MARGIN_N_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_FIELD_NUMBER: _ClassVar[int]
     side: Side
     hint: _containers.RepeatedScalarFieldContainer[float]
-    surfaces: _containers.MessageMap[str, EgressSurface]
+    surfaces: _containers.MessageMap[str, Surface]
     phases: _containers.RepeatedCompositeFieldContainer[EgressPhase]
     phases_file: str
     samples: int
     torque_share: float
     margin_n: float
-    def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ..., surfaces: _Optional[_Mapping[str, EgressSurface]] = ..., phases: _Optional[_Iterable[_Union[EgressPhase, _Mapping]]] = ..., phases_file: _Optional[str] = ..., samples: _Optional[int] = ..., torque_share: _Optional[float] = ..., margin_n: _Optional[float] = ...) -> None: ...
-
-class EgressSurface(_message.Message):
-    __slots__ = ("piece", "normal", "corners", "pieces", "friction")
-    PIECE_FIELD_NUMBER: _ClassVar[int]
-    NORMAL_FIELD_NUMBER: _ClassVar[int]
-    CORNERS_FIELD_NUMBER: _ClassVar[int]
-    PIECES_FIELD_NUMBER: _ClassVar[int]
-    FRICTION_FIELD_NUMBER: _ClassVar[int]
-    piece: str
-    normal: _containers.RepeatedScalarFieldContainer[float]
-    corners: _containers.RepeatedCompositeFieldContainer[Point]
-    pieces: _containers.RepeatedScalarFieldContainer[str]
-    friction: float
-    def __init__(self, piece: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., corners: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., pieces: _Optional[_Iterable[str]] = ..., friction: _Optional[float] = ...) -> None: ...
+    until: str
+    def __init__(self, side: _Optional[_Union[Side, str]] = ..., hint: _Optional[_Iterable[float]] = ..., surfaces: _Optional[_Mapping[str, Surface]] = ..., phases: _Optional[_Iterable[_Union[EgressPhase, _Mapping]]] = ..., phases_file: _Optional[str] = ..., samples: _Optional[int] = ..., torque_share: _Optional[float] = ..., margin_n: _Optional[float] = ..., until: _Optional[str] = ...) -> None: ...
 
 class EgressPhase(_message.Message):
     __slots__ = ("name", "contacts", "postures", "weights", "sides", "sampled")
@@ -773,7 +794,7 @@ class PlaneSide(_message.Message):
     def __init__(self, link: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., limit: _Optional[float] = ..., point: _Optional[_Iterable[float]] = ..., weight: _Optional[float] = ...) -> None: ...
 
 class SceneSpec(_message.Message):
-    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file")
+    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file", "cuts")
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
     APPLY_VIEWPOINT_FIELD_NUMBER: _ClassVar[int]
@@ -786,6 +807,7 @@ class SceneSpec(_message.Message):
     METHOD_FIELD_NUMBER: _ClassVar[int]
     UNKNOWN_FIELD_NUMBER: _ClassVar[int]
     FILE_FIELD_NUMBER: _ClassVar[int]
+    CUTS_FIELD_NUMBER: _ClassVar[int]
     cloud: Cloud
     unit: LengthUnit
     apply_viewpoint: bool
@@ -798,7 +820,8 @@ class SceneSpec(_message.Message):
     method: PieceMethod
     unknown: UnknownSpace
     file: str
-    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ...) -> None: ...
+    cuts: _containers.RepeatedCompositeFieldContainer[Cut]
+    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ..., cuts: _Optional[_Iterable[_Union[Cut, _Mapping]]] = ...) -> None: ...
 
 class Cloud(_message.Message):
     __slots__ = ("file", "files")
@@ -841,7 +864,7 @@ class Floor(_message.Message):
     def __init__(self, is_there: bool = ..., height: _Optional[float] = ...) -> None: ...
 
 class Obstacle(_message.Message):
-    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "file", "scale", "decompose", "match")
+    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "file", "scale", "decompose", "match", "in_scan")
     TYPE_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
@@ -854,6 +877,7 @@ class Obstacle(_message.Message):
     SCALE_FIELD_NUMBER: _ClassVar[int]
     DECOMPOSE_FIELD_NUMBER: _ClassVar[int]
     MATCH_FIELD_NUMBER: _ClassVar[int]
+    IN_SCAN_FIELD_NUMBER: _ClassVar[int]
     type: Shape
     name: str
     position: _containers.RepeatedScalarFieldContainer[float]
@@ -866,7 +890,28 @@ class Obstacle(_message.Message):
     scale: float
     decompose: bool
     match: bool
-    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., file: _Optional[str] = ..., scale: _Optional[float] = ..., decompose: bool = ..., match: bool = ...) -> None: ...
+    in_scan: bool
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., file: _Optional[str] = ..., scale: _Optional[float] = ..., decompose: bool = ..., match: bool = ..., in_scan: bool = ...) -> None: ...
+
+class Cut(_message.Message):
+    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points")
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    SIZE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    type: Shape
+    name: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    size: _containers.RepeatedScalarFieldContainer[float]
+    radius: float
+    height: float
+    points: _containers.RepeatedCompositeFieldContainer[Point]
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ...) -> None: ...
 
 class Point(_message.Message):
     __slots__ = ("value",)
@@ -945,7 +990,7 @@ class Options(_message.Message):
     def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ...) -> None: ...
 
 class Resume(_message.Message):
-    __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf")
+    __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf", "hold", "nominal")
     class MechanismEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -960,6 +1005,8 @@ class Resume(_message.Message):
     STROKE_FIELD_NUMBER: _ClassVar[int]
     HANDLE_FIELD_NUMBER: _ClassVar[int]
     LEAF_FIELD_NUMBER: _ClassVar[int]
+    HOLD_FIELD_NUMBER: _ClassVar[int]
+    NOMINAL_FIELD_NUMBER: _ClassVar[int]
     phase: str
     plan: str
     mechanism: _containers.ScalarMap[str, float]
@@ -967,7 +1014,36 @@ class Resume(_message.Message):
     stroke: StrokeChoice
     handle: HandleChoice
     leaf: LeafChoice
-    def __init__(self, phase: _Optional[str] = ..., plan: _Optional[str] = ..., mechanism: _Optional[_Mapping[str, float]] = ..., is_rescanned: bool = ..., stroke: _Optional[_Union[StrokeChoice, _Mapping]] = ..., handle: _Optional[_Union[HandleChoice, _Mapping]] = ..., leaf: _Optional[_Union[LeafChoice, _Mapping]] = ...) -> None: ...
+    hold: HoldChoice
+    nominal: NominalMotion
+    def __init__(self, phase: _Optional[str] = ..., plan: _Optional[str] = ..., mechanism: _Optional[_Mapping[str, float]] = ..., is_rescanned: bool = ..., stroke: _Optional[_Union[StrokeChoice, _Mapping]] = ..., handle: _Optional[_Union[HandleChoice, _Mapping]] = ..., leaf: _Optional[_Union[LeafChoice, _Mapping]] = ..., hold: _Optional[_Union[HoldChoice, _Mapping]] = ..., nominal: _Optional[_Union[NominalMotion, _Mapping]] = ...) -> None: ...
+
+class NominalMotion(_message.Message):
+    __slots__ = ("joint_names", "phases")
+    class PhasesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: NominalPhase
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[NominalPhase, _Mapping]] = ...) -> None: ...
+    JOINT_NAMES_FIELD_NUMBER: _ClassVar[int]
+    PHASES_FIELD_NUMBER: _ClassVar[int]
+    joint_names: _containers.RepeatedScalarFieldContainer[str]
+    phases: _containers.MessageMap[str, NominalPhase]
+    def __init__(self, joint_names: _Optional[_Iterable[str]] = ..., phases: _Optional[_Mapping[str, NominalPhase]] = ...) -> None: ...
+
+class NominalPhase(_message.Message):
+    __slots__ = ("positions",)
+    POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    positions: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, positions: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class HoldChoice(_message.Message):
+    __slots__ = ("hand",)
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    hand: Hand
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ...) -> None: ...
 
 class StrokeChoice(_message.Message):
     __slots__ = ("hand", "gap_rad", "strokes", "is_flipped")

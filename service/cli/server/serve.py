@@ -1,4 +1,4 @@
-"""``scopt serve`` and ``scopt token``: the planning service and its access tokens."""
+"""``scopt serve``: the planning service."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from service.cli.command import command
+from service.cli.server.config import read_config_option
 
 DEFAULT_LISTEN = "127.0.0.1:50051"
 
@@ -39,12 +40,29 @@ def serve_command(
     tls_key: Annotated[Path | None, typer.Option(help="Its private key (PEM).")] = None,
     client_ca: Annotated[Path | None, typer.Option(help="Authority that client certificates must come from.")] = None,
     tokens: Annotated[Path | None, typer.Option(help="File that says who may do what (see scopt token).")] = None,
+    sign_key: Annotated[
+        Path | None, typer.Option(help="Ed25519 private key (PEM) that signs what reviewers accept.")
+    ] = None,
     metrics: Annotated[str | None, typer.Option(help="Serve Prometheus metrics there.", metavar="HOST:PORT")] = None,
     executor: Annotated[str, typer.Option(help="What plans: local, or ray://HOST:PORT of a Ray cluster.")] = "local",
     drain: Annotated[float, typer.Option(help="Seconds for running plans after a signal to stop.", min=0.0)] = 30.0,
     requests_per_s: Annotated[
         float, typer.Option(help="Calls each client may make in the long run; five times as many at once.", min=0.1)
     ] = 200.0,
+    remote_metrics: Annotated[
+        bool, typer.Option("--remote-metrics", help="Other machines may read the metrics; they need no token for it.")
+    ] = False,
+    socket: Annotated[
+        Path | None, typer.Option(help="Unix socket for clients of this machine, besides --listen and without TLS.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file with options by name (workers = 4); the command line takes precedence.",
+            is_eager=True,
+            callback=read_config_option,
+        ),
+    ] = None,
 ) -> None:
     """Answer requests over gRPC until a signal to stop.
 
@@ -72,26 +90,11 @@ def serve_command(
         budgets=tuple(budget or ()),
         tls=(tls_cert, tls_key, client_ca),
         tokens=tokens,
+        sign_key=sign_key,
         metrics=metrics,
+        is_metrics_remote=remote_metrics,
+        socket=socket,
         executor=executor,
         requests_per_s=requests_per_s,
     )
     asyncio.run(launch(options, lambda address: typer.echo(f"listening on {address}")))
-
-
-@command()
-def token_command(
-    name: Annotated[str, typer.Argument(help="Of the client.", metavar="NAME")],
-    role: Annotated[list[str], typer.Option(help="plan, review or admin; may be given again.", metavar="ROLE")],
-) -> None:
-    """Make a token: it is printed once, with the lines that the server's --tokens file needs."""
-    from service.errors import RequestError, would_do
-    from service.trust import Role, make_token
-
-    known = [known_role.value for known_role in Role]
-    for name_of_role in role:
-        if name_of_role not in known:
-            raise RequestError(f"--role: unknown role {name_of_role!r}; expected {would_do(name_of_role, known)}")
-    token, lines = make_token(name, [Role(name_of_role) for name_of_role in role])
-    typer.echo(token)
-    typer.echo(lines, err=True)

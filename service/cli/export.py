@@ -1,0 +1,42 @@
+"""``scopt export``: a result for ROS 2, MCAP readers and NumPy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from service.cli.command import command
+from service.cli.options import Json
+from service.cli.run import cancellable, consoles, print_json
+
+
+@command()
+def export_command(
+    result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
+    target: Annotated[
+        Literal["ros2", "mcap", "numpy"],
+        typer.Option("--to", help="A folder with a bag of ROS 2, an MCAP file, or an archive of NumPy."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File or folder; by default beside the result folder.")
+    ] = None,
+    any_verdict: Annotated[
+        bool, typer.Option("--any-verdict", help="Export a motion without a certificate, too.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a result for other programs: trajectory, scene and robot, without ROS installed."""
+    stdout, stderr = consoles()
+    with cancellable(stderr):
+        from service.replay.exchange.export import SUFFIXES, export
+        from service.result.folder import result_path
+
+        folder = result_path(result).parent.resolve()
+        path = folder.with_name(f"{folder.name}{SUFFIXES[target]}") if out is None else out
+        written = export(result, target, path, any_verdict=any_verdict)
+    if as_json:
+        print_json({"export": str(written), "to": target})
+    else:
+        stdout.print(str(written), markup=False, soft_wrap=True)
