@@ -16,27 +16,36 @@ if TYPE_CHECKING:
     from service.execution.reference import PlannedReference
     from service.execution.tracking import Action, track
     from service.planner import plan
+    from service.replay.exchange.certify import CertifiedTrajectory, certify
+    from service.replay.exchange.joint_trajectory import JointTrajectory
+    from service.replay.exchange.read import read_trajectory
     from service.request.file import load_request, parse_request, request_hash
-    from service.request.schema import PlanRequest
+    from service.request.schema import PlanRequest, PoseGoalRequest
     from service.result.folder import read_result
     from service.result.output import write_result
     from service.result.result import PlanResult
     from service.setup.prepare import PlanSetup, prepare
     from service.simulation.options import SimulationOptions
     from service.simulation.simulate import simulate
+    from service.tasks.queries import IkSolution, PoseClearance, SweepClearance, clearance, solve_ik, sweep_clearance
     from service.tasks.stance import StanceSearch, find_stance
 
 __all__ = [
     "Action",
+    "CertifiedTrajectory",
     "Execution",
     "ExecutionError",
     "ExecutionSettings",
+    "IkSolution",
     "JointCommand",
+    "JointTrajectory",
     "Order",
     "PlanRequest",
     "PlanResult",
     "PlanSetup",
     "PlannedReference",
+    "PoseClearance",
+    "PoseGoalRequest",
     "RequestError",
     "ResultError",
     "RobotDriver",
@@ -44,20 +53,29 @@ __all__ = [
     "ServiceError",
     "SimulationOptions",
     "StanceSearch",
+    "SweepClearance",
+    "certify",
+    "clearance",
     "find_stance",
     "load_request",
     "parse_request",
     "plan",
     "prepare",
     "read_result",
+    "read_trajectory",
     "request_hash",
     "simulate",
+    "solve_ik",
+    "sweep_clearance",
     "track",
     "write_result",
 ]
 
 _MODULES = {
     "errors": ("ExecutionError", "RequestError", "ResultError", "ServiceError"),
+    "replay.exchange.certify": ("CertifiedTrajectory", "certify"),
+    "replay.exchange.joint_trajectory": ("JointTrajectory",),
+    "replay.exchange.read": ("read_trajectory",),
     "execution.driver": ("JointCommand", "RobotDriver", "RobotReading"),
     "execution.execution": ("Execution", "ExecutionSettings"),
     "execution.machine": ("Order",),
@@ -65,7 +83,8 @@ _MODULES = {
     "execution.tracking": ("Action", "track"),
     "planner": ("plan",),
     "request.file": ("load_request", "parse_request", "request_hash"),
-    "request.schema": ("PlanRequest",),
+    "tasks.queries": ("IkSolution", "PoseClearance", "SweepClearance", "clearance", "solve_ik", "sweep_clearance"),
+    "request.schema": ("PlanRequest", "PoseGoalRequest"),
     "result.folder": ("read_result",),
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),
@@ -83,5 +102,10 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     for module, names in _MODULES.items():
         if name in names:
-            return getattr(importlib.import_module(f"service.{module}"), name)
+            try:
+                return getattr(importlib.import_module(f"service.{module}"), name)
+            except ModuleNotFoundError as error:
+                if str(error.name).startswith("service."):
+                    raise ImportError(f"service.{name} is not part of scopt-client; pip install scopt has it") from None
+                raise
     raise AttributeError(f"module 'service' has no attribute {name!r}")

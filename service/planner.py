@@ -83,7 +83,8 @@ def plan(
     """
     with _single_blas_thread():
         monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
-        setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, around=around)
+        on_step = lambda step: monitor.report(step, 0.02)  # noqa: E731
+        setup = prepare(request, on_step, robot, monitor.is_over, see, around=around, finds_package=True)
         monitor.timings.update(setup.timings)
         attempt = Attempt()
         try:
@@ -96,13 +97,16 @@ def plan(
         except (Interrupted, Stopped) as interruption:
             status = interruption.status if isinstance(interruption, Interrupted) else monitor.stop_reason()
             _record_interruption(attempt, status, request, monitor)
-        return _expect_sag(attempt.to_result(setup, monitor))
+        result = _expect_sag(attempt.to_result(setup, monitor))
+        return replace(result, planning_time_s=time.perf_counter() - monitor.started)
 
 
 def _expect_sag(result: PlanResult) -> PlanResult:
     """Return the result of a complete plan with the sag of its centre of mass on the request's servos."""
     if result.motion is None or result.verdict not in (Verdict.CERTIFIED, Verdict.FEASIBLE_AT_SAMPLES):
         return result
+    if result.request.robot.torque is not None:
+        return result  # the default stiffness follows from the limits that are left out
     proven = None if result.certificate is None else result.certificate.min_balance_margin_m
     sag = measure_sag(result.motion, resolve_stiffness(result.robot, result.request), proven)
     return result if sag is None else replace(result, servo=sag.to_json(), notes=(*result.notes, *sag.list_notes()))

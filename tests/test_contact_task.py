@@ -19,8 +19,8 @@ from costs.primitive import Primitive
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
 from service import RequestError, parse_request, prepare
-from service.demands.contacts.contact_task import STRIP_M, make_surfaces
 from service.demands.contacts.stances import (
+    INSIDE_M,
     LINE_M,
     ContactStance,
     StanceContact,
@@ -31,6 +31,7 @@ from service.demands.contacts.stances import (
     list_contact_phases,
     place_patch,
 )
+from service.demands.contacts.surfaces import STRIP_M, make_surfaces
 from service.request.contacts import SurfaceRequest
 
 REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
@@ -109,7 +110,7 @@ def test_the_side_of_a_box_is_found_with_its_corners_around_its_normal(seed: int
     box = ConvexPiece("box", turn.apply(SIGNS * half) + middle)
     outwards = turn.apply([0.0, 0.0, 1.0])
     x, y, z = (3.0 * outwards).tolist()
-    side = make_surfaces({"side": SurfaceRequest(piece="box", normal=(x, y, z))}, Scene((box,)))["side"]
+    side = make_surfaces({"side": SurfaceRequest(piece="box", normal=(x, y, z))}, Scene((box,)), "surfaces")["side"]
     assert np.allclose(side.normal, outwards, atol=1e-6)
     assert np.allclose(side.measure_height(box.vertices).max(), 0.0, atol=1e-6)
     assert side.measure_outside(side.middle[None])[0] == pytest.approx(-half[:2].min(), abs=1e-6)
@@ -131,7 +132,7 @@ def test_a_round_bar_has_a_strip_along_its_upper_edge(seed: int, n_sides: int) -
     ends = [np.column_stack([np.full(n_sides, x), ring]) for x in (-0.5 * length, 0.5 * length)]
     turn = Rotation.from_euler("z", yaw)
     bar = ConvexPiece("bar", turn.apply(np.vstack(ends)) + middle)
-    strip = make_surfaces({"rail": SurfaceRequest(piece="bar")}, Scene((bar,)))["rail"]
+    strip = make_surfaces({"rail": SurfaceRequest(piece="bar")}, Scene((bar,)), "surfaces")["rail"]
     assert np.allclose(strip.normal, [0.0, 0.0, 1.0], atol=1e-9)
     assert np.allclose(strip.corners[:, 2], middle[2] + 0.02, atol=1e-9)
     sizes = np.linalg.norm(np.roll(strip.corners, -1, axis=0) - strip.corners, axis=1)
@@ -150,12 +151,20 @@ def test_a_round_bar_has_a_strip_along_its_upper_edge(seed: int, n_sides: int) -
             SurfaceRequest(corners=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.3))),
             "task.contacts.surfaces.x: the polygon has no flat side along [0.0, 0.0, 1.0]",
         ),
+        (
+            SurfaceRequest(corners=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0))),
+            "task.contacts.surfaces.x: the polygon has no flat side along [0.0, 0.0, 1.0]",
+        ),
+        (
+            SurfaceRequest(corners=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), pieces=("table",)),
+            "task.contacts.surfaces.x: no piece 'table' in the scene, which has box, tip",
+        ),
     ],
 )
 def test_a_surface_that_is_none_is_refused_by_name(request_: SurfaceRequest, words: str) -> None:
     tip = ConvexPiece("tip", np.vstack([np.zeros(3), *(SIGNS[SIGNS[:, 2] < 0] * [0.1, 0.1, 0.5])]))
     with pytest.raises(RequestError) as caught:
-        make_surfaces({"x": request_}, Scene((ConvexPiece("box", SIGNS), tip)))
+        make_surfaces({"x": request_}, Scene((ConvexPiece("box", SIGNS), tip)), "task.contacts.surfaces")
     assert [line[: len(words)] for line in caught.value.problems] == [words]
 
 
@@ -322,3 +331,18 @@ def test_the_places_of_a_request_are_on_their_stones() -> None:
             assert contact.planted.friction <= robot.contacts[contact.patch].friction
         heights.append([round(float(contact.points[:, 2].mean()), 6) for contact in stance.contacts])
     assert heights == [[0.0, 0.0], [0.0, 0.05], [0.05, 0.1], [0.1, 0.05]]
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_a_place_is_brought_to_the_nearest_point_of_its_surface(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn, half, middle = Rotation.random(random_state=seed), rng.uniform(0.01, 0.5, 2), rng.normal(size=3)
+    corners = turn.apply(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 0.0]) + middle
+    surface = Surface("s", corners, turn.apply([0.0, 0.0, 1.0]), 0.6)
+    local = rng.uniform(-1.0, 1.0, 3)
+    place = surface.bring_onto(turn.apply(local) + middle)
+    expected = turn.apply([*np.clip(local[:2], -half, half), 0.0]) + middle
+    assert np.linalg.norm(place - expected) <= INSIDE_M + 1e-9
+    assert surface.measure_outside(place[None])[0] <= 1e-9
+    assert abs(surface.measure_height(place[None])[0]) <= 1e-9

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "ARCHITECTURE.md", ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -39,6 +40,30 @@ def test_every_link_to_a_file_leads_somewhere(page: Path) -> None:
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
+def test_the_site_has_every_page_and_describes_names_that_exist() -> None:
+    site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+
+    def list_pages(entries: object) -> list[str]:
+        if isinstance(entries, dict):
+            entries = list(entries.values())
+        return [entries] if isinstance(entries, str) else [page for entry in entries for page in list_pages(entry)]
+
+    docs = ROOT / "docs"
+    assert sorted(list_pages(site["nav"])) == sorted(str(path.relative_to(docs)) for path in docs.rglob("*.md"))
+    described = [
+        name for page in (docs / "api").glob("*.md") for name in re.findall(r"^::: (\S+)$", page.read_text(), re.M)
+    ]
+    assert len(described) > 20
+    assert [name for name in described if not exists(name)] == []
+    assert site["theme"]["font"] is False
+
+
+def test_pictures_of_the_documents_are_small() -> None:
+    gallery = [path.stat().st_size for path in (ROOT / "docs" / "gallery").iterdir()]
+    assert gallery
+    assert sum(gallery) < 2**20
+
+
 def test_every_folder_that_the_architecture_names_exists() -> None:
     folders = sorted(set(re.findall(r"`(\w+/)`", (ROOT / "ARCHITECTURE.md").read_text())))
     assert [name for name in folders if not any((ROOT / at / name).is_dir() for at in FOLDERS_OF_ARCHITECTURE)] == []
@@ -50,4 +75,6 @@ def test_no_folder_of_the_product_holds_more_than_twenty_modules() -> None:
     }
     counts = {str(folder.relative_to(ROOT)): len(list(folder.glob("*.py"))) for folder in folders}
     assert {name: count for name, count in counts.items() if count > 20} == {}
-    assert len([path for path in (ROOT / "service").iterdir() if not path.name.startswith(("_", "."))]) <= 30
+    assert (
+        len([path for path in (ROOT / "service").iterdir() if not path.name.startswith(("_", ".", "py.typed"))]) <= 30
+    )

@@ -17,7 +17,7 @@ from service.request.file import parse_request
 from service.result.output import write_result
 from service.result.result import Verdict
 
-REQUEST = Path(__file__).resolve().parents[1] / "examples" / "requests" / "egress.yaml"
+REQUEST = Path(__file__).resolve().parents[1] / "examples" / "requests" / "egress_model.yaml"
 
 
 def first_step():
@@ -43,6 +43,7 @@ def test_the_right_foot_leaves_the_car_with_a_certificate(stepped):
     names = [phase.name for phase in result.motion.phases]
     assert names == [f"right foot out: {part}" for part in ("shift", "lift", "swing", "land")] + ["finish"]
     assert [contact.link for contact in result.motion.phases[2].contacts] == ["pelvis", "l_foot"]
+    assert all(contact.tolerance_m <= 1e-4 for phase in result.motion.phases for contact in phase.contacts)
     assert verify_result(folder)["verdict"] == "CERTIFIED"
 
 
@@ -85,5 +86,5 @@ def test_unknown_patches_and_surfaces_of_phases_are_refused(stepped):
     request = parse_request(data).task.egress
     with pytest.raises(RequestError) as refused:
         EgressDemand.of(request, result.robot, result.scene, np.array(result.start))
-    assert any("contacts.knee: unknown patch" in line for line in refused.value.problems)
+    assert any("contacts: unknown contact patch 'knee'" in line for line in refused.value.problems)
     assert any("unknown surface 'sofa'" in line for line in refused.value.problems)

@@ -15,7 +15,7 @@ from given_doors import door_request
 
 from costs.robot import Mechanism
 from service.demands.door import Door
-from service.demands.door_demand import read_given_door
+from service.demands.door_demand import make_door, read_given_door
 from service.demands.held_motion import Demands, HeldMotion, hold_to_request
 from service.planner import plan
 from service.replay.replay import read_motion
@@ -74,6 +74,15 @@ def test_the_latch_and_the_leaf_are_part_of_the_certificate(opened: PlanResult) 
     assert neighbours["door/leaf/leaf", "left wall"] == pytest.approx(3e-3)
     assert neighbours["door/leaf/leaf", "floor"] == pytest.approx(3e-3)
     assert neighbours["door/leaf/rose", "door/handle/neck"] > 0.01
+
+
+def test_a_lever_seen_a_little_above_its_rest_is_at_rest() -> None:
+    request = parse_request(door_request()).task.door
+    geometry = read_given_door(request, np.zeros(3))
+    assert geometry is not None
+    for turn, ajar, start in ((-0.007, -0.004, [0.0, 0.0]), (0.3, 0.2, [0.2, 0.3])):
+        door = make_door(request, replace(geometry, handle_turn=turn, ajar=ajar))
+        assert door.mechanism.start == pytest.approx(start)
 
 
 def test_without_its_allowances_the_neck_in_its_rose_is_no_proof(opened: PlanResult) -> None:

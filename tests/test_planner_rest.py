@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from given_doors import door_request
+from given_mechanisms import drawer_request
 from typer.testing import CliRunner
 
 from service.cli.app import app
@@ -22,7 +23,7 @@ from service.planner import plan
 from service.replay.replay import verify_result
 from service.replay.resume import hash_plan, make_rest_request, read_recorded_scan
 from service.request.file import parse_request, to_json
-from service.request.resume import ResumeRequest
+from service.request.resume import NominalPhase, ResumeRequest
 from service.request.schema import PlanRequest
 from service.result.folder import read_result
 from service.result.output import write_result
@@ -48,6 +49,12 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A valve turned by 60 degrees."""
     return _write(plan(parse_request(VALVE)), tmp_path_factory.mktemp("turned"))
+
+
+@pytest.fixture(scope="module")
+def pulled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drawer pulled out by 0.25 m."""
+    return _write(plan(parse_request(drawer_request())), tmp_path_factory.mktemp("pulled"))
 
 
 def _write(result: PlanResult, folder: Path) -> Path:
@@ -114,6 +121,57 @@ def test_the_rest_of_a_line_begins_where_the_hand_is(opened: Path, tmp_path: Pat
     assert result.verdict is Verdict.CERTIFIED, result.explanation
 
 
+def test_a_valve_that_moved_is_turned_with_the_earlier_motion_repaired(turned: Path, tmp_path: Path) -> None:
+    request = _rest(turned, "reach", _state(turned, "reach", 0.0), tmp_path)
+    assert request.task is not None
+    assert request.task.valve is not None
+    assert request.resume is not None
+    nominal = request.resume.nominal
+    assert nominal is not None
+    valve = replace(request.task.valve, centre=(0.684, 0.127, 1.094), axis=(-1.0, 0.03, 0.03))
+    result = plan(replace(request, task=replace(request.task, valve=valve)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.motion is not None
+    assert result.motion.robot.joint_names == nominal.joint_names
+    assert verify_result(_write(result, tmp_path))["verdict"] == "CERTIFIED"
+    turn = next(phase for phase in result.motion.phases if phase.name == "turn")
+    earlier = np.array(nominal.phases["turn"].positions).reshape(-1, len(nominal.joint_names))
+    ends = result.motion.curve(np.array([turn.first, turn.last]))
+    assert np.abs(ends - earlier[[0, -1]]).max() < 0.2
+
+
+@pytest.mark.parametrize("change", ["other joints", "far away"])
+def test_an_earlier_motion_that_does_not_fit_is_not_needed(change: str, turned: Path, tmp_path: Path) -> None:
+    request = _rest(turned, "turn", _state(turned, "turn", 0.4), tmp_path)
+    assert request.resume is not None
+    nominal = request.resume.nominal
+    assert nominal is not None
+    if change == "other joints":
+        nominal = replace(nominal, joint_names=(*nominal.joint_names[:-1], "of_another_robot"))
+    else:
+        phases = {name: NominalPhase(tuple(np.zeros(len(p.positions)))) for name, p in nominal.phases.items()}
+        nominal = replace(nominal, phases=phases)
+    result = plan(replace(request, resume=replace(request.resume, nominal=nominal)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+
+
+@pytest.mark.parametrize(
+    ("names", "positions", "words"),
+    [
+        (["a", "b"], [1, 2, 3], "'turn' has 3 positions"),
+        (["a", "a"], [1, 2], "a name twice"),
+        (["a"], [], "0 positions"),
+    ],
+)
+def test_an_earlier_motion_has_every_joint_at_every_waypoint(
+    names: list[str], positions: list[float], words: str
+) -> None:
+    resume = {"phase": "turn", "plan": f"sha256:{64 * '0'}"}
+    nominal = {"joint_names": names, "phases": {"turn": {"positions": positions}}}
+    with pytest.raises(RequestError, match=words):
+        parse_request({**VALVE, "resume": {**resume, "nominal": nominal}})
+
+
 @pytest.mark.parametrize(("phase", "first"), [("turn", "turn"), ("insert", "insert")])
 def test_a_valve_is_turned_on(phase: str, first: str, turned: Path, tmp_path: Path) -> None:
     state = _state(turned, phase, 0.4)
@@ -131,6 +189,25 @@ def test_the_rest_can_be_planned_again_itself(turned: Path, tmp_path: Path) -> N
     assert request.resume is not None
     assert request.resume.plan == hash_plan(read_result(first)) != hash_plan(read_result(turned))
     assert request.resume.stroke == _rest(turned, "turn", _state(turned, "turn", 0.3), tmp_path).resume.stroke
+
+
+@pytest.mark.parametrize(
+    ("phase", "share", "first"), [("move slide", 0.4, "move slide"), ("approach", 0.0, "approach")]
+)
+def test_a_given_mechanism_is_moved_on(phase: str, share: float, first: str, pulled: Path, tmp_path: Path) -> None:
+    state = _state(pulled, phase, share)
+    request = _rest(pulled, phase, state, tmp_path)
+    assert request.resume is not None
+    assert request.resume.hold is not None
+    assert request_from_message(request_to_message(request)) == request
+    again = _write(plan(request), tmp_path)
+    data = read_result(again)
+    assert data["phases"][0]["name"] == first
+    assert data["figures"]["slide_m"] == pytest.approx(0.25, abs=1e-3)
+    assert verify_result(again)["verdict"] == "CERTIFIED"
+    other = replace(request, resume=replace(request.resume, hold=None))
+    with pytest.raises(RequestError, match=r"resume.hold: is missing"):
+        plan(other)
 
 
 def test_the_motion_to_a_goal_starts_anew(tmp_path: Path) -> None:

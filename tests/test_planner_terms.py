@@ -1,5 +1,7 @@
 """Terms of the caller's own in a plan."""
 
+from dataclasses import replace
+
 import cvxpy
 import numpy as np
 import pytest
@@ -66,7 +68,8 @@ def test_a_constraint_that_cannot_be_kept_is_the_reason_why_nothing_was_found(re
     def terms(phase, robot, n_waypoints):
         return [Constraint("nowhere", ConvexExpression(robot.n, lambda q: cvxpy.norm(q - 9.0) <= 1.0, [3]))]
 
-    result = plan(request_of, terms=terms)
+    options = replace(request_of.options, time_limit_s=6.0)  # which the search uses up
+    result = plan(replace(request_of, options=options), terms=terms)
     assert result.verdict is Verdict.NOT_FOUND
     assert any("nowhere is missed by" in line for line in result.explanation)
 

@@ -170,7 +170,7 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ),
         (
             "scene: {obstacles: [{name: a, type: box, size: [1, 1, 1], radius: 1}]}",
-            "scene.obstacles[0]: unknown key 'radius'; expected name, position, quaternion_wxyz, type, size",
+            "scene.obstacles[0]: unknown key 'radius'; expected in_scan, name, position, quaternion_wxyz, type, size",
         ),
         (
             "scene: {obstacles: [{name: a, type: sphere, radius: 1}, {name: a, type: sphere, radius: 1}]}",

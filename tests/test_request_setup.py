@@ -122,7 +122,7 @@ def test_a_pitch_near_90_degrees_is_refused(atlas: RobotModel) -> None:
         ),
         ({"options": {"feet": []}}, "options.feet: lists no link"),
         ({"options": {"feet": ["l_fot"]}}, "unknown link 'l_fot' in options.feet; atlas has l_foot, "),
-        ({"robot": {"name": "atlsa"}}, "robot: unknown robot 'atlsa'; "),
+        ({"robot": {"name": "atlsa"}}, "robot.name: unknown robot 'atlsa'; "),
         (
             {"robot": {"urdf": "missing.urdf"}},
             "robot.urdf: missing.urdf is not there; paths start at the ",

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from costs.collision.shapes import make_convex, make_swept_convex
 from costs.primitive import make_round_shape
 from costs.robot import RobotError, load_robot, shapes
-from costs.robot.hull import find_hull_vertices, make_outer_hull
+from costs.robot.mesh.hull import find_hull_vertices, make_outer_hull
 from service.start.overlaps import penetration_depth
 
 LENGTH = st.floats(1e-3, 2.0)

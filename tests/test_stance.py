@@ -10,10 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from given_mechanisms import drawer_request
 from typer.testing import CliRunner
 
 from service import RequestError, StanceSearch, find_stance, load_request, parse_request
 from service.cli.app import app
+from service.planner import plan
+from service.result.result import Verdict
 from service.result.stance_output import describe_search, draw_search, write_request
 from service.tasks import stance
 
@@ -52,6 +55,24 @@ def test_best_stance_opens_the_door_in_single_poses(search: StanceSearch) -> Non
     assert best.clearance_m >= 0.02
 
 
+def test_a_drawer_has_a_place_to_stand_from_which_it_comes_out_whole() -> None:
+    data = drawer_request()
+    away = float(data.get("start", {}).get("base", {}).get("position", [0.0])[0]) - 0.5
+    data["start"] = {"posture": "reach_ready", "base": {"position": [away, 0.0, 0.9177]}}
+    found = find_stance(parse_request(data), limit_s=300.0, radius_m=0.7, takes_first=True)
+    best = found.best
+    assert best is not None
+    assert best.outcome is not None
+    assert best.outcome.reached == pytest.approx(1.0), "a share of the way of the handle"
+    assert not best.outcome.missing
+    parts = describe_search(found)["candidates"][0]["parts"]
+    assert parts["share"] == pytest.approx(1.0)
+    assert parts["angle_deg"] is None
+    ElementTree.fromstring(draw_search(found))
+    data["start"]["base"] = {"position": list(best.position), "quaternion_wxyz": list(best.quaternion_wxyz)}
+    assert plan(parse_request(data)).verdict is Verdict.CERTIFIED
+
+
 def test_best_stance_comes_first_and_refused_ones_last(search: StanceSearch) -> None:
     scores = [candidate.score for candidate in search.candidates]
     assert scores == sorted(scores, reverse=True)
@@ -80,7 +101,15 @@ def test_json_has_a_base_that_a_request_accepts(search: StanceSearch) -> None:
     np.testing.assert_allclose(request.start.base.position, search.best.start[:3], atol=1e-4)
     first = data["candidates"][0]
     assert set(first) == {"base", "yaw_deg", "score", "refused", "parts", "hold", "missing"}
-    assert set(first["parts"]) == {"angle_deg", "asked_deg", "balance_m", "reach_m", "clearance_m", "torque_share"}
+    assert set(first["parts"]) == {
+        "angle_deg",
+        "asked_deg",
+        "balance_m",
+        "reach_m",
+        "clearance_m",
+        "torque_share",
+        "share",
+    }
 
 
 def test_picture_is_svg_with_the_wall_the_leaf_and_the_soles(search: StanceSearch) -> None:
@@ -119,7 +148,7 @@ def test_a_place_that_has_all_poses_ends_the_search_for_a_first_one(search: Stan
 
 def test_stance_for_a_goal_is_refused() -> None:
     request = parse_request({"robot": {"name": "atlas"}, "goal": {"posture": "reach_ready"}})
-    with pytest.raises(RequestError, match=r"expected task.door or task.valve"):
+    with pytest.raises(RequestError, match=r"expected task.door, task.valve or task.mechanism"):
         find_stance(request)
 
 
@@ -143,7 +172,7 @@ def test_command_refuses_a_goal_in_one_line(tmp_path: Path) -> None:
     path.write_text("robot: {name: atlas}\ngoal: {posture: reach_ready}\n")
     done = CliRunner().invoke(app, ["stance", str(path), "--json", "--out", str(tmp_path / "out")])
     assert done.exit_code == 3
-    assert "expected task.door or task.valve" in json.loads(done.stdout)["explanation"][0]
+    assert "expected task.door, task.valve or task.mechanism" in json.loads(done.stdout)["explanation"][0]
 
 
 def test_time_limit_ends_the_search_with_what_it_has() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import urllib.request
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,15 @@ from small_service import end_of, serving
 from service.executor import PoolStats, WorkerState, WorkerStats
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
 from service.store import CloudStore, Store
-from service.telemetry import Metrics, MetricsServer, SentSpans, TelemetryError, TelemetryInterceptor, sum_phases
+from service.telemetry import (
+    Metrics,
+    MetricsServer,
+    PlanCounts,
+    SentSpans,
+    TelemetryError,
+    TelemetryInterceptor,
+    sum_phases,
+)
 from service.trust import AccessInterceptor, ClientLimiter
 
 
@@ -31,6 +39,18 @@ def _samples(metrics: Metrics) -> dict[tuple[str, ...], float]:
         for family in families
         for sample in family.samples
     }
+
+
+def _count_ended(metrics: Metrics) -> float:
+    return sum(value for key, value in _samples(metrics).items() if key[0] == "scopt_requests_total")
+
+
+async def _until(is_true: Callable[[], bool]) -> None:
+    """Wait until something has happened, at most 10 s."""
+    for _ in range(200):
+        if is_true():
+            return
+        await asyncio.sleep(0.05)
 
 
 def _run(coroutine: Coroutine[Any, Any, None]) -> None:
@@ -51,12 +71,11 @@ def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
                 await end_of(stub.Plan(planner_pb2.PlanRequest(request_id=request_id)))
             cancelled = stub.UploadCloud()
             await cancelled.write(planner_pb2.UploadCloudRequest(chunk=b"x"))
-            await asyncio.sleep(0.05)
-            assert _samples(metrics)["scopt_requests_open", "UploadCloud"] == 1
+            await _until(lambda: _samples(metrics).get(("scopt_requests_open", "UploadCloud")) == 1)
             cancelled.cancel()
-            await stub.UploadCloud(timeout=0.05).code()
+            await stub.UploadCloud(timeout=0.5).code()
             await end_of(channel.unary_unary("/planner.v1.PlannerService/MadeUp")(b""))
-            await asyncio.sleep(0.05)
+            await _until(lambda: _count_ended(metrics) >= 6)
 
     _run(calls())
     samples = _samples(metrics)
@@ -150,6 +169,24 @@ def test_metrics_are_shown_on_this_machine() -> None:
 def test_metrics_are_shown_to_no_other_machine(address: str) -> None:
     with pytest.raises(TelemetryError, match=r"such as 127\.0\.0\.1:9464"):
         MetricsServer(address, Metrics().registry)
+
+
+def test_metrics_are_shown_to_other_machines_on_request_only() -> None:
+    with MetricsServer("0.0.0.0:0", Metrics().registry, is_remote=True) as server:
+        assert server.address.startswith("0.0.0.0:")
+    with pytest.raises(TelemetryError, match=r"--metrics ':0': expected HOST:PORT"):
+        MetricsServer(":0", Metrics().registry, is_remote=True)
+
+
+def test_times_of_solves_have_nothing_else_in_them() -> None:
+    counts = PlanCounts()
+    others = {"load_robot": 10.0, "perceive": 20.0, "curve and timing": 30.0, "certificate": 40.0, "queue": 50.0}
+    for seconds in (1.0, 2.0, 3.0):
+        counts.add("CERTIFIED", {**others, "reach": seconds / 2, "sampling": seconds / 2, "total": 100.0})
+    counts.add("INFEASIBLE", {**others, "total": 100.0})
+    assert [counts.solve_percentile(share) for share in (0.0, 50.0, 99.0)] == [1.0, 2.0, 3.0]
+    assert counts.verdicts == {"CERTIFIED": 3, "INFEASIBLE": 1}
+    assert PlanCounts().solve_percentile(50.0) == 0.0
 
 
 def test_a_call_is_a_span_of_the_clients_trace_with_its_code_and_no_metadata() -> None:

@@ -235,7 +235,7 @@ def test_evaluators_of_either_numbering_look_between_the_waypoints_or_not(evalua
             "costs[1].use_time: joint_acc does not use time; only joint_vel does",
         ),
         (changed(("costs", 1, "params", "last_step"), 0), "costs[1].params.last_step: 0 is before first_step, 1"),
-        (changed(("basic_info", "n_steps"), 1), "basic_info.n_steps: expected 2 to 500, got 1"),
+        (changed(("basic_info", "n_steps"), 0), "basic_info.n_steps: expected 1 to 500, got 0"),
         (changed(("basic_info", "n_steps"), 5.0), "basic_info.n_steps: a whole number is needed, got 5.0"),
         (changed(("basic_info", "dt_upper_lim"), 0.1), "basic_info.dt_upper_lim: 0.1 is below dt_lower_lim, 0.5"),
         (changed(("basic_info",), ...), "basic_info: is missing"),

@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception import CONFIDENT, LeverDetection, Reach, detect, make_view, perceive, select_turnable
+from perception.detect.valve.lever_valve import find_grip
+from perception.sightlines import Sightlines, index_of
 from perception.simulate import Pose, Room, Scanner, scan
 from perception.simulate.scenes.valves import LeverValve
 from service.demands.hands import FREE_BEFORE, HANDS, PEG_FROM_END, PEG_RADIUS
@@ -28,6 +30,7 @@ LEVER = {
     "lever": {"direction": [0.0, 0.2, 1.0], "length_m": 0.24},
 }  # fmt: skip
 TILT = np.deg2rad(34.0)
+TILTED = (-np.cos(TILT), 0.05, np.sin(TILT))
 CRANK = {
     "centre": [0.66, -0.2, 1.0], "axis": [-np.cos(TILT), 0.0, np.sin(TILT)], "turn_deg": -180.0, "hand": "right",
     "lever": {"direction": [0.0, 1.0, 0.0], "length_m": 0.16, "grip_m": 0.1},
@@ -153,11 +156,15 @@ def test_the_lever_of_a_request_is_the_one_that_is_planned_for():
         read_given_valve(ValveRequest(lever={"direction": (0.0, 0.0, 1.0), "length_m": 0.2}, turn_deg=90.0))
 
 
-@pytest.mark.parametrize("grip", [0.0, 0.1], ids=["lever", "crank"])
-def test_a_scan_shows_a_lever_whose_points_are_no_obstacle(grip):
-    tilt = TILT if grip else 0.1
-    axis = (-np.cos(tilt), 0.05, np.sin(tilt))
-    lever = LeverValve((0.72, 0.05, 1.1), axis, (0.1, -0.5, 0.8), 0.24, pipe_direction=(0.0, 1.0, 0.0), grip=grip)
+@pytest.mark.parametrize(
+    ("grip", "axis", "direction"),
+    [
+        (0.0, (-1.0, 0.05, 0.1), (0.1, -0.5, 0.8)), (0.1, TILTED, (0.1, -0.5, 0.8)), (0.1, TILTED, (0.0, -0.97, 0.2)),
+    ],
+    ids=["lever", "crank", "crank along its pipe"],
+)  # fmt: skip
+def test_a_scan_shows_a_lever_whose_points_are_no_obstacle(grip, axis, direction):
+    lever = LeverValve((0.72, 0.05, 1.1), axis, direction, 0.24, pipe_direction=(0.0, 1.0, 0.0), grip=grip)
     placed = lever.build()
     scanner = Scanner(n_beams=361, fan_deg=90.0, n_lines=110)
     cloud = scan([*Room(wall_x=1.1).meshes(), *placed.meshes], Pose((0.12, 0.0, 1.6), pitch=0.3), scanner, seed=1)
@@ -178,6 +185,27 @@ def test_a_scan_shows_a_lever_whose_points_are_no_obstacle(grip):
         if np.linalg.norm(piece.vertices - middle, axis=1).min() < 0.03 and piece.name != "floor"
     ]
     assert not inside
+
+
+@pytest.mark.parametrize("n_through", [0, 6])
+def test_of_a_grip_that_points_at_the_sensor_the_end_is_enough_unless_rays_pass_behind_it(n_through):
+    """The bar lies along x, its grip along z to the sensor; only its end and the bar's end return rays."""
+    rng = np.random.default_rng(4)
+    sensor = np.array([0.2, 0.0, 1.5])
+    cap = np.column_stack(
+        [0.2 + rng.uniform(-0.01, 0.01, 40), rng.uniform(-0.01, 0.01, 40), np.linspace(0.1, 0.12, 40)]
+    )
+    foot = np.column_stack([rng.uniform(0.15, 0.185, 20), rng.uniform(-0.01, 0.01, 20), np.full(20, 0.015)])
+    behind = np.column_stack([np.full(n_through, 0.2), np.linspace(-0.3, -0.35, n_through), np.zeros(n_through)])
+    side = np.tile([0.2, 0.6, 0.12], (n_through, 1))  # seen through the gap from beside
+    points = np.concatenate([cap, foot])
+    ends = np.concatenate([points, behind])
+    starts = np.concatenate([np.tile(sensor, (len(points), 1)), side])
+    length = np.linalg.norm(ends - starts, axis=1)
+    index = index_of(Sightlines(starts, (ends - starts) / length[:, None], length))
+    tall, along = find_grip(points, np.eye(4), 0.2, 0.012, index)
+    assert (tall > 0.1) is (n_through == 0)
+    assert along == pytest.approx(0.2, abs=0.005)
 
 
 def test_a_wheel_is_no_lever():

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_robots import random_curve, random_model
+from small_robots import let_some_follow, random_curve, random_model
 
 from costs.curve import Curve
 from service.verify.curve_bounds import Rates, position_range
@@ -34,10 +34,14 @@ def _relative_points(model: pin.Model, q: np.ndarray, holder: int, mover: int, p
 
 
 @settings(max_examples=150)
-@given(SEEDS, st.booleans(), st.booleans())
-def test_no_point_leaves_its_chord_by_more_than_the_bound(seed: int, is_floating: bool, in_joint: bool) -> None:
+@given(SEEDS, st.booleans(), st.booleans(), st.booleans())
+def test_no_point_leaves_its_chord_by_more_than_the_bound(
+    seed: int, is_floating: bool, in_joint: bool, has_followers: bool
+) -> None:
     rng = np.random.default_rng(seed)
     model = random_model(rng, int(rng.integers(1, 8)), is_floating=is_floating, branches=True)
+    if has_followers:
+        model = let_some_follow(rng, model)
     curve = random_curve(rng, model.nq, 2)
     tree = _tree(model, curve, is_floating=is_floating)
     mover = int(rng.integers(1, model.njoints))
@@ -63,10 +67,12 @@ def test_no_point_leaves_its_chord_by_more_than_the_bound(seed: int, is_floating
 
 
 @settings(max_examples=100)
-@given(SEEDS, st.booleans())
-def test_reach_bounds_every_distance_from_a_joint_to_the_body(seed: int, in_joint: bool) -> None:
+@given(SEEDS, st.booleans(), st.booleans())
+def test_reach_bounds_every_distance_from_a_joint_to_the_body(seed: int, in_joint: bool, has_followers: bool) -> None:
     rng = np.random.default_rng(seed)
     model = random_model(rng, int(rng.integers(2, 8)), is_floating=False, branches=True)
+    if has_followers:
+        model = let_some_follow(rng, model)
     curve = random_curve(rng, model.nq, 2, spread=1.0)
     mover = int(rng.integers(1, model.njoints))
     holder = int(rng.integers(1, model.njoints)) if in_joint else 0

@@ -15,8 +15,8 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
 from service.body.loaded_regions import plan_contact_region
-from service.demands.contacts.contact_task import make_surfaces
 from service.demands.contacts.stances import place_patch_as_it_is
+from service.demands.contacts.surfaces import make_surfaces
 from service.verify import (
     Certificate,
     LoadedRegion,
@@ -40,7 +40,7 @@ def make_standing() -> Motion:
     q = robot.postures["stand"]
     floor = ConvexPiece("floor", SIGNS * [2.0, 2.0, 0.05] - [0.0, 0.0, 0.05], "floor")
     scene = Scene((floor,))
-    surface = make_surfaces({}, scene)["floor"]
+    surface = make_surfaces({}, scene, "surfaces")["floor"]
     contacts = tuple(place_patch_as_it_is(robot, q, name, surface).planted for name in ("left_foot", "right_foot"))
     region = plan_contact_region(robot, contacts).region
     allowances = tuple(Allowance(BodyRef.of_link(c.link), BodyRef.of_piece("floor"), 4e-3) for c in contacts)

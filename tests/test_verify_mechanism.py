@@ -18,7 +18,7 @@ from costs.scene import Scene
 from service.demands.neighbours import make_neighbour_allowances
 from service.verify import Basis, Check, Motion, Phase, Status, VerifyError, verify
 from service.verify.hashes import promises_hash
-from service.verify.mechanism_checks import RELEASE_TOLERANCE
+from service.verify.mechanism_checks import RELEASE_TOLERANCE, _find_roots
 
 UP = np.array([0.0, 0.0, 1.0])
 LATCH_AT, FREE = 0.4, np.deg2rad(5.0)
@@ -219,3 +219,16 @@ def test_links_of_a_mechanism_that_meet_are_refuted() -> None:
     certificate = verify(through)
     assert certificate.status is Status.VIOLATED
     assert any(set(c.where.names) == {"leaf/slab", "gate/g"} for c in certificate.checks if not c.ok and c.where)
+
+
+@given(
+    root=st.floats(0.05, 0.95),
+    others=st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=2),
+    length=st.floats(0.01, 10.0),
+    size=st.floats(1e-4, 1e3),
+)
+def test_a_root_inside_an_interval_is_found(root: float, others: list[float], length: float, size: float) -> None:
+    roots = length * np.array([root, *others])
+    coefficients = size * np.poly(roots)[::-1]
+    found = _find_roots(coefficients, length)
+    assert np.abs(found - roots[0]).min() < 1e-3 * length, "also a double or triple one"

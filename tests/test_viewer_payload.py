@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from viewer_results import box, make_result, unpack
 
+from costs.robot import VisualMesh
 from service.json_data import to_json_data
 from service.viewer import LinkPlacements, write_viewer
 from service.viewer.html import render_viewer
@@ -176,3 +177,25 @@ def test_write_viewer_replaces_the_file_and_leaves_nothing_else(tmp_path):
     write_viewer(*make_result(), path)
     assert path.read_text("utf-8").startswith("<!doctype html>")
     assert [entry.name for entry in tmp_path.iterdir()] == ["viewer.html"]
+
+
+def test_what_links_look_like_is_packed_and_unknown_links_are_left_out():
+    result, placements = make_result()
+    link = placements.links[0]
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3]])
+    looks = [VisualMesh(link, corners, faces), VisualMesh("nowhere", corners, faces)]
+    (packed,) = make_payload(result, placements, looks)["visuals"]
+    assert packed["link"] == link
+    np.testing.assert_array_equal(unpack(packed["triangles"]), faces)
+    np.testing.assert_allclose(unpack(packed["vertices"]), corners, atol=1e-4)
+    assert make_payload(result, placements)["visuals"] == []
+
+
+def test_a_look_with_more_vertices_than_indices_can_name_is_cut_off():
+    result, placements = make_result()
+    corners = np.random.default_rng(0).normal(size=(70_000, 3))
+    look = VisualMesh(placements.links[0], corners, np.arange(69_999).reshape(-1, 3))
+    (packed,) = make_payload(result, placements, [look])["visuals"]
+    assert packed["vertices"]["shape"] == [65_535, 3]
+    assert int(unpack(packed["triangles"]).max()) == 65_534

@@ -25,6 +25,7 @@ Hold = Callable[[Int[np.ndarray, "S"]], Residual[MotionState]]
 """A function that makes the residual that is kept at zero, given the waypoints."""
 
 DRIFT = 5e-4  # of a hold's residual between waypoints [m, rad]
+CONTACT_DRIFT = 4e-5  # the same where contacts change, whose points stay where they are within 0.1 mm
 PROJECTION_STEPS = 8
 PROJECTION_TOLERANCE = 1e-9  # [m, rad]
 AT_WAYPOINTS = 1e-4  # per row, of the optimiser; the spline's projection does the rest [m, rad]

@@ -17,7 +17,7 @@ from scopt import Constraint, Cost, Problem, Settings, TrustRegionSQP
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
-from service.body.sampling import SamplingProblem, Tree, free_coordinates, sample_path
+from service.body.sampling import SamplingProblem, Tree, free_coordinates, sample_path, shorten_polyline
 from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
@@ -28,6 +28,14 @@ JOINT_SPREAD, BASE_SPREAD = 0.5, 0.1  # of random guesses, standard deviations [
 POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
 # Steps from a local minimum: a constraint that can be met then gives way at once.
 RESTORE_EFFORT: dict[str, Any] = {"penalty": 100.0, "max_penalty_raises": 1, "max_iterations": 30}
+# From a motion that was good before something moved: the first iterate that holds is as good.
+REPAIR_EFFORT: dict[str, Any] = {
+    "penalty": 100.0,
+    "max_penalty_raises": 2,
+    "max_iterations": 15,
+    "acceptable_steps": 1,
+    "trust_radius": 0.1,
+}
 
 Terms = Callable[[str, RobotModel, int], Sequence[Cost[MotionState] | Constraint[MotionState]]]
 """The caller's own terms, given a phase's name, the robot and the number of waypoints."""
@@ -119,6 +127,21 @@ class PhaseSolver:
         problem = self.body.make_problem(lower, upper, checker, *terms, balanced, regions)
         return self._solve_in_turn(name, problem, starts)
 
+    def move_clear(self, name: str, q: Float[np.ndarray, "n"], margin: float) -> Float[np.ndarray, "n"] | None:
+        """Return a configuration near ``q`` with more clearance; None where none is found.
+
+        Args:
+            name: of the step.
+            q: where links are nearer to each other, or to pieces, than ``margin``.
+            margin: clearance that is aimed at [m].
+        """
+        body = replace(self.body, aims=replace(self.body.aims, margin=margin), nominal=q)
+        lower, upper = body.bounds(1, {})
+        problem = body.make_problem(lower, upper, body.make_checker())
+        solved = self.with_settings(**POSE_EFFORT)._solve_in_turn(name, problem, [q[None]])
+        moved = np.asarray(solved.x[0])
+        return moved if body.measure_nearest(moved) > body.measure_nearest(q) + 0.25 * margin else None
+
     def restore_feasibility(self, step: str, solved: Solved) -> Solved:
         """Solve an infeasible step on for required constraints only; return it as it is if that fails."""
         problem = keep_required(solved.problem)
@@ -146,6 +169,17 @@ class PhaseSolver:
         corners = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
         self.monitor.check()
         return corners
+
+    def shorten_path(self, q: Float[np.ndarray, "T n"], seed: int) -> Float[np.ndarray, "K n"]:
+        """Return the corners of a shorter polyline with the same ends: shortcuts that are clear replace parts of it."""
+        body, free = self.body, free_coordinates(self.body)
+        problem = SamplingProblem(body, body.make_pose_checker([q[0], q[-1]]), q[0], q[-1], free)
+        others = np.setdiff1d(np.arange(q.shape[1]), free)
+        if not len(free) or np.abs(np.diff(q, axis=0))[:, others].max(initial=0.0) > 1e-6:
+            return q
+        corners = shorten_polyline(problem, q[:, free], np.random.default_rng(seed + self.seed))
+        self.monitor.check()
+        return problem.place(corners)
 
     def sample_carried(
         self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], tree: Tree

@@ -17,6 +17,8 @@ EDGE_STEP = 0.15  # largest joint step between the poses at which an edge is che
 CLOCK_EVERY = 16
 LEAST_TRAVEL = 0.05  # range of the coordinate along a carrier [rad, m]
 CARRIED_POINTS = 40  # of a path whose other coordinates follow a carrier
+CORNER_TRIES, POINT_TRIES = 60, 60  # of shortcuts
+LEAST_SAVING = 0.005  # of a shortcut, as a share of the length
 RANGE = 0.6  # longest extension of a tree [rad, m]
 
 
@@ -124,7 +126,7 @@ def sample_path(
     corners = _connect(problem, tree, is_over)
     if corners is None:
         return None
-    corners = _shorten(problem, corners, np.random.default_rng(tree.seed))
+    corners = shorten_polyline(problem, corners, np.random.default_rng(tree.seed))
     if problem.carrier is not None:  # what follows the carrier bends between the corners
         corners = resample_path(corners, max(CARRIED_POINTS, 2 * len(corners)))
     return problem.place(corners)
@@ -203,20 +205,39 @@ class _EffortCounter:
         return self._is_stopped or self._n_checks >= self._most_checks
 
 
-def _shorten(
-    problem: SamplingProblem,
-    corners: Float[np.ndarray, "K k"],
-    rng: np.random.Generator,
-    tries: int = 100,
+def shorten_polyline(
+    problem: SamplingProblem, corners: Float[np.ndarray, "K k"], rng: np.random.Generator
 ) -> Float[np.ndarray, "K k"]:
-    """Join random pairs of corners directly where the edge is clear."""
-    for _ in range(tries):
+    """Return a shorter polyline with the same ends, whose new edges are clear.
+
+    Corners are left out first, then random points on two edges are joined (Geraerts and Overmars, IJRR 2007).
+    """
+    for _ in range(CORNER_TRIES):
         if len(corners) < 3:
-            break
+            return corners
         first, last = np.sort(rng.choice(len(corners), 2, replace=False))
         if last - first > 1 and problem.is_clear(interpolate_edge(corners[first], corners[last])):
             corners = np.delete(corners, np.arange(first + 1, last), axis=0)
+    for _ in range(POINT_TRIES):
+        if len(corners) < 3:
+            return corners
+        lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        ends = np.concatenate([[0.0], np.cumsum(lengths)])
+        at = np.sort(rng.uniform(0.0, ends[-1], 2))
+        edges = np.clip(np.searchsorted(ends, at, side="right") - 1, 0, len(lengths) - 1)
+        if edges[0] == edges[1]:
+            continue
+        shares = (at - ends[edges]) / np.maximum(lengths[edges], 1e-12)
+        joined = corners[edges] + shares[:, None] * (corners[edges + 1] - corners[edges])
+        saved = at[1] - at[0] - float(np.linalg.norm(joined[1] - joined[0]))
+        if saved > LEAST_SAVING * ends[-1] and problem.is_clear(interpolate_edge(joined[0], joined[1])):
+            corners = np.concatenate([corners[: edges[0] + 1], joined, corners[edges[1] + 1 :]])
     return corners
+
+
+def measure_length(corners: Float[np.ndarray, "K n"]) -> float:
+    """Return the length of a polyline in joint space [rad, m]."""
+    return float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
 
 
 def resample_path(corners: Float[np.ndarray, "K n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -41,6 +42,7 @@ class PlannedPhase:
         targets: made from the path parameter of the phase's end.
         at_waypoints: targets made from the path parameters of all its waypoints.
         is_settling: whether it begins outside the balance margin.
+        is_tight: whether the robot nearly touches at one of its ends, so that the samples are close together.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
         loads: forces that hands exert on the mechanism.
         regions: where the loaded feet hold the robot, by stretches of the waypoints that it was solved with.
@@ -56,6 +58,7 @@ class PlannedPhase:
     targets: Targets = lambda s_last: ()
     at_waypoints: WaypointTargets = lambda s: ()
     is_settling: bool = False
+    is_tight: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
     loads: tuple[HandLoad, ...] = ()
     regions: tuple[PlannedRegion, ...] = ()
@@ -89,6 +92,7 @@ class TaskPlan:
         measure: figures of the task, measured on the finished motion.
         notes: choices that were made.
         is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
+        pose_graph: poses from which the sequence was chosen (JSON-ready), or None.
     """
 
     body: WholeBody
@@ -99,6 +103,7 @@ class TaskPlan:
     measure: Callable[[Motion], Mapping[str, float]] = lambda motion: {}
     notes: tuple[str, ...] = ()
     is_impossible: bool = False
+    pose_graph: Mapping[str, Any] | None = None
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Residual, Sense
-from service.body.holds import DRIFT, Hold, KeptPose, project_onto_holds
+from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, KeptPose, project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.demands.stance import BALANCE_RESERVE, make_standing_allowances
 from service.start.standing import sole_corners
@@ -165,6 +165,12 @@ class WholeBody:
             margins = margins.relax_to(checker(self.engine(q[None])), reserve, touching_reserve)
         return checker.with_margins(margins)
 
+    def measure_nearest(self, q: Float[np.ndarray, "n"]) -> float:
+        """Return the smallest distance of pairs that may not touch at a configuration, at most the sight [m]."""
+        contacts = self.make_checker()(self.engine(q[None]))
+        own = contacts.distance[contacts.margin > 0.0]
+        return float(own.min(initial=self.sight))
+
     def holds(self) -> tuple[Hold, ...]:
         """Return the holds of every phase: planted links and kept poses."""
         planted: list[Hold] = [
@@ -194,7 +200,7 @@ class WholeBody:
 
     def drift(self) -> float:
         """Return the largest residual of a hold between waypoints [m, rad]."""
-        return min([DRIFT, *(kept.drift for kept in self.kept)])
+        return min([DRIFT if self.region is None else CONTACT_DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
         """Return the allowances of planted links: those of their contacts, by default with floors."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from service.proto.planner.v1.planner_pb2 import (
     PlanResponse,
 )
 from service.proto.planner.v1.result_pb2 import Certificate, FileChunk, MotionResult, Verdict
-from service.result.folder import FORMAT
+from service.result.folder import APPROVAL_NAME, FORMAT, VIEWER_NAME
 from service.wire.hashes import hash_certificate, hash_trajectory
 from service.wire.plain import to_plain
 
@@ -158,10 +159,16 @@ class StoredReader(_FolderReader):
         """Return the plan.
 
         Raises:
-            PlannerError: the stream ended before the plan came.
+            PlannerError: the stream ended before the plan came, or the page is not the record's.
         """
         if self._record is None:
             raise _incomplete("a plan")
+        if self._files is not None and self._files.any:
+            page = self._files.read(VIEWER_NAME)
+            if self._record.page_sha256:  # servers of an earlier version send none
+                _check_hash("page", self._record.page_sha256, "" if page is None else hashlib.sha256(page).hexdigest())
+            if self._record.is_approved and self._record.reviews[-1].approval:
+                self._write(FileChunk(path=APPROVAL_NAME, data=self._record.reviews[-1].approval, is_last=True))
         return StoredPlan(self._record, self._finish_files())
 
 

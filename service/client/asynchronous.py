@@ -123,6 +123,7 @@ class AsyncPlannerClient:
         out: str | Path | None = None,
         on_progress: Callable[[PlanResponse], None] | None = None,
         with_waypoints: bool = False,
+        is_batch: bool = False,
         deadline_s: float | None = None,
     ) -> FinishedPlan:
         """Plan a request and wait for the verdict; an exception or a cancelled task in the meantime stops the plan.
@@ -133,6 +134,7 @@ class AsyncPlannerClient:
             out: folder for the result's files, as ``scopt plan`` writes it; by default none are sent.
             on_progress: called with the acceptance, the place in the queue, every step and every iteration.
             with_waypoints: whether iterations include their waypoints.
+            is_batch: whether interactive requests go first.
             deadline_s: time limit [s] of uploads, queue and plan together; None for no limit.
 
         Raises:
@@ -146,6 +148,7 @@ class AsyncPlannerClient:
                 request_id=request_id,
                 with_files=files is not None,
                 with_waypoints=with_waypoints,
+                is_batch=is_batch,
                 deadline_s=deadline_s,
             )
             async with aclosing(events):
@@ -162,6 +165,7 @@ class AsyncPlannerClient:
         request_id: str | None = None,
         with_files: bool = False,
         with_waypoints: bool = False,
+        is_batch: bool = False,
         deadline_s: float | None = None,
     ) -> AsyncGenerator[PlanResponse, None]:
         """Yield every event of a plan, ``accepted`` first and again after each retry; closing the iterator stops it.
@@ -171,7 +175,7 @@ class AsyncPlannerClient:
         attempts = Attempts(self._retry, deadline_s)
         if isinstance(request, PlanRequest):
             request = await self.with_uploads(request, deadline_s=attempts.timeout_s)
-        message = make_plan_message(request, request_id, with_files, with_waypoints)
+        message = make_plan_message(request, request_id, with_files, with_waypoints, is_batch)
         async with aclosing(self._stream("Plan", message, attempts)) as events:
             async for event in events:
                 yield event
@@ -269,7 +273,7 @@ class AsyncPlannerClient:
         """Carry out a motion in physics: that of a plan on the server (id as str) or of a local folder (``Path``).
 
         ``options`` are the fields of ``SimulatePlanRequest``: friction, feed_forward, stiffness_scale, noise, delay_ms,
-        joint_friction, seed.
+        joint_friction, seed, perturb.
         """
         message = make_simulation_message(plan, options or {})
         reply: SimulatePlanResponse = await self._call("SimulatePlan", message, deadline_s)

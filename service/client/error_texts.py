@@ -16,7 +16,12 @@ from service.proto.planner.v1.planner_pb2 import BuildSceneResponse, PlanRespons
 MAX_NAMES = 1000
 _ID = re.compile(r"'?(sha256:[0-9a-f]{12,64}(?:\.\w+)?)…?'?")  # also quoted, and cut short
 _PATH = re.compile(r"got '(/[^']+)'")
-_REFUSED = (grpc.StatusCode.INVALID_ARGUMENT, grpc.StatusCode.RESOURCE_EXHAUSTED, grpc.StatusCode.NOT_FOUND)
+_REFUSED = (
+    grpc.StatusCode.INVALID_ARGUMENT,
+    grpc.StatusCode.RESOURCE_EXHAUSTED,
+    grpc.StatusCode.NOT_FOUND,
+    grpc.StatusCode.DATA_LOSS,
+)
 _UPLOAD_FIELD = re.compile(r"^(?:chunk: |header\.(?=\w+: ))")
 # Texts of gRPC and of a server for a passed deadline; a server that refuses a near deadline at once says more.
 _DEADLINE_PASSED = ("Deadline Exceeded", "the deadline passed")
@@ -126,7 +131,7 @@ def _explain(text: str, connection: Connection) -> str:
         return f"the program at {target} is no planning service; check the port"
     if any(words in text for words in _CLOSED_BY_SERVER):
         return f"the server at {target} closes the connection; {_suggest_tls(connection)}"
-    return f"no server answers at {target}; start one there with `scopt serve`"
+    return f"no server answers at {target}; start one there with `scopt serve`, or try again if it is still starting"
 
 
 def _suggest_tls(connection: Connection) -> str:

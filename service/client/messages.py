@@ -21,6 +21,7 @@ from service.proto.planner.v1.planner_pb2 import (
     KnownMesh,
     PlanRecord,
     PlanState,
+    Priority,
     ReviewPlanRequest,
     SimulatePlanRequest,
     VerifyRequest,
@@ -45,6 +46,7 @@ def make_plan_message(
     request_id: str | None,
     with_files: bool,
     with_waypoints: bool,
+    is_batch: bool = False,
 ) -> PlanMessage:
     """Return the message of a request, with an id under which it can be sent again."""
     return PlanMessage(
@@ -52,6 +54,7 @@ def make_plan_message(
         request=request if isinstance(request, MotionRequest) else request_to_message(request),
         with_files=with_files,
         with_waypoints=with_waypoints,
+        priority=Priority.PRIORITY_BATCH if is_batch else Priority.PRIORITY_INTERACTIVE,
     )
 
 
@@ -203,7 +206,7 @@ def _read_motion_files(folder: Path) -> list[FileChunk]:
 
 
 def make_review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewPlanRequest:
-    """Return the review of exactly the trajectory and certificate of a record.
+    """Return the review of exactly the trajectory, certificate and page of a record.
 
     Raises:
         RequestError: the plan has not finished.
@@ -216,6 +219,7 @@ def make_review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> Re
         comment=comment,
         trajectory_sha256=seen.result.trajectory.sha256,
         certificate_sha256=seen.result.certificate.sha256,
+        page_sha256=seen.page_sha256,
     )
 
 

@@ -70,6 +70,10 @@ class ReceivedFiles:
         if chunk.is_last:
             self._close()
 
+    def read(self, path: str) -> bytes | None:
+        """Return a received file; None if there is none of that path."""
+        return (self._folder / PurePosixPath(path)).read_bytes() if path in self._seen else None
+
     def finish(self) -> None:
         """
         Raises:

@@ -100,7 +100,7 @@ class Door:
                 bodies[LEAF_LINK],
                 lower=-STOP_ROUNDING,
                 upper=LARGEST_OPENING,
-                start=geometry.ajar,
+                start=max(geometry.ajar, 0.0),  # seen with noise
             )
         ]
         if handle is None or HANDLE_LINK not in bodies:
@@ -117,7 +117,7 @@ class Door:
                 parent=LEAF_LINK,
                 lower=-STOP_ROUNDING,
                 upper=self.pressed + 0.01 if is_bar else LEVER_STOP,
-                start=0.0 if is_bar else geometry.handle_turn,
+                start=0.0 if is_bar else max(geometry.handle_turn, 0.0),  # seen with noise
                 velocity=0.2 if is_bar else 1.0,
                 acceleration=1.0 if is_bar else 2.0,
             )

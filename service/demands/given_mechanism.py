@@ -25,9 +25,11 @@ from costs.robot import (
 from costs.scene import ConvexPiece
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do
 from service.request.mechanism import MechanismRequest, is_urdf_text
 from service.request.names import MECHANISM, STILL
+from service.request.resume import ResumeRequest
 from service.verify import HandLoad, Motion, RelativePoseTarget
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
@@ -94,10 +96,13 @@ class GivenMechanism:
 
     def place_bodies(self) -> list[Float[np.ndarray, "V 3"]]:
         """Return the vertices of all bodies in the world at the start [m]."""
-        placed = list(self.read.still.values())
-        start = self.mechanism.start
+        return [*self.read.still.values(), *self.place_moving(self.mechanism.start)]
+
+    def place_moving(self, values: Float[np.ndarray, "k"]) -> list[Float[np.ndarray, "V 3"]]:
+        """Return the vertices of all bodies that joints move, with the joints at ``values`` [m]."""
+        placed = []
         for joint in self.mechanism.joints:
-            pose = self.locate(joint.name, start)
+            pose = self.locate(joint.name, values)
             placed += [(points - joint.origin) @ pose[:3, :3].T + pose[:3, 3] for points in joint.bodies.values()]
         return placed
 
@@ -198,7 +203,7 @@ def make_mechanism_phases(
             f"task.mechanism.joints: the hand would carry the loads of {len(loads[crowded])} joints in "
             f"moves[{crowded}]; expected at most {MOST_LOADS}"
         )
-    travels = [_measure_travel(given, first, last) for first, last in ends]
+    travels = [measure_travel(given, first, last) for first, last in ends]
     for k, (move, (first, last)) in enumerate(zip(given.request.moves, ends, strict=True)):
         joint = given.mechanism.joint(move.joint)
         step = SLIDE_STEP if joint.kind == "prismatic" else TURN_STEP
@@ -240,6 +245,13 @@ class GivenMechanismDemand:
 
     def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
         """Return the phases with the record's hand, or a sentence that no permitted hand holds the handle."""
+        hand = self.find_hand(recorded)
+        if hand is None:
+            return (), ("no hand that the task permits holds the handle",)
+        return make_mechanism_phases(self.given, hand), ()
+
+    def find_hand(self, recorded: Motion) -> Hand | None:
+        """Return the hand that holds the handle in a record; None if none does that the task permits."""
         targets = [target for phase in recorded.phases for target in phase.targets]
         tools = {
             target.frame
@@ -249,15 +261,61 @@ class GivenMechanismDemand:
         side = self.given.request.hand
         for hand in list_robot_hands(self.robot):
             if side in ("auto", hand.side) and tools & {hand.peg, hand.tool, hand.stub}:
-                return make_mechanism_phases(self.given, hand), ()
-        return (), ("no hand that the task permits holds the handle",)
+                return hand
+        return None
 
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence for each joint whose value at the end is not the request's."""
-        for name, (value, unit) in find_ends(self.given).items():
-            figure = figures.get(name)
-            if not isinstance(figure, float | int) or abs(figure - value) > FIGURE_ROUNDING[unit]:
-                yield f"figures.{name} is {figure}, the request moves it to {value:g}"
+        yield from _compare_ends(find_ends(self.given), figures)
+
+
+def read_kept_hand(demand: GivenMechanismDemand, resume: ResumeRequest) -> Hand:
+    """Return the hand of an earlier plan, which the rest of it keeps.
+
+    Raises:
+        RequestError: the request has none, or the task forbids it.
+    """
+    if resume.hold is None:
+        raise RequestError("resume.hold: is missing; a mechanism is moved with the hand of the earlier plan")
+    side = demand.given.request.hand
+    if side not in ("auto", resume.hold.hand):
+        raise RequestError(f"resume.hold.hand: {resume.hold.hand}; task.mechanism.hand permits {side}")
+    hand = next((hand for hand in list_robot_hands(demand.robot) if hand.side == resume.hold.hand), None)
+    if hand is None:
+        raise RequestError(f"resume.hold.hand: the robot has no {resume.hold.hand} hand")
+    return hand
+
+
+def resume_mechanism(
+    demand: GivenMechanismDemand, resume: ResumeRequest, reach_waypoints: int = REACH_WAYPOINTS
+) -> ResumedDemand:
+    """Return what the rest of a task with a given mechanism demands.
+
+    Raises:
+        RequestError: its phase, mechanism or hand do not fit the task.
+    """
+    given = demand.given
+    specs = make_mechanism_phases(given, read_kept_hand(demand, resume), reach_waypoints)
+    mechanism = start_mechanism(given.mechanism, resume.mechanism)
+    check_travel(mechanism, specs, resume.phase)
+    rest = specs[find_index(specs, resume.phase) :]
+    names = [joint.name for joint in mechanism.joints]
+    moved = {names[column] for spec in rest for column in spec.moving}
+    ends = find_ends(given)
+    for name, (_, unit) in ends.items():
+        joint = name.removesuffix(f"_{unit}")
+        if joint not in moved:
+            start = float(mechanism.start[names.index(joint)])
+            ends[name] = (float(np.rad2deg(start)) if unit == "deg" else start, unit)
+    return ResumedDemand(mechanism, specs, resume.phase, lambda figures: _compare_ends(ends, figures))
+
+
+def _compare_ends(ends: Mapping[str, tuple[float, str]], figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each joint whose value at the end is another."""
+    for name, (value, unit) in ends.items():
+        figure = figures.get(name)
+        if not isinstance(figure, float | int) or abs(figure - value) > FIGURE_ROUNDING[unit]:
+            yield f"figures.{name} is {figure}, the request moves it to {value:g}"
 
 
 def find_ends(given: GivenMechanism) -> dict[str, tuple[float, str]]:
@@ -379,7 +437,7 @@ def _locate_handle(
     return pose[:3, :3] @ given.handle.place + pose[:3, 3], pose[:3, :3]
 
 
-def _measure_travel(given: GivenMechanism, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> float:
+def measure_travel(given: GivenMechanism, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> float:
     """Return how far a move of one joint carries the handle [m]."""
     column = int(np.abs(last - first).argmax())
     joint = given.mechanism.joints[column]

@@ -19,6 +19,7 @@ from service.request.schema import ValveRequest
 from service.verify import CircleTarget, HandLoad
 
 TURN = "turn"
+POSE_AT_WHEEL = "pose at the wheel"
 LARGEST_STROKES: Mapping[Mode, float] = {"hook": np.deg2rad(360.0), "grasp": np.deg2rad(120.0)}
 PROBE = np.deg2rad(10.0)  # to either side, where the sense of the turn is not known
 ROCK = np.deg2rad(5.0)  # to either side, before a stuck wheel is turned
@@ -186,7 +187,7 @@ def _make_peg_stroke(
             f"insert{suffix}", first, first, line, touches, n_waypoints=LINE_WAYPOINTS, depth_reserve_m=PEG_RESERVE
         ),
         PhaseSpec(
-            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step="pose at the wheel",
+            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step=POSE_AT_WHEEL,
             n_waypoints=count_waypoints(stroke), loads=(load,), also=(make_circle(wheel, motion),),
             guess_touches=(Allowance(BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), THROUGH),),
             torque_share=TORQUE_SHARE,
@@ -227,7 +228,7 @@ def _make_grip_stroke(
             depth_reserve_m=PEG_RESERVE,
         ),
         PhaseSpec(
-            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step="pose at the wheel",
+            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step=POSE_AT_WHEEL,
             n_waypoints=count_waypoints(stroke), loads=(load,), also=(make_circle(wheel, motion), *stays_closed),
             joints=closed, torque_share=TORQUE_SHARE, depth_reserve_m=PEG_RESERVE,
         ),

@@ -9,7 +9,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.kinematics import locate_frame
-from costs.robot import RobotModel
+from costs.robot import RobotModel, read_joint_axis
 from service.body.holds import KeptPose, relative_pose
 from service.body.whole_body import WholeBody
 from service.verify import JointTarget, PoseTarget, Target
@@ -53,6 +53,12 @@ def _joints_to_root(model: pin.Model, joint: int) -> list[int]:
 def _travel(robot: RobotModel, joint: int) -> float:
     """Return how far a joint moves its own origin [m]: none for a turning one, its farther limit for a sliding one."""
     kind, index = robot.model.joints[joint].shortname(), robot.model.joints[joint].idx_v
+    if kind == "JointModelMimic":
+        if np.any(read_joint_axis(robot, joint)[3:]):
+            return 0.0
+        follower = robot.model.joints[joint].extract()
+        farthest = float(max(abs(robot.lower[index]), abs(robot.upper[index])))
+        return abs(float(follower.scaling)) * farthest + abs(float(follower.offset))
     if robot.model.joints[joint].nv == 1 and kind.startswith("JointModelR"):
         return 0.0
     if robot.model.joints[joint].nv == 1 and kind.startswith("JointModelP"):

@@ -29,6 +29,8 @@ BESIDE_REST = np.array([0.01, 0.03, 0.06])
 SAME_TIME_S = 1e-5  # least distance of two samples
 ZMP_RESERVE = 0.015  # of the ZMP inside the support polygon; the motion is slowed to keep it [m]
 CHORD_TOLERANCE = 1e-3  # of an untimed path's samples, read linearly [rad, m]
+TIGHT_CHORD = 1e-5  # the same in phases that leave a place where the robot nearly touches
+CONTACT_CHORD = 1.2e-5  # the same where contacts change: points at an arm's end stay within a tenth of a millimetre
 HELD_CHORD_SHARE = 0.05  # the same with holds, of their drift: all joints of a chain add up
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 
@@ -59,7 +61,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     if timing is None:
         is_held = any(phase.holds or _find_body(plan, phase).holds() for phase in plan.phases)
         chord = HELD_CHORD_SHARE * body.drift() if is_held else CHORD_TOLERANCE
-        return replace(motion, samples=_sample_path(spline.curve, chord))
+        return replace(motion, samples=_sample_path(spline.curve, _limit_chords(plan, spline, chord)))
     planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
     motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
@@ -67,7 +69,8 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
     is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
     chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf
-    return replace(motion, law=law, samples=_sample_law(knots, law, _chord_steps(spline.curve, chord)))
+    steps = _chord_steps(spline.curve, _limit_chords(plan, spline, chord))
+    return replace(motion, law=law, samples=_sample_law(knots, law, steps))
 
 
 def _find_body(plan: TaskPlan, phase: PlannedPhase) -> WholeBody:
@@ -77,9 +80,10 @@ def _find_body(plan: TaskPlan, phase: PlannedPhase) -> WholeBody:
 
 def _fit_spline(plan: TaskPlan) -> Spline:
     body, robot = plan.body, plan.body.robot
+    standing = [_find_body(plan, phase) for phase in plan.phases]
     paths = [
-        PhasePath(phase.name, phase.q, (*_find_body(plan, phase).holds(), *phase.holds), body.drift())
-        for phase in plan.phases
+        PhasePath(phase.name, phase.q, (*own.holds(), *phase.holds), own.drift())
+        for phase, own in zip(plan.phases, standing, strict=True)
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
@@ -129,7 +133,18 @@ def _place_regions(phase: PlannedPhase, body: WholeBody, s: Float[np.ndarray, "T
     )
 
 
-def _sample_path(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
+def _limit_chords(plan: TaskPlan, spline: Spline, chord: float) -> Float[np.ndarray, "K-1"]:
+    """Return the chord tolerance of the samples on each knot interval, smaller at changing contacts and near things."""
+    chords = np.full(len(spline.curve.knots) - 1, chord)
+    for phase, first, last in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True):
+        if _find_body(plan, phase).region is not None:
+            chords[first:last] = np.minimum(chords[first:last], CONTACT_CHORD)
+        if phase.is_tight:
+            chords[first:last] = np.minimum(chords[first:last], TIGHT_CHORD)
+    return chords
+
+
+def _sample_path(curve: Curve, chord: Float[np.ndarray, "K-1"]) -> Float[np.ndarray, "M"]:
     """Return path parameters of an untimed path's samples: all knots, and points between for the chord tolerance."""
     steps = np.diff(curve.knots)
     counts = np.maximum(np.ceil(steps / _chord_steps(curve, chord)), 1.0).astype(int)
@@ -137,7 +152,7 @@ def _sample_path(curve: Curve, chord: float) -> Float[np.ndarray, "M"]:
     return np.concatenate([*parts, curve.knots[-1:]])
 
 
-def _chord_steps(curve: Curve, chord: float) -> Float[np.ndarray, "K-1"]:
+def _chord_steps(curve: Curve, chord: Float[np.ndarray, "K-1"]) -> Float[np.ndarray, "K-1"]:
     """Return the longest step of the path parameter per knot interval within a chord tolerance [rad, m]."""
     _, _, c2, c3 = curve.coefficients()
     steps = np.diff(curve.knots)

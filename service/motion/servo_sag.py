@@ -13,6 +13,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.stopping import poll
 from service.verify import Motion, Phase, PlantedContact
+from service.verify.forces.dynamics import map_axes
 from service.verify.forces.hand_loads import list_load_cases
 from service.verify.frame_paths import find_mechanism_joints
 from service.verify.polygons import outside_polygon
@@ -125,7 +126,7 @@ def compute_sags(
     for i, row in enumerate(q):
         poll()
         gravity = pin.rnea(model, data, row, np.zeros(n), np.zeros(n))
-        jacobians = np.asarray(pin.computeJointJacobians(model, data, row))
+        jacobians = np.asarray(pin.computeJointJacobians(model, data, row)).reshape(6, model.nvExtended)
         pin.updateFramePlacements(model, data)
         com = np.asarray(pin.jacobianCenterOfMass(model, data, row))
         held = np.concatenate([np.eye(n)[moved], *(_hold_contact(robot, data, contact) for contact in phase.contacts)])
@@ -133,10 +134,7 @@ def compute_sags(
         for case in cases:
             torque = -gravity
             for joint, wrench in case.parts:
-                carried = np.zeros(n)
-                for above in list(model.supports[joint])[1:]:
-                    carried[model.joints[above].idx_v : model.joints[above].idx_v + model.joints[above].nv] = 1.0
-                torque += carried * (jacobians.T @ wrench[i])
+                torque += (jacobians.T @ wrench[i]) @ map_axes(model, joint)
             torques.append(torque)
         moved_com = com @ _deflect(diagonal, held, np.stack(torques, axis=1))
         height = max(float(data.com[0][2]) - ground, 1e-3)

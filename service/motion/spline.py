@@ -24,6 +24,7 @@ from service.body.holds import (
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
 SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
 LIMIT_ROUNDS = 3  # of the search for joints at their limits
+DRIFT_AT = np.array([0.2, 0.5, 0.8])  # of an interval: where drift is measured; a knot is added in its middle
 MAX_INSERTIONS = 6  # rounds; each halves the intervals that drift
 
 
@@ -87,11 +88,13 @@ def make_spline(
         for _ in range(MAX_INSERTIONS):
             s = _parametrise(q, speed)
             v = _compute_tangents(engine, q, s, path.holds, lower, upper)
-            middle = Curve(s, q, v)(0.5 * (s[1:] + s[:-1]))
-            drifting = np.flatnonzero(largest_hold_error(engine, middle, path.holds) > path.drift)
+            curve = Curve(s, q, v)
+            inner = curve((s[:-1] + np.diff(s) * DRIFT_AT[:, None]).ravel())
+            errors = largest_hold_error(engine, inner, path.holds).reshape(len(DRIFT_AT), -1)
+            drifting = np.flatnonzero(errors.max(axis=0) > path.drift)
             if not len(drifting):
                 break
-            inserted = project_onto_holds(engine, middle[drifting], path.holds)
+            inserted = project_onto_holds(engine, curve(0.5 * (s[1:] + s[:-1])[drifting]), path.holds)
             q = np.insert(q, drifting + 1, inserted, axis=0)
             is_original = np.insert(is_original, drifting + 1, False)
         s = _parametrise(q, speed)

@@ -38,7 +38,9 @@ _SHORTEST_KNOT_TIME = 0.01
 _CELLS_PER_STRETCH = 100
 # Samples of a stretch whose contact forces decide its slowdown, and the least part of the motion's forces that counts.
 _TRIED, _LEAST_PART = 12, 1e-3
-_RESERVE = 0.98  # of the torque limits that the slowed motion may use
+# Where contacts change: share of the torque limits beyond which a motion is slowed, and shares to which, the first that
+# the contacts allow.
+_WANTED_SHARE, _SLOWED_SHARES = 0.95, (0.93, 0.98)
 _NEAR_REST = np.array([0.01, 0.03, 0.1, 0.3])
 
 
@@ -269,7 +271,7 @@ def _compute_cone_slowdown(
     limited, share = find_limited_joints(motion), make_contact_share(motion, phase)
     joints = make_joints(motion, moving.torque, list_levers(motion.robot.model, phase, moving.jacobians))
     held = share.hold(moving.wrench, joints)
-    beyond = np.flatnonzero(~is_held(held))
+    beyond = np.flatnonzero(~is_held(held) | (held.shares > _WANTED_SHARE).any(axis=1))
     if not len(beyond):
         return 1.0
     worst = beyond[np.lexsort((held.shares[beyond].max(axis=1, initial=0.0), held.missing_n[beyond]))[::-1]][:_TRIED]
@@ -278,10 +280,13 @@ def _compute_cone_slowdown(
     for k, row in enumerate(worst.tolist()):
         poll()
         rest, more = still.torque[k, limited], moving.torque[row, limited] - still.torque[k, limited]
-        both = Joints(np.stack([rest, more]) / _RESERVE, joints.lever[[row]] / _RESERVE, joints.effort)
-        parts.append(share.find_part(still.wrench[k], moving.wrench[row] - still.wrench[k], both))
-    curable = [part for part in parts if part > _LEAST_PART]
-    return 1.0 / min(curable) if curable else 1.0
+        for slowed in _SLOWED_SHARES:
+            both = Joints(np.stack([rest, more]), joints.lever[[row]], slowed * joints.effort)
+            part = share.find_part(still.wrench[k], moving.wrench[row] - still.wrench[k], both)
+            if part > _LEAST_PART:
+                parts.append(part)
+                break
+    return 1.0 / min(parts) if parts else 1.0
 
 
 def _compare_with_rest(

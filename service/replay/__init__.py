@@ -1,1 +1,1 @@
-"""Verification of a recorded result against its request."""
+"""Verification of recorded results against their requests, and of trajectories of other planners (``exchange``)."""

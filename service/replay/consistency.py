@@ -13,13 +13,15 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.errors import shown
-from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
+from service.result.motion_json import file_columns, file_positions, motion_json, rates_at, sample_times, samples_of
 from service.verify import Certificate, Motion, Status
 from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
 from service.verify.polygons import outside_polygon
 
 TOLERANCE = 1e-6  # of numbers that are written and recomputed [m, rad, s]
 CLAIM_TOLERANCE = 1e-4  # of a clearance or balance margin proven on another machine [m]
+RATE_TOLERANCE = 1e-4  # of velocities and accelerations, relative above 1 [rad/s, rad/s^2]
+JUMP_S = 1e-7  # from a sample, where the acceleration may jump
 CHANGED = "the result was changed after it was written"
 
 
@@ -102,8 +104,10 @@ def _check_samples(data: Mapping[str, Any], motion: Motion, table: Path | None) 
             yield f"movables: the angles of {movable['name']} are not on the curve"
         if not _agree(np.array([movable["start"]], dtype=float), q[:1, column]):
             yield f"movables: {movable['name']} does not start where the curve has it"
-    if table is not None and not _holds_samples(table, trajectory["joint_names"], np.column_stack([times, positions])):
-        yield f"{table.name} does not hold samples of the curve"
+    if table is not None:
+        rates = _expect_rates(motion, n)
+        if not _holds_samples(table, trajectory["joint_names"], np.column_stack([times, positions]), rates):
+            yield f"{table.name} does not hold samples of the curve"
 
 
 def _check_limits(recorded: Mapping[str, Any], certificate: Certificate) -> Iterator[str]:
@@ -127,12 +131,39 @@ def _check_claims(claims: Mapping[str, Mapping[str, Any]], certificate: Certific
                 yield f"{name} of {source} is {value:.6g}, proven is {proven:.6g}"
 
 
-def _holds_samples(table: Path, names: Sequence[str], expected: Float[np.ndarray, "S k"]) -> bool:
-    """Return whether a table has the columns and rows of the samples."""
+def _expect_rates(motion: Motion, n: int) -> tuple[list[str], list[np.ndarray]]:
+    """Return the columns of rates, and their values at each sample, shortly before and shortly after it."""
+    if motion.law is None:
+        return [], []
+    times = sample_times(motion)
+    tables = [np.hstack([part[:, :n] for part in rates_at(motion, times + shift)]) for shift in (0.0, -JUMP_S, JUMP_S)]
+    names = motion.robot.joint_names[:n]
+    return [f"{kind}.{name}" for kind in ("velocity", "acceleration") for name in names], tables
+
+
+def _holds_samples(
+    table: Path,
+    names: Sequence[str],
+    expected: Float[np.ndarray, "S k"],
+    rates: tuple[list[str], list[np.ndarray]],
+) -> bool:
+    """Return whether a table has the columns and rows of the samples, and perhaps their rates."""
     header, *rows = table.read_text(encoding="utf-8").splitlines() or [""]
-    if header != ",".join(("time", *names)) or len(rows) != len(expected):
+    plain, (columns, candidates) = ["time", *names], rates
+    if header not in (",".join(plain), ",".join([*plain, *columns])) or len(rows) != len(expected):
         return False
-    return _agree(np.loadtxt(rows, delimiter=",", ndmin=2, comments=None), expected)
+    values = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
+    width = len(plain)
+    if not _agree(values[:, :width], expected):
+        return False
+    if header == ",".join(plain):
+        return bool(values.shape[1] == width)
+    written = values[:, width:]
+    if not np.all(np.isfinite(written)) or written.shape != candidates[0].shape:
+        return False
+    # Accelerations jump where the time law has a corner; a sample there may have either side's.
+    off = np.min([np.abs(written - candidate) for candidate in candidates], axis=0)
+    return bool(np.all(off <= RATE_TOLERANCE * (1.0 + np.abs(written))))
 
 
 def _check_drawing(data: Mapping[str, Any], motion: Motion, robot: RobotModel) -> Iterator[str]:

@@ -24,7 +24,7 @@ from service.demands import (
 from service.demands.contacts.contact_task import make_stances
 from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
-from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism
+from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism, resume_mechanism
 from service.demands.hands import list_robot_hands
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
@@ -139,7 +139,8 @@ def _rebuild_task(
     if task is None or (task.valve is None and task.door is None and task.mechanism is None):
         return None
     if task.mechanism is not None:
-        return GivenMechanismDemand(read_given_mechanism(task.mechanism), robot)
+        moving = GivenMechanismDemand(read_given_mechanism(task.mechanism), robot)
+        return moving if request.resume is None else resume_mechanism(moving, request.resume)
     if task.door is not None:
         base = start[:3] if robot.is_floating else np.zeros(3)
         geometry = choose_door(task.door, surroundings.doors, base)

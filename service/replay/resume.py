@@ -8,23 +8,31 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
 
 from costs.robot import BASE_NAMES, RobotModel
 from service.demands import TaskDemand, has_scan
+from service.demands.contacts.stances import ends_with_new_contacts
 from service.demands.door_demand import DoorDemand, keep_door_choice
 from service.demands.given_mechanism import GivenMechanismDemand
+from service.demands.held_motion import Demands
 from service.demands.valve_demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.rebuild import Record, rebuild_demands, select_scanned
 from service.replay.replay import read_doors, read_record, read_request, read_valves
+from service.replay.resume_contacts import ChangedContacts
 from service.request.file import load_section, replace_cloud, request_hash
-from service.request.resume import ResumeRequest
+from service.request.resume import HoldChoice, NominalPhase, NominalRequest, ResumeRequest
 from service.request.scene import MeshRequest
-from service.request.schema import PlanRequest, StartRequest, StateRequest
+from service.request.schema import PlanRequest, StartRequest, StateRequest, TaskRequest
 from service.result.folder import read_result, result_path
 from service.setup.world import Surroundings
+from service.start.configuration import make_start_configuration
 from service.verify import Motion
+
+SAME_KNOT = 1e-9  # of path parameters
+NOMINAL_DIGITS = 5  # of the positions of an earlier motion
 
 
 def hash_plan(data: Mapping[str, Any]) -> str:
@@ -66,14 +74,42 @@ def make_rest_request(path: Path, phase: str, state_file: Path, cloud: Path | No
     names = [*(entry["name"] for entry in data["phases"]), *data["not_planned"]]
     if request.goal is not None and phase not in names:
         raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(names)}")
-    feet = request.options.feet if state.contacts is None else state.contacts
-    rest = replace(
-        request,
-        start=_read_start(robot, state, state_file.name),
-        options=replace(request.options, feet=feet),
-        resume=resume,
-    )
+    start = _read_start(robot, state, state_file.name)
+    rest = replace(request, start=start, resume=resume)
+    changed = _read_changed_contacts(data, folder, request, robot, motion)
+    if changed is not None:
+        q = make_start_configuration(robot, start)[0]
+        rest = replace(rest, task=TaskRequest(contacts=changed.make_rest(phase, q, state.contacts)))
+    elif state.contacts is not None:
+        rest = replace(rest, options=replace(request.options, feet=state.contacts))
     return rest if cloud is None else replace_cloud(rest, cloud)
+
+
+def _read_changed_contacts(
+    data: dict[str, Any], folder: Path, request: PlanRequest, robot: RobotModel, motion: Motion
+) -> ChangedContacts | None:
+    """Return the stances of an earlier plan; None where its task changes no contacts.
+
+    Raises:
+        ResultError: the plan is not complete.
+    """
+    task = request.task
+    if task is None or (task.contacts is None and task.egress is None):
+        return None
+    demands = _rebuild(data, request, robot, motion)
+    if demands.egress is None or task.egress is None:
+        assert task.contacts is not None
+        return ChangedContacts(
+            demands.robot, demands.stances, task.contacts.finish is not None, motion, dict(task.contacts.surfaces)
+        )
+    stances, problems = demands.egress.read_stances(motion)
+    if problems:
+        raise ResultError(f"{folder}: {problems[0]}; only the rest of a complete plan can be planned again")
+    return ChangedContacts(demands.robot, stances, ends_with_new_contacts(stances), motion, dict(task.egress.surfaces))
+
+
+def _rebuild(data: dict[str, Any], request: PlanRequest, robot: RobotModel, motion: Motion) -> Demands:
+    return rebuild_demands(request, Record(robot, motion.scene, read_valves(data), read_doors(data)), None, ())[0]
 
 
 def read_recorded_scan(path: Path, request: PlanRequest) -> Surroundings | None:
@@ -102,13 +138,23 @@ def _make_resume(
     if request.resume is not None:
         return request.resume
     empty = ResumeRequest(phase="-", plan="sha256:" + 64 * "0")
-    if request.goal is not None:
+    task = request.task
+    if task is None or task.contacts is not None or task.egress is not None:
         return empty
-    demands, _ = rebuild_demands(request, Record(robot, motion.scene, read_valves(data), read_doors(data)), None, ())
-    kept = _keep_choices(demands.task, motion)
+    kept = _keep_choices(_rebuild(data, request, robot, motion).task, motion)
     if isinstance(kept, str):
         raise ResultError(f"{folder}: {kept}; only the rest of a complete plan can be planned again")
-    return replace(empty, **kept)
+    return replace(empty, **kept, nominal=_keep_motion(motion))
+
+
+def _keep_motion(motion: Motion) -> NominalRequest:
+    """Return the knots of a motion's curve by phase, from which another is searched."""
+    curve, phases = motion.curve, {}
+    for phase in motion.phases:
+        first, last = np.searchsorted(curve.knots, (phase.first - SAME_KNOT, phase.last + SAME_KNOT))
+        positions = np.round(curve.positions[first:last], NOMINAL_DIGITS).ravel()
+        phases[phase.name] = NominalPhase(tuple(positions.tolist()))
+    return NominalRequest(motion.robot.joint_names, phases)
 
 
 def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | str:
@@ -120,7 +166,8 @@ def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | s
         stroke = task.read_stroke(motion)
         return stroke if isinstance(stroke, str) else {"stroke": stroke}
     if isinstance(task, GivenMechanismDemand):
-        return "task.mechanism has no rest of its own; plan it anew with its joints' starts"
+        hand = task.find_hand(motion)
+        return "no hand holds the mechanism" if hand is None else {"hold": HoldChoice(hand.side)}
     return "its task has no phases"
 
 

@@ -11,9 +11,21 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
-from service.request.fields import SECTION, Label, Name, Number, Point, Section, at_most, find_repeated
+from service.request.fields import (
+    SECTION,
+    Coordinate,
+    Joints,
+    Label,
+    Name,
+    Number,
+    Point,
+    Section,
+    at_most,
+    find_repeated,
+)
 
-MAX_SURFACES, MAX_STANCES, MAX_CORNERS = 64, 64, 32
+BasePose = tuple[Coordinate, Coordinate, Coordinate, Number, Number, Number]
+MAX_SURFACES, MAX_STANCES, MAX_CORNERS, MAX_WAY = 64, 64, 32, 64
 
 
 @dataclass(config=SECTION)
@@ -60,22 +72,59 @@ class PlaceRequest(Section):
 
 
 @dataclass(config=SECTION)
+class PostureRequest(Section):
+    """A nominal pose: joints over a named posture of the robot.
+
+    Attributes:
+        base: x, y, z, yaw, pitch, roll of the base [m, rad].
+        joints: positions by name [rad].
+        posture: of all other joints.
+    """
+
+    base: BasePose
+    joints: Joints = field(default_factory=dict)
+    posture: Label = "stand"
+
+
+@dataclass(config=SECTION)
+class KnownPosesRequest(Section):
+    """Poses to start from, of a plan that did the same before.
+
+    Attributes:
+        leaving: in which the contacts that stay hold the robot alone, before the others leave.
+        arriving: the same when the new contacts are in their places.
+        standing: to end in, on the new contacts.
+        way: configurations one after the other on the way there: of the swing, or of the move to ``standing``.
+    """
+
+    leaving: PostureRequest | None = None
+    arriving: PostureRequest | None = None
+    standing: PostureRequest | None = None
+    way: Annotated[tuple[PostureRequest, ...], at_most(MAX_WAY)] = ()
+
+
+@dataclass(config=SECTION)
 class StanceRequest(Section):
     """Change of contacts: what is made at a new place, and what is released; all others stay where they are.
+
+    Without either, the robot moves to the pose ``poses.standing`` on the contacts that it has.
 
     Attributes:
         name: as messages and phases have it.
         make: place by name of the robot's contact patch.
         release: patches that let go.
+        poses: known ones to start from.
     """
 
     name: Label
     make: Annotated[dict[Name, PlaceRequest], at_most(MAX_SURFACES)] = field(default_factory=dict)
     release: Annotated[tuple[Name, ...], at_most(MAX_SURFACES)] = ()
+    poses: KnownPosesRequest = field(default_factory=KnownPosesRequest)
 
     def __post_init__(self) -> None:
-        if not self.make and not self.release:
-            raise PydanticCustomError("stance", "neither makes nor releases a contact; expected one of them")
+        if not self.make and not self.release and self.poses.standing is None:
+            words = "neither makes nor releases a contact; expected one of them, or poses.standing to move to"
+            raise PydanticCustomError("stance", words)
         both = sorted(set(self.make) & set(self.release))
         if both:
             words = "{patch} is both made and released; a patch that is made anew leaves its old place by itself"

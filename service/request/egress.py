@@ -11,11 +11,11 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
+from service.request.contacts import PostureRequest, SurfaceRequest
 from service.request.fields import (
     SECTION,
     Coordinate,
     FilePath,
-    Joints,
     Label,
     Name,
     Number,
@@ -23,42 +23,11 @@ from service.request.fields import (
     Section,
     at_most,
     find_repeated,
-    require_exactly_one,
 )
 
 Weight = Annotated[Number, Field(ge=0.0, le=1e6)]
 Angle = Annotated[Number, Field(ge=-180.0, le=180.0)]
-BasePose = tuple[Coordinate, Coordinate, Coordinate, Number, Number, Number]
 RegionLength = Annotated[Number, Field(gt=0.0, le=2.0)]
-
-
-@dataclass(config=SECTION)
-class SurfaceRequest(Section):
-    """A flat patch of the world that may carry a part of the robot: a face of a piece, or corners.
-
-    Attributes:
-        piece, normal: a piece of the scene and the outward normal of its face.
-        corners: of a convex polygon, counter-clockwise seen from outside [m].
-        pieces: pieces behind the corners, which a link in contact may touch.
-        friction: coefficient.
-    """
-
-    piece: Label | None = None
-    normal: Point | None = None
-    corners: Annotated[tuple[Point, ...], at_most(32)] = ()
-    pieces: Annotated[tuple[Label, ...], at_most(32)] = ()
-    friction: Annotated[Number, Field(ge=0.0, le=2.0)] = 0.6
-
-    def __post_init__(self) -> None:
-        require_exactly_one(self, ("piece", "corners"))
-        if (self.piece is None) != (self.normal is None):
-            raise PydanticCustomError("surface", "piece and normal belong together; give both, or corners")
-        if self.normal is not None and math.hypot(*self.normal) < 1e-6:
-            raise PydanticCustomError("surface", "normal has no length; expected a direction such as [0, 0, 1]")
-        if self.piece is not None and self.pieces:
-            raise PydanticCustomError("surface", "pieces belong to corners; a face has its own piece")
-        if self.corners and len(self.corners) < 3:
-            raise PydanticCustomError("surface", "corners: at least 3 are needed, got {n}", {"n": len(self.corners)})
 
 
 @dataclass(config=SECTION)
@@ -70,7 +39,7 @@ class ContactRequest(Section):
 
     Attributes:
         surface: name of the surface.
-        at: place of the patch's middle; moved along the normal onto the surface [m].
+        at: place of the patch's middle; moved to the nearest point of the surface, at most 0.1 m in its plane [m].
         toe: the same of the middle of the patch's points that are farthest along its link's x axis.
         yaw_deg: turn of the link's x axis about the surface's normal.
         region: lengths in x and y of the region about the place in which places are drawn [m].
@@ -87,21 +56,6 @@ class ContactRequest(Section):
             raise PydanticCustomError("contact", "at and toe exclude each other; give one")
         if self.region is not None and self.at is None and self.toe is None:
             raise PydanticCustomError("contact", "region needs a place in its middle; give at or toe")
-
-
-@dataclass(config=SECTION)
-class PostureRequest(Section):
-    """A nominal pose: joints over a named posture of the robot.
-
-    Attributes:
-        base: x, y, z, yaw, pitch, roll of the base [m, rad].
-        joints: positions by name [rad].
-        posture: of all other joints.
-    """
-
-    base: BasePose
-    joints: Joints = field(default_factory=dict)
-    posture: Label = "stand"
 
 
 @dataclass(config=SECTION)
@@ -190,6 +144,7 @@ class EgressRequest(Section):
         hint: a point near the vehicle [m].
         surfaces: by name.
         phases: in their order; or ``phases_file``. By default those that ship with the package, for ``side`` right.
+        until: name of the phase to end with; the last one by default.
         samples: number of places drawn for each contact with a region.
         torque_share: of each joint's limit that a pose may need.
         margin_n: error that the force at every contact point may have without slipping, lifting or pressing too
@@ -201,6 +156,7 @@ class EgressRequest(Section):
     surfaces: Annotated[dict[Label, SurfaceRequest], at_most(100)] = field(default_factory=dict)
     phases: Annotated[tuple[PhaseRequest, ...], at_most(40)] = ()
     phases_file: FilePath | None = None
+    until: Label | None = None
     samples: Annotated[StrictInt, Field(ge=1, le=1000)] = 25
     torque_share: Annotated[Number, Field(gt=0.0, le=1.0)] = 1.0
     margin_n: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0

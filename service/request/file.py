@@ -23,6 +23,7 @@ MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
 
 T = TypeVar("T")
+_ADAPTERS: dict[type, TypeAdapter[Any]] = {}
 # Messages for pydantic's error types, filled in from the error's context; other types keep pydantic's message.
 _WORDS = {
     "float_type": "a number is needed",
@@ -121,11 +122,12 @@ def parse_section(kind: type[T], data: object) -> T:
     if not isinstance(data, Mapping):
         raise RequestError(f"a mapping is needed, got {shown(data)}; docs/request-format.md lists its keys")
     try:
-        return TypeAdapter(kind).validate_python(dict(data))
+        section: T = adapter_of(kind).validate_python(dict(data))
     except ValidationError as error:
         raise RequestError([_line(data, detail) for detail in error.errors(include_url=False)]) from None
     except RecursionError:
         raise RequestError(f"nested deeper than {MAX_DEPTH} levels") from None
+    return section
 
 
 def replace_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
@@ -161,9 +163,16 @@ def _with_scene(request: PlanRequest, **changes: Any) -> PlanRequest:
     return dataclasses.replace(request, scene=dataclasses.replace(request.scene, **changes))
 
 
+def adapter_of(kind: type[T]) -> TypeAdapter[T]:
+    """Return the validator and writer of a class of the schema, made once since that takes as long as its use."""
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    return _ADAPTERS[kind]
+
+
 def to_json(request: PlanRequest) -> dict[str, Any]:
     """Return the request as plain JSON data with defaults, without the folder."""
-    return dict(TypeAdapter(PlanRequest).dump_python(request, mode="json"))
+    return dict(adapter_of(PlanRequest).dump_python(request, mode="json"))
 
 
 def request_hash(request: PlanRequest) -> str:

@@ -10,7 +10,10 @@ from pydantic import AfterValidator, Field, StrictInt, StrictStr
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
-from service.request.fields import SECTION, Joints, Name, Number, Section
+from service.errors import shown
+from service.request.fields import MAX_JOINTS, SECTION, Joints, Name, Number, Section, at_most
+
+MAX_PHASES, MAX_POSITIONS = 1000, 100_000
 
 
 def _check_hash(text: str) -> str:
@@ -77,6 +80,52 @@ class LeafChoice(Section):
 
 
 @dataclass(config=SECTION)
+class HoldChoice(Section):
+    """How the earlier plan holds a mechanism that the request gives.
+
+    Attributes:
+        hand: the hand.
+    """
+
+    hand: Literal["left", "right"]
+
+
+@dataclass(config=SECTION)
+class NominalPhase(Section):
+    """Waypoints of a phase of the earlier plan.
+
+    Attributes:
+        positions: of all joints at the first waypoint, then at the second, and so on [rad, m].
+    """
+
+    positions: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)]
+
+
+@dataclass(config=SECTION)
+class NominalRequest(Section):
+    """Motion of the earlier plan, from which the new one is searched first.
+
+    Attributes:
+        joint_names: joints of the robot and of the mechanism, the base's coordinates among them.
+        phases: waypoints by name of the phase.
+    """
+
+    joint_names: Annotated[tuple[Name, ...], Field(min_length=1), at_most(MAX_JOINTS)]
+    phases: Annotated[dict[Name, NominalPhase], at_most(MAX_PHASES)] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = len(self.joint_names)
+        if len(set(self.joint_names)) < n:
+            raise PydanticCustomError("nominal", "joint_names has a name twice")
+        for name, phase in self.phases.items():
+            if not phase.positions or len(phase.positions) % n:
+                words = "{phase} has {count} positions; expected the same number for each of the {n} joints"
+                raise PydanticCustomError(
+                    "nominal", words, {"phase": shown(name), "count": len(phase.positions), "n": n}
+                )
+
+
+@dataclass(config=SECTION)
 class ResumeRequest(Section):
     """The rest of a task, planned again from one of its phases on; the request's start is the robot's state.
 
@@ -88,6 +137,8 @@ class ResumeRequest(Section):
             found it.
         stroke: how the earlier plan turns a wheel.
         handle, leaf: how the earlier plan opens a door.
+        hold: how the earlier plan holds a mechanism that the request gives.
+        nominal: the earlier motion. It makes the search shorter and nothing else depends on it.
     """
 
     phase: Name
@@ -97,3 +148,5 @@ class ResumeRequest(Section):
     stroke: StrokeChoice | None = None
     handle: HandleChoice | None = None
     leaf: LeafChoice | None = None
+    hold: HoldChoice | None = None
+    nominal: NominalRequest | None = None

@@ -102,9 +102,47 @@ class MeshRequest(_Placed):
     match: StrictBool = False
 
 
+@dataclass(config=SECTION, kw_only=True)
+class _Obstacle:
+    """A shape that a scan may show as well.
+
+    With ``in_scan``, points of the scan on or inside it do not become pieces: it stands in their place.
+    """
+
+    in_scan: StrictBool = False
+
+
+@dataclass(config=SECTION, kw_only=True)
+class BoxObstacle(BoxRequest, _Obstacle):
+    """A box in the robot's way."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class SphereObstacle(SphereRequest, _Obstacle):
+    """A sphere in the robot's way."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class CylinderObstacle(CylinderRequest, _Obstacle):
+    """A cylinder in the robot's way."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class CapsuleObstacle(CapsuleRequest, _Obstacle):
+    """A capsule in the robot's way."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class ConvexObstacle(ConvexRequest, _Obstacle):
+    """A convex hull in the robot's way."""
+
+
 ObstacleRequest = Annotated[
-    BoxRequest | SphereRequest | CylinderRequest | CapsuleRequest | ConvexRequest | MeshRequest,
+    BoxObstacle | SphereObstacle | CylinderObstacle | CapsuleObstacle | ConvexObstacle | MeshRequest,
     Field(discriminator="type"),
+]
+CutRequest = Annotated[
+    BoxRequest | SphereRequest | CylinderRequest | CapsuleRequest | ConvexRequest, Field(discriminator="type")
 ]
 
 
@@ -154,6 +192,7 @@ class SceneRequest(Section):
         unknown: treatment of space that no ray has seen.
         hint: a point in the world near the object of the task.
         obstacles: shapes with unique names.
+        cuts: shapes with unique names that are no obstacles; points of the scan on or inside them do not become pieces.
         floor: a height [m], or whether there is a floor at 0 (a scan provides its own); by default true for a robot
             with a free base.
     """
@@ -169,6 +208,7 @@ class SceneRequest(Section):
     unknown: Unknown = "free"
     hint: Point | None = None
     obstacles: Annotated[tuple[ObstacleRequest, ...], at_most(1000)] = ()
+    cuts: Annotated[tuple[CutRequest, ...], at_most(100)] = ()
     floor: Floor | None = None
 
     @property
@@ -178,10 +218,22 @@ class SceneRequest(Section):
             return ()
         return (CloudFileRequest(self.cloud),) if isinstance(self.cloud, str) else self.cloud
 
+    @property
+    def taken_out(self) -> tuple[CutRequest, ...]:
+        """Shapes whose points in the scan do not become pieces."""
+        given = (shape for shape in self.obstacles if not isinstance(shape, MeshRequest) and shape.in_scan)
+        return (*given, *self.cuts)
+
     def __post_init__(self) -> None:
         twice = find_repeated(obstacle.name for obstacle in self.obstacles)
         if twice:
             raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
+        twice = find_repeated(cut.name for cut in self.cuts)
+        if twice:
+            raise PydanticCustomError("cuts", "cut name {name} is given twice", {"name": shown(twice[0])})
+        if self.taken_out and not self.cloud:
+            words = "{name} is taken out of a scan; give scene.cloud, or leave in_scan and cuts out"
+            raise PydanticCustomError("cuts", words, {"name": shown(self.taken_out[0].name)})
         if self.file is not None and self.cloud is not None:
             raise PydanticCustomError("file", "file and cloud exclude each other: a scene was made of its own scan")
         if self.unknown == "occupied" and not self.cloud:

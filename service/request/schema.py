@@ -41,6 +41,7 @@ from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
 from service.request.robot_hand import RobotHandRequest
 from service.request.robot_servo import RobotServoRequest
+from service.request.robot_torque import RobotTorqueRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 LEAST_STUCK_TURN_DEG = 10.0
@@ -54,7 +55,8 @@ class RobotRequest(Section):
     distance of the bundled robot's hook from the hand's origin; ``hand`` is what the bundled robot has on its hands.
     ``contacts`` are patches by name that may carry force, besides those of a bundled robot or in their place; ``hands``
     the hands of a robot that hold mechanisms. ``servo`` is the stiffness of its joints' servos, from which the expected
-    sag of the centre of mass follows.
+    sag of the centre of mass follows. ``locked`` joints are fixed at a position [rad, m]. ``torque`` says which torques
+    are compared with the joints' limits, by default all.
     """
 
     name: Label | None = None
@@ -67,6 +69,8 @@ class RobotRequest(Section):
     hand: Literal["hook", "gripper"] | None = None
     hands: Annotated[dict[Literal["left", "right"], RobotHandRequest], at_most(2)] = field(default_factory=dict)
     servo: RobotServoRequest | None = None
+    locked: Joints = field(default_factory=dict)
+    torque: RobotTorqueRequest | None = None
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))
@@ -258,7 +262,7 @@ class Options(Section):
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
     feet: Annotated[tuple[Name, ...], at_most(8)] | None = None
-    starts: Annotated[StrictInt, Field(ge=1, le=64)] = 16
+    starts: Annotated[StrictInt, Field(ge=1, le=1000)] = 1000
     qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
     velocity_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.5
     acceleration_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.3
@@ -353,11 +357,6 @@ class PlanRequest(Section):
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
         if self.resume is not None and self.task is not None and self.task.trajopt is not None:
             raise PydanticCustomError("request", "resume belongs to a goal or a task; a TrajOpt problem has no phases")
-        if self.resume is not None and self.task is not None and self.task.mechanism is not None:
-            words = (
-                "resume belongs to a goal, task.valve or task.door; plan task.mechanism anew with its joints' starts"
-            )
-            raise PydanticCustomError("request", words)
 
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""

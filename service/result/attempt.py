@@ -32,6 +32,8 @@ class Attempt:
         motion, certificate: the best verified motion.
         conflict: constraints that exclude each other at the step without a solution.
         unverified: the newest plan with a motion that has no certificate yet.
+        uncovered: what the newest certificate does not cover, where nothing else is open.
+        is_repeated: whether the motion before was not covered in the same way.
     """
 
     verdict: Verdict = Verdict.NOT_FOUND
@@ -41,6 +43,8 @@ class Attempt:
     certificate: Certificate | None = None
     conflict: Conflict | None = None
     unverified: tuple[TaskPlan, Motion] | None = None
+    uncovered: frozenset[str] = frozenset()
+    is_repeated: bool = False
 
     def begin(self, task: TaskPlan) -> None:
         """Take another task plan, which is returned until a motion is verified."""
@@ -50,6 +54,8 @@ class Attempt:
 
     def keep_better(self, task: TaskPlan, motion: Motion, certificate: Certificate) -> None:
         """Keep a verified motion unless an earlier one has the better certificate."""
+        uncovered = certificate.list_uncovered()
+        self.is_repeated, self.uncovered = bool(uncovered) and uncovered == self.uncovered, uncovered
         if self.certificate is not None and _RANK[certificate.status] <= _RANK[self.certificate.status]:
             return
         self.task, self.motion, self.certificate = task, motion, certificate
@@ -61,7 +67,9 @@ class Attempt:
         """Return whether no plan after ``task`` would get a better certificate."""
         if self.verdict is Verdict.CERTIFIED:
             return True
-        return task.is_feasible and self.certificate is not None and self.certificate.fails_by_description()
+        if not task.is_feasible or self.certificate is None:
+            return False
+        return self.certificate.fails_by_description() or self.is_repeated
 
     def interrupt(self, verdict: Verdict, reason: str) -> None:
         """End with TIME_LIMIT or CANCELLED; the task's reasons stay in the explanation."""
@@ -97,6 +105,7 @@ class Attempt:
             conflict=self.conflict,
             found_from="" if task is None else task.found_from,
             notes=(*setup.notes, *(() if task is None else task.notes)),
+            pose_graph=None if task is None else task.pose_graph,
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),

@@ -21,9 +21,11 @@ VIEWER_NAME = "viewer.html"
 GLB_NAME = "scene.glb"
 OPENRAVE_NAME = "openrave"
 ROBOT_NAME = "robot"
+APPROVAL_NAME = "approval.json"  # signed by a server
 SIMULATION_NAME, SIMULATION_PAGE = "simulation.json", "simulation.html"  # written by `scopt simulate`
 WRITTEN = {
     RESULT_NAME, TRAJECTORY_NAME, VIEWER_NAME, GLB_NAME, OPENRAVE_NAME, ROBOT_NAME, SIMULATION_NAME, SIMULATION_PAGE,
+    APPROVAL_NAME,
 }  # fmt: skip
 MAX_RESULT_BYTES = 512 * 2**20
 BEGINNING = b'{"format": "' + FORMAT.rsplit("/", 1)[0].encode()
@@ -93,6 +95,22 @@ def replace_folder(folder: Path) -> Iterator[Path]:
             if earlier.exists() and not folder.exists():
                 os.rename(earlier, folder)
             raise
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file as a whole, also when interrupted.
+
+    Raises:
+        ResultError: the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
+            fresh = Path(scratch) / path.name
+            fresh.write_text(text, encoding="utf-8")
+            os.replace(fresh, path)
+    except OSError as error:
+        raise ResultError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
 def read_result(path: str | Path) -> dict[str, Any]:

@@ -87,6 +87,26 @@ def sample_times(motion: Motion) -> Float[np.ndarray, "S"]:
     return s if motion.law is None else find_times(motion.law, s)
 
 
+def sample_rates(motion: Motion) -> tuple[Float[np.ndarray, "S n"], Float[np.ndarray, "S n"]] | None:
+    """Return velocities and accelerations (after each sample) of all coordinates; None if the motion is untimed."""
+    return None if motion.law is None else rates_at(motion, sample_times(motion))
+
+
+def rates_at(
+    motion: Motion, times: Float[np.ndarray, "S"]
+) -> tuple[Float[np.ndarray, "S n"], Float[np.ndarray, "S n"]]:
+    """Return velocities and accelerations of all coordinates at times of a timed motion [rad/s, rad/s^2].
+
+    Raises:
+        ValueError: the motion is untimed.
+    """
+    if motion.law is None:
+        raise ValueError("an untimed motion has no velocities")
+    s, speed, gain = (part[:, None] for part in motion.law.at(times))
+    slope, bend = motion.curve(s[:, 0], 1), motion.curve(s[:, 0], 2)
+    return slope * speed, slope * gain + bend * speed**2
+
+
 def file_columns(robot: RobotModel) -> tuple[str, ...]:
     """Return a trajectory's columns in files: a floating base as position and quaternion, then the joints."""
     return BASE_COLUMNS + robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names

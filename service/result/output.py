@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from costs.robot import RobotModel
+from costs.robot import RobotModel, read_robot_visuals
 from service.errors import ResultError, shown
 from service.result.folder import (
     GLB_NAME,
@@ -26,7 +26,7 @@ from service.result.folder import (
 from service.result.motion_json import samples_of
 from service.result.result import PlanResult
 from service.result.result_json import to_result_json
-from service.viewer import list_drawn_frames, place_links, write_glb, write_openrave, write_viewer
+from service.viewer import list_drawn_frames, place_links, place_poses, write_glb, write_openrave, write_viewer
 
 
 def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
@@ -41,7 +41,7 @@ def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
     try:
         with replace_folder(folder) as fresh:
             (fresh / RESULT_NAME).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
-            _write_trajectory(data["trajectory"], fresh / TRAJECTORY_NAME)
+            _write_trajectory(result, data["trajectory"], fresh / TRAJECTORY_NAME)
             _write_robot(result.robot, fresh / ROBOT_NAME)
             _write_views(result, data, fresh)
     except OSError as error:
@@ -49,10 +49,16 @@ def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
     return ResultFiles(folder)
 
 
-def _write_trajectory(trajectory: Mapping[str, Any], path: Path) -> None:
-    header = ",".join(("time", *trajectory["joint_names"]))
-    table = np.column_stack([trajectory["times"], np.array(trajectory["positions"])])
-    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=header, comments="")
+def _write_trajectory(result: PlanResult, trajectory: Mapping[str, Any], path: Path) -> None:
+    """Write the samples: time, positions as in ``result.json``, then velocities and accelerations of a timed motion."""
+    header = ["time", *trajectory["joint_names"]]
+    columns = [np.array(trajectory["times"])[:, None], np.array(trajectory["positions"])]
+    for kind, rates in (("velocity", result.velocities), ("acceleration", result.accelerations)):
+        if rates is not None:
+            header += [f"{kind}.{name}" for name in result.joint_names]
+            columns.append(rates)
+    table = np.hstack(columns)
+    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=",".join(header), comments="")
 
 
 def _write_robot(robot: RobotModel, folder: Path) -> None:
@@ -70,7 +76,9 @@ def _write_robot(robot: RobotModel, folder: Path) -> None:
 
 def _write_views(result: PlanResult, data: Mapping[str, Any], folder: Path) -> None:
     q = result.start[None] if result.motion is None else result.motion.curve(samples_of(result.motion))
-    placements = place_links(result.robot, q[:, : result.robot.n], list_drawn_frames(result.robot, data))
-    write_viewer(data, placements, folder / VIEWER_NAME)
+    visuals = [mesh for mesh in read_robot_visuals(result.robot) if result.robot.model.existFrame(mesh.link)]
+    links = tuple(dict.fromkeys([*list_drawn_frames(result.robot, data), *(mesh.link for mesh in visuals)]))
+    placements = place_links(result.robot, q[:, : result.robot.n], links)
+    write_viewer(data, placements, folder / VIEWER_NAME, place_poses(result.robot, data), visuals)
     write_glb(data, placements, folder / GLB_NAME)
     write_openrave(data, folder / OPENRAVE_NAME)

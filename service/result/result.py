@@ -14,6 +14,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from service.explain.conflict import Conflict
 from service.request.schema import PlanRequest
+from service.result.motion_json import sample_rates, sample_times, samples_of
 from service.result.phase_report import PhaseReport, report_phases
 from service.verify.certificate import Certificate
 from service.verify.motion import Motion
@@ -31,7 +32,7 @@ class Verdict(Enum):
     INVALID_REQUEST = "INVALID_REQUEST"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PlanResult:
     """Result of a plan, with the best motion found.
 
@@ -50,6 +51,7 @@ class PlanResult:
         found_from: start of the optimiser that led to the motion; empty if there was only one.
         notes: what was adjusted, assumed or detected.
         planning_time_s: wall time of the plan; ``timings`` maps its steps to seconds.
+        pose_graph: poses from which a sequence of stances was chosen (JSON-ready), or None.
         servo: stiffness of the joints' servos and the expected sag of the centre of mass (JSON-ready), or None.
     figures, detections: numbers reported by the task, and objects in the scan (JSON-ready).
         obstruction: the requested end of a motion that was not found (JSON-ready).
@@ -71,6 +73,7 @@ class PlanResult:
     notes: tuple[str, ...] = ()
     planning_time_s: float = 0.0
     timings: Mapping[str, float] = field(default_factory=dict)
+    pose_graph: Mapping[str, Any] | None = None
     servo: Mapping[str, Any] | None = None
     figures: Mapping[str, Any] = field(default_factory=dict)
     detections: tuple[Mapping[str, Any], ...] = ()
@@ -84,6 +87,43 @@ class PlanResult:
             raise ValueError("the motion's robot must begin with the joints of the result's robot")
         if self.verdict is Verdict.CERTIFIED and self.certificate is None:
             raise ValueError("a certified result needs its certificate")
+
+    def __repr__(self) -> str:
+        if self.motion is None:
+            reason = f": {self.explanation[0]}" if self.explanation else ""
+            return f"<PlanResult {self.verdict.value}, no motion{reason}>"
+        clearance = float("nan") if self.certificate is None else self.certificate.min_clearance_m
+        shown = "" if np.isnan(clearance) else f", clearance {1e3 * clearance:.1f} mm"
+        duration = "untimed" if self.motion.law is None else f"{self.times[-1]:.2f} s"
+        return f"<PlanResult {self.verdict.value}, {len(self.positions)} samples, {duration}{shown}>"
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Coordinates of the robot: a floating base as six (position, yaw, pitch, roll), then the joints."""
+        return self.robot.joint_names
+
+    @property
+    def times(self) -> Float[np.ndarray, "S"]:
+        """Times of the samples [s]; path parameters of an untimed motion, empty without a motion."""
+        return np.zeros(0) if self.motion is None else sample_times(self.motion)
+
+    @property
+    def positions(self) -> Float[np.ndarray, "S n"]:
+        """Coordinates at the samples, in the order of ``joint_names`` [rad, m]."""
+        n = self.robot.n
+        return np.zeros((0, n)) if self.motion is None else self.motion.curve(samples_of(self.motion))[:, :n]
+
+    @property
+    def velocities(self) -> Float[np.ndarray, "S n"] | None:
+        """Their velocities [rad/s, m/s]; None for an untimed motion or without one."""
+        rates = None if self.motion is None else sample_rates(self.motion)
+        return None if rates is None else rates[0][:, : self.robot.n]
+
+    @property
+    def accelerations(self) -> Float[np.ndarray, "S n"] | None:
+        """Their accelerations, where they jump those after the sample [rad/s^2, m/s^2]; None as for velocities."""
+        rates = None if self.motion is None else sample_rates(self.motion)
+        return None if rates is None else rates[1][:, : self.robot.n]
 
     @property
     def phases(self) -> tuple[PhaseReport, ...]:

@@ -42,6 +42,7 @@ def to_result_json(result: PlanResult) -> dict[str, Any]:
         "not_planned": [report.name for report in result.phases if report.status is PhaseStatus.NOT_PLANNED],
         "certificate": None if result.certificate is None else result.certificate.to_dict(),
         "obstruction": to_json_data(result.obstruction),
+        "pose_graph": to_json_data(result.pose_graph),
         "cloud": np.round(thin_points(result.cloud, MAX_CLOUD_POINTS), 4).tolist(),
     }
 

@@ -14,13 +14,12 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
-from costs.robot import Mechanism
 from service.errors import RequestError
 from service.request.file import parse_request, read_plain_request
 from service.start.standing import FLOOR_KIND
 from service.tasks.stance import StanceCandidate, StanceSearch
+from service.tasks.stance_checks import StanceTask
 
 SCALE = 200.0  # pixels per metre
 MARGIN_M = 0.7  # of the picture about places and mechanism
@@ -87,9 +86,7 @@ def draw_search(search: StanceSearch) -> str:
     """Return the picture from above as SVG: pieces, mechanism before and after, and the soles of the best places."""
     drawn = [candidate for candidate in search.candidates if not candidate.refused][:MOST_DRAWN]
     refused = [candidate for candidate in search.candidates if candidate.refused]
-    mechanism = None if search.task is None else search.task.mechanism
-    before = [] if mechanism is None else _place_mechanism(mechanism, 0.0, float(mechanism.start[0]))
-    after = [] if search.task is None or mechanism is None else _place_mechanism(mechanism, 0.0, search.task.target)
+    before, after = (_draw_parts(search.task, is_end=is_end) for is_end in (False, True))
     points = [*before, *after, *(sole[:, :2] for candidate in drawn for sole in candidate.soles.values())]
     points += [candidate.base[None, :2] for candidate in refused] + [search.setup.start[None, :2]]
     low = np.concatenate(points).min(axis=0) - MARGIN_M
@@ -175,15 +172,9 @@ def _hull(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "H 2"]:
         return points
 
 
-def _place_mechanism(mechanism: Mechanism, low: float, value: float) -> list[Float[np.ndarray, "N 2"]]:
-    """Return the outlines of the mechanism's bodies from above, its first joint at a value."""
-    joint = mechanism.joints[0]
-    turn = Rotation.from_rotvec(value * joint.axis / np.linalg.norm(joint.axis))
-    return [
-        (turn.apply(points - joint.origin) + joint.origin)[:, :2]
-        for moved in mechanism.joints
-        for points in moved.bodies.values()
-    ]
+def _draw_parts(task: StanceTask | None, *, is_end: bool) -> list[Float[np.ndarray, "N 2"]]:
+    """Return the outlines of the mechanism's bodies from above, at the start or at the end."""
+    return [] if task is None else [points[:, :2] for points in task.place_parts(is_end=is_end)]
 
 
 def _describe_base(candidate: StanceCandidate) -> dict[str, Any]:
@@ -199,10 +190,13 @@ def _describe_candidate(search: StanceSearch, candidate: StanceCandidate) -> dic
         "refused": list(candidate.refused),
     }
     if outcome is not None and search.task is not None:
-        whole = abs(search.task.target - float(search.task.mechanism.start[0]))
+        task = search.task
+        angles = (outcome.reached, task.whole) if task.is_angle else (None, None)
+        reached, asked = (None if angle is None else round(float(np.rad2deg(angle)), 2) for angle in angles)
         data["parts"] = {
-            "angle_deg": round(float(np.rad2deg(outcome.reached)), 2),
-            "asked_deg": round(float(np.rad2deg(whole)), 2),
+            "share": round(outcome.reached / task.whole, 4),
+            "angle_deg": reached,
+            "asked_deg": asked,
             "balance_m": round(outcome.balance_m, 4),
             "reach_m": round(outcome.reach_m, 4),
             "clearance_m": round(candidate.clearance_m, 4),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from service.trajopt import Program
 
 OWN_POINTS = "scene.file: where the robot stood in the scan, `scopt scene --robot NAME` leaves its own points out"
+
+MOST_NAMED = 8
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,11 @@ def check_start(
         problems = [f"start is in collision: {overlap}; {reason}" for overlap, reason in stuck]
     else:
         problems = [f"start is in collision: {overlap}" for overlap in inside]
+        if not robot.source.srdf and any(overlap.kind is None for overlap in inside):
+            problems.append(
+                f"{robot.name} has no SRDF; if its links overlap at rest, `scopt robots check URDF --write-srdf FILE` "
+                "lists the pairs and writes an SRDF that leaves them out"
+            )
         if inside and program is None and not any(dead_ends):
             problems.append("options.escape: false; true would plan a way out of the collision first")
     if problems and request.scene.file is not None:
@@ -150,6 +158,8 @@ def check_start(
         problems += [f"start is not on the ground: {line}" for line in grounded.values()]
     elif soles:
         problems += [f"start is out of balance: {line}" for line in find_standing_problems(robot, start, scene, soles)]
+    if program is None and request.options.timed and not robot.is_floating:
+        problems += find_overloaded_joints(robot, start)
     if problems:
         raise RequestError(problems)
     may_leave = may_leave and not any(describe_dead_end(overlap, tuple(soles)) for overlap in near)
@@ -159,6 +169,26 @@ def check_start(
         return StartCheck((), too_near, ())
     left = (*(f"start is in collision: {overlap}" for overlap in inside), *too_near)
     return StartCheck(overlaps, (), tuple(f"{line}; the first phase leaves it" for line in left))
+
+
+def find_overloaded_joints(robot: RobotModel, start: Float[np.ndarray, "n"]) -> list[str]:
+    """Return a line about joints of a fixed robot that cannot hold it at its start, if there are any.
+
+    No time law makes such a motion possible, however slow.
+    """
+    still = np.zeros(robot.n)
+    torque = np.abs(pin.rnea(robot.model, robot.model.createData(), start, still, still))
+    weak = np.flatnonzero((robot.effort > 0.0) & (torque > robot.effort))
+    if not len(weak):
+        return []
+    names = [robot.joint_names[k] for k in weak]
+    worst = int(weak[np.argmax(torque[weak] / robot.effort[weak])])
+    return [
+        f"start: {robot.joint_names[worst]} needs {torque[worst]:.4g} at rest, its effort limit is "
+        f"{robot.effort[worst]:.4g}; if springs or a balance carry that, leave the torque out with "
+        f"robot.torque: {{unchecked: [{', '.join(names[:MOST_NAMED])}{', …' if len(names) > MOST_NAMED else ''}]}} "
+        "or {check: false}"
+    ]
 
 
 def _check_stance_start(

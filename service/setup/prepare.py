@@ -88,6 +88,7 @@ def prepare(
     *,
     around: Surroundings | None = None,
     checks_start: bool = True,
+    finds_package: bool = False,
 ) -> PlanSetup:
     """Load the robot, read the scan, and check the request against robot and scan.
 
@@ -99,6 +100,7 @@ def prepare(
         see: ``perception.perceive``, or a function that caches its results.
         around: what the request's scan shows, if it is known already.
         checks_start: whether to refuse a start in collision or out of balance.
+        finds_package: see ``load_requested_robot``.
 
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
@@ -109,15 +111,15 @@ def prepare(
     announce("load robot")
     if robot is None:
         with _timed(timings, "load_robot"):
-            robot = load_requested_robot(request)
+            robot = load_requested_robot(request, finds_package=finds_package)
     robot = attach_bodies(robot, request)
     check_masses(robot)
     check_names(request, robot, TakenNames.of(robot, request))
-    start, notes, program = resolve_start(robot, request)
-    check_goal_and_keep(robot, request)
+    start, notes, program = _resolve_and_check(robot, request)
     unit_problems = find_unit_problems(request, robot, start)
     if unit_problems:
         raise RequestError(unit_problems)
+    notes += robot.notes
     notes += note_far_obstacles(request, robot, start)
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)
@@ -158,6 +160,29 @@ def prepare(
         unresolved=check.unresolved,
         stances=stances,
     )
+
+
+def _resolve_and_check(
+    robot: RobotModel, request: PlanRequest
+) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
+    """Return what ``resolve_start`` does.
+
+    Raises:
+        RequestError: the problems of the start, the goal and ``keep`` together.
+    """
+    problems: list[str] = []
+    resolved = None
+    try:
+        resolved = resolve_start(robot, request)
+    except RequestError as error:
+        problems += error.problems
+    try:
+        check_goal_and_keep(robot, request)
+    except RequestError as error:
+        problems += error.problems
+    if resolved is None or problems:
+        raise RequestError(problems)
+    return resolved
 
 
 def _read_stances(

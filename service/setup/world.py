@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -18,7 +18,7 @@ from costs.scene import ConvexPiece
 from service.demands.door_demand import SeenDoor
 from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
 from service.errors import RequestError
-from service.request.scene import ConvexRequest, MeshRequest, ObstacleRequest
+from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest
 from service.request.schema import PlanRequest
 from service.scan.meshes import read_solid, split_convex
 from service.start.robot import pose_matrix
@@ -111,6 +111,8 @@ def _perceive_scan(
     known = load_match_meshes(request)
     given = _read_mechanism(request)
     moved = [] if given is None else given.place_bodies()  # what the scan shows of it is known already
+    own = [vertices for _, vertices in place_bodies(robot, start)]
+    taken_out = [_place_shape(shape) for shape in scene.taken_out]
     try:
         cloud = read_clouds(
             [(request.resolve(file.file), file.transform) for file in scene.cloud_files],
@@ -123,7 +125,7 @@ def _perceive_scan(
         seen = (see or perceive)(
             cloud,
             reach=Reach(x=x, y=y),
-            robot_hulls=[*(vertices for _, vertices in place_bodies(robot, start)), *moved],
+            robot_hulls=[*own, *moved],
             soles=soles,
             kinds=_list_kinds(request),
             hint=None if hint is None else np.array(hint),
@@ -131,6 +133,7 @@ def _perceive_scan(
             seed=request.options.seed,
             method=scene.method,
             known=known,
+            given_hulls=taken_out,
         )
     except PerceptionError as error:
         raise RequestError(f"scene.cloud: {error}") from None
@@ -140,7 +143,22 @@ def _perceive_scan(
         for hit in seen.detections
         if hit.kind == "door"
     )
-    return Surroundings(seen.scene.pieces, valves, seen.shown, seen.notes, seen.matches, doors)
+    notes = (*seen.notes, *_note_taken_out(scene, cloud.points, taken_out))
+    return Surroundings(seen.scene.pieces, valves, seen.shown, notes, seen.matches, doors)
+
+
+def _note_taken_out(
+    scene: SceneRequest, points: Float[np.ndarray, "N 3"], hulls: Sequence[Float[np.ndarray, "V 3"]]
+) -> Iterator[str]:
+    """Yield a note on the points that belong to shapes of the request."""
+    from perception import inside_hulls
+
+    counts = [
+        (shape.name, int(inside_hulls(points, [hull]).sum()))
+        for shape, hull in zip(scene.taken_out, hulls, strict=True)
+    ]
+    if counts:
+        yield "took out of the scan: " + ", ".join(f"{count} points on {name}" for name, count in counts)
 
 
 def _list_kinds(request: PlanRequest) -> tuple[str, ...]:
@@ -195,10 +213,8 @@ def build_obstacles(
                 notes.append(f"{obstacle.name} found at ({x:.3f}, {y:.3f}, {z:.3f}), confidence {match.confidence:.2f}")
             name = Path(obstacle.file).name
             parts: Sequence[np.ndarray] = split_convex(solid, name, f"{field}.file", decompose=obstacle.decompose)
-        elif isinstance(obstacle, ConvexRequest):
-            parts = [_hull(np.array(obstacle.points), f"{field}.points")]
         else:
-            parts = [shapes.make_points(obstacle.type, obstacle.lengths)]
+            parts = [_make_shape(obstacle, field)]
         round_shape = make_round_shape(obstacle.type, obstacle.lengths)
         exact = None if round_shape is None else round_shape.move(pose)
         for number, vertices in enumerate(parts, start=1):
@@ -206,6 +222,19 @@ def build_obstacles(
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
     given = _read_mechanism(request)
     return (*pieces, *(() if given is None else given.pieces)), tuple(notes)
+
+
+def _place_shape(shape: CutRequest) -> Float[np.ndarray, "V 3"]:
+    """Return the corners of a shape in the world."""
+    pose = _pose(shape)
+    return np.asarray(_make_shape(shape, f"scene: {shape.name}") @ pose[:3, :3].T + pose[:3, 3])
+
+
+def _make_shape(shape: CutRequest, field: str) -> Float[np.ndarray, "V 3"]:
+    """Return the corners of a shape in its own frame; round shapes become polytopes."""
+    if isinstance(shape, ConvexRequest):
+        return _hull(np.array(shape.points), f"{field}.points")
+    return shapes.make_points(shape.type, shape.lengths)
 
 
 def _read_mechanism(request: PlanRequest) -> GivenMechanism | None:
@@ -230,7 +259,7 @@ def _read_match(obstacle: MeshRequest, match: MeshMatch, field: str) -> Float[np
     return match.pose_world_mesh
 
 
-def _pose(obstacle: ObstacleRequest) -> Float[np.ndarray, "4 4"]:
+def _pose(obstacle: ObstacleRequest | CutRequest) -> Float[np.ndarray, "4 4"]:
     return pose_matrix(obstacle.position, obstacle.quaternion_wxyz)
 
 

@@ -9,13 +9,16 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.robot import BASE_NAMES, RobotModel
+from costs.robot import BASE_NAMES, RobotModel, read_joint_axis
 from service.errors import RequestError, would_do
+from service.request.contacts import PostureRequest
 from service.request.schema import StartRequest
 
 SNAP_TOLERANCE = 1e-3  # rounding of joint positions reported by a robot [rad, m]
 STANDING_POSTURE = "stand"
 LARGEST_PITCH_DEG = 85.0
+LEAST_DEGREES = 5.0  # a smaller position beyond the limits is hardly in degrees
+MOST_TURNS = 8.0 * math.pi  # largest position of a joint without limits [rad]
 
 
 def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
@@ -39,6 +42,25 @@ def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Fl
     return _snap_to_limits(robot, q, notes)
 
 
+def make_posture(robot: RobotModel, posture: PostureRequest, path: str) -> Float[np.ndarray, "n"]:
+    """Return the configuration of a posture with given base and joints; joints beyond their limits are at these.
+
+    Raises:
+        RequestError: an unknown posture or joint.
+    """
+    if posture.posture not in robot.postures:
+        known = would_do(posture.posture, robot.postures)
+        raise RequestError(f"{path}.posture: unknown posture '{posture.posture}'; {robot.name} has {known}")
+    q = np.array(robot.postures[posture.posture])
+    q[: len(BASE_NAMES)] = posture.base
+    columns = {name: i for i, name in enumerate(robot.joint_names)}
+    for name, value in posture.joints.items():
+        if name not in columns or name in BASE_NAMES:
+            raise RequestError(f"{path}.joints: unknown joint '{name}'; {robot.name} has {would_do(name, columns)}")
+        q[columns[name]] = np.clip(value, robot.lower[columns[name]], robot.upper[columns[name]])
+    return q
+
+
 def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence[str], field: str) -> list[str]:
     """Return one line per name that is not a joint of the robot."""
     joints = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
@@ -60,8 +82,32 @@ def find_limit_violations(
         if not lower - tolerance <= position <= upper + tolerance:
             problems.append(
                 f"{field}.{name}: {position:.6g} is outside the joint's limits; expected {lower:.6g} to {upper:.6g}"
+                f"{_suggest_radians(robot, name, position)}"
+            )
+        elif abs(position) > MOST_TURNS and not _slides(robot, name):
+            problems.append(
+                f"{field}.{name}: {position:.6g} rad are {abs(position) / (2.0 * math.pi):.0f} turns"
+                f"{_suggest_radians(robot, name, position) or f'; expected at most {MOST_TURNS:.6g}'}"
             )
     return problems
+
+
+def _suggest_radians(robot: RobotModel, name: str, position: float) -> str:
+    """Return a question where a position beyond the limits would fit as degrees; empty for a sliding joint."""
+    index = robot.joint_names.index(name)
+    in_radians = math.radians(position)
+    fits = float(robot.lower[index]) <= in_radians <= float(robot.upper[index])
+    if not fits or abs(position) < LEAST_DEGREES or _slides(robot, name):
+        return ""
+    return f"; joints are in radians, are these degrees? Use {in_radians:.6g}."
+
+
+def _slides(robot: RobotModel, name: str) -> bool:
+    """Return whether a joint slides."""
+    if name in BASE_NAMES[:3]:
+        return True
+    joint = robot.model.getJointId(name)
+    return joint < robot.model.njoints and not np.any(read_joint_axis(robot, joint)[3:])
 
 
 def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:

@@ -17,6 +17,8 @@ from costs.robot import (
     RobotError,
     RobotHand,
     RobotModel,
+    bundled_robots,
+    find_package_folders,
     load_robot,
     with_attached,
     with_contacts,
@@ -24,10 +26,16 @@ from costs.robot import (
 from costs.robot.servo import list_servo_joints, make_stiffness
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
+from service.start.configuration import find_unknown_joints
 
 
-def load_requested_robot(request: PlanRequest) -> RobotModel:
+def load_requested_robot(request: PlanRequest, *, finds_package: bool = False) -> RobotModel:
     """Load the bundled robot or the URDF of a request.
+
+    Args:
+        request: the request.
+        finds_package: whether meshes may also be read from the package that the URDF lies in, where the request names
+            no ``package_dirs``; not on a server, where a request reads only what it names.
 
     Raises:
         RequestError: a file is missing or cannot be used, or a contact patch is not on the robot's surface.
@@ -35,13 +43,23 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
     robot = request.robot
     try:
         if robot.urdf is None:
-            loaded = load_robot(robot.name, root=robot.root, tool_distance_m=robot.tool_distance_m, hand=robot.hand)
+            if robot.name is not None and robot.name not in bundled_robots():
+                known = would_do(robot.name, bundled_robots())
+                raise RequestError(f"robot.name: unknown robot {robot.name!r}; expected {known}")
+            loaded = load_robot(
+                robot.name,
+                root=robot.root,
+                tool_distance_m=robot.tool_distance_m,
+                hand=robot.hand,
+                locked_joints=robot.locked,
+            )
         else:
             loaded = load_robot(
                 urdf=_find_file(request, robot.urdf, "robot.urdf"),
                 srdf=None if robot.srdf is None else _find_file(request, robot.srdf, "robot.srdf"),
-                package_dirs=[request.resolve(folder) for folder in robot.package_dirs],
+                package_dirs=_list_package_dirs(request, robot.urdf, finds_package),
                 root=robot.root,
+                locked_joints=robot.locked,
             )
     except RobotError as error:
         raise RequestError(f"robot: {error}") from None
@@ -49,11 +67,12 @@ def load_requested_robot(request: PlanRequest) -> RobotModel:
 
 
 def add_request_parts(robot: RobotModel, request: PlanRequest) -> RobotModel:
-    """Return the robot with the contact patches and hands that a request gives it.
+    """Return the robot with the contact patches, hands and torque limits that a request gives it.
 
     Raises:
         RequestError: a patch is not on the robot's surface, or a hand's frame or a servo's joint is unknown.
     """
+    robot = _leave_torques_out(robot, request)
     robot = add_contact_patches(robot, request)
     frames = sorted({frame.name for frame in robot.model.frames} - {"universe"})
     hands = dict(robot.hands)
@@ -69,6 +88,18 @@ def add_request_parts(robot: RobotModel, request: PlanRequest) -> RobotModel:
     except ValueError as error:
         raise RequestError(f"robot.servo.stiffness: {error}") from None
     return dataclasses.replace(robot, hands=hands)
+
+
+def _leave_torques_out(robot: RobotModel, request: PlanRequest) -> RobotModel:
+    """Return the robot without the torque limits that a request leaves out."""
+    torque = request.robot.torque
+    if torque is None:
+        return robot
+    unknown = find_unknown_joints(robot, torque.unchecked, "robot.torque.unchecked")
+    if unknown:
+        raise RequestError(unknown)
+    is_left_out = np.array([not torque.check or name in torque.unchecked for name in robot.joint_names])
+    return dataclasses.replace(robot, effort=np.where(is_left_out, np.inf, robot.effort))
 
 
 def resolve_stiffness(robot: RobotModel, request: PlanRequest) -> dict[str, float]:
@@ -93,6 +124,15 @@ def add_contact_patches(robot: RobotModel, request: PlanRequest) -> RobotModel:
         return with_contacts(robot, patches)
     except RobotError as error:
         raise RequestError(f"robot.contacts.{error}") from None
+
+
+def _list_package_dirs(request: PlanRequest, urdf: str, finds_package: bool) -> list[Path]:
+    """Return the folders of meshes: the request's, or else the URDF's own and, if allowed, those about its package."""
+    given = [request.resolve(folder) for folder in request.robot.package_dirs]
+    path = request.resolve(urdf)
+    if given or not finds_package:
+        return given
+    return [path.parent, *find_package_folders(path)]
 
 
 def _find_file(request: PlanRequest, path: str, field: str) -> Path:

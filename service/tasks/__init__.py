@@ -36,8 +36,11 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         return
     if request.task is not None and request.task.contacts is not None:
         from service.tasks.contact_motion import plan_contact_motion
+        from service.tasks.known_motion import read_known_motion
 
-        yield plan_contact_motion(solver, setup.stances, _find_finish(setup, request.task.contacts.finish))
+        contacts = request.task.contacts
+        guesses = read_known_motion(setup.robot, contacts)
+        yield plan_contact_motion(solver, setup.stances, _find_finish(setup, contacts.finish), guesses)
         return
     if request.task is not None and request.task.egress is not None:
         from service.tasks.egress.task import plan_egress

@@ -31,6 +31,7 @@ from service.demands.contacts.stances import (
     StanceContact,
     list_contact_phases,
 )
+from service.tasks.known_motion import KnownMotion, lead_way
 from service.tasks.sequence import shrink
 from service.verify.forces.loaded_balance import find_normals
 
@@ -44,26 +45,10 @@ TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000)) 
 LEAST_JOINTS = 3  # of a limb that goes around something
 LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
 N_TRIES = 4  # of a change of contacts, from other guesses
-KNOWN_TRIES = 2  # of one whose poses are known already
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
 SIDE_RESERVE = 1e-3  # of the depth behind a contact's surface in poses, for the motion between them [m]
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
 POSE_RESERVE = 2.5e-3  # of an allowance in poses, for the motion between them [m]
-
-
-@dataclass(frozen=True)
-class PoseGuesses:
-    """Configurations that are known already, by name of the stance they lead to.
-
-    Attributes:
-        leave: in which the contacts that stay hold the robot alone, before the others leave.
-        arrive: the same when the new contacts are in their places.
-        there: in which the stance holds the robot.
-    """
-
-    leave: Mapping[str, Float[np.ndarray, "n"]]
-    arrive: Mapping[str, Float[np.ndarray, "n"]]
-    there: Mapping[str, Float[np.ndarray, "n"]]
 
 
 class StuckError(Exception):
@@ -80,7 +65,8 @@ def plan_contact_motion(
     solver: PhaseSolver,
     stances: Sequence[ContactStance],
     finish: Float[np.ndarray, "n"] | None = None,
-    guesses: PoseGuesses | None = None,
+    guesses: KnownMotion | None = None,
+    n_tries: int = N_TRIES,
 ) -> TaskPlan:
     """Plan the motion from the solver's nominal configuration, in the first stance, through all others.
 
@@ -88,11 +74,12 @@ def plan_contact_motion(
         solver: of the robot at its start.
         stances: with every place fixed.
         finish: posture to end in, on the last stance.
-        guesses: poses that are known already.
+        guesses: poses and ways that are known already.
+        n_tries: of each change of contacts, from other guesses.
     """
     if guesses is not None:
         solver = replace(solver, body=replace(solver.body, is_comfortable=False))
-    walker = _Walker(solver, guesses or PoseGuesses({}, {}, {}), np.zeros(solver.body.robot.n))
+    walker = _Walker(solver, guesses or KnownMotion(), np.zeros(solver.body.robot.n), n_tries)
     specs = list_contact_phases(stances, has_finish=finish is not None)
     order = tuple(spec.name for spec in specs)
     phases: list[PlannedPhase] = []
@@ -120,8 +107,9 @@ class _Walker:
     """Plans the phases between two stances."""
 
     solver: PhaseSolver
-    guesses: PoseGuesses
+    guesses: KnownMotion
     noise: Float[np.ndarray, "n"]
+    n_tries: int
     arrives_first: bool = False
 
     @property
@@ -166,7 +154,7 @@ class _Walker:
         first: StuckError | None = None
         rng = np.random.default_rng(self.solver.seed)
         is_known = after.name in self.guesses.arrive
-        for k in range(min(KNOWN_TRIES if is_known else N_TRIES, self.solver.most_starts)):
+        for k in range(min(self.n_tries, self.solver.most_starts)):
             noise = np.zeros(len(at)) if k < 2 else SPREAD * rng.normal(size=len(at))
             noise[: len(BASE_NAMES)] = 0.0
             try:
@@ -289,7 +277,7 @@ class _Walker:
         guesses = [np.clip(at + self.noise, robot.lower, robot.upper), *guesses]
         costs: list[Cost[MotionState]] = []
         if known is not None:
-            guesses = [known, *guesses]
+            guesses = [np.clip(known + self.noise, robot.lower, robot.upper), *guesses]
             costs.append(Cost("known pose", JointTarget(1, robot.n, one, np.arange(robot.n), known), KNOWN_WEIGHT))
         constraints = [
             Constraint(
@@ -306,15 +294,21 @@ class _Walker:
         normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(kept)}
         limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
         best: EquilibriumPose | None = None
-        for guess in guesses[:4]:
+        tries: list[tuple[Float[np.ndarray, "n"], list[Cost[MotionState]], tuple[Float[np.ndarray, "n"], ...]]]
+        tries = [(guess, costs, ()) for guess in guesses[:4]]
+        if costs:  # the cost may hold the pose where it is not feasible
+            tries += [(guess, [], ()) for guess in guesses[:4]]
+        tries += [(guess, [], (at,)) for guess in guesses[:2]]  # what is near at the start may stay as near
+        for guess, wanted, ends in tries:
             self.solver.monitor.check()
             pose = solve_equilibrium_pose(
                 body,
                 contacts,
                 guess,
                 limits,
-                costs,
+                wanted,
                 constraints,
+                ends=ends,
                 fixed=fixed,
                 should_stop=self.solver.monitor.should_stop,
             )
@@ -362,10 +356,17 @@ class _Walker:
     ) -> PlannedPhase:
         """Return the free phase between two lines."""
         body = self.stand_on(spec.contacts)
+        solve = self._solve_between(spec, body)
+        way = self.guesses.ways.get(spec.name.split(": ")[0])
+        led = None if way is None else lead_way(way, first, last)
+        if led is not None:
+            with self.solver.monitor.step(spec.name, 0.5):
+                solved = solve([_keep_contacts(body, led)])
+            if solved.is_feasible:
+                return _finish(spec, body, solved, lambda q: solve([q]))
         guide = replace(body, nominal=first)
         starts = [straight_path(first, last, SWING_WAYPOINTS)]
         starts += [path_via(first, guess, last, SWING_WAYPOINTS) for _, guess in posture_guesses(guide)[1:3]]
-        solve = self._solve_between(spec, body)
         with self.solver.monitor.step(spec.name, 0.5):
             solved = solve([_keep_contacts(body, start) for start in starts])
             for corner in () if solved.is_feasible else self._find_corners(spec, first, last):

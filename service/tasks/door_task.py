@@ -62,7 +62,7 @@ def _begin(
         rest = resume_door(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
         solver = replace(add_mechanism(solver, rest.mechanism), overrides=near)
         opening = DoorOpening(solver, door, hands, target, request.stays, waypoints)
-        plan = plan_rest(solver, rest, rest.specs, opening.measure)
+        plan = plan_rest(solver, rest, rest.specs, opening.measure, setup.request.resume)
         return replace(plan, notes=(note, *plan.notes))
     solver = replace(add_mechanism(solver, door.mechanism), overrides=near)
     collisions = tuple(find_collisions(solver.body, remedy=FARTHER))

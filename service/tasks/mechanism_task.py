@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from costs.allowance import BodyRef
 from costs.kinematics import locate_links
-from costs.robot import RobotError
+from costs.robot import Mechanism, RobotError
 from costs.robot.contact_patches import measure_surface_distance
 from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
@@ -18,18 +18,23 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.given_mechanism import (
     GivenMechanism,
+    GivenMechanismDemand,
     find_ends,
     make_mechanism_phases,
     read_given_mechanism,
+    read_kept_hand,
+    resume_mechanism,
     select_tool,
 )
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
+from service.request.resume import ResumeRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door_sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
+from service.tasks.resume import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism
 from service.verify import Motion
 
@@ -47,12 +52,15 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         StaticRegionError: whatever the hand, the ground does not hold the robot under the loads.
     """
     given = read_given_mechanism(request)
-    hands = choose_hands(solver, given)
+    hands = choose_hands(solver.body, given)
+    if setup.request.resume is not None:
+        yield _plan_rest(setup, solver, given, setup.request.resume)
+        return
     try:
         solver = add_mechanism(solver, given.mechanism)
     except RobotError as error:
         raise RequestError(f"task.mechanism.urdf: {error}") from None
-    solver = replace(solver, overrides=_list_clearances(hands, given))
+    solver = replace(solver, overrides=list_clearances(hands, given))
     collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
         raise RequestError(collisions)
@@ -71,16 +79,12 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         except StaticRegionError as error:
             unheld = error
             continue
-        if stuck is not None and stuck.step == specs[-1].name and not request.stays:
-            at = phases[-2].q[-1]
-            line = leave_along_rod(solver, specs[-1], at)
-            left, stuck = PhaseSequence(solver, given.mechanism, (line,), is_held=True).plan(at)
-            phases = (*phases[:-1], *left)
         notes = (f"{hand.side} hand at {request.handle.link}",)
         plan = TaskPlan(
             solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
         )
-        if stuck is None:
+        plan = _leave_anyhow(solver, plan, specs[-1], given.mechanism)
+        if plan.stuck is None:
             yield plan
         elif unsolved is None or len(phases) > len(unsolved.phases):
             unsolved = plan
@@ -90,7 +94,32 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         raise unheld
 
 
-def choose_hands(solver: PhaseSolver, given: GivenMechanism) -> tuple[Hand, ...]:
+def _plan_rest(setup: PlanSetup, solver: PhaseSolver, given: GivenMechanism, resume: ResumeRequest) -> TaskPlan:
+    """Plan the rest of a task with the hand of the earlier plan.
+
+    Raises:
+        RequestError: the phase, the hand or the mechanism's joints do not fit the task.
+    """
+    demand = GivenMechanismDemand(given, setup.robot)
+    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    rest, hand = resume_mechanism(demand, resume, waypoints), read_kept_hand(demand, resume)
+    solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
+    plan = plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume)
+    return _leave_anyhow(solver, plan, rest.specs[-1], rest.mechanism)
+
+
+def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, last: PhaseSpec, mechanism: Mechanism) -> TaskPlan:
+    """Return a plan whose hand cannot leave along the handle's line with a line along its rod instead."""
+    if plan.stuck is None or plan.stuck.step != last.name or last.hand is None or not last.hand.leaves:
+        return plan
+    at = plan.phases[-2].q[-1] if len(plan.phases) > 1 else solver.body.nominal
+    values = at[-len(mechanism.joints) :]
+    line = leave_along_rod(solver, replace(last, first=values, last=values), at)
+    left, stuck = PhaseSequence(solver, mechanism, (line,), is_held=True).plan(at)
+    return replace(plan, phases=(*plan.phases[:-1], *left), stuck=stuck)
+
+
+def choose_hands(body: WholeBody, given: GivenMechanism) -> tuple[Hand, ...]:
     """Return the hands to try, the nearest to the handle first.
 
     Raises:
@@ -98,11 +127,11 @@ def choose_hands(solver: PhaseSolver, given: GivenMechanism) -> tuple[Hand, ...]
     """
     pose = given.locate(given.handle.joint, given.mechanism.start)
     at = pose[:3, :3] @ given.handle.place + pose[:3, 3]
-    hands = list_hands(solver.body, given.request.hand, at, ("tool", "peg", "stub"))
+    hands = list_hands(body, given.request.hand, at, ("tool", "peg", "stub"))
     if not hands:
         frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
         raise RequestError(
-            f"task.mechanism.hand: robot '{solver.body.robot.name}' has no {given.request.hand} hand ({frames}); "
+            f"task.mechanism.hand: robot '{body.robot.name}' has no {given.request.hand} hand ({frames}); "
             "robot.hands names those of another robot"
         )
     return hands
@@ -188,7 +217,7 @@ def measure_joints(given: GivenMechanism, motion: Motion) -> Mapping[str, float]
     return figures
 
 
-def _list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+def list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
     """Return the required clearances between hands and the mechanism [m]."""
     return tuple(
         (BodyRef.of_link(link), BodyRef("mechanism", joint.link), HANDLE_MARGIN)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import count, islice
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
 from costs.kinematics import locate_links
+from costs.scene import ConvexPiece, Scene
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.body.holds import POSITION, ROTATION, Hold, least_norm_step, linearize_holds
+from service.body.holds import POSITION, ROTATION, Hold, find_prescribed, least_norm_step, linearize_holds
+from service.body.inverse_kinematics import REACHED, draw_configurations, solve_holds
 from service.body.phases import (
     PhaseSolver,
     path_via,
@@ -24,12 +27,13 @@ from service.body.phases import (
     report_solutions,
     straight_path,
 )
-from service.body.sampling import Tree, resample_path
+from service.body.sampling import Tree, measure_length, resample_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
 from service.explain.goal import find_goal_reasons
 from service.request.schema import GoalRequest, PoseGoalRequest
+from service.start.standing import FLOOR_KIND
 from service.verify import Target
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
@@ -51,6 +55,21 @@ TREES = (
 )
 RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
 RANDOM_GUESSES = 8  # about half of them lead to a pose
+FIRST_DRAWS, FIRST_ENDS = 2, 3  # of random ends where no posture leads to the goal
+IK_DRAWS = 16  # batches of random configurations after which a goal counts as out of reach
+BATCH = 48  # random configurations that are led to the goal at once
+OVERLAPPING_TRIED = 6  # of those in collision, by batch
+ENDS_PER_ROUND = 3
+PLANNERS: tuple[Literal["RRTConnect", "LBKPIECE1"], ...] = ("RRTConnect", "LBKPIECE1", "RRTConnect")
+MOST_CHECKS = 40_000  # of one tree: some seconds
+SHRINK = (0.8, 0.6, 0.4)  # sizes of shrunken obstacles
+EXPLAIN_RESERVE_S, EXPLAIN_SHARE = 10.0, 0.2
+TIGHTENINGS = 3
+DENSER = 3  # times the waypoints of a path that was not solved
+LONG = 1.15  # length of a path, relative to the straight line, from which shortcuts are tried
+SHORTER = 0.97  # of the length before, from which another solve is worth it
+TIGHT = 4.5e-3  # clearance of a start or a goal below which a straight phase leads off it [m]
+RETREAT = 12e-3  # clearance at the end of that phase [m]
 SAME_END = 0.05  # largest difference of equal ends [rad, m]
 AIM = 0.5  # share of a pose's tolerance for the optimiser, the rest is for the curve and the certificate
 STEPS = 8  # of the projection from a waypoint onto the holds of the next
@@ -67,17 +86,58 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
         yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
         return
     search = _ReachSearch(solver, goal, n_waypoints, reasons.notes)
-    yield from report_solutions(islice(search.solutions(), solver.most_starts), search.make_plan)
+    solutions = islice(search.solutions(), solver.most_starts)
+    around = _leave_tight_ends(solver, goal, n_waypoints, reasons.notes)
+    if around is not None and solver.most_starts > 1:
+        yield from report_solutions(islice(solutions, 1), search.make_plan)
+        yield from report_solutions(islice(around.solutions(), solver.most_starts - 1), around.make_plan)
+        return
+    yield from report_solutions(solutions, search.make_plan)
+
+
+def _leave_tight_ends(
+    solver: PhaseSolver, goal: Goal, n_waypoints: int | None, notes: tuple[str, ...]
+) -> _ReachSearch | None:
+    """Return a search between configurations off a start and a goal that nearly touch; None where neither does.
+
+    A short straight phase leads from the start to the first, another one from the last to the goal.
+    """
+    body = solver.body
+    if body.robot.is_floating or body.kept:
+        return None
+    start, end = body.nominal, goal.apply_joints(body.nominal) if goal.is_complete else None
+    with solver.monitor.step("reach", 0.2):
+        first = solver.move_clear("retreat", start, RETREAT) if body.measure_nearest(start) < TIGHT else None
+        last = None
+        if end is not None and body.measure_nearest(end) < TIGHT:
+            last = solver.move_clear("approach", end, RETREAT)
+    if first is None and last is None:
+        return None
+    moved = body if first is None else replace(body, nominal=first)
+    inner = goal if last is None else replace(goal, joints=dict(enumerate(last.tolist())))
+    inner = replace(inner, body=moved)
+    own = replace(solver, body=moved)
+    return _ReachSearch(
+        own, inner, n_waypoints, notes, None if first is None else start, None if last is None else goal
+    )
 
 
 @dataclass(frozen=True)
 class _ReachSearch:
-    """Starts of one reach, the most promising first, solved on demand."""
+    """Starts of one reach, the most promising first, solved on demand.
+
+    Attributes:
+        notes: on the goal.
+        retreat_from: (n,) start of the robot, where the reach begins a little off it.
+        approach_to: goal of the request, where the reach ends a little off it.
+    """
 
     solver: PhaseSolver
     goal: Goal
     n_waypoints: int | None
     notes: tuple[str, ...] = ()
+    retreat_from: Float[np.ndarray, "n"] | None = None
+    approach_to: Goal | None = None
 
     def solutions(self) -> Iterator[tuple[str, Solved]]:
         """Yield solved starts by name, feasible or not; a near miss is followed by its restoration."""
@@ -98,12 +158,12 @@ class _ReachSearch:
             yield from self._lead_links()
             yield from self._to_random_postures()
             return
-        count = self._count_waypoints(end)
-        quick = self._solve(straight_path(start, end, count), **QUICK)
+        waypoints = self._count_waypoints(end)
+        quick = self._solve(straight_path(start, end, waypoints), **QUICK)
         yield "straight line", quick
         yield from self._around(end, TREES[0])
         if self.solver.body.kept:
-            line = self.solver.body.project_onto_holds(straight_path(start, end, count))
+            line = self.solver.body.project_onto_holds(straight_path(start, end, waypoints))
             yield "straight line along the kept poses", self._solve(line, **LEAD)
         yield from self._lead_links()
         for other, shortfall in ends:
@@ -113,21 +173,76 @@ class _ReachSearch:
         yield from self._around(end, TREES[1])
         yield from self._around(end, TREES[2])
         for name, posture in posture_guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self._solve(path_via(start, posture, end, count), **QUICK)
+            yield f"via posture '{name}'", self._solve(path_via(start, posture, end, waypoints), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
         for tree in TREES[3:]:
             yield from self._around(end, tree)
+        yield from self._search_on([end])
+
+    def _search_on(self, ends: list[Float[np.ndarray, "n"]]) -> Iterator[tuple[str, Solved]]:
+        """Yield attempts with more ends, larger trees and shrunken obstacles until little time is left.
+
+        Only for robots whose joints alone lead from the start to an end: on planted feet a tree cannot move the base.
+        """
+        solver, body = self.solver, self.solver.body
+        if body.robot.is_floating or body.kept:
+            return
+        limit = solver.monitor.time_limit_s
+        reserve = min(EXPLAIN_RESERVE_S, EXPLAIN_SHARE * limit)  # for the explanation of why nothing was found
+        checks = TREES[-1].most_checks
+        for number in count(len(TREES)):
+            if not self.goal.is_complete:
+                for end in islice(find_random_ends(solver, self.goal, ends, 1, number), ENDS_PER_ROUND):
+                    waypoints = self._count_waypoints(end)
+                    yield (
+                        "straight line to a random posture at the goal",
+                        self._solve(straight_path(body.nominal, end, waypoints), **QUICK),
+                    )
+                    yield from self._around(end, Tree(number, TREES[2].most_checks, "RRTConnect"))
+                    if solver.monitor.remaining_s() < reserve:
+                        return
+            end = ends[number % len(ends)]
+            yield from self._through_shrunken(end, Tree(number, TREES[3].most_checks), SHRINK[number % len(SHRINK)])
+            if solver.monitor.remaining_s() < reserve:
+                return
+            yield from self._around(end, Tree(number, checks, PLANNERS[number % len(PLANNERS)]))
+            if solver.monitor.remaining_s() < reserve:
+                return
+            checks = min(checks * 3 // 2, MOST_CHECKS)
+
+    def _through_shrunken(self, end: Float[np.ndarray, "n"], tree: Tree, share: float) -> Iterator[tuple[str, Solved]]:
+        """Yield the solve from a path among smaller obstacles, which the optimiser moves out of the true ones."""
+        body = self.solver.body
+        smaller = replace(body, scene=shrink_scene(body.scene, share))
+        with self.solver.monitor.step("sampling", 0.5):
+            corners = replace(self.solver, body=smaller).sample_corners(body.nominal, end, tree)
+        if corners is None:
+            return
+        solved = self._solve(resample_path(corners, max(self._count_waypoints(end), 2 * len(corners))), **SAMPLED)
+        if not solved.is_feasible and solved.shortfall < RESTORABLE:
+            solved = self.solver.restore_feasibility("reach", solved)
+        yield f"path among obstacles of {100.0 * share:.0f} % size, tree {tree.seed + 1}", solved
 
     def make_plan(self, name: str, solved: Solved) -> TaskPlan:
         """Return a solution as the task's plan."""
         is_pose = len(solved.x) == 1
         q = np.concatenate([self.solver.body.nominal[None], solved.x]) if is_pose else solved.x
         resolve = partial(_solve_again, self.solver)
-        phase = PlannedPhase("reach", q, solved.is_feasible, targets=self.goal.targets, resolve=resolve)
+        goal = self.goal if self.approach_to is None else self.approach_to
         stuck = Stuck.at("goal pose" if is_pose else "reach", solved)
-        return TaskPlan(self.solver.body, (phase,), stuck=stuck, found_from=name, notes=self.notes)
+        body, phases = self.solver.body, []
+        if self.retreat_from is not None:
+            body = replace(body, nominal=self.retreat_from)
+            phases.append(PlannedPhase("retreat", np.stack([self.retreat_from, q[0]]), True, is_tight=True))
+        phase = PlannedPhase("reach", q, solved.is_feasible, resolve=resolve)
+        if self.approach_to is None:
+            phases.append(replace(phase, targets=goal.targets))
+        else:
+            line = np.stack([q[-1], goal.apply_joints(q[-1])])
+            phases += [phase, PlannedPhase("approach", line, True, targets=goal.targets, is_tight=True)]
+        return TaskPlan(body, tuple(phases), stuck=stuck, found_from=name, notes=self.notes)
 
     def _count_waypoints(self, end: Float[np.ndarray, "n"]) -> int:
         """Return the number of waypoints to an end."""
@@ -145,22 +260,19 @@ class _ReachSearch:
         ends: list[np.ndarray] = []
         best: Solved | None = None
         for _, guess in posture_guesses(body):
-            solved = self._solve_at_goal(guess)
+            solved = _solve_at_goal(self.solver, goal, guess)
             if not solved.is_feasible:
                 best = solved if best is None or solved.shortfall < best.shortfall else best
-            elif all(np.abs(solved.x[0] - other).max() > SAME_END for other in ends):
+            elif _is_new(solved.x[0], ends):
                 ends.append(solved.x[0])
                 yield solved.x[0], None
+        if not ends:
+            for end in islice(find_random_ends(self.solver, goal, ends, FIRST_DRAWS), FIRST_ENDS):
+                yield end, None
         if not ends and best is not None:
             with self.solver.monitor.step("goal pose", 0.1):
                 last = self.solver.restore_feasibility("goal pose", best)
             yield last.x[0], None if last.is_feasible else last
-
-    def _solve_at_goal(self, guess: Float[np.ndarray, "n"]) -> Solved:
-        """Solve for a configuration at the goal from a guess."""
-        goal, brief = self.goal, self.solver.with_settings(**POSE)
-        with self.solver.monitor.step("goal pose", 0.1):
-            return brief.solve_pose("goal pose", [goal.apply_joints(guess)], goal.constraints(0), fixed=goal.joints)
 
     def _to_random_postures(self) -> Iterator[tuple[str, Solved]]:
         """Yield straight lines to configurations at the goal that random guesses about the start lead to."""
@@ -168,7 +280,7 @@ class _ReachSearch:
         if self.goal.is_complete:
             return
         for guess in random_guesses(body, RANDOM_GUESSES, self.solver.seed):
-            solved = self._solve_at_goal(guess)
+            solved = _solve_at_goal(self.solver, self.goal, guess)
             if solved.is_feasible:
                 end = solved.x[0]
                 line = straight_path(body.nominal, end, self._count_waypoints(end))
@@ -186,12 +298,39 @@ class _ReachSearch:
             corners = self.solver.sample_corners(self.solver.body.nominal, end, tree)
         if corners is None:
             return
-        path = resample_path(corners, max(self._count_waypoints(end), 2 * len(corners)))
-        solved = self._solve(path, **SAMPLED)
-        if not solved.is_feasible:
-            unchanged = self._solve(path, max_iterations=0)
-            solved = unchanged if unchanged.is_feasible else solved
+        waypoints = max(self._count_waypoints(end), 2 * len(corners))
+        solved = self._solve_sampled(resample_path(corners, waypoints))
+        if not solved.is_feasible and self.n_waypoints is None:
+            # The hull of a long step may contain what the step itself goes around.
+            denser = self._solve_sampled(resample_path(corners, DENSER * waypoints))
+            solved = denser if denser.is_feasible else solved
+        if solved.is_feasible:
+            solved = self._tighten(solved, tree)
         yield f"path of {tree.planner}, tree {tree.seed + 1}", solved
+
+    def _solve_sampled(self, path: Float[np.ndarray, "T n"]) -> Solved:
+        """Return the solve from a sampled path; the path itself where the solve fails and the path does not."""
+        solved = self._solve(path, **SAMPLED)
+        if solved.is_feasible:
+            return solved
+        unchanged = self._solve(path, max_iterations=0)
+        return unchanged if unchanged.is_feasible else solved
+
+    def _tighten(self, solved: Solved, tree: Tree) -> Solved:
+        """Return a shorter solution found from shortcuts between the waypoints, or the solution as it is."""
+        for attempt in range(TIGHTENINGS):
+            before = measure_length(solved.x)
+            if before <= LONG * np.linalg.norm(solved.x[-1] - solved.x[0]):
+                break
+            with self.solver.monitor.step("sampling", 0.5):
+                corners = self.solver.shorten_path(solved.x, tree.seed + attempt)
+            if measure_length(corners) > SHORTER * before:
+                break
+            shorter = self._solve(resample_path(corners, len(solved.x)), **SAMPLED)
+            if not shorter.is_feasible or measure_length(shorter.x) > SHORTER * before:
+                break
+            solved = shorter
+        return solved
 
     def _solve(self, q: Float[np.ndarray, "T n"], **settings: float) -> Solved:
         solver, goal = self.solver.with_settings(**settings), self.goal
@@ -201,6 +340,83 @@ class _ReachSearch:
             return solver.solve_trajectory(
                 "reach", [q], fixed, constraints=goal.constraints(last), bounds=goal.fix_joints
             )
+
+
+def find_goal_configurations(solver: PhaseSolver, goal: Goal) -> Iterator[Float[np.ndarray, "n"]]:
+    """Yield different feasible configurations at a goal, those from the robot's postures first.
+
+    Raises:
+        Interrupted: the time is up, or the plan was cancelled.
+    """
+    ends: list[np.ndarray] = []
+    for _, guess in posture_guesses(solver.body):
+        solved = _solve_at_goal(solver, goal, guess)
+        if solved.is_feasible and _is_new(solved.x[0], ends):
+            ends.append(solved.x[0])
+            yield solved.x[0]
+    yield from find_random_ends(solver, goal, ends, IK_DRAWS)
+
+
+def find_random_ends(
+    solver: PhaseSolver, goal: Goal, ends: list[Float[np.ndarray, "n"]], draws: int, seed: int = 0
+) -> Iterator[Float[np.ndarray, "n"]]:
+    """Yield feasible configurations at a goal other than ``ends``, to which they are appended.
+
+    Random configurations are led to the goal by damped least squares, all at once; those that arrive go through the
+    optimiser, clear ones first, then the nearest to the nominal posture.
+
+    Args:
+        draws: number of batches.
+        seed: of the draws, beside the solver's.
+    """
+    body = solver.body
+    fixed = find_prescribed(body.robot)
+    fixed[list(goal.joints)] = True
+    holds = (*body.holds(), *make_line_holds(goal, 1.0))
+    rng = np.random.default_rng([solver.seed, seed])
+    checker = body.make_pose_checker([])
+    for _ in range(draws):
+        with solver.monitor.step("goal pose", 0.1):
+            guesses = np.stack([goal.apply_joints(q) for q in draw_configurations(body, BATCH, rng)])
+            error = np.zeros(BATCH)
+            if holds:
+                guesses, error = solve_holds(body, guesses, holds, fixed)
+            arrived = guesses[error < REACHED]
+            is_clear = np.array([checker.are_clear(body.engine.place(q[None])) for q in arrived], dtype=bool)
+        far = np.abs(arrived - body.nominal).max(axis=1, initial=0.0)
+        order = np.lexsort((far, ~is_clear))
+        n_tried = 0
+        for row in order.tolist():
+            if not _is_new(arrived[row], ends) or (not is_clear[row] and n_tried >= OVERLAPPING_TRIED):
+                continue
+            n_tried += not is_clear[row]
+            solved = _solve_at_goal(solver, goal, arrived[row])
+            if solved.is_feasible and _is_new(solved.x[0], ends):
+                ends.append(solved.x[0])
+                yield solved.x[0]
+
+
+def _solve_at_goal(solver: PhaseSolver, goal: Goal, guess: Float[np.ndarray, "n"]) -> Solved:
+    """Solve for a configuration at a goal from a guess."""
+    brief = solver.with_settings(**POSE)
+    with solver.monitor.step("goal pose", 0.1):
+        return brief.solve_pose("goal pose", [goal.apply_joints(guess)], goal.constraints(0), fixed=goal.joints)
+
+
+def _is_new(q: Float[np.ndarray, "n"], ends: Sequence[Float[np.ndarray, "n"]]) -> bool:
+    return all(np.abs(q - other).max() > SAME_END for other in ends)
+
+
+def shrink_scene(scene: Scene, share: float) -> Scene:
+    """Return a scene whose pieces, floors aside, are smaller about their centres."""
+
+    def shrink(piece: ConvexPiece) -> ConvexPiece:
+        if piece.kind == FLOOR_KIND:
+            return piece
+        centre = 0.5 * (piece.lower + piece.upper)
+        return ConvexPiece(piece.name, centre + share * (piece.vertices - centre), piece.kind)
+
+    return Scene(tuple(shrink(piece) for piece in scene.pieces))
 
 
 def _solve_again(solver: PhaseSolver, q: Float[np.ndarray, "T n"]) -> Solved:

@@ -15,12 +15,14 @@ from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
 from service.demands.resume import Beginning, ResumedDemand, find_group, find_index, resume_phases
 from service.errors import RequestError
+from service.request.resume import ResumeRequest
 from service.tasks.handling import find_collisions
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 
 AT_PLACE = 5e-4  # of a hand that needs no phase that takes hold [m]
 MOST_OF_LINE = 0.9  # of a line on which the hand leaves, that it may have behind it
+N_RANDOM = 4  # configurations from which a pose is searched where the robot's postures lead to none
 NEAR, NEAR_TILT = 0.015, np.deg2rad(5.0)  # of a hand that takes hold again [m], and beyond its lean [rad]
 
 
@@ -52,6 +54,7 @@ def plan_rest(
     demand: ResumedDemand,
     specs: Sequence[PhaseSpec],
     measure: Callable[[Motion], Mapping[str, float]],
+    resume: ResumeRequest,
 ) -> TaskPlan:
     """Plan the rest of a task from the nominal configuration of the body.
 
@@ -60,6 +63,7 @@ def plan_rest(
         demand: what the rest of the task demands.
         specs: phases of the whole task, as the planner has them.
         measure: of the figures.
+        resume: the request for the rest, with the earlier motion.
 
     Raises:
         RequestError: the hand is nowhere near a place that it has to leave or to hold on to, or the start is in
@@ -67,7 +71,7 @@ def plan_rest(
     """
     body, start = solver.body, demand.mechanism.start
     index = find_index(specs, demand.phase)
-    begun = _shorten_line(body, specs[index])
+    begun, nominal = _shorten_line(body, specs[index]), _read_nominal(body, resume)
     beginnings = list(_choose_beginnings(body, specs, index, begun.hand))
     problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
@@ -78,13 +82,33 @@ def plan_rest(
         whole = specs if is_reach else [*specs[:index], begun, *specs[index + 1 :]]
         rest = resume_phases(whole, demand.phase, start, beginning)
         is_held = begun.hand is not None and not is_reach
-        planned = PhaseSequence(solver, demand.mechanism, rest, is_held).plan(body.nominal)
+        sequence = PhaseSequence(solver, demand.mechanism, rest, is_held, n_random=N_RANDOM, nominal=nominal)
+        planned = sequence.plan(body.nominal)
         if planned[1] is None:
             note = f"planned again from '{demand.phase}' on"
             return TaskPlan(body, planned[0], measure=measure, notes=(note,))
         if len(planned[0]) >= len(best[0]):
             best = planned
     return TaskPlan(body, best[0], stuck=best[1], measure=measure)
+
+
+def _read_nominal(body: WholeBody, resume: ResumeRequest) -> dict[str, Float[np.ndarray, "T n"]]:
+    """Return the waypoints of the earlier motion by name of the phase; none where its joints are others.
+
+    A joint that the earlier motion does not name stays where it is.
+    """
+    if resume.nominal is None:
+        return {}
+    names = list(body.robot.joint_names)
+    if not set(resume.nominal.joint_names) <= set(names):
+        return {}
+    columns = [names.index(name) for name in resume.nominal.joint_names]
+    phases = {}
+    for name, phase in resume.nominal.phases.items():
+        known = np.array(phase.positions).reshape(-1, len(columns))
+        phases[name] = np.tile(body.nominal, (len(known), 1))
+        phases[name][:, columns] = known
+    return phases
 
 
 def _choose_beginnings(

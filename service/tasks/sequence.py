@@ -9,7 +9,7 @@ anchor follow.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from types import MappingProxyType
 from typing import Any
@@ -26,14 +26,24 @@ from costs.terms import AxisDirection, FramePose, HeldTorque, NormWithin, Within
 from scopt import Constraint, Residual, Sense
 from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion, plan_regions
-from service.body.phases import POSE_EFFORT, PhaseSolver, path_via, posture_guesses, straight_path
+from service.body.phases import (
+    POSE_EFFORT,
+    REPAIR_EFFORT,
+    PhaseSolver,
+    path_via,
+    posture_guesses,
+    random_guesses,
+    straight_path,
+)
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, DEPTH_RESERVE, HandMotion, PhaseSpec, check_moves, find_rotation_onto
 from service.verify import HandLoad
 
+RESTORABLE = 20.0  # largest violation, relative to its tolerance, of a phase that is then solved for constraints alone
 QUICK_GUESSES = 2
 QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
+OTHER_POSE = 0.3  # least difference of a joint between two poses that are tried [rad]
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
 TORQUE_TOLERANCE = 0.01  # share of a joint's limit
 AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
@@ -57,6 +67,8 @@ class PhaseSequence:
         specs: the phases.
         is_held: whether they begin with the hand at its place: the first phases are then solved forwards.
         wants_reserve: whether to try first with a margin of balance for the servos.
+        n_random: random configurations from which an anchor's first pose is searched after the robot's postures.
+        nominal: (T, n) waypoints of an earlier motion by name of the phase, from which phases are solved first.
     """
 
     solver: PhaseSolver
@@ -64,9 +76,15 @@ class PhaseSequence:
     specs: tuple[PhaseSpec, ...]
     is_held: bool = False
     wants_reserve: bool = False
+    n_random: int = 0
+    nominal: Mapping[str, Float[np.ndarray, "T n"]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_moves(self.specs)
+
+    @property
+    def _compiler(self) -> _Compiler:
+        return _Compiler(self.solver, self.mechanism, self.nominal)
 
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan all phases from configuration ``at``; return those that were solved, and the step that was not.
@@ -96,10 +114,15 @@ class PhaseSequence:
             at = phases[-1].q[-1]
         return phases, None
 
-    def try_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]] = ()) -> Solved:
-        """Try with little effort whether a phase's first pose exists, whatever comes before it."""
-        compiler = _Compiler(self.solver, self.mechanism)
-        guesses = [*guesses, *compiler.list_guesses(self.solver.body.nominal)][:QUICK_GUESSES]
+    def try_pose(
+        self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]] = (), most: int = QUICK_GUESSES
+    ) -> Solved:
+        """Try with little effort whether a phase's first pose exists, whatever comes before it.
+
+        The given guesses come first, then the robot's postures; ``most`` guesses are tried.
+        """
+        compiler = self._compiler
+        guesses = [*guesses, *compiler.list_guesses(self.solver.body.nominal)][:most]
         light = compiler.solve_pose(step, replace(spec, torque_share=None), guesses, QUICK_EFFORT)
         if not light.is_feasible or compiler.is_strong_enough(spec, light.x):
             return light
@@ -112,7 +135,7 @@ class PhaseSequence:
 
         A rigid hand keeps the turn about its axis that it has when it begins.
         """
-        compiler, monitor = _Compiler(self.solver, self.mechanism), self.solver.monitor
+        compiler, monitor = self._compiler, self.solver.monitor
         phases: list[PlannedPhase] = []
         if specs[0].hand is None:
             free, *specs = specs
@@ -142,29 +165,26 @@ class PhaseSequence:
         self, group: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan a free phase and the held ones after it."""
-        compiler = _Compiler(self.solver, self.mechanism)
+        compiler = self._compiler
         monitor = self.solver.monitor
         free = [spec for spec in group if spec.hand is None]
         held = [spec for spec in group if spec.hand is not None]
         anchor_at = next(index for index, spec in enumerate(held) if spec.is_anchor)
         step = held[anchor_at].step or f"pose for '{held[anchor_at].name}'"
-        with monitor.step(step, 0.1):
-            pose = compiler.solve_pose(step, held[anchor_at], compiler.list_guesses(at))
-        if not pose.is_feasible:
-            return _stop_at(group[0].name, step, pose, np.stack([at, pose.x[0]]))
-        held = [spec.with_rotation(compiler.find_rotation(spec, pose.x[0])) for spec in held]
-        solved: dict[int, Solved] = {}
-        order = [anchor_at, *range(anchor_at - 1, -1, -1)]
-        for index in order:
-            spec = held[index]
-            with monitor.step(spec.name, 0.3):
-                if index == anchor_at:
-                    solved[index] = compiler.solve_held(spec, pose.x[0], is_anchor=True)
-                else:
-                    solved[index] = compiler.solve_held(spec, solved[index + 1].x[0], is_backwards=True)
-            if not solved[index].is_feasible:
-                made = np.concatenate([at[None], *(solved[k].x for k in sorted(solved))])
-                return _stop_at(spec.name, spec.name, solved[index], made)
+        stopped: tuple[tuple[PlannedPhase, ...], Stuck | None] | None = None
+        for pose in compiler.list_anchor_poses(step, held[anchor_at], at, self.n_random):
+            if not pose.is_feasible:
+                return _stop_at(group[0].name, step, pose, np.stack([at, pose.x[0]]))
+            turned = [spec.with_rotation(compiler.find_rotation(spec, pose.x[0])) for spec in held]
+            solved, failed = self._solve_back_from(turned, anchor_at, pose.x[0])
+            if failed is None:
+                break
+            made = np.concatenate([at[None], *(solved[k].x for k in sorted(solved))])
+            stopped = stopped or _stop_at(held[failed].name, held[failed].name, solved[failed], made)
+        else:
+            assert stopped is not None
+            return stopped
+        held = turned
         phases: list[PlannedPhase] = []
         for spec in free:
             with monitor.step(spec.name, 0.55):
@@ -180,6 +200,21 @@ class PhaseSequence:
             if not after.is_feasible:
                 return tuple(phases), Stuck(spec.name, after)
         return tuple(phases), None
+
+    def _solve_back_from(
+        self, held: Sequence[PhaseSpec], anchor_at: int, pose: Float[np.ndarray, "n"]
+    ) -> tuple[dict[int, Solved], int | None]:
+        """Return the solved anchor and phases before it by index, and the index of the one that failed."""
+        solved: dict[int, Solved] = {}
+        for index in range(anchor_at, -1, -1):
+            with self.solver.monitor.step(held[index].name, 0.3):
+                if index == anchor_at:
+                    solved[index] = self._compiler.solve_held(held[index], pose, is_anchor=True)
+                else:
+                    solved[index] = self._compiler.solve_held(held[index], solved[index + 1].x[0], is_backwards=True)
+            if not solved[index].is_feasible:
+                return solved, index
+        return solved, None
 
 
 def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:
@@ -220,6 +255,7 @@ class _Compiler:
 
     solver: PhaseSolver
     mechanism: Mechanism
+    nominal: Mapping[str, Float[np.ndarray, "T n"]]
 
     @property
     def robot(self) -> RobotModel:
@@ -230,9 +266,71 @@ class _Compiler:
         """(k,) coordinates of the mechanism."""
         return np.arange(self.robot.n - len(self.mechanism.joints), self.robot.n)
 
+    @property
+    def _repairer(self) -> _Compiler:
+        """Solves with the effort that a nominal motion needs."""
+        return replace(self, solver=self.solver.with_settings(**REPAIR_EFFORT))
+
+    def solve_anchor(self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> Solved:
+        """Solve for the first pose of an anchor: from the nominal one if there is one, from ``at``, from postures."""
+        nominal = self.resample_nominal(spec)
+        if nominal is not None:
+            repaired = self.solve_pose(step, replace(spec, guess_touches=()), [nominal[0]])
+            if repaired.is_feasible:
+                return repaired
+        return self.solve_pose(step, spec, self.list_guesses(at))
+
+    def list_anchor_poses(
+        self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"], n_random: int
+    ) -> Iterator[Solved]:
+        """Yield poses to begin an anchor with: that of :meth:`solve_anchor`, then different ones from random guesses.
+
+        Where none is found, the one that missed least is yielded.
+        """
+        monitor, found = self.solver.monitor, list[Float[np.ndarray, "n"]]()
+        best: Solved | None = None
+        for guess in (None, *random_guesses(self.solver.body, n_random, self.solver.seed)):
+            with monitor.step(step, 0.1):
+                pose = self.solve_anchor(step, spec, at) if guess is None else self.solve_pose(step, spec, [guess])
+            if not pose.is_feasible:
+                best = pose if best is None or pose.shortfall < best.shortfall else best
+            elif all(np.abs(pose.x[0] - other).max() > OTHER_POSE for other in found):
+                found.append(pose.x[0])
+                yield pose
+        if not found and best is not None:
+            yield best
+
     def list_guesses(self, at: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "n"]]:
         """Return configurations from which a pose is solved: ``at``, then the robot's postures."""
         return [at, *(guess for _, guess in posture_guesses(self.solver.body)[1:])]
+
+    def resample_nominal(
+        self, spec: PhaseSpec, ends: Mapping[int, Float[np.ndarray, "n"]] = MappingProxyType({})
+    ) -> Float[np.ndarray, "T n"] | None:
+        """Return the nominal waypoints of a phase, as many as it has now, or None.
+
+        Where the phase moves the mechanism they are where the mechanism is now; what they are off at the given ``ends``
+        (configuration by waypoint) is taken back along the phase.
+        """
+        known = self.nominal.get(spec.name)
+        if known is None:
+            return None
+        count = spec.n_waypoints
+        values, shares = spec.values(count), np.linspace(0.0, 1.0, count)
+        at, wanted = np.linspace(0.0, 1.0, len(known)), shares
+        if len(spec.moving):
+            column = int(spec.moving[0])
+            at, wanted = known[:, self.columns[column]], values[:, column]
+            if at[-1] < at[0]:
+                at, wanted = -at, -wanted
+        q = np.stack([np.interp(wanted, at, known[:, column]) for column in range(known.shape[1])], axis=1)
+        q[:, self.columns] = values
+        for name, joint_ends in spec.joints.items():
+            q[:, self.robot.joint_names.index(name)] = np.linspace(*joint_ends, count)
+        first, last = (ends[k] - q[k] if k in ends else np.zeros(q.shape[1]) for k in (0, count - 1))
+        if len(ends) == 1:  # the other end is free, and goes along
+            first, last = first + last, first + last
+        return np.asarray(q + (1.0 - shares)[:, None] * first + shares[:, None] * last)
 
     def solve_pose(
         self,
@@ -289,6 +387,13 @@ class _Compiler:
         """
         count = spec.n_waypoints
         values = spec.values(count)
+        fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
+        pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
+        nominal = self.resample_nominal(spec, fixed or {0: q})
+        if nominal is not None:
+            repaired = self._repairer._solve(spec, [nominal], fixed, values, self.find_regions(spec, values), pinned)
+            if repaired.is_feasible:
+                return repaired
         start = np.tile(q, (count, 1))
         start[:, self.columns] = values
         for name, rate in spec.guess_rates.items():
@@ -297,7 +402,6 @@ class _Compiler:
         for name, (first, last) in spec.joints.items():
             column = self.robot.joint_names.index(name)
             start[:, column] = np.linspace(first if is_anchor or is_backwards else q[column], last, count)
-        fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
         starts = [start]
         if spec.aims_at_end and not is_backwards:
             guesses = [np.concatenate([q[: self.columns[0]], spec.last])]
@@ -306,7 +410,6 @@ class _Compiler:
                 straight = straight_path(q, end.x[0], count)
                 straight[:, self.columns] = values
                 starts = [straight, start]
-        pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
         light = replace(spec, torque_share=None)
         if spec.guess_touches:  # what the hand passes between would push it to the wrong side of a poor guess
             loose = replace(light, touches=(*spec.touches, *spec.guess_touches))
@@ -334,6 +437,11 @@ class _Compiler:
     def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""
         count = spec.n_waypoints
+        nominal = self.resample_nominal(spec, {0: first, count - 1: last})
+        if nominal is not None:
+            repaired = self._repairer.solve_between(spec, [nominal])
+            if repaired.is_feasible:
+                return repaired
         starts = [straight_path(first, last, count)]
         for _, guess in posture_guesses(self.solver.body)[1:]:
             guess[self.columns] = first[self.columns]
@@ -367,7 +475,7 @@ class _Compiler:
             for column, value in pinned.items():
                 lower[0, column] = upper[0, column] = value
 
-        return self.solver.solve_trajectory(
+        solved = self.solver.solve_trajectory(
             spec.name,
             starts,
             fixed,
@@ -376,6 +484,9 @@ class _Compiler:
             bounds=narrow,
             regions=regions,
         )
+        if solved.is_feasible or solved.shortfall >= RESTORABLE:
+            return solved
+        return self.solver.restore_feasibility(spec.name, solved)
 
     def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
@@ -493,7 +604,7 @@ def find_turn_joint(body: WholeBody, tool: str) -> tuple[int, float]:
     """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
     robot = body.robot
     joint, pose_joint_tool = locate_frame(robot, tool)
-    column = int(robot.model.joints[joint].idx_v)
+    column = int(robot.model.joints[joint].idx_vExtended)
     kinematics = body.engine(np.zeros((1, robot.n)))
     turns = kinematics.jacobian[0, 3:, column]
     axis = kinematics.rotation[0, joint] @ pose_joint_tool[:3, :3] @ AXIS

@@ -26,6 +26,7 @@ from scopt import Settings
 from service.body.monitor import Interrupted, Monitor, OnProgress
 from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
+from service.demands.given_mechanism import read_given_mechanism
 from service.demands.hands import Hand
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
@@ -33,10 +34,11 @@ from service.request.schema import PlanRequest
 from service.setup.checks import check_start, find_soles
 from service.setup.prepare import PlanSetup, prepare
 from service.start.standing import FLOOR_KIND, place_bodies
-from service.tasks import door_task, valve_task
+from service.tasks import door_task, mechanism_task, valve_task
 from service.tasks.handling import FARTHER, find_collisions
 from service.tasks.stance_checks import (
     DoorStance,
+    MechanismStance,
     Outcome,
     StanceTask,
     ValveStance,
@@ -138,13 +140,13 @@ def find_stance(
     *,
     takes_first: bool = False,
 ) -> StanceSearch:
-    """Search for places to stand from which a request's door or valve can be moved farthest.
+    """Search for places to stand from which a request's door, valve or mechanism can be moved farthest.
 
     Nothing is planned: a place with the highest score has poses at the handle, on the leaf or at the rim, and the
     motions between them may still not exist.
 
     Args:
-        request: with ``task.door`` or ``task.valve``; its start is where the search begins.
+        request: with ``task.door``, ``task.valve`` or ``task.mechanism``; its start is where the search begins.
         limit_s: wall time for the whole search, perception included.
         radius_m: of the places searched about the start.
         on_progress: called with the name of the current step and the fraction that is done.
@@ -157,9 +159,10 @@ def find_stance(
         RequestError: another task, a robot with a fixed base or without hands, or a problem of the request.
     """
     task = request.task
-    if task is None or (task.door is None and task.valve is None):
+    if task is None or (task.door is None and task.valve is None and task.mechanism is None):
         raise RequestError(
-            "request: a place to stand is searched for tasks with a mechanism; expected task.door or task.valve"
+            "request: a place to stand is searched for tasks with a mechanism; expected task.door, task.valve or "
+            "task.mechanism"
         )
     if request.resume is not None:
         raise RequestError("resume: the robot stands where the motion was interrupted; leave it out")
@@ -210,8 +213,14 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
             return shut
         near = door_task.list_clearances(hands, door)
         return DoorStance.of(setup.robot, door, hands, target, near), (note,)
+    if task is not None and task.mechanism is not None:
+        given = read_given_mechanism(task.mechanism)
+        sides = mechanism_task.choose_hands(body, given)
+        near = mechanism_task.list_clearances(sides, given)
+        note = f"a mechanism of {len(given.mechanism.joints)} joint(s), held at {task.mechanism.handle.link}"
+        return MechanismStance(given, sides, near), (note,)
     if task is None or task.valve is None:
-        raise RequestError("request: expected task.door or task.valve")
+        raise RequestError("request: expected task.door, task.valve or task.mechanism")
     valve = valve_task.find_valve(setup, task.valve)
     if isinstance(valve, str):
         return valve
@@ -444,9 +453,8 @@ class _Examiner:
     def _score(self, outcome: Outcome, clearance: float) -> float:
         """Return the weighted mean of angle, balance, reach and clearance, each from 0 to 1."""
         options = self.setup.request.options
-        whole = abs(self.task.target - float(self.task.mechanism.start[0]))
         parts = (
-            outcome.reached / whole,
+            outcome.reached / self.task.whole,
             (outcome.balance_m - options.balance_margin_m) / ENOUGH_BALANCE_M,
             outcome.reach_m / ENOUGH_REACH_M,
             (clearance - options.margin_m) / ENOUGH_CLEARANCE_M,

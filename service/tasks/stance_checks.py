@@ -16,10 +16,11 @@ from costs.kinematics import locate_frame, locate_links
 from costs.robot import Mechanism, RobotModel
 from costs.static_region import StaticRegionError
 from service.body.loaded_regions import plan_regions
-from service.body.phases import PhaseSolver
+from service.body.phases import PhaseSolver, random_guesses
 from service.body.whole_body import WholeBody
 from service.demands.door import Door, DoorChoice, Push, make_door_phases
 from service.demands.door_demand import measure_peg
+from service.demands.given_mechanism import GivenMechanism, make_mechanism_phases, measure_travel
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import PhaseSpec
 from service.demands.strokes import TurnChoice, find_least_count, list_strokes, list_usable_entries
@@ -27,6 +28,7 @@ from service.demands.wheel import Wheel, make_wheel_mechanism
 from service.request.schema import ValveRequest
 from service.tasks.door import HAND_ROOM, LEAST_FIRST, PUSH_ALONG, PUSH_UP, list_choices
 from service.tasks.door_sweep import find_blocked_opening
+from service.tasks.mechanism_task import check_hold, find_blocked_move
 from service.tasks.sequence import PhaseSequence
 from service.tasks.valve import ValveTurn
 
@@ -34,6 +36,9 @@ DOOR_STEP = np.deg2rad(10.0)  # between the angles that are tried
 WHEEL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the turn at which a pose is tried
 MOST_PUSHES = 4  # places on the leaf that are tried, the nearest to a shoulder first
 MOST_TORQUE = 0.95  # share of a joint's torque at rest
+N_RANDOM = 4  # random configurations from which the first pose of a stroke is searched
+MOST_NEAR = 3  # poses of a stroke from which one that is missing is guessed
+MOVE_SHARES = (0.5, 1.0)  # of each move of a given mechanism at which a pose is tried
 MOST_ENTRIES = 2  # of a wheel, the nearest first
 
 
@@ -61,7 +66,8 @@ class Outcome:
     """How far a task gets from a stance, as far as single poses show.
 
     Attributes:
-        reached: of the mechanism's joint, from its start [rad].
+        reached: of the mechanism's first joint, from its start [rad]; for a given mechanism, share of the way that
+            its handle goes.
         poses: that exist, in the order of the motion.
         hold: hand and hold, in words.
         missing: the first pose that was not found, in words; empty where the task is done.
@@ -100,8 +106,12 @@ class StanceTask(Protocol):
         """Hands that may be used."""
 
     @property
-    def target(self) -> float:
-        """Value of the mechanism's first joint at the end [rad]."""
+    def whole(self) -> float:
+        """``Outcome.reached`` of the whole task."""
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether that is an angle [rad]; else a share."""
 
     @property
     def near(self) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
@@ -109,6 +119,9 @@ class StanceTask(Protocol):
 
     def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
         """Return the ways to do the task: for each the hands, and the places in the world that each holds [m]."""
+
+    def place_parts(self, *, is_end: bool) -> list[Float[np.ndarray, "V 3"]]:
+        """Return the vertices of the mechanism's bodies in the world, at the start or at the end [m]."""
 
     def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
         """Yield a sentence for each link that the mechanism would meet as the robot stands."""
@@ -172,6 +185,20 @@ class DoorStance:
                 first = ((hand, self._place(self._find_anchor(choice), (self.start, early))),) if at_handle else ()
                 ways.append((*first, on_leaf))
         return tuple(ways)
+
+    @property
+    def whole(self) -> float:
+        """Angle to open by [rad]."""
+        return self.target - self.start
+
+    @property
+    def is_angle(self) -> bool:
+        """Yes."""
+        return True
+
+    def place_parts(self, *, is_end: bool) -> list[Float[np.ndarray, "V 3"]]:
+        """Return leaf and handle, shut or ajar as at the start, or open."""
+        return place_turned(self.mechanism, self.target if is_end else float(self.mechanism.start[0]))
 
     def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
         """Yield a sentence for the planted link and the link of a leg that the leaf would meet."""
@@ -305,6 +332,20 @@ class ValveStance:
         rim = np.array([self.wheel.rim_point(angle) for angle in np.linspace(0.0, 2.0 * np.pi, 4, endpoint=False)])
         return tuple(((hand, rim),) for hand in self.hands)
 
+    @property
+    def whole(self) -> float:
+        """Size of the angle to turn by [rad]."""
+        return abs(self.target)
+
+    @property
+    def is_angle(self) -> bool:
+        """Yes."""
+        return True
+
+    def place_parts(self, *, is_end: bool) -> list[Float[np.ndarray, "V 3"]]:
+        """Return the wheel."""
+        return place_turned(self.mechanism, self.target if is_end else float(self.mechanism.start[0]))
+
     def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
         """Yield nothing: a wheel turns in its place."""
         yield from ()
@@ -336,23 +377,148 @@ class ValveStance:
         poses: list[HeldPose] = []
         missing: list[str] = []
         done = total = 0.0
-        for spec in turn.list_phases():
-            if spec.hand is None or spec.hand.leaves:
-                continue
-            for share in WHEEL_SHARES if spec.is_anchor else (0.0,):
-                value = spec.first + share * (spec.last - spec.first)
-                weight = abs(float(spec.last[0] - spec.first[0])) / len(WHEEL_SHARES) if spec.is_anchor else 0.0
-                pose = finder.find(replace(spec, first=value, fixed=spec.fixed if share == 0.0 else {}), poses)
-                total += weight
-                if pose is None:
-                    missing.append(f"{np.rad2deg(abs(float(value[0]))):.0f} deg")
-                    if not spec.is_anchor or self.request.mode == "grasp":
-                        return Outcome(done, tuple(poses), hold, f"no pose at {missing[0]} of the turn")
+        for stroke in _split_strokes(turn.list_phases()):
+            anchor = next(spec for spec in stroke if spec.is_anchor)
+            weight = abs(float(anchor.last[0] - anchor.first[0])) / len(WHEEL_SHARES)
+            values = [anchor.first + share * (anchor.last - anchor.first) for share in WHEEL_SHARES]
+            before = {spec.name: finder.find(spec, poses) for spec in stroke[: stroke.index(anchor)]}
+            known = [*poses, *(pose for pose in before.values() if pose is not None)]
+            held = self._follow(finder, [replace(anchor, first=value) for value in values], known)
+            total += weight * len(held)
+            done += weight * sum(pose is not None for pose in held)
+            missing += [
+                f"{np.rad2deg(abs(float(value[0]))):.0f} deg"
+                for value, pose in zip(values, held, strict=True)
+                if pose is None
+            ]
+            found = [pose for pose in held if pose is not None]
+            if missing and self.request.mode == "grasp":
+                return Outcome(done, (*poses, *found), hold, f"no pose at {missing[0]} of the turn")
+            for spec in stroke:
+                begun = held[0]
+                if spec is anchor or begun is None:
                     continue
+                pose = before.get(spec.name) or finder.find(spec, (begun,))
+                if pose is None:
+                    words = f"no pose before the hold at {np.rad2deg(abs(float(spec.first[0]))):.0f} deg of the turn"
+                    return Outcome(0.0, (*poses, *found), hold, words)
                 poses.append(pose)
-                done += weight
+            poses += found
         words = f"no pose at {', '.join(missing)} of the turn" if missing else ""
         return Outcome(abs(self.target) * (done / total), tuple(poses), hold, words)
+
+    def _follow(
+        self, finder: _PoseFinder, specs: Sequence[PhaseSpec], before: Sequence[HeldPose]
+    ) -> list[HeldPose | None]:
+        """Return poses along a stroke, each guessed from its neighbour; None where there is none.
+
+        Where the first is not found from the poses before, random configurations are guessed as well.
+        """
+        held: list[HeldPose | None] = []
+        known = list(before)
+        for spec in specs:
+            pose = finder.find(spec, known, 0 if any(held) else N_RANDOM)
+            held.append(pose)
+            known += [] if pose is None else [pose]
+        for index in range(len(specs) - 1, -1, -1):  # what was not found forwards may be found backwards, or from afar
+            near = sorted((abs(index - at), at) for at, pose in enumerate(held) if pose is not None)
+            for _, at in [] if held[index] is not None else near[:MOST_NEAR]:
+                held[index] = held[index] or finder.find(specs[index], [pose for pose in held[at : at + 1] if pose])
+        return held
+
+
+def _split_strokes(specs: Sequence[PhaseSpec]) -> list[list[PhaseSpec]]:
+    """Return the phases of each stroke in which the hand holds the wheel and does not leave."""
+    strokes: list[list[PhaseSpec]] = []
+    for spec in specs:
+        if spec.hand is None:
+            strokes.append([])
+        elif not spec.hand.leaves:
+            strokes[-1].append(spec)
+    return strokes
+
+
+@dataclass(frozen=True)
+class MechanismStance:
+    """A given mechanism to move.
+
+    Attributes:
+        given: the mechanism and the task.
+        hands: that may be used.
+        near: required clearances between hands and mechanism [m].
+    """
+
+    given: GivenMechanism
+    hands: tuple[Hand, ...]
+    near: tuple[tuple[BodyRef, BodyRef, float], ...]
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The joints of the URDF."""
+        return self.given.mechanism
+
+    @property
+    def whole(self) -> float:
+        """All of the way."""
+        return 1.0
+
+    @property
+    def is_angle(self) -> bool:
+        """No: several joints may move."""
+        return False
+
+    def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
+        """Return the ways: either hand, at the handle before and after every move."""
+        specs = [spec for spec in make_mechanism_phases(self.given, self.hands[0]) if spec.moving]
+        places = []
+        for values in (specs[0].first, *(spec.last for spec in specs)):
+            pose = self.given.locate(self.given.handle.joint, values)
+            places.append(pose[:3, :3] @ self.given.handle.place + pose[:3, 3])
+        return tuple(((hand, np.array(places)),) for hand in self.hands)
+
+    def place_parts(self, *, is_end: bool) -> list[Float[np.ndarray, "V 3"]]:
+        """Return the bodies that joints move."""
+        last = make_mechanism_phases(self.given, self.hands[0])[-1].last
+        return self.given.place_moving(last if is_end else self.mechanism.start)
+
+    def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
+        """Yield a sentence for the planted link that the mechanism would meet."""
+        blocked = find_blocked_move(body, self.given)
+        yield from () if blocked is None else blocked.obstacle
+
+    def try_stance(self, solver: PhaseSolver) -> Outcome:
+        """Return the largest part of the moves for which poses exist, with the better hand.
+
+        Raises:
+            RequestError: a hand does not touch what it is to hold.
+        """
+        check_hold(solver, self.hands, self.given)
+        outcomes = []
+        for hand in self.hands:
+            outcomes.append(self._try_hand(_PoseFinder(solver, self.mechanism), hand))
+            if not outcomes[-1].missing:
+                break
+        return max(outcomes, key=lambda outcome: outcome.reached)
+
+    def _try_hand(self, finder: _PoseFinder, hand: Hand) -> Outcome:
+        hold = f"{hand.side} hand at {self.given.request.handle.link}"
+        specs = make_mechanism_phases(self.given, hand)
+        moves = [spec for spec in specs if spec.moving]
+        travels = [measure_travel(self.given, spec.first, spec.last) for spec in moves]
+        first = finder.find(moves[0], (), N_RANDOM)
+        before = None if first is None else finder.find(specs[1], (first,))
+        if first is None or before is None:
+            return Outcome(0.0, () if first is None else (first,), hold, "pose at the handle: no pose")
+        poses, done = [before, first], 0.0
+        for spec, travel in zip(moves, travels, strict=True):
+            for share in MOVE_SHARES:
+                pose = finder.find(replace(spec, first=spec.first + share * (spec.last - spec.first)), poses)
+                if pose is None:
+                    words = f"no pose in '{spec.name}' at {100.0 * share:.0f} % of its way"
+                    return Outcome(done / sum(travels), tuple(poses), hold, words)
+                poses.append(pose)
+                done += travel / len(MOVE_SHARES)
+        return Outcome(1.0, tuple(poses), hold, "")
 
 
 @dataclass(frozen=True)
@@ -362,12 +528,18 @@ class _PoseFinder:
     solver: PhaseSolver
     mechanism: Mechanism
 
-    def find(self, spec: PhaseSpec, before: Sequence[HeldPose]) -> HeldPose | None:
-        """Return the first pose of a phase, guessed from those before; None if none that is strong enough was found."""
+    def find(self, spec: PhaseSpec, before: Sequence[HeldPose], n_random: int = 0) -> HeldPose | None:
+        """Return the first pose of a phase, guessed from those before; None if none that is strong enough was found.
+
+        Random configurations are guessed where that and the robot's postures lead to none.
+        """
         sequence = PhaseSequence(self.solver, self.mechanism, (spec,))
         guesses = [pose.q for pose in before[-1:]]
         try:
             solved = sequence.try_pose(spec.name, spec, guesses)
+            if not solved.is_feasible and n_random:
+                guesses = random_guesses(self.solver.body, n_random, self.solver.seed)
+                solved = sequence.try_pose(spec.name, spec, guesses, n_random)
             if not solved.is_feasible:
                 return None
             q = solved.x[0]
@@ -401,6 +573,17 @@ class _PoseFinder:
         shoulder = find_shoulder(robot, q, used)
         tool = locate_links(self.solver.body.engine, q, [hand.tool])[hand.tool][:3, 3]
         return measure_arm(robot, used, hand.tool) - float(np.linalg.norm(tool - shoulder))
+
+
+def place_turned(mechanism: Mechanism, value: float) -> list[Float[np.ndarray, "V 3"]]:
+    """Return the vertices of a mechanism's bodies in the world, its first joint, a revolute one, at a value [m]."""
+    joint = mechanism.joints[0]
+    turn = Rotation.from_rotvec(value * joint.axis / np.linalg.norm(joint.axis))
+    return [
+        turn.apply(points - joint.origin) + joint.origin
+        for moved in mechanism.joints
+        for points in moved.bodies.values()
+    ]
 
 
 def place_on_joint(mechanism: Mechanism, spec: PhaseSpec, values: Sequence[float]) -> Float[np.ndarray, "P 3"]:

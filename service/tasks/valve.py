@@ -34,6 +34,7 @@ class ValveTurn:
         wheel, request: the wheel and the task.
         choice: the choices.
         reach_waypoints: of the phases that reach for the wheel.
+        n_random: random configurations from which the first pose at the wheel is searched after the robot's postures.
     """
 
     solver: PhaseSolver
@@ -41,6 +42,7 @@ class ValveTurn:
     request: ValveRequest
     choice: TurnChoice
     reach_waypoints: int = REACH_WAYPOINTS
+    n_random: int = 0
 
     @property
     def robot(self) -> RobotModel:
@@ -51,7 +53,7 @@ class ValveTurn:
         """Plan all strokes in order, each backwards from its turn."""
         body, choice = self.solver.body, self.choice
         mechanism = make_wheel_mechanism(self.wheel, float(np.deg2rad(self.request.turn_deg)))
-        sequence = PhaseSequence(self.solver, mechanism, self.list_phases())
+        sequence = PhaseSequence(self.solver, mechanism, self.list_phases(), n_random=self.n_random)
         phases, stuck = sequence.plan(body.nominal)
         angle = f"{np.rad2deg(choice.entry):.0f} deg"
         note = f"{choice.hand.side} hand in {self.request.mode} mode, {self._describe_place()} at {angle}"

@@ -53,7 +53,9 @@ HOOK_MARGIN = 5e-3  # between the hand and the wheel it reaches into [m]
 LEAST_PEG = 0.06  # length of the free peg that reaches through a wheel [m]
 MOST_PLANS = 4  # that are made into motions
 MORE_STROKES = (1, 2, 3)  # times the least number of strokes, tried in turn
+MOST_RETRIED = 4  # choices that are tried with more poses
 MOST_ENTRIES = 3  # tried with each hand, the nearest first
+N_RANDOM = 4  # configurations from which the first pose at a wheel is searched where the robot's postures lead to none
 SHIFTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # of the pelvis [m]
 ANGLES = np.deg2rad([0.0, 120.0, 240.0])  # of the rim that must be in reach after a shift
 # A solvable shift takes few steps.
@@ -267,19 +269,26 @@ def _list_turns(
     collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
         raise RequestError(collisions)
-    best: TaskPlan | None = None
+    choices = list(list_choices(solver.body, wheel, hands, request))
+    failed: list[tuple[TaskPlan, TurnChoice]] = []
     n_feasible = 0
-    for choice in list_choices(solver.body, wheel, hands, request):
-        plan = ValveTurn(solver, wheel, request, choice, reach_waypoints).plan()
-        if plan.is_feasible:
-            n_feasible += 1
-            yield plan
-        elif best is None or len(plan.phases) > len(best.phases):
-            best = plan
-        if n_feasible == MOST_PLANS:
+    # A lever has a single place to hold. More poses are for a wheel that none turns, where a choice got farthest first.
+    for n_random in (N_RANDOM,) if wheel.is_lever else (0, N_RANDOM):
+        for choice in choices:
+            plan = ValveTurn(solver, wheel, request, choice, reach_waypoints, n_random).plan()
+            if plan.is_feasible:
+                n_feasible += 1
+                yield plan
+            else:
+                failed.append((plan, choice))
+            if n_feasible == MOST_PLANS:
+                return
+        if n_feasible:
             return
-    if not n_feasible and best is not None:
-        yield best
+        failed.sort(key=lambda tried: -len(tried[0].phases))
+        choices = [choice for _, choice in failed[:MOST_RETRIED]]
+    if failed:
+        yield failed[0][0]
 
 
 def list_choices(body: WholeBody, wheel: Wheel, hands: Sequence[Hand], request: ValveRequest) -> Iterator[TurnChoice]:
@@ -326,7 +335,7 @@ def _plan_rest(
     rest, choice = resume_valve(demand, resume), read_kept_choice(demand, resume)
     solver = _add_wheel(solver, rest.mechanism, [choice.hand])
     turning = ValveTurn(solver, wheel, request, choice, reach_waypoints)
-    return plan_rest(solver, rest, turning.list_phases(), turning.measure)
+    return plan_rest(solver, rest, turning.list_phases(), turning.measure, resume)
 
 
 def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:

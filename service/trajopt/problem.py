@@ -29,6 +29,7 @@ class BasicInfo:
         fixed_dofs: degrees of freedom (indices into ``manip``'s) that keep their start value.
         fixed_steps: waypoints that keep their value of ``init_info``.
         fixed_dofs_key: key of ``fixed_dofs`` in the file.
+        is_step_fixed: whether the file lists the first waypoint among the fixed ones.
     """
 
     n_steps: int
@@ -38,6 +39,7 @@ class BasicInfo:
     fixed_dofs: tuple[int, ...] = ()
     fixed_steps: tuple[int, ...] = ()
     fixed_dofs_key: str = "dofs_fixed"
+    is_step_fixed: bool = False
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from service.trajopt.json_fields import Fields
-from service.trajopt.problem import BasicInfo, InitInfo, OptInfo, ProblemFile, Term
+from service.trajopt.problem import (
+    ZEROS,
+    BasicInfo,
+    CollisionTerm,
+    FootHeightTerm,
+    InitInfo,
+    JointTerm,
+    OptInfo,
+    PoseTerm,
+    ProblemFile,
+    Term,
+    ZmpTerm,
+)
 from service.trajopt.terms_reader import read_term
 
 MOST_STEPS = 500
+IK_STEPS = 8  # waypoints of the way to the configuration of a problem with one step
+WAY_WEIGHT = (1e-3,)  # of the displacement on that way
 UNKNOWN_STEPS = 10**9  # replaces an invalid number of waypoints: then no step is out of range
 INIT_KINDS: Mapping[str, Literal["stationary", "straight_line", "given_traj"]] = {
     "stationary": "stationary",
@@ -66,7 +80,43 @@ def read_problem(document: object) -> Reading:
                 terms.append(term)
     root.close()
     problem = ProblemFile(basic, init, opt, tuple(terms), tuple(notes)) if is_sound else None
+    if problem is not None and n_steps == 1:
+        problem = _lead_to_configuration(problem, findings)
     return Reading(problem, tuple(findings))
+
+
+def _lead_to_configuration(problem: ProblemFile, findings: list[str]) -> ProblemFile:
+    """Return a problem whose motion leads from the robot's start to the configuration of a problem with one step.
+
+    The file's configuration is the last waypoint: its terms hold there, and its initial value is only a guess.
+    """
+    basic, init = problem.basic, problem.init
+    if basic.fixed_steps or basic.is_step_fixed:
+        findings.append("basic_info.fixed_timesteps: n_steps is 1, and its only waypoint is fixed; leave it out")
+    last = IK_STEPS - 1
+    if init.data:
+        init = replace(init, kind="straight_line", endpoint=init.data[0], data=())
+    way = JointTerm("basic_info.n_steps", "way", True, 1, ZEROS[:1], WAY_WEIGHT, ZEROS[:1], ZEROS[:1], 0, last)
+    note = (
+        "basic_info: n_steps is 1, which is inverse kinematics; the motion leads from the start to the configuration, "
+        "at which all terms hold"
+    )
+    return replace(
+        problem,
+        basic=replace(basic, n_steps=IK_STEPS, is_start_fixed=True),
+        init=init,
+        terms=(*(_move_term(term, last) for term in problem.terms), way),
+        notes=(*problem.notes, note),
+    )
+
+
+def _move_term(term: Term, step: int) -> Term:
+    """Return a term of the only step at another one."""
+    if isinstance(term, PoseTerm | ZmpTerm | FootHeightTerm):
+        return replace(term, step=step)
+    if isinstance(term, JointTerm | CollisionTerm):
+        return replace(term, first=step, last=step)
+    return term
 
 
 def read_robot_name(document: Mapping[str, Any]) -> str:
@@ -77,7 +127,7 @@ def read_robot_name(document: Mapping[str, Any]) -> str:
 
 
 def _basic_info(fields: Fields, notes: list[str]) -> BasicInfo:
-    n_steps = fields.whole("n_steps", least=2, most=MOST_STEPS)
+    n_steps = fields.whole("n_steps", least=1, most=MOST_STEPS)
     manip = fields.text("manip")
     steps = fields.wholes("fixed_timesteps", 0, n_steps - 1)
     # A file that lists its fixed waypoints fixes the first one only if it is among them.
@@ -91,7 +141,8 @@ def _basic_info(fields: Fields, notes: list[str]) -> BasicInfo:
     _time(fields, notes)
     fields.close()
     is_start_fixed = is_start_fixed or 0 in steps
-    return BasicInfo(n_steps, manip, is_start_fixed, robot, dofs, tuple(sorted(set(steps) - {0})), dofs_key)
+    others = tuple(sorted(set(steps) - {0}))
+    return BasicInfo(n_steps, manip, is_start_fixed, robot, dofs, others, dofs_key, is_step_fixed=0 in steps)
 
 
 def _time(fields: Fields, notes: list[str]) -> None:

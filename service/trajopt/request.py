@@ -33,6 +33,8 @@ class TrajoptFiles:
         scene: file with the content of a request's ``scene``.
         start: file with the content of a request's ``start``.
         time_limit_s: limit of the whole plan.
+        is_timed: whether the motion gets a time law; otherwise the path alone is planned and certified.
+        checks_torque: whether joint torques are checked.
     """
 
     robot: str | None = None
@@ -42,6 +44,8 @@ class TrajoptFiles:
     scene: Path | None = None
     start: Path | None = None
     time_limit_s: float = 60.0
+    is_timed: bool = True
+    checks_torque: bool = True
 
 
 def load_trajopt_request(problem: Path, files: TrajoptFiles) -> PlanRequest:
@@ -56,7 +60,7 @@ def load_trajopt_request(problem: Path, files: TrajoptFiles) -> PlanRequest:
             "robot": _make_robot_section(files, read_robot_name(document), problem.parent),
             "task": {"trajopt": document},
             # TrajOpt's balance constraint has no margin.
-            "options": {"time_limit_s": files.time_limit_s, "balance_margin_m": 0.0},
+            "options": {"time_limit_s": files.time_limit_s, "balance_margin_m": 0.0, "timed": files.is_timed},
         },
         problem.parent if files.scene is None else files.scene.parent,
     )
@@ -72,7 +76,9 @@ def _make_robot_section(files: TrajoptFiles, problem_robot: str, folder: Path) -
     robot, source = (problem_robot, "basic_info.robot") if files.robot is None else (files.robot, "--robot")
     if not robot:
         raise RequestError(f"--robot is missing: expected a bundled robot ({', '.join(bundled_robots())}) or a URDF")
-    root = {} if files.is_floating is None else {"root": "floating" if files.is_floating else "fixed"}
+    root: dict[str, Any] = {} if files.is_floating is None else {"root": "floating" if files.is_floating else "fixed"}
+    if not files.checks_torque:
+        root["torque"] = {"check": False}
     if robot in bundled_robots():
         if files.srdf is not None or files.package_root is not None:
             raise RequestError(f"--srdf and --package-root go with a URDF; {robot} brings its own")

@@ -77,7 +77,9 @@ def read_term(fields: Fields, is_cost: bool, n_steps: int, rate: float, notes: l
         return None
     if is_cost and kind in CONSTRAINTS_ONLY:
         fields.refuse(fields.at("type"), f"{kind} is a constraint only; list it under constraints")
-    if uses_time and kind != "joint_vel":
+    if uses_time and kind in ("joint", "joint_pos"):
+        notes.append(f"{fields.path}.use_time: positions do not depend on time; without effect")
+    elif uses_time and kind != "joint_vel":
         fields.refuse(fields.at("use_time"), f"{kind} does not use time; only joint_vel does")
     head = TermHead((fields.path, name, is_cost), n_steps, rate if uses_time else 1.0, notes)
     params = fields.section("params")
@@ -216,6 +218,10 @@ def _cart_vel(head: TermHead, params: Fields) -> Term:
 
 
 def _collision(head: TermHead, params: Fields) -> Term:
+    return _read_collision(head, params)
+
+
+def _read_collision(head: TermHead, params: Fields) -> CollisionTerm:
     first, last = _range(head, params)
     count = last - first + 1
     if params.first_of("continuous", "evaluator_type") == "evaluator_type":
@@ -237,6 +243,11 @@ def _collision(head: TermHead, params: Fields) -> Term:
         dist_pen=_per_step(params, "dist_pen", count),
         pairs=tuple(_collision_pair(pair, count) for pair in params.sections("pairs")),
     )
+
+
+def _continuous_collision(head: TermHead, params: Fields) -> Term:
+    """Read the original's term of motions between waypoints, which has no key to say so."""
+    return replace(_read_collision(head, params), is_swept=head.n_steps > 1)
 
 
 def _collision_pair(fields: Fields, count: int) -> CollisionPair:
@@ -317,6 +328,7 @@ READERS: Mapping[str, Reader] = {
     "joint_vel_limits": _joint_vel_limits,
     "cart_vel": _cart_vel,
     "collision": _collision,
+    "continuous_collision": _continuous_collision,
     "zmp": _zmp,
     "foot_height": _foot_height,
 }

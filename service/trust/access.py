@@ -49,7 +49,7 @@ class AccessInterceptor(Interceptor):
             Refusal: the call is not accepted.
         """
         peer = peer_key(context.peer())
-        caller = Caller(None, peer) if method in OPEN_TO_ALL else self._identify(context, peer)
+        caller = Caller(None, peer, context.peer()) if method in OPEN_TO_ALL else self._identify(context, peer)
         set_caller(caller)  # for this call alone, since gRPC answers each call in a task of its own
         _raise_if(self._limiter.request(caller.key))
         if caller.identity is not None:
@@ -66,7 +66,7 @@ class AccessInterceptor(Interceptor):
             _raise_if(self._limiter.request(peer))
             raise
         # Anonymous callers share the name LOCAL, but not its limits.
-        return Caller(identity, peer if identity is LOCAL else identity.name)
+        return Caller(identity, peer if identity is LOCAL else identity.name, context.peer())
 
 
 def authenticate(

@@ -32,15 +32,22 @@ class Caller:
     Attributes:
         identity: None for calls that need none.
         key: key of its limits: the identity's name, or the peer's address.
+        connection: address and port of the peer.
     """
 
     identity: Identity | None
     key: str
+    connection: str = ""
 
     @property
     def name(self) -> str:
         """Name of the identity; the key without one."""
         return self.key if self.identity is None else self.identity.name
+
+    @property
+    def owner(self) -> str:
+        """Whose work it is, among which workers are shared: the identity's, or without tokens the connection's."""
+        return (self.connection or self.key) if self.identity in (None, LOCAL) else self.name
 
 
 # Identity of every caller of a server without tokens.

@@ -24,7 +24,7 @@ def find_listen_problems(address: str, tls: TlsFiles | None, tokens: Tokens | No
         tokens: known clients.
     """
     if address.startswith(UNIX):
-        return _find_socket_problems(address)
+        return find_socket_problems(address.removeprefix(UNIX))
     match = _ADDRESS.fullmatch(address)
     if match is None or int(match["port"]) > 65535:
         return [f"--listen {shown(address)}: expected HOST:PORT, [IPV6]:PORT or unix:PATH"]
@@ -57,17 +57,17 @@ def is_loopback(host: str) -> bool:
     return (mapped or address).is_loopback
 
 
-def _find_socket_problems(address: str) -> list[str]:
-    """Return the problems of ``unix:PATH``; gRPC itself would take the path over from another server."""
-    path = address.removeprefix(UNIX)
-    if not path:
+def find_socket_problems(path: Path | str) -> list[str]:
+    """Return the problems of ``--listen unix:PATH``; gRPC itself would take the path over from another server."""
+    address = f"{UNIX}{path}"
+    if not str(path):
         return ["--listen unix: expected a path"]
     if not Path(path).parent.is_dir():
         return [f"--listen {address}: {Path(path).parent} is no folder"]
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
             probe.settimeout(1.0)
-            probe.connect(path)
+            probe.connect(str(path))
     except (FileNotFoundError, ConnectionRefusedError):  # no file, or that of a server that was killed
         return []
     except OSError as error:

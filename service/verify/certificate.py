@@ -274,10 +274,23 @@ class Certificate:
         return tuple(check for check in self.checks if not check.ok)
 
     def fails_by_description(self) -> bool:
-        """Return whether only the robot's file or the request rules out a certificate, not the motion."""
+        """Return whether only the robot's file or the request rules out a certificate, not the motion.
+
+        Links that are left out and overlap most at the start do so in every motion from there.
+        """
         open_checks = [check for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN]
         kinds = ("coverage.shape.", "coverage.pairs", "coverage.missing.")
-        return bool(open_checks) and all(check.name.startswith(kinds) for check in open_checks)
+
+        def is_described(check: Check) -> bool:
+            starts_inside = check.where is not None and check.where.s == 0.0
+            return check.name.startswith(kinds) or (check.name.startswith("coverage.overlap.") and starts_inside)
+
+        return bool(open_checks) and all(is_described(check) for check in open_checks)
+
+    def list_uncovered(self) -> frozenset[str]:
+        """Return the names of the open checks if all are about what the certificate covers; else nothing."""
+        names = {check.name for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN}
+        return frozenset(names if all(name.startswith("coverage.") for name in names) else ())
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data; NaN and infinity become None."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from costs.curve import Curve
+from costs.curve import Curve, differentiate
 from service.verify.motion import VerifyError
+from service.verify.polynomials import bound_range, bound_size, restrict
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,13 @@ class Rates:
 def _derivative_bounds(
     coefficients: Float[np.ndarray, "4 I n"], low: Float[np.ndarray, "I"], high: Float[np.ndarray, "I"]
 ) -> tuple[Float[np.ndarray, "I n"], Float[np.ndarray, "I n"]]:
-    """Bound ``|q'|`` (ends and vertex of a parabola) and ``|q''|`` (ends of a line) for local parameters."""
+    """Bound ``|q'|`` (ends and vertex of a parabola) and ``|q''|`` (ends of a line) for local parameters.
+
+    Polynomials of higher degree are bounded by the coefficients of their Bernstein form.
+    """
+    if len(coefficients) > 4:
+        inside = restrict(coefficients, low, high)
+        return bound_size(differentiate(inside), high - low), bound_size(differentiate(inside, 2), high - low)
     _, c1, c2, c3 = coefficients
     u0, u1 = low[:, None], high[:, None]
 
@@ -105,7 +112,12 @@ def _inside(
 
 
 def position_range(curve: Curve) -> tuple[Float[np.ndarray, "K-1 n"], Float[np.ndarray, "K-1 n"]]:
-    """Return the exact smallest and largest value of every coordinate on every knot interval."""
+    """Return the smallest and largest value of every coordinate on every knot interval.
+
+    They are exact for cubics, and outer bounds within a relative 1e-10 for polynomials of higher degree.
+    """
+    if len(curve.coefficients()) > 4:
+        return bound_range(curve.coefficients(), np.diff(curve.knots))
     c0, c1, c2, c3 = curve.coefficients()
     h = np.diff(curve.knots)[:, None]
     zero = np.zeros_like(h)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -58,7 +58,7 @@ class FramePath:
         placed = points @ pose_joint_frame.rotation.T + pose_joint_frame.translation
         chain = prepared.tree.chain(holder, joint, placed)
         reach = np.where(chain.is_revolute, 1.0, 0.0)
-        turning = Chain(chain.coordinates, chain.joints, chain.is_revolute, reach, chain.base_rotations)
+        turning = replace(chain, reach=reach)
         rotation = np.array(pose_joint_frame.rotation)
         return FramePath(prepared, joint, placed, rotation, holder, pose_holder_reference, chain, turning, rounding)
 

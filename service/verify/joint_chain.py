@@ -7,7 +7,8 @@ On an interval of length ``h`` with ``|dq_i/ds| <= a_i`` and ``|d2q_i/ds2| <= b_
 of the chord between its end positions, since a path leaves its chord by at most ``h^2/8 max|p''|``.  ``r_i`` bounds
 ``|dp/dq_i|``: the distance from joint i's origin to the body's farthest point for a revolute joint, 1 for a prismatic
 one.  ``w_ij = |d2p/dq_i dq_j|`` is bounded by ``r`` of the more distal of the two if the more proximal is revolute and
-vanishes if it is prismatic.
+vanishes if it is prismatic.  A joint that follows a coordinate (``mimic``: angle = ratio * q + offset) is a joint of
+its own here, whose rates are those of its coordinate times the ratio.
 """
 
 from __future__ import annotations
@@ -40,8 +41,9 @@ class Chain:
         coordinates: (m,) or (C, m) indices into the configuration.
         joints: pinocchio joint of each.
         is_revolute: true for revolute, false for prismatic coordinates.
-        reach: largest ``|dp/dq|`` of a point of the body whatever the configuration [m/rad, 1].
+        reach: largest ``|dp/dq|`` of a point of the body whatever the configuration, ``q`` the joint's own [m/rad, 1].
         base_rotations: the base's angles, which are exported as a quaternion.
+        ratio: size of the joint's motion per motion of its coordinate; 1 except for a joint that follows another one.
     """
 
     coordinates: Int[np.ndarray, "*C m"]
@@ -49,13 +51,14 @@ class Chain:
     is_revolute: Bool[np.ndarray, "*C m"]
     reach: Float[np.ndarray, "*C m"]
     base_rotations: Bool[np.ndarray, "*C m"]
+    ratio: Float[np.ndarray, "*C m"]
 
     @staticmethod
     def stack(chains: Sequence[Chain]) -> Chain:
         """Stack chains row by row."""
         width = max((len(chain.coordinates) for chain in chains), default=0)
         shape = (len(chains), width)
-        stacked = Chain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool)))
+        stacked = Chain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool, float)))
         for row, chain in enumerate(chains):
             for item in fields(Chain):
                 getattr(stacked, item.name)[row, : len(chain.coordinates)] = getattr(chain, item.name)
@@ -87,7 +90,7 @@ class Chain:
         angles by at most ``(sum |step q'|)^2 / 4`` (twice the chord bound of a rotation); ``rounding`` is the
         error of a written coordinate.
         """
-        line = over.step[:, None] ** 2 / 8.0 * self._own(over.step_bend) + rounding
+        line = over.step[:, None] ** 2 / 8.0 * self._own(over.step_bend) + rounding * self.ratio
         slack = (self.reach * line).sum(axis=1)
         if np.any(self.base_rotations):
             turn = (over.step[:, None] * self._own(over.step_speed) * self.base_rotations).sum(axis=1)
@@ -105,10 +108,10 @@ class Chain:
         return np.asarray(np.where(self.is_revolute, local, self.reach))
 
     def _own(self, rates: Float[np.ndarray, "I n"]) -> Float[np.ndarray, "I m"]:
-        """Return the chain's columns of rates of all coordinates."""
+        """Return the rates of the chain's joints from rates of all coordinates."""
         if self.coordinates.ndim == 1:
-            return rates[:, self.coordinates]
-        return np.take_along_axis(rates, self.coordinates, axis=1)
+            return np.asarray(rates[:, self.coordinates] * self.ratio)
+        return np.asarray(np.take_along_axis(rates, self.coordinates, axis=1) * self.ratio)
 
 
 class JointTree:
@@ -123,12 +126,21 @@ class JointTree:
         self._parents = [int(p) for p in model.parents]
         self._origins = np.array([placement.translation for placement in model.jointPlacements])
         self._offsets: list[float] = np.linalg.norm(self._origins, axis=1).tolist()
-        self._coordinates: list[list[tuple[int, bool]]] = [[] for _ in range(model.njoints)]
+        self._axes: list[list[_Axis]] = [[] for _ in range(model.njoints)]
         for joint in range(1, model.njoints):
-            kinds = _joint_kinds(model.joints[joint], model.names[joint])
-            start = int(model.joints[joint].idx_v)
-            self._coordinates[joint] = [(start + k, kind) for k, kind in enumerate(kinds)]
-        self._travel: list[float] = np.asarray(travel, dtype=float).tolist()
+            made, name = model.joints[joint], model.names[joint]
+            start, ratio, offset = int(made.idx_v), 1.0, 0.0
+            kinds: tuple[bool, ...]
+            if made.shortname() == "JointModelMimic":
+                follower = made.extract()
+                ratio, offset = float(follower.scaling), float(follower.offset)
+                kinds = (_read_follower(model, joint),)
+            else:
+                kinds = _joint_kinds(made, name)
+            self._axes[joint] = [
+                _Axis(start + k, kind, abs(ratio), abs(ratio) * float(travel[start + k]) + abs(offset))
+                for k, kind in enumerate(kinds)
+            ]
         self._n_base = n_base
 
     def ancestors(self, joint: int) -> list[int]:
@@ -146,7 +158,7 @@ class JointTree:
         while up and down and up[-1] == down[-1]:
             up.pop()
             down.pop()
-        rows: list[tuple[int, int, bool, float]] = []
+        rows: list[tuple[int, _Axis, float]] = []
         length = _farthest(points)
         for joint in down:
             length = self._pass(joint, length, rows, outwards=False)
@@ -159,28 +171,66 @@ class JointTree:
             length += self._offsets[joint] if joint != up[-1] else 0.0
             length = self._pass(joint, length, rows, outwards=True)
         rows.reverse()
-        coordinates = np.array([row[1] for row in rows], dtype=int)
-        is_revolute = np.array([row[2] for row in rows], dtype=bool)
+        axes = [row[1] for row in rows]
+        coordinates = np.array([axis.coordinate for axis in axes], dtype=int)
+        is_revolute = np.array([axis.is_revolute for axis in axes], dtype=bool)
         return Chain(
             coordinates,
             np.array([row[0] for row in rows], dtype=int),
             is_revolute,
-            np.array([row[3] for row in rows], dtype=float),
+            np.array([row[2] for row in rows], dtype=float),
             (coordinates < self._n_base) & is_revolute,
+            np.array([axis.ratio for axis in axes], dtype=float),
         )
 
-    def _pass(self, joint: int, length: float, rows: list[tuple[int, int, bool, float]], *, outwards: bool) -> float:
-        """Append the joint's coordinates, the most distal first; return the length beyond the joint."""
-        own = self._coordinates[joint]
-        for coordinate, is_revolute in own if outwards else reversed(own):
-            rows.append((joint, coordinate, is_revolute, length if is_revolute else 1.0))
-            length += 0.0 if is_revolute else self._travel[coordinate]
+    def _pass(self, joint: int, length: float, rows: list[tuple[int, _Axis, float]], *, outwards: bool) -> float:
+        """Append the joint's axes, the most distal first; return the length beyond the joint."""
+        own = self._axes[joint]
+        for axis in own if outwards else reversed(own):
+            rows.append((joint, axis, length if axis.is_revolute else 1.0))
+            length += 0.0 if axis.is_revolute else axis.travel
         return length
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """An axis of a joint.
+
+    Attributes:
+        coordinate: that moves it.
+        is_revolute: true if it turns, false if it slides.
+        ratio: size of its motion per motion of its coordinate.
+        travel: its farthest position from zero [rad, m].
+    """
+
+    coordinate: int
+    is_revolute: bool
+    ratio: float
+    travel: float
 
 
 def _farthest(points: Float[np.ndarray, "V 3"]) -> float:
     """Return the largest distance of a point from the origin [m]."""
     return math.sqrt(np.einsum("vk,vk->v", points, points).max())
+
+
+def _read_follower(model: pin.Model, joint: int) -> bool:
+    """Return whether a joint that follows another turns (True) or slides (False), from the axis of its motion.
+
+    Raises:
+        VerifyError: it does neither.
+    """
+    made = model.joints[joint]
+    data = made.createData()
+    made.calc(data, np.zeros(model.nq), np.zeros(model.nv))
+    axis = np.asarray(data.S, dtype=float).reshape(6, -1)
+    # pinocchio has the ratio in the axis.
+    linear, angular = float(np.linalg.norm(axis[:3])), float(np.linalg.norm(axis[3:]))
+    if axis.shape[1] != 1 or min(linear, angular) > 0.0 or not max(linear, angular) > 0.0:
+        raise VerifyError(
+            f"joint '{model.names[joint]}' follows another one, but neither turns nor slides about an axis"
+        )
+    return angular > 0.0
 
 
 def _joint_kinds(joint: pin.JointModel, name: str) -> tuple[bool, ...]:

@@ -9,15 +9,17 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from costs.curve import Curve, TimeLaw
+from costs.curve import Curve, PolynomialCurve, TimeLaw, differentiate
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Motion, Phase, VerifySettings
+from service.verify.polynomials import bound_range
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.timeline import find_time, find_times
 from service.verify.validation import check_law
 
 # Errors of the rounded numbers that a difference of two samples is made of, in units of their last place.
 _ROUNDINGS = 16.0
+SPEED_JUMP = 1e-6  # of a joint between two polynomials that still counts as none [rad/s, m/s]
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ def measure_timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
         VerifyError: when the law is inconsistent or does not run from the curve's first knot to its last.
     """
     check_law(curve, law)
+    if isinstance(curve, PolynomialCurve):
+        return _measure_polynomial_peaks(curve, law)
     moving = np.flatnonzero(np.diff(law.path) > 0.0)
     grid = np.unique(np.concatenate([law.path, curve.knots]))
     first, last = grid[:-1], grid[1:]
@@ -68,6 +72,16 @@ def measure_timed_peaks(curve: Curve, law: TimeLaw) -> TimedPeaks:
     turns = (np.clip(root, 0.0, width) for root in _roots(b0, b1, b2))
     fastest = np.maximum.reduce([speed(w) for w in (np.zeros_like(width), width, *turns)])
     return TimedPeaks(first, fastest, _parabola_peak(b0, b1, b2, width))
+
+
+def _measure_polynomial_peaks(curve: PolynomialCurve, law: TimeLaw) -> TimedPeaks:
+    """Return the peaks of a curve whose path parameter runs evenly in time; validation admits no other law."""
+    steps, rate = np.diff(curve.knots), float(law.speed[0])
+    peaks = []
+    for order in (1, 2):
+        low, high = bound_range(differentiate(curve.pieces, order), steps)
+        peaks.append(np.maximum(-low, high) * rate**order)
+    return TimedPeaks(curve.knots[:-1], peaks[0], peaks[1])
 
 
 def measure_exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Float[np.ndarray, "M-1 n"]:
@@ -111,10 +125,12 @@ def check_timing(prepared: PreparedMotion, settings: VerifySettings) -> Iterator
     peaks = measure_timed_peaks(motion.curve, law)
     yield _limit_check(motion, "speed", peaks.speed / robot.velocity, peaks.s, settings)
     yield _limit_check(motion, "acceleration", peaks.acceleration / robot.acceleration, peaks.s, settings)
+    if isinstance(motion.curve, PolynomialCurve):
+        yield _jump_check(motion, motion.curve, law)
     if motion.samples is not None:
         ratio = measure_exported_speeds(motion.curve, law, motion.samples) / robot.velocity
         yield _limit_check(motion, "exported", ratio, motion.samples, settings)
-    yield _rest_check(motion, law, prepared.phases)
+    yield _rest_check(motion, law, prepared.phases, settings)
 
 
 def _limit_check(
@@ -128,7 +144,21 @@ def _limit_check(
     return Check(f"limits.{kind}", value <= 1.0 + settings.limit_tolerance, value, 1.0, "1", text, where, Basis.PROOF)
 
 
-def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...]) -> Check:
+def _jump_check(motion: Motion, curve: PolynomialCurve, law: TimeLaw) -> Check:
+    """Check that no speed jumps at a point between two polynomials, where no acceleration limit would hold."""
+    jumps = np.abs(curve.measure_slope_jumps()) * law.speed[0]
+    value, s, name = 0.0, float(curve.knots[0]), motion.robot.joint_names[0]
+    if jumps.size:
+        row, column = np.unravel_index(int(np.argmax(jumps)), jumps.shape)
+        value, s, name = float(jumps[row, column]), float(curve.knots[row + 1]), motion.robot.joint_names[column]
+    is_ok = value <= SPEED_JUMP
+    text = "no speed jumps between two points"
+    if not is_ok:
+        text = f"the speed of {name} jumps by {value:.3g} rad/s at a point, so that no acceleration limit holds there"
+    return Check("limits.jump", is_ok, value, SPEED_JUMP, "rad/s", text, _at(motion, s, (name,)), Basis.PROOF)
+
+
+def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...], settings: VerifySettings) -> Check:
     """Check that the robot stands still at both ends and where the set of planted links changes."""
     ends = [float(motion.curve.knots[0]), float(motion.curve.knots[-1])]
     changes = [
@@ -143,9 +173,8 @@ def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...]) -> Chec
     worst = int(fastest.argmax())
     value = float(fastest[worst])
     text = f"fastest joint where the robot should rest: {value:.2g} rad/s"
-    return Check(
-        "limits.rest", value <= 1e-6, value, 1e-6, "rad/s", text, _at(motion, float(rests[worst]), ()), Basis.PROOF
-    )
+    limit, where = settings.rest_speed, _at(motion, float(rests[worst]), ())
+    return Check("limits.rest", value <= limit, value, limit, "rad/s", text, where, Basis.PROOF)
 
 
 def _at(motion: Motion, s: float, names: tuple[str, ...]) -> Where:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from math import comb
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,12 @@ from service.verify.timeline import find_time
 RELEASE_TOLERANCE = 1e-3  # of the values of both joints [rad, m]
 _ROUNDING = 1e-9  # of a joint that rests on its stop, as far as the tolerance beyond 0 [rad, m]
 _ROOT_MERGE = 1e-12  # of places relative to an interval's length
+_SURE = 1e-12  # share of its largest coefficient by which a polynomial without a root keeps off 0
+# From coefficients (constant first) over [0, 1] to Bernstein coefficients, by their number.
+_BERNSTEIN = {
+    count: np.array([[comb(row, k) / comb(count - 1, k) for k in range(count)] for row in range(count)])
+    for count in (3, 4)
+}
 
 
 def check_mechanism(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
@@ -154,6 +161,9 @@ def _find_roots(c: Float[np.ndarray, "k"], length: float) -> Float[np.ndarray, "
     scaled = c * length ** np.arange(len(c))
     largest = np.abs(scaled).max()
     if not largest > 0.0:
+        return np.zeros(0)
+    bounds = _BERNSTEIN[len(c)] @ scaled  # the polynomial lies between the least and the largest of them
+    if bounds.min() > _SURE * largest or bounds.max() < -_SURE * largest:
         return np.zeros(0)
     scaled = np.where(np.abs(scaled) > 1e-14 * largest, scaled, 0.0)
     roots = np.roots(scaled[::-1])

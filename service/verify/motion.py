@@ -37,6 +37,7 @@ class VerifySettings:
         rounding: error of a coordinate as written to the result file [rad, m].
         time_step_s: forces and ZMP are sampled at least this often.
         limit_tolerance: relative excess over a speed or acceleration limit that still counts as within it.
+        rest_speed: speed of a joint that still counts as standing still [rad/s, m/s].
     """
 
     max_halvings: int = 12
@@ -48,6 +49,7 @@ class VerifySettings:
     rounding: float = 1e-8
     time_step_s: float = 0.01
     limit_tolerance: float = 1e-6
+    rest_speed: float = 1e-6
 
 
 @dataclass(frozen=True)

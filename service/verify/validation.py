@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from costs.curve import Curve, TimeLaw
+from costs.curve import Curve, PolynomialCurve, TimeLaw
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
@@ -28,6 +28,8 @@ _UNIT_TOLERANCE = 1e-6
 _BORDER_TOLERANCE = 1e-9
 # Nearest that two points of a contact may be, each of which has a force cap of its own.
 _SAME_POINT_M = 1e-6
+# Largest jump of a position between two polynomials, from rounding [rad, m].
+_GAP_M = 1e-9
 # Farthest that a kept contact may be stated to move from one phase to the next [m].
 _CREEP_M = 1e-5
 
@@ -83,12 +85,27 @@ def _validate_curve(motion: Motion) -> None:
             f"{n} and {model.nq}"
         )
     _finite("curve", curve.knots, curve.positions, curve.tangents)
+    if isinstance(curve, PolynomialCurve):
+        _validate_polynomials(curve, motion)
     if motion.law is not None:
         _finite("time law", motion.law.times, motion.law.path, motion.law.speed)
     if motion.samples is not None:
         _finite("samples", motion.samples)
         if np.any(np.diff(motion.samples) <= 0.0):
             raise VerifyError("samples must increase strictly")
+
+
+def _validate_polynomials(curve: PolynomialCurve, motion: Motion) -> None:
+    """Reject polynomials that miss the positions at the knots, a law that does not run evenly, and mechanisms."""
+    law = motion.law
+    if motion.mechanism_links or motion.releases:
+        raise VerifyError("a curve of given polynomials moves no mechanism; give a cubic Hermite curve")
+    _finite("curve", curve.pieces)
+    error = curve.measure_position_error()
+    if not error <= _GAP_M:
+        raise VerifyError(f"the polynomials of the curve miss the positions at its knots by {error:.3g}")
+    if law is not None and np.any(law.speed != law.speed[0]):
+        raise VerifyError("a curve of given polynomials needs a time law of constant speed")
 
 
 def _validate_names(motion: Motion) -> None:

@@ -4,5 +4,15 @@ from service.viewer.glb import write_glb
 from service.viewer.html import write_viewer
 from service.viewer.openrave import write_openrave
 from service.viewer.placements import LinkPlacements, list_drawn_frames, place_links
+from service.viewer.pose_graph import make_pose_graph, place_poses
 
-__all__ = ["LinkPlacements", "list_drawn_frames", "place_links", "write_glb", "write_openrave", "write_viewer"]
+__all__ = [
+    "LinkPlacements",
+    "list_drawn_frames",
+    "make_pose_graph",
+    "place_links",
+    "place_poses",
+    "write_glb",
+    "write_openrave",
+    "write_viewer",
+]

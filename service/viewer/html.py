@@ -6,31 +6,44 @@ import base64
 import hashlib
 import html
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from costs.robot import VisualMesh
 from service.json_data import to_json_data
 from service.viewer.files import replace_file
 from service.viewer.payload import make_payload
 from service.viewer.placements import LinkPlacements
+from service.viewer.pose_graph import make_pose_graph
 
 DIST = Path(__file__).parent / "page" / "dist"
 """Output of ``npm run build`` in ``page``."""
 
 
-def write_viewer(result: Mapping[str, Any], placements: LinkPlacements, path: Path) -> None:
+def write_viewer(
+    result: Mapping[str, Any],
+    placements: LinkPlacements,
+    path: Path,
+    poses: LinkPlacements | None = None,
+    visuals: Sequence[VisualMesh] = (),
+) -> None:
     """Write a self-contained viewer of a result.
 
     Args:
         result: a parsed ``result.json`` (docs/result-format.md).
         placements: poses of the links of ``result["bodies"]`` at each sample of the trajectory.
         path: file to write.
+        poses: links at the poses of ``result["pose_graph"]`` (``place_poses``); without them no graph is shown.
+        visuals: meshes that the robot's links look like; the page then shows them and hides the collision hulls.
 
     Raises:
-        ValueError: see ``make_payload``.
+        ValueError: see ``make_payload`` and ``make_pose_graph``.
     """
-    replace_file(path, render_viewer(make_payload(result, placements)).encode("utf-8"))
+    payload = make_payload(result, placements, visuals)
+    if poses is not None:
+        payload["pose_graph"] = make_pose_graph(result["pose_graph"], poses)
+    replace_file(path, render_viewer(payload).encode("utf-8"))
 
 
 def render_viewer(payload: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from costs.robot import VisualMesh
 from service.viewer.forces import find_holding_forces, list_contact_points, sum_loads
 from service.viewer.hulls import make_convex_mesh
 from service.viewer.movables import is_prismatic, make_local_bodies, place_movables, read_angles
@@ -16,15 +17,19 @@ from service.viewer.placements import LinkPlacements
 from service.viewer.proof import ClearanceTrack, trace_clearance
 
 MAX_CLOUD_POINTS = 60_000
+MAX_VERTICES = 65_535  # of one mesh, whose indices have 16 bits
 
 
-def make_payload(result: Mapping[str, Any], placements: LinkPlacements) -> dict[str, Any]:
+def make_payload(
+    result: Mapping[str, Any], placements: LinkPlacements, visuals: Sequence[VisualMesh] = ()
+) -> dict[str, Any]:
     """Return everything the page draws, JSON-ready.
 
     Args:
         result: a parsed ``result.json`` (docs/result-format.md); keys that need a trajectory may be missing or null.
         placements: the links of ``result["bodies"]`` at the samples of ``result["trajectory"]``; without a trajectory,
             a single pose or none.
+        visuals: meshes that the robot's links look like, drawn instead of the collision hulls.
 
     Raises:
         ValueError: placements and trajectory have different numbers of samples, or a body's link has no placement.
@@ -53,6 +58,7 @@ def make_payload(result: Mapping[str, Any], placements: LinkPlacements) -> dict[
         "positions": quantize(poses[..., :3]),
         "rotations": pack(np.round(poses[..., 3:] * 32767.0), "i2"),
         "bodies": [{"name": b["name"], "link": b["link"], "hull": pack_hull(b)} for b in _get_list(result, "bodies")],
+        "visuals": [_make_visual(mesh) for mesh in visuals if mesh.link in placements.links],
         "pieces": [_make_piece(piece) for piece in _get_list(result, "pieces")],
         "movables": [_make_movable(movable, len(times), kept) for movable in movables],
         "waypoints": np.searchsorted(kept, [i for i in waypoints if 0 <= i < len(times)]).tolist(),
@@ -185,6 +191,14 @@ def _get_list(result: Mapping[str, Any], key: str) -> Sequence[Any]:
 
 def _make_piece(piece: Mapping[str, Any]) -> dict[str, Any]:
     return {"name": piece["name"], "kind": piece.get("kind", "obstacle"), "hull": pack_hull(piece)}
+
+
+def _make_visual(mesh: VisualMesh) -> dict[str, Any]:
+    """Return the triangles of a link, with 16-bit indices: corner by corner where there are too many vertices."""
+    vertices, triangles = mesh.vertices, mesh.triangles
+    if len(vertices) > MAX_VERTICES:
+        vertices, triangles = vertices[triangles].reshape(-1, 3)[:MAX_VERTICES], np.arange(MAX_VERTICES).reshape(-1, 3)
+    return {"link": mesh.link, "vertices": quantize(vertices), "triangles": pack(triangles, "u2")}
 
 
 def _make_movable(movable: Mapping[str, Any], n_samples: int, kept: Int[np.ndarray, "F"]) -> dict[str, Any]:

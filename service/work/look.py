@@ -9,12 +9,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from costs.robot import bundled_robots
+from costs.robot import BASE_NAMES, bundled_robots
 from service.errors import RequestError, ResultError, shown
 from service.executor import Control
+from service.request.known_names import RobotNames
 from service.request.scene import KnownMeshRequest
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
 from service.scan.cloud import CloudInput
+from service.store import find_damaged_uploads
 from service.work.plan import ROBOTS, Refused, stops_with
 
 OVERRIDES = " (this server's own, which overrides scopt's robot of that name)"
@@ -50,6 +52,10 @@ def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     from service.scan.make_scene import SceneInput, apply_earlier_settings, read_earlier_scene
     from service.scan.make_scene import build_scene as make_scene
 
+    files = (*task.clouds.files, *(path for _, path in task.meshes), *(() if task.update is None else task.update[:1]))
+    damaged = find_damaged_uploads(map(str, files))
+    if damaged:
+        return Refused((), damaged)
     meshes = tuple(mesh_from_request(mesh, path) for mesh, path in task.meshes)
     scene_input = SceneInput(task.clouds, task.kinds, task.hint, task.unknown, task.method, meshes)  # type: ignore[arg-type]
     try:
@@ -68,6 +74,9 @@ def detect(
     """Detect objects; returns what ``scopt detect`` prints."""
     from service.scan.detect import detect_file
 
+    damaged = find_damaged_uploads(map(str, clouds.files))
+    if damaged:
+        return Refused((), damaged)
     try:
         with stops_with(control):
             return detect_file(clouds, kind, hint, control.report)
@@ -112,6 +121,22 @@ def describe_robots(more: Mapping[str, RobotRequest]) -> list[dict[str, Any]]:
     bundled = {name: RobotRequest(name=name) for name in texts}
     own = [_describe(name, request, "", OVERRIDES if name in bundled else "") for name, request in more.items()]
     return own + [_describe(name, request, texts[name]) for name, request in bundled.items() if name not in more]
+
+
+def list_names() -> tuple[RobotNames, ...]:
+    """Return the names that requests may use with each robot of the package."""
+    robots = (
+        ROBOTS.get(PlanRequest(RobotRequest(name=name), goal=GoalRequest(posture="-"))) for name in bundled_robots()
+    )
+    return tuple(
+        RobotNames(
+            robot.name,
+            tuple(name for name in robot.joint_names if name not in BASE_NAMES),
+            tuple(robot.postures),
+            frozenset(frame.name for frame in robot.model.frames) - {"universe"},
+        )
+        for robot in robots
+    )
 
 
 def _describe(name: str, request: RobotRequest, description: str, suffix: str = "") -> dict[str, Any]:

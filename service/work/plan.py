@@ -6,6 +6,7 @@ import io
 import tarfile
 import tempfile
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,12 +21,15 @@ from costs.stopping import Stopped, stops_when
 from scopt import Iteration as Trial
 from service.errors import RequestError
 from service.executor import Control
-from service.executor.errors import JobCancelled
+from service.executor.job import JobCancelled
 from service.planner import plan
 from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress
 from service.request.schema import PlanRequest
+from service.result.folder import VIEWER_NAME
 from service.result.output import write_result
 from service.result.result import PlanResult
+from service.store import find_damaged_uploads
+from service.store.seals import hash_file
 from service.wire.results import result_to_message
 from service.work.robots import RobotCache
 
@@ -34,6 +38,8 @@ MIN_TIME_S = 0.01
 MAX_SCENE_BYTES = 256 * 2**20  # of scans that a worker caches
 # Share of the time until the deadline that is reserved for curve, certificate and transport of the best attempt.
 ANSWER_SHARE, MAX_ANSWER_TIME_S = 0.25, 2.0
+WRITE_SLACK, MAX_RESERVED_SHARE = 1.5, 0.7  # for the files: of the longest recent time; of the time left
+_WRITE_TIMES_S = deque([0.5], maxlen=8)  # of the files of recent results in this process
 
 if TYPE_CHECKING:
     from perception import Cloud, Memory, Perceived
@@ -52,6 +58,8 @@ class PlanTask:
         with_waypoints: whether progress holds waypoints.
         original: request as the client sent it, which is hashed; None if it is the same.
         sha256: hash of the original request; empty if not known yet.
+        files: paths of the files that the scene names; uploads among them are compared with their hashes.
+        notes: further notes of the result.
     """
 
     request: PlanRequest
@@ -60,6 +68,8 @@ class PlanTask:
     with_waypoints: bool = False
     original: PlanRequest | None = None
     sha256: str = ""
+    files: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,6 +81,7 @@ class PlanAnswer:
         reply: a serialized ``MotionResult``.
         trajectory_sha256, certificate_sha256: hashes in the reply; empty without trajectory or certificate.
         archive: files of the result as a tar file; empty unless requested.
+        page_sha256: hash of the viewer's page among them; empty without one.
         timings: seconds by step, and ``total``.
     """
 
@@ -79,6 +90,7 @@ class PlanAnswer:
     trajectory_sha256: str
     certificate_sha256: str
     archive: bytes
+    page_sha256: str
     timings: dict[str, float]
 
 
@@ -88,9 +100,11 @@ class Refused:
 
     Attributes:
         problems: one line each.
+        damaged: ids of its uploads whose content is not the one that was uploaded; then there are no problems.
     """
 
     problems: tuple[str, ...]
+    damaged: tuple[str, ...] = ()
 
 
 @contextmanager
@@ -110,12 +124,15 @@ def stops_with(control: Control) -> Iterator[None]:
 def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     """Plan a request; reports serialized ``PlanProgress``."""
     request = task.request
+    damaged = find_damaged_uploads(task.files)
+    if damaged:
+        return Refused((), damaged)
     reporter = _ProgressReporter(control, task.with_waypoints)
     try:
         with stops_with(control):
             robot = ROBOTS.get(request)
         result = plan(
-            request if task.until is None else _limit_time(request, task.until - control.now()),
+            request if task.until is None else _limit_time(request, task.until - control.now(), task.with_files),
             on_progress=reporter.report_step,
             should_stop=control.should_stop,
             robot=robot,
@@ -125,17 +142,19 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     except RequestError as error:
         return Refused(error.problems)
     original = task.original or request
-    notes = result.notes
+    notes = (*task.notes, *result.notes)
     if request.options.seed != original.options.seed:
         notes = (*notes, f"found with options.seed {request.options.seed}, tried besides {original.options.seed}")
     result = replace(result, request=original, notes=notes)
     message = result_to_message(result, task.sha256)
+    archive, page_sha256 = _make_archive(result) if task.with_files else (b"", "")
     return PlanAnswer(
         result.verdict.value,
         message.SerializeToString(),
         message.trajectory.sha256,
         message.certificate.sha256,
-        _make_archive(result) if task.with_files else b"",
+        archive,
+        page_sha256,
         {**result.timings, "total": result.planning_time_s},
     )
 
@@ -197,16 +216,20 @@ class _ProgressReporter:
         self._control.report(progress.SerializeToString())
 
 
-def _limit_time(request: PlanRequest, left: float) -> PlanRequest:
-    """Reduce the request's time limit to the time left [s]."""
-    left = max(left - min(ANSWER_SHARE * left, MAX_ANSWER_TIME_S), MIN_TIME_S)
+def _limit_time(request: PlanRequest, left: float, with_files: bool = False) -> PlanRequest:
+    """Reduce the request's time limit to the time left [s], so that the answer is there before the deadline."""
+    reserved = min(ANSWER_SHARE * left, MAX_ANSWER_TIME_S)
+    if with_files:
+        reserved = min(reserved + WRITE_SLACK * max(_WRITE_TIMES_S), MAX_RESERVED_SHARE * left)
+    left = max(left - reserved, MIN_TIME_S)
     if left >= request.options.time_limit_s:
         return request
-    return replace(request, options=replace(request.options, time_limit_s=left))
+    return replace(request, options=replace(request.options, time_limit_s=round(left, 3)))
 
 
-def _make_archive(result: PlanResult) -> bytes:
-    """Return the files of a result folder as one tar file."""
+def _make_archive(result: PlanResult) -> tuple[bytes, str]:
+    """Return the files of a result folder as one tar file, and the hash of its page."""
+    started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
         folder = Path(scratch) / "result"
         write_result(result, folder)
@@ -215,4 +238,6 @@ def _make_archive(result: PlanResult) -> bytes:
             for path in sorted(folder.rglob("*")):
                 if path.is_file():
                     archive.add(path, path.relative_to(folder).as_posix())
-        return buffer.getvalue()
+        _WRITE_TIMES_S.append(time.monotonic() - started)
+        page = folder / VIEWER_NAME
+        return buffer.getvalue(), hash_file(page) if page.is_file() else ""

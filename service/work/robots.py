@@ -7,9 +7,8 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from pathlib import Path
 
-from pydantic import TypeAdapter
-
 from costs.robot import RobotModel
+from service.request.file import adapter_of
 from service.request.schema import PlanRequest, RobotRequest
 from service.start.robot import load_requested_robot
 
@@ -36,9 +35,10 @@ class RobotCache:
         Raises:
             RequestError: it cannot be loaded.
         """
-        key = (TypeAdapter(RobotRequest).dump_json(request.robot).decode(), request.folder)
+        key = (adapter_of(RobotRequest).dump_json(request.robot).decode(), request.folder)
         known = self._loaded.get(key)
-        if known is None or known[0] != _read_stamps(path for path, _, _ in known[0]):
+        is_bundled = request.robot.urdf is None and request.robot.srdf is None  # its files stay as they are
+        if known is None or not (is_bundled or known[0] == _read_stamps(path for path, _, _ in known[0])):
             # Stamps of before and after, so that a file that changes meanwhile is read again next time.
             named = (request.robot.urdf, request.robot.srdf)
             before = _read_stamps(str(request.resolve(path)) for path in named if path is not None)

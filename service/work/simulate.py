@@ -12,7 +12,9 @@ from service.simulation.options import SimulationOptions
 from service.work.look import with_result_folder
 from service.work.plan import Refused
 
-SIMULATION_FIELDS = ("friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed")
+SIMULATION_FIELDS = (
+    "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed", "perturb",
+)  # fmt: skip
 
 
 def simulate(files: Mapping[str, bytes], given: Mapping[str, float], control: Control) -> Mapping[str, Any] | Refused:

@@ -43,7 +43,8 @@ class ContactReplay:
     def of(folder: Path) -> ContactReplay:
         """Read a folder."""
         data = json.loads((folder / "result.json").read_text())
-        return ContactReplay(folder, data, np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1))
+        width = 1 + len(data["trajectory"]["joint_names"])  # velocities and accelerations follow
+        return ContactReplay(folder, data, np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1)[:, :width])
 
     @cached_property
     def model(self) -> pin.Model:

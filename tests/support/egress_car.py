@@ -10,7 +10,7 @@ import numpy as np
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.demands.contacts.egress_demand import load_phases
-from service.demands.contacts.egress_surfaces import make_surfaces
+from service.demands.contacts.surfaces import make_surfaces
 from service.request.egress import EgressRequest, PhaseRequest
 from service.request.file import load_request
 from service.setup.world import build_obstacles
@@ -18,7 +18,7 @@ from service.start.robot import load_requested_robot
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.stages import Stage, make_stages
 
-REQUEST = Path(__file__).resolve().parents[2] / "examples" / "requests" / "egress.yaml"
+REQUEST = Path(__file__).resolve().parents[2] / "examples" / "requests" / "egress_model.yaml"
 
 
 @cache
@@ -49,7 +49,7 @@ def phases() -> tuple[PhaseRequest, ...]:
 def stages() -> tuple[Stage, ...]:
     """The stages for the middle of the region."""
     robot, scene = car()
-    return make_stages(robot, make_surfaces(scene, task().surfaces), phases())
+    return make_stages(robot, make_surfaces(task().surfaces, scene, "surfaces"), phases())
 
 
 @cache

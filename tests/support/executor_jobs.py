@@ -54,6 +54,16 @@ def nap(seconds: float) -> float:
     return seconds
 
 
+def wait_for_stopped_child(folder: Path) -> int:
+    """Wait for a process that has stopped itself, if this is the first attempt; return the number of the attempt."""
+    first = folder / "first"
+    if first.exists():
+        return 2
+    first.touch()
+    subprocess.run([sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"], check=False)
+    return 1
+
+
 def append_mark(folder: Path, name: str) -> str:
     """Append a line to a file, which shows how often and in which order this was run."""
     with (folder / "marks").open("a") as marks:
@@ -127,6 +137,20 @@ def stuck_in_native_code(control: Control) -> None:
     ctypes.PyDLL(None).sleep(60)
 
 
+def keep_the_lock_once(folder: Path) -> int:
+    """Wait without end in native code that keeps the interpreter's lock, if this is the first attempt."""
+    append_mark(folder, "run")
+    runs = len((folder / "marks").read_text().split())
+    if runs == 1:
+        ctypes.PyDLL(None).sleep(60)
+    return runs
+
+
+def sum_up(count: int) -> int:
+    """Compute without ever leaving the interpreter's lock to another thread."""
+    return sum(range(count))
+
+
 def kill_own_worker(folder: Path, times: int) -> int:
     """Kill the worker at the first ``times`` runs, then return how often this was run."""
     append_mark(folder, "run")
@@ -136,7 +160,11 @@ def kill_own_worker(folder: Path, times: int) -> int:
     return runs
 
 
-def crash() -> None:
+def crash(depth: int = 20) -> None:
+    """Crash below ``depth`` calls: a stack as long as those of installations in long paths."""
+    if depth:
+        crash(depth - 1)
+        return
     print("the last words", file=sys.stderr, flush=True)
     ctypes.string_at(0)
 

@@ -80,6 +80,18 @@ def random_model(rng: np.random.Generator, n_joints: int, *, is_floating: bool, 
     return model
 
 
+def let_some_follow(rng: np.random.Generator, model: pin.Model) -> pin.Model:
+    """The model with up to three joints following earlier ones (URDF's ``mimic``)."""
+    for _ in range(3):
+        own = [j for j in range(1, model.njoints) if model.joints[j].nq == 1]
+        if len(own) < 3:
+            return model
+        leader, follower = np.sort(rng.choice(own, 2, replace=False))
+        ratio = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 2.5))
+        model = pin.transformJointIntoMimic(model, int(leader), int(follower), ratio, float(rng.uniform(-1.0, 1.0)))
+    return model
+
+
 def random_curve(rng: np.random.Generator, n: int, n_knots: int, *, size: float = 1.0, spread: float = 0.4) -> Curve:
     """A curve with random positions, steps and tangents (often with overshoot between the knots)."""
     knots = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, size=n_knots - 1))])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ class Link:
         rotation, translation: of the joint in the parent's frame, at 0.
         joint, axis, slides: its joint's name, axis in its frame, and whether it is prismatic; "" where it is fixed.
         mass, centre, inertia: in the link's frame, the inertia about the centre.
+        name: of the link.
     """
 
     parent: int
@@ -34,6 +35,7 @@ class Link:
     mass: float
     centre: np.ndarray
     inertia: np.ndarray
+    name: str = ""
 
 
 def read_links(urdf: str) -> list[Link]:
@@ -51,7 +53,7 @@ def read_links(urdf: str) -> list[Link]:
 
     for name in elements:
         visit(name)
-    return [_link(elements[name], joints.get(name), order) for name in order]
+    return [replace(_link(elements[name], joints.get(name), order), name=str(name)) for name in order]
 
 
 def wrench_about_origin(
@@ -64,7 +66,7 @@ def wrench_about_origin(
         pose: smooth in time: rotation and translation of the root link, and joint values by name.
         step: of the differences [s].
     """
-    frames = [_place(links, *pose(k * step)) for k in (-2, -1, 0, 1, 2)]
+    frames = [_place_centres(links, *pose(k * step)) for k in (-2, -1, 0, 1, 2)]
     masses = np.array([link.mass for link in links])
     # Momentum half a step before and after each time, then its change: second-order differences twice.
     momenta = []
@@ -105,10 +107,10 @@ def euler(roll: float, pitch: float, yaw: float) -> np.ndarray:
     return np.asarray(turns[0] @ turns[1] @ turns[2])
 
 
-def _place(
+def place_frames(
     links: list[Link], rotation: np.ndarray, translation: np.ndarray, joints: Mapping[str, float]
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """Rotations of all links in the world, and (L, 3) centres of mass."""
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Rotations and translations of all links in the world; those of the root are given."""
     turned: list[np.ndarray] = []
     moved: list[np.ndarray] = []
     for link in links:
@@ -121,8 +123,15 @@ def _place(
         turn = np.eye(3) if link.slides or not link.joint else _about(link.axis, value)
         moved.append(turned[link.parent] @ place + moved[link.parent])
         turned.append(turned[link.parent] @ link.rotation @ turn)
-    centres = [r @ link.centre + t for r, t, link in zip(turned, moved, links, strict=True)]
-    return turned, np.array(centres)
+    return turned, moved
+
+
+def _place_centres(
+    links: list[Link], rotation: np.ndarray, translation: np.ndarray, joints: Mapping[str, float]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Rotations of all links in the world, and (L, 3) centres of mass."""
+    turned, moved = place_frames(links, rotation, translation, joints)
+    return turned, np.array([r @ link.centre + t for r, t, link in zip(turned, moved, links, strict=True)])
 
 
 def _about(axis: np.ndarray, angle: float) -> np.ndarray:

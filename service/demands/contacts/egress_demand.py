@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,6 @@ from costs.names import would_do
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.contacts.contact_task import face_pieces, find_off
-from service.demands.contacts.egress_surfaces import make_surfaces
 from service.demands.contacts.stances import (
     ContactStance,
     StanceContact,
@@ -22,28 +21,39 @@ from service.demands.contacts.stances import (
     place_patch,
     place_patch_as_it_is,
 )
-from service.errors import RequestError
+from service.demands.contacts.surfaces import find_unknown, make_surfaces
+from service.errors import RequestError, shown
 from service.request.egress import ContactRequest, EgressRequest, PhaseRequest, PhasesFile
 from service.request.file import load_section
 from service.verify import Motion, PlantedContact
 
 SHIPPED_PHASES = Path(__file__).with_name("egress_phases.yaml")
 SHIPPED_SIDE = "right"
+BEYOND_M = 0.1  # by which a given place may be beyond the edges of its surface, onto which it is brought
 GIVEN_M = 1e-3  # by which a recorded contact may be off a place that the phases give
 TOE_M = 1e-3  # by which points of the toe differ along the link
 GIVEN_RAD = 1e-3  # the same of its turn
 
 
 def load_phases(request: EgressRequest, folder: Path = Path()) -> tuple[PhaseRequest, ...]:
-    """Return the request's phases, those of its file, or those that ship with the package.
+    """Return the request's phases, those of its file, or those that ship with the package, as far as they are wanted.
 
     Raises:
-        RequestError: the file cannot be used.
+        RequestError: the file cannot be used, or ``until`` names none of its phases.
     """
-    if request.phases:
-        return request.phases
-    path = SHIPPED_PHASES if request.phases_file is None else folder / request.phases_file
-    return load_section(PhasesFile, path).phases
+    phases = request.phases
+    if not phases:
+        path = SHIPPED_PHASES if request.phases_file is None else folder / request.phases_file
+        phases = load_section(PhasesFile, path).phases
+    if request.until is None:
+        return phases
+    names = [phase.name for phase in phases]
+    if request.until not in names[1:]:
+        raise RequestError(
+            f"task.egress.until: no phase {shown(request.until)} after the first; "
+            f"expected {would_do(request.until, names[1:])}"
+        )
+    return phases[: names.index(request.until) + 1]
 
 
 @dataclass(frozen=True)
@@ -77,9 +87,14 @@ class EgressDemand:
             raise RequestError("task.egress: this robot's base is fixed; it leaves no vehicle")
         if request.side != SHIPPED_SIDE and not request.phases and request.phases_file is None:
             raise RequestError(f"task.egress.phases: none ship for the {request.side} side; give phases or phases_file")
-        surfaces = make_surfaces(scene, request.surfaces, "task.egress.surfaces")
+        surfaces = make_surfaces(request.surfaces, scene, "task.egress.surfaces")
         phases = load_phases(request, folder)
-        problems = list(_find_unknown(robot, surfaces, phases))
+        problems = [
+            line
+            for k, phase in enumerate(phases)
+            for patch, contact in phase.contacts.items()
+            if (line := find_unknown(robot, surfaces, patch, contact.surface, f"task.egress.phases[{k}].contacts"))
+        ]
         if problems:
             raise RequestError(problems)
         return EgressDemand(robot, scene, start, surfaces, phases)
@@ -141,10 +156,12 @@ class EgressDemand:
         given = request.at if request.toe is None else request.toe
         if given is not None:
             mark = patch.points.mean(axis=0) if request.toe is None else find_toe(patch.points)
-            away = np.abs(pose[:3, :3] @ mark + pose[:3, 3] - np.array(given))
+            wanted = contact.surface.bring_onto(np.array(given))
+            away = np.abs(pose[:3, :3] @ mark + pose[:3, 3] - wanted)
             room = np.full(3, GIVEN_M) if request.region is None else np.array([*request.region, 0.0]) / 2.0 + GIVEN_M
-            normal = np.abs(contact.surface.normal)  # a place is moved along the normal onto the surface
-            if np.any(away > room + normal * 1e3):
+            if request.region is not None:  # a drawn place is brought onto the surface as well
+                room += np.abs(wanted - np.array(given))
+            if np.any(away > room):
                 yield f"{words} is {away.max():.3f} m from the place that the phases give"
         if request.yaw_deg is not None and len(patch.points) >= 3:
             yaw = float(np.deg2rad(request.yaw_deg))
@@ -157,14 +174,3 @@ class EgressDemand:
 def find_toe(points: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "3"]:
     """Return the middle of the points of a patch that are farthest along its link's x axis [m]."""
     return np.asarray(points[points[:, 0] >= points[:, 0].max() - TOE_M].mean(axis=0))
-
-
-def _find_unknown(robot: RobotModel, surfaces: dict[str, Surface], phases: Sequence[PhaseRequest]) -> Iterator[str]:
-    for k, phase in enumerate(phases):
-        for patch, contact in phase.contacts.items():
-            here = f"task.egress.phases[{k}].contacts.{patch}"
-            if patch not in robot.contacts:
-                yield f"{here}: unknown patch; {robot.name} has {would_do(patch, robot.contacts)}"
-            elif contact.surface not in surfaces:
-                known = would_do(contact.surface, surfaces)
-                yield f"{here}.surface: unknown surface '{contact.surface}'; expected {known}"

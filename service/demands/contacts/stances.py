@@ -25,7 +25,9 @@ from service.verify import PlantedContact, RelativePoseTarget
 from service.verify.ground import STANDING_DEPTH_M, TURNING_DEPTH_M
 
 LEAST_FACING = 0.5  # cosine between a surface's normal and that of the round shape behind it
+INSIDE_M = 5e-4  # from the edges of a place that was brought onto a surface
 SAME_PLACE_M = 1e-9  # of contact points that are kept
+KEPT_TOLERANCE_M = 1e-4  # of a contact point that stays where it is
 LINE_M = 0.02  # of a link that leaves a surface or arrives there, straight along the surface's normal
 
 
@@ -88,6 +90,18 @@ class Surface:
         """Return how far points, seen along the normal, are beyond its edges; negative inside [m]."""
         normals, offsets = self.list_edges()
         return np.asarray((points @ normals.T - offsets).max(axis=1))
+
+    def bring_onto(self, place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Return the point of the surface that is nearest to a place, seen along the normal [m]."""
+        on_plane = place - self.measure_height(place[None])[0] * self.normal
+        if self.measure_outside(on_plane[None])[0] <= 0.0:
+            return np.asarray(on_plane)
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        shares = np.einsum("vk,vk->v", on_plane - self.corners, along) / np.einsum("vk,vk->v", along, along)
+        nearest = self.corners + np.clip(shares, 0.0, 1.0)[:, None] * along
+        best = nearest[int(np.linalg.norm(nearest - on_plane, axis=1).argmin())]
+        inwards = self.middle - best
+        return np.asarray(best + min(1.0, INSIDE_M / float(np.linalg.norm(inwards))) * inwards)
 
 
 @dataclass(frozen=True)
@@ -164,6 +178,7 @@ def place_patch(
         friction=friction,
         force_cap_n=patch.force_cap_n,
         normal=surface.normal,
+        tolerance_m=KEPT_TOLERANCE_M,
     )
     return StanceContact(name, surface, planted)
 
@@ -207,6 +222,20 @@ def find_link_pose(
     on_plane = place - surface.measure_height(place[None])[0] * surface.normal
     pose[:3, 3] = on_plane - pose[:3, :3] @ patch.points.mean(axis=0)
     return pose
+
+
+def find_link_yaw(patch: Contact, contact: StanceContact) -> float:
+    """Return the turn about the surface's normal with which ``find_link_pose`` puts a patch's points where they are.
+
+    Of a single point, whose turn does not matter, it is that of the link [rad].
+    """
+    level = find_link_pose(patch, contact.surface, contact.points.mean(axis=0), 0.0)
+    spread = patch.points - patch.points.mean(axis=0)
+    wide = int(np.argmax(np.linalg.norm(spread, axis=1)))
+    own = spread[wide] if np.linalg.norm(spread[wide]) > 0.0 else np.array([1.0, 0.0, 0.0])
+    before, after = level[:3, :3] @ own, contact.planted.pose_world_link[:3, :3] @ own
+    normal = contact.surface.normal
+    return float(np.arctan2(normal @ np.cross(before, after), before @ after - (before @ normal) * (after @ normal)))
 
 
 def make_contact_allowances(robot: RobotModel, contacts: Sequence[StanceContact]) -> tuple[Allowance, ...]:

@@ -3,7 +3,6 @@
 ``plan_poses`` does all of it; ``Chain`` is what motions between the poses are planned from.
 """
 
-from service.demands.contacts.egress_surfaces import make_surfaces
 from service.tasks.egress.chain import BrokenChain, Chain, Transition, link_poses
 from service.tasks.egress.plan import (
     EgressSequence,
@@ -34,7 +33,6 @@ __all__ = [
     "link_poses",
     "make_all_stages",
     "make_stages",
-    "make_surfaces",
     "plan_poses",
     "solve_poses",
 ]

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+
 from service.body.equilibrium_pose import EquilibriumPose
 from service.demands.contacts.stances import ContactStance, StanceContact, place_patch_as_it_is
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.stages import Stage, list_lasting
+
+COMPARED = 2  # poses of a limb in its new place, of which the cheaper is taken
 
 
 @dataclass(frozen=True)
@@ -88,18 +93,22 @@ def link_poses(
     poses: list[EquilibriumPose] = []
     transitions: list[Transition] = []
     done: list[str] = []
+    here: Float[np.ndarray, "n"] | None = None
     for k, stage in enumerate(stages):
         step: _Step | str = "no place was tried"
         for anchors in _list_anchors(stages, k, known):
-            step = _Linker(solver, stages, k, known).link(stances, poses, anchors)
+            step = _Linker(solver, stages, k, known).link(stances, poses, here, anchors)
             if isinstance(step, _Step):
                 break
         if isinstance(step, str):
             return BrokenChain(k, step, tuple(done))
         stances.append(step.stance)
         poses.append(step.pose)
+        here = step.pose.q
         if step.transition is not None:
             transitions.append(step.transition)
+            last = step.transition.arriving or step.transition.leaving
+            here = here if last is None else last.q
         done.append(stage.name)
     return Chain(tuple(stances), tuple(poses), tuple(transitions))
 
@@ -134,9 +143,16 @@ class _Linker:
         self,
         stances: Sequence[ContactStance],
         poses: Sequence[EquilibriumPose],
+        here: Float[np.ndarray, "n"] | None,
         anchor: tuple[int, EquilibriumPose] | None,
     ) -> _Step | str:
-        """Return stage ``k`` linked to the stances before it, or a sentence why it cannot be."""
+        """Return stage ``k`` linked to the stances before it, or a sentence why it cannot be.
+
+        Args:
+            stances, poses: of the stages before.
+            here: (n,) configuration in which the robot arrives at the last of these stances.
+            anchor: a later stage with the pose whose places new contacts take.
+        """
         stage = self.stages[self.k]
         before = {contact.patch: contact for contact in stances[-1].contacts} if stances else {}
         kept = tuple(patch for patch in stage.patches if patch in stage.kept and patch in before)
@@ -146,14 +162,21 @@ class _Linker:
         guesses = [self.known[self.k].q] if self.k in self.known else []
         guesses += [pose.q for pose in poses[-1:]]
         leaving = arriving = None
-        if stances and len(kept) < len(before):
+        if here is not None and len(kept) < len(before):
             aims = [ContactAim.at(contact) for contact in stances[-1].contacts]
-            leaving = self.solver.solve_from(aims, self.stages[self.k - 1].shapes, [poses[-1].q], kept)
+            shapes = self.stages[self.k - 1].shapes
+            leaving = self.solver.solve_from(aims, shapes, [here, poses[-1].q], kept, since=here)
             if not leaving.is_feasible:
                 return self._explain(f"leaving '{stances[-1].name}' on {', '.join(kept)}", leaving)
             guesses.append(leaving.q)
         if stances and len(kept) < len(stage.patches):
-            arriving = self.solver.solve_from(self._aim(stage, fixed), stage.shapes, guesses, kept)
+            since = here if leaving is None else leaving.q
+            left = () if not stances else tuple(contact.patch for contact in stances[-1].contacts)
+            swinging = [patch for patch in (*left, *stage.patches) if patch not in kept]
+            aims = self._aim(stage, fixed)
+            arriving = self.solver.solve_from(
+                aims, stage.shapes, guesses, kept, since=since, swinging=swinging, n_compared=COMPARED
+            )
             if not arriving.is_feasible:
                 return self._explain(f"reaching '{stage.name}' on {', '.join(kept)}", arriving)
             fixed |= self._take_places(arriving, [patch for patch in stage.patches if patch not in fixed])

@@ -16,21 +16,26 @@ from jaxtyping import Float
 from costs.contact_points import MovedPoints
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
+from scopt import Status
 from service.body.equilibrium_pose import EquilibriumPose
 from service.demands.contacts.egress_demand import load_phases
-from service.demands.contacts.egress_surfaces import make_surfaces
 from service.demands.contacts.stances import ContactStance
+from service.demands.contacts.surfaces import make_surfaces
 from service.request.egress import EgressRequest, PhaseRequest
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.chain import Chain, link_poses
 from service.tasks.egress.graph import PoseGraph, measure_connection
-from service.tasks.egress.poses import PoseSolver
+from service.tasks.egress.poses import STRICT, PoseSolver, measure_cost
 from service.tasks.egress.samples import draw_places
 from service.tasks.egress.stages import Stage, list_lasting, make_stages
 
 SAME_POSE = 1e-2  # largest difference of a coordinate between poses that count as one [rad, m]
 SAME_PLACE_M = 1e-6
+NEAR = 0.01  # largest violation from which a pose is solved again more strictly [m, rad, share of the weight]
 LINKED = 20  # largest number of sequences that are linked before the search is given up
+
+OnPose = Callable[[str, int, float], None]
+"""Called with the name of a stage, the number of its poses that hold so far, and the share of all poses."""
 
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -52,7 +57,7 @@ class Node:
     @property
     def cost(self) -> float:
         """``C_p`` of the paper."""
-        return float(sum(self.pose.result.cost.values()))
+        return measure_cost(self.pose)
 
 
 @dataclass(frozen=True)
@@ -137,6 +142,7 @@ def plan_poses(
     map: Map = map,
     should_stop: Callable[[], bool] | None = None,
     start: ContactStance | None = None,
+    on_pose: OnPose | None = None,
 ) -> PosePlan:
     """Draw places, solve poses, and return the cheapest sequence whose poses can be linked.
 
@@ -149,6 +155,7 @@ def plan_poses(
         map: calls a function for every item, in order; that of an executor runs them in parallel.
         should_stop: polled before every trial step.
         start: contacts of the robot as it sits; by default those of the first phase.
+        on_pose: called after every pose of a stage.
 
     Raises:
         RequestError: surfaces or phases that cannot be used.
@@ -157,7 +164,7 @@ def plan_poses(
     stages = stages if start is None else anchor_stages(stages, start)
     solver = PoseSolver.of(robot, scene, request.torque_share, request.margin_n)
     solver = replace(solver, seed=seed, should_stop=should_stop)
-    poses = solve_poses(solver, stages, map)
+    poses = solve_poses(solver, stages, map, on_pose)
     missing = explain_missing(poses)
     if missing:
         return PosePlan(None, None, poses.counts, missing)
@@ -189,18 +196,21 @@ def make_all_stages(
     Raises:
         RequestError: surfaces or phases that cannot be used.
     """
-    surfaces = make_surfaces(scene, request.surfaces, "task.egress.surfaces")
+    surfaces = make_surfaces(request.surfaces, scene, "task.egress.surfaces")
     drawn = draw_places(np.zeros(2), np.ones(2), request.samples, seed)
     return tuple(make_stages(robot, surfaces, phases, place, "task.egress.phases") for place in drawn.tolist())
 
 
-def solve_poses(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], map: Map = map) -> PoseSet:
+def solve_poses(
+    solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], map: Map = map, on_pose: OnPose | None = None
+) -> PoseSet:
     """Solve a pose of each sampled stage for each drawn place and nominal pose; of the first and last stage once.
 
     Args:
         solver: of poses.
         stages: of each drawn place.
         map: calls a function for every item, in order; that of an executor runs them in parallel.
+        on_pose: called after every pose of a stage.
     """
     last = len(stages[0]) - 1
     tasks = [
@@ -209,7 +219,13 @@ def solve_poses(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], map: Ma
         for sample in range(len(stages) if stages[0][k].is_sampled else 1 if k in (0, last) else 0)
         for shape in range(len(stages[sample][k].shapes))
     ]
-    poses = list(map(partial(_solve_task, solver, stages), tasks))
+    poses: list[EquilibriumPose] = []
+    feasible_by_stage = Counter[int]()
+    for (k, *_), pose in zip(tasks, map(partial(_solve_task, solver, stages), tasks), strict=True):
+        poses.append(pose)
+        feasible_by_stage[k] += pose.is_feasible
+        if on_pose is not None:
+            on_pose(stages[0][k].name, feasible_by_stage[k], len(poses) / len(tasks))
     nodes: list[Node] = []
     counts = []
     for k in sorted({task[0] for task in tasks}):
@@ -226,7 +242,13 @@ def solve_poses(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], map: Ma
 def _solve_task(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], task: tuple[int, int, int]) -> EquilibriumPose:
     k, sample, shape = task
     stage = stages[sample][k]
-    return solver.solve(stage.aims, stage.shapes[shape])
+    pose = solver.solve(stage.aims, stage.shapes[shape])
+    worst = max(pose.result.violation.values(), default=0.0)
+    if pose.is_feasible or pose.result.status is not Status.STALLED or worst > NEAR:
+        return pose
+    # The costs of the shape may have led it where nothing is feasible.
+    strict = replace(solver.settings, penalty=STRICT * solver.settings.penalty)
+    return replace(solver, settings=strict).solve(stage.aims, stage.shapes[shape])
 
 
 def _drop_duplicates(nodes: Sequence[Node]) -> list[Node]:
@@ -252,10 +274,46 @@ def make_graph(solver: PoseSolver, poses: PoseSet) -> PoseGraph:
     return PoseGraph(layer, np.array([node.cost for node in nodes]), edges)
 
 
+def describe_graph(plan: PosePlan) -> dict[str, Any]:
+    """Return the poses of a plan, and the sequence through them (JSON-ready; docs/result-format.md)."""
+    search, sequence = plan.search, plan.sequence
+    poses = () if search is None else search.poses.nodes
+    values = np.zeros(0) if search is None or search.graph is None else search.graph.find_values()
+    names = [] if search is None else [stage.name for stage in search.poses.stages[0]]
+    return {
+        "phases": [
+            {
+                "name": count.name,
+                "solved": count.solved,
+                "feasible": count.feasible,
+                "duplicates": count.duplicates,
+                "failures": dict(count.first_violations),
+            }
+            for count in plan.counts
+        ],
+        "poses": [
+            {
+                "phase": names[node.stage],
+                "place": node.sample,
+                "cost": node.cost,
+                "cost_to_end": float(value) if np.isfinite(value) else None,
+                "q": node.pose.q.tolist(),
+            }
+            for node, value in zip(poses, values if len(values) else np.full(len(poses), np.inf), strict=True)
+        ],
+        "path": [] if sequence is None else list(sequence.path),
+        "cost": None if sequence is None else sequence.cost,
+        "slip_m": None if sequence is None else sequence.slip_m,
+        "not_linked": [] if search is None else list(search.rejected),
+    }
+
+
 class SequenceSearch:
     """Search for complete sequences through the graph of all poses, the cheapest first.
 
     Attributes:
+        poses: of all drawn places.
+        graph: of these poses; None where a stage has none.
         rejected: a sentence for each sequence that could not be linked.
     """
 
@@ -266,9 +324,9 @@ class SequenceSearch:
             poses: of all drawn places.
             most: number of sequences that are linked at most.
         """
-        self._solver, self._poses, self._left = solver, poses, most
+        self._solver, self.poses, self._left = solver, poses, most
         is_complete = len({node.stage for node in poses.nodes}) == len(poses.counts)
-        self._graph = make_graph(solver, poses) if is_complete else None
+        self.graph = make_graph(solver, poses) if is_complete else None
         self._without: set[tuple[int, int]] = set()
         self.rejected: list[str] = []
 
@@ -277,17 +335,17 @@ class SequenceSearch:
 
         A sequence that cannot be linked loses the edge at which it failed.
         """
-        poses = self._poses
-        while self._graph is not None and self._left > 0:
+        poses = self.poses
+        while self.graph is not None and self._left > 0:
             self._left -= 1
-            path = self._graph.find_sequence(self._without)
+            path = self.graph.find_sequence(self._without)
             if path is None:
                 return None
             nodes = tuple(poses.nodes[i] for i in path)
             stages = _choose_stages(poses.stages, nodes)
             chain = link_poses(self._solver, stages, {node.stage: node.pose for node in nodes})
             if isinstance(chain, Chain):
-                cost, slip = self._graph.measure_cost(path), measure_slip(self._solver, poses.stages[0], nodes)
+                cost, slip = self.graph.measure_cost(path), measure_slip(self._solver, poses.stages[0], nodes)
                 return EgressSequence(chain, nodes, cost, slip, tuple(self.rejected), tuple(path))
             self.rejected.append(chain.reason)
             if not self._cut(tuple(path), chain.stage):
@@ -304,7 +362,7 @@ class SequenceSearch:
         return self._cut(sequence.path, 0 if stage not in names else names.index(stage))
 
     def _cut(self, path: tuple[int, ...], stage: int) -> bool:
-        stages = [self._poses.nodes[i].stage for i in path]
+        stages = [self.poses.nodes[i].stage for i in path]
         cut = next((k for k, own in enumerate(stages) if own >= stage), len(path) - 1)
         if cut == 0:
             if stage > 0 or len(path) < 3:

@@ -21,16 +21,20 @@ from costs.terms import AxisDirection, ContactForce, FramePose, JointTarget, Poi
 from scopt import Cost, Residual, Settings, Status
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import FLAT_POINTS
+from service.body.phases import straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.request.egress import SideRequest, WeightsRequest
 from service.tasks.egress.aims import ContactAim
 
-TOUCHING_DEPTH_M = 4e-3  # aimed at in poses; less than what is allowed, for the motions between them [m]
+TOUCHING_DEPTH_M = 3.3e-3  # aimed at in poses; less than what is allowed, for the motions between them [m]
 MARGIN_M = 0.01  # clearance from the world; half of it between the robot's own links
 EFFORT = Settings(max_iterations=60, max_penalty_raises=3, patience=25)
 STRICT = 100.0  # factor of the first penalty where a solve ended with violations that are merely acceptable
 TURNS = (False,) * 3 + (True,) * 3  # rows of a frame's pose that are its orientation
 UPRIGHT_GROUP, FEET_GROUP, ARM_GROUPS = "upright", "feet", ("left_arm", "right_arm")
+THROUGH_M = 0.04  # how deep a straight way between two poses may lead through something
+LARGEST_LIMB = 10  # joints of a group that is a limb, not the whole body
+WAY_WAYPOINTS = 8  # at which that is measured
 TRIES = 8  # starts of a solve that has to succeed: the given ones, then these moved at random
 BASE_SPREAD_M, JOINT_SPREAD = 0.05, 0.1  # standard deviations of moved starts [m, rad]
 
@@ -158,8 +162,13 @@ class PoseSolver:
         guesses: Sequence[Float[np.ndarray, "n"]] = (),
         loaded: Sequence[str] | None = None,
         tries: int = TRIES,
+        since: Float[np.ndarray, "n"] | None = None,
+        swinging: Sequence[str] = (),
+        n_compared: int = 1,
     ) -> EquilibriumPose:
         """Solve from one start after the other until a pose is feasible; the one with the largest reserve if none is.
+
+        A pose counts as feasible only if a straight way leads to it from ``since``, unless there is no such pose.
 
         Args:
             aims: the contacts.
@@ -167,17 +176,45 @@ class PoseSolver:
             guesses: starts to try before the shapes' nominal poses.
             loaded: patches that carry force; all by default.
             tries: largest number of starts.
+            since: (n,) configuration from which the robot moves to the pose.
+            swinging: patches that are not in contact on the way; their limbs may go around things.
+            n_compared: number of feasible poses, the cheapest of which is returned; the nominal poses are then tried
+                right after the first guess.
         """
-        starts = [(shapes[0], guess) for guess in guesses] + [(shape, shape.nominal) for shape in shapes]
+        given, nominal = [(shapes[0], guess) for guess in guesses], [(shape, shape.nominal) for shape in shapes]
+        starts = [*given, *nominal] if n_compared == 1 else [*given[:1], *nominal, *given[1:]]
         best: EquilibriumPose | None = None
+        found: list[EquilibriumPose] = []
         for shape, guess in self._vary(starts, tries):
             pose = self.solve(aims, shape, guess, loaded)
-            if pose.is_feasible:
-                return pose
-            if best is None or pose.reserve_n > best.reserve_n:
+            if pose.is_feasible and (since is None or self.measure_way(since, pose.q, aims, swinging) <= THROUGH_M):
+                found.append(pose)
+                if len(found) == n_compared:
+                    break
+            if best is None or (pose.is_feasible, pose.reserve_n) > (best.is_feasible, best.reserve_n):
                 best = pose
+        if found:
+            return min(found, key=measure_cost)
         assert best is not None
         return best
+
+    def measure_way(
+        self,
+        first: Float[np.ndarray, "n"],
+        last: Float[np.ndarray, "n"],
+        aims: Sequence[ContactAim],
+        swinging: Sequence[str] = (),
+    ) -> float:
+        """Return how deep the straight way between two poses leads through the robot itself or the scene [m].
+
+        Limbs with swinging patches are left out.
+        """
+        robot = self.body.robot
+        check = self.body.make_checker(make_allowances(robot, aims))
+        contacts = check(self.body.engine(straight_path(first, last, WAY_WAYPOINTS)))
+        free = find_limb_bodies(robot, swinging)
+        counted = ~np.isin(contacts.body, free) & ~(contacts.is_self & np.isin(contacts.other, free))
+        return float(-contacts.distance[counted].min(initial=0.0))
 
     def _vary(
         self, starts: Sequence[tuple[Shape, Float[np.ndarray, "n"]]], count: int
@@ -198,6 +235,24 @@ def _restore_solver(
 ) -> PoseSolver:
     """Return a solver sent by another process, which cannot stop it."""
     return PoseSolver(WholeBody(engine=KinematicsEngine(body["robot"]), **body), torque_share, margin_n, settings, seed)
+
+
+def measure_cost(pose: EquilibriumPose) -> float:
+    """Return ``C_p`` of Liu et al., Humanoids 2015: the sum of all costs of a pose."""
+    return float(sum(pose.result.cost.values()))
+
+
+def find_limb_bodies(robot: RobotModel, patches: Sequence[str]) -> list[int]:
+    """Return the indices of the bodies of limbs (groups of the robot) that carry patches."""
+    model = robot.model
+
+    def find_joint(link: str) -> int:
+        return int(model.frames[model.getFrameId(link)].parentJoint)
+
+    tips = {find_joint(robot.contacts[patch].link) for patch in patches}
+    limbs = [{int(model.getJointId(name)) for name in names} for names in robot.groups.values()]
+    moved = set[int]().union(*(limb for limb in limbs if limb & tips and len(limb) <= LARGEST_LIMB))
+    return [k for k, body in enumerate(robot.bodies) if find_joint(body.link) in moved]
 
 
 def make_allowances(robot: RobotModel, aims: Sequence[ContactAim]) -> tuple[Allowance, ...]:

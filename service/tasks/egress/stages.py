@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
 
-from costs.names import would_do
-from costs.robot import BASE_NAMES, RobotModel
-from service.demands.contacts.egress_demand import find_toe
+from costs.robot import RobotModel
+from service.demands.contacts.egress_demand import BEYOND_M, find_toe
 from service.demands.contacts.stances import Surface
+from service.demands.contacts.surfaces import find_unknown
 from service.errors import RequestError
-from service.request.egress import ContactRequest, PhaseRequest, PostureRequest
+from service.request.egress import ContactRequest, PhaseRequest
+from service.start.configuration import make_posture
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import Shape
 
@@ -71,11 +71,9 @@ def make_stages(
         aims, kept = [], set()
         for patch, contact in phase.contacts.items():
             there = f"{here}.contacts.{patch}"
-            if patch not in robot.contacts:
-                raise RequestError(f"{there}: unknown patch; {robot.name} has {would_do(patch, robot.contacts)}")
-            if contact.surface not in surfaces:
-                known = would_do(contact.surface, surfaces)
-                raise RequestError(f"{there}.surface: unknown surface '{contact.surface}'; expected {known}")
+            unknown = find_unknown(robot, surfaces, patch, contact.surface, f"{here}.contacts")
+            if unknown is not None:
+                raise RequestError(unknown)
             stays = contact.at is None and contact.toe is None and contact.yaw_deg is None
             if stays and patch in before and before[patch].surface.name == contact.surface:
                 aims.append(before[patch])
@@ -126,11 +124,10 @@ def _make_aim(
     place = np.array(given)
     if contact.region is not None:
         place[:2] += np.array(drawn) * np.array(contact.region)
-    place -= surface.measure_height(place[None])[0] * surface.normal
     beyond = float(surface.measure_outside(place[None])[0])
-    if beyond > 0.0 and contact.region is None:
+    if beyond > BEYOND_M and contact.region is None:
         raise RequestError(f"{path}: the place is {beyond:.3f} m beyond the edges of surface '{surface.name}'")
-    return ContactAim(patch, surface, place, mark, yaw)
+    return ContactAim(patch, surface, surface.bring_onto(place), mark, yaw)
 
 
 def _refuse_shared_links(robot: RobotModel, aims: Sequence[ContactAim], path: str) -> None:
@@ -147,21 +144,6 @@ def _make_shapes(robot: RobotModel, phase: PhaseRequest, path: str) -> tuple[Sha
         if not robot.model.existFrame(side.link):
             raise RequestError(f"{path}.sides[{i}].link: unknown link '{side.link}'")
     return tuple(
-        Shape(_make_nominal(robot, posture, f"{path}.postures[{i}]"), phase.weights, phase.sides)
+        Shape(make_posture(robot, posture, f"{path}.postures[{i}]"), phase.weights, phase.sides)
         for i, posture in enumerate(phase.postures)
     )
-
-
-def _make_nominal(robot: RobotModel, posture: PostureRequest, path: str) -> Float[np.ndarray, "n"]:
-    """Return the configuration of a nominal pose."""
-    if posture.posture not in robot.postures:
-        known = would_do(posture.posture, robot.postures)
-        raise RequestError(f"{path}.posture: unknown posture '{posture.posture}'; {robot.name} has {known}")
-    q = np.array(robot.postures[posture.posture])
-    q[: len(BASE_NAMES)] = posture.base
-    columns = {name: i for i, name in enumerate(robot.joint_names)}
-    for name, value in posture.joints.items():
-        if name not in columns or name in BASE_NAMES:
-            raise RequestError(f"{path}.joints: unknown joint '{name}'; {robot.name} has {would_do(name, columns)}")
-        q[columns[name]] = np.clip(value, robot.lower[columns[name]], robot.upper[columns[name]])
-    return q

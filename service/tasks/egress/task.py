@@ -13,15 +13,19 @@ from service.demands.contacts.contact_task import face_pieces
 from service.demands.contacts.stances import ends_with_new_contacts
 from service.request.egress import EgressRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.contact_motion import PoseGuesses, plan_contact_motion
+from service.tasks.contact_motion import plan_contact_motion
 from service.tasks.egress.chain import Chain
-from service.tasks.egress.plan import StageCount, plan_poses
+from service.tasks.egress.plan import PosePlan, StageCount, describe_graph, plan_poses
+from service.tasks.known_motion import KnownMotion
+
+KNOWN_TRIES = 2  # of a change of contacts in one sequence; then the next sequence is planned
+POSES_FROM, POSES_TO = 0.05, 0.2  # of the whole plan, for its progress
 
 
 def plan_egress(setup: PlanSetup, solver: PhaseSolver, request: EgressRequest) -> Iterator[TaskPlan]:
     """Yield the plan of the motion along the cheapest sequence of poses, or why there is none."""
     monitor, folder = solver.monitor, setup.request.folder
-    with monitor.step("poses", 0.05):
+    with monitor.step("poses", POSES_FROM):
         poses = plan_poses(
             setup.robot,
             setup.scene,
@@ -30,18 +34,23 @@ def plan_egress(setup: PlanSetup, solver: PhaseSolver, request: EgressRequest) -
             seed=solver.seed,
             should_stop=monitor.is_over,
             start=setup.stances[0],
+            on_pose=lambda stage, feasible, share: monitor.report(
+                f"poses of '{stage}': {feasible} hold", POSES_FROM + share * (POSES_TO - POSES_FROM)
+            ),
         )
         monitor.check()
     notes = tuple(_describe(count) for count in poses.counts)
     search, sequence = poses.search, poses.sequence
     if search is None or sequence is None:
-        yield TaskPlan(solver.body, (), poses.reasons, notes=notes)
+        notes += tuple(_suggest_shorter(poses))
+        yield TaskPlan(solver.body, (), poses.reasons, notes=notes, pose_graph=describe_graph(poses))
         return
     failed: TaskPlan | None = None
     try:
         while sequence is not None:
             plan = _plan_motion(setup, solver, sequence.chain)
-            plan = replace(plan, notes=(*notes, *plan.notes))
+            graph = describe_graph(replace(poses, sequence=sequence))
+            plan = replace(plan, notes=(*notes, *plan.notes), pose_graph=graph)
             stuck = None
             if plan.is_feasible:
                 yield plan
@@ -50,7 +59,7 @@ def plan_egress(setup: PlanSetup, solver: PhaseSolver, request: EgressRequest) -
                 stuck = plan.phases[-1].name.split(": ")[0]
             if not search.drop(sequence, stuck):
                 break
-            with monitor.step("poses", 0.05):
+            with monitor.step("poses", POSES_TO):
                 sequence = search.find_next()
     except (Interrupted, Stopped):
         if failed is None:
@@ -67,13 +76,21 @@ def _plan_motion(setup: PlanSetup, solver: PhaseSolver, chain: Chain) -> TaskPla
     ]
     names = [stance.name for stance in stances[1:]]
     steps = list(zip(names, chain.transitions, strict=True))
-    guesses = PoseGuesses(
+    guesses = KnownMotion(
         {name: step.leaving.q for name, step in steps if step.leaving is not None},
         {name: step.arriving.q for name, step in steps if step.arriving is not None},
         {name: pose.q for name, pose in zip(names, chain.poses[1:], strict=True)},
     )
     finish = chain.poses[-1].q if ends_with_new_contacts(stances) else None
-    return plan_contact_motion(solver, stances, finish, guesses)
+    return plan_contact_motion(solver, stances, finish, guesses, KNOWN_TRIES)
+
+
+def _suggest_shorter(poses: PosePlan) -> Iterator[str]:
+    """Yield the request's field that plans the phases before the first one without a pose."""
+    names = [count.name for count in poses.counts]
+    missing = next((k for k, count in enumerate(poses.counts) if not count.feasible), 0)
+    if missing > 1:
+        yield f"task.egress.until: {names[missing - 1]!r} plans the phases before '{names[missing]}' alone"
 
 
 def _describe(count: StageCount) -> str:

@@ -216,7 +216,8 @@ def _share_of_overlaps(robot: RobotModel, tree: LinkTree, pair: tuple[str, str])
     q = np.zeros((_POSES, robot.n))
     rng = np.random.default_rng(0)
     for joint in tree.path(*pair):
-        first, size = int(robot.model.joints[joint].idx_q), int(robot.model.joints[joint].nq)
+        # A joint that follows another one has no coordinate of its own, and the index of the one it follows.
+        first, size = int(robot.model.joints[joint].idx_q), max(int(robot.model.joints[joint].nq), 1)
         low = np.nan_to_num(robot.lower[first : first + size], neginf=-np.pi)
         high = np.nan_to_num(robot.upper[first : first + size], posinf=np.pi)
         q[:, first : first + size] = rng.uniform(low, high, (_POSES, size))

@@ -16,7 +16,10 @@ TOLERANCE = 1e-5
 _EDGES = 8  # of the pyramid inside a friction cone, for the programs
 _EXACT = 1e3  # weight of the wrench against torques in a least-squares program
 _SMALL = 1e-2  # weight of the size of forces in it
-_REFERENCES = 12  # samples whose forces are tried for all others
+_FILLED = 0.98  # of caps and friction, in it
+_NEIGHBOURS = 200  # samples on either side for which forces found at one are tried
+_WANTED_SHARE = 0.95  # of torque limits: forces that need more are improved where possible
+_BEARS_N = 1.0  # force from which on a contact point takes a part in corrections
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,10 @@ class ContactShare:
         scaled = self.grasp * self.scale
         self._least = self.scale[:, None] * np.linalg.pinv(scaled)
         self.edges = self._list_edges()
+        self._inner_edges = self._list_edges(_FILLED)
 
-    def _list_edges(self) -> Float[np.ndarray, "3C E"]:
-        """Return the edges of all pyramids as columns, each of unit normal force."""
+    def _list_edges(self, share: float = 1.0) -> Float[np.ndarray, "3C E"]:
+        """Return the edges of all pyramids as columns, each of unit normal force, for a share of the friction."""
         ground = self.ground
         columns = np.zeros((3 * len(ground.points), _EDGES * len(ground.points)))
         angles = 2.0 * np.pi * np.arange(_EDGES) / _EDGES
@@ -90,7 +94,7 @@ class ContactShare:
             side = np.eye(3)[int(np.abs(normal).argmin())]
             u = np.cross(normal, side) / np.linalg.norm(np.cross(normal, side))
             v = np.cross(normal, u)
-            edges = normal[:, None] + friction * (np.outer(u, np.cos(angles)) + np.outer(v, np.sin(angles)))
+            edges = normal[:, None] + share * friction * (np.outer(u, np.cos(angles)) + np.outer(v, np.sin(angles)))
             columns[3 * k : 3 * k + 3, _EDGES * k : _EDGES * (k + 1)] = edges
         return columns
 
@@ -106,37 +110,33 @@ class ContactShare:
         missing, shares = self._judge(wanted, forces, joints)
         limit = TOLERANCE * self.weight
 
-        def find_open() -> Int[np.ndarray, "R"]:
-            return np.flatnonzero((missing > limit) | (shares > 1.0).any(axis=1))
+        def is_open() -> Bool[np.ndarray, "S"]:
+            return np.asarray((missing > limit) | (shares > _WANTED_SHARE).any(axis=1))
 
         def keep_better(rows: Int[np.ndarray, "R"], better: Float[np.ndarray, "R 3C"]) -> None:
             miss, share = self._judge(wanted[rows], better, None if joints is None else joints.take(rows))
             was = np.maximum(missing[rows], limit) + self.weight * np.maximum(
-                shares[rows].max(axis=1, initial=0.0), 1.0
+                shares[rows].max(axis=1, initial=0.0), _WANTED_SHARE
             )
-            now = np.maximum(miss, limit) + self.weight * np.maximum(share.max(axis=1, initial=0.0), 1.0)
+            now = np.maximum(miss, limit) + self.weight * np.maximum(share.max(axis=1, initial=0.0), _WANTED_SHARE)
             taken = now < was
             forces[rows[taken]], missing[rows[taken]], shares[rows[taken]] = better[taken], miss[taken], share[taken]
 
         # Wrenches change little from sample to sample: forces found for one of them, corrected, hold its neighbours.
-        rows = find_open()
-        for _ in range(_REFERENCES):
-            if not len(rows):
-                break
+        tried = np.zeros(len(wanted), dtype=bool)
+        while len(rows := np.flatnonzero(is_open() & ~tried)):
             poll()
-            middle = int(rows[len(rows) // 2])
-            own = None if joints is None else joints.take(np.array([middle]))
-            force = self._spread(wanted[middle], own)
-            keep_better(rows, force + (wanted[rows] - wanted[middle]) @ self._least.T)
-            rows = find_open()
-            rows = rows[rows != middle]
-        for solve in (self._spread, self._program):
-            for row in find_open().tolist():
-                poll()
-                one = np.array([row])
-                found = solve(wanted[row], None if joints is None else joints.take(one))
-                if found is not None:
-                    keep_better(one, found[None])
+            row = int(rows[len(rows) // 2])
+            tried[row] = True
+            force = self._spread(wanted[row], None if joints is None else joints.take(np.array([row])))
+            near = rows[np.abs(rows - row) <= _NEIGHBOURS]
+            keep_better(near, force + (wanted[near] - wanted[row]) @ self._correct(force).T)
+        for row in np.flatnonzero(is_open()).tolist():
+            poll()
+            one = np.array([row])
+            found = self._program(wanted[row], None if joints is None else joints.take(one))
+            if found is not None:
+                keep_better(one, found[None])
         missing = np.where(missing <= limit, 0.0, missing)
         return ContactForces(forces.reshape(len(wrench), len(self.ground.points), 3), missing, shares)
 
@@ -186,20 +186,39 @@ class ContactShare:
         return missing, shares
 
     def _spread(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"]:
-        """Return forces on the pyramids that make a wrench, small and with small torques, by least squares."""
+        """Return forces on the pyramids that make a wrench, small and with small torques, by least squares.
+
+        What each contact point could still bear up to its cap is an unknown too, and not negative.
+        """
+        count = len(self.scale) // 3
         per_edge = np.repeat(self.scale[::3], _EDGES)
-        edges = self.edges * per_edge
-        parts = [_EXACT * self.grasp @ edges, _SMALL * np.eye(edges.shape[1])]
-        target = [_EXACT * wanted / self.weight, np.zeros(edges.shape[1])]
+        edges = self._inner_edges * per_edge
+        n_edges = edges.shape[1]
+        used = np.repeat(np.eye(count), _EDGES, axis=1) * per_edge
+        used *= (self.weight / (_FILLED * self.ground.caps))[:, None]
+        parts = [
+            np.hstack([_EXACT * self.grasp @ edges, np.zeros((6, count))]),
+            np.hstack([_EXACT * used, _EXACT * np.eye(count)]),
+            np.hstack([_SMALL * np.eye(n_edges), np.zeros((n_edges, count))]),
+        ]
+        target = [_EXACT * wanted / self.weight, np.full(count, _EXACT), np.zeros(n_edges)]
         if joints is not None:
-            parts.append(joints.lever[0] @ edges * self.weight / joints.effort[:, None])
+            lever = joints.lever[0] @ edges * self.weight / joints.effort[:, None]
+            parts.append(np.hstack([lever, np.zeros((len(lever), count))]))
             target.append(joints.torque[0] / joints.effort)
         try:
-            amount = np.asarray(nnls(np.concatenate(parts), np.concatenate(target))[0])
+            amount = np.asarray(nnls(np.concatenate(parts), np.concatenate(target))[0])[:n_edges]
         except RuntimeError:  # too many steps
             return np.asarray(self._least @ wanted)
         force = self.weight * edges @ amount
         return np.asarray(force + self._least @ (wanted - self.grasp @ force))
+
+    def _correct(self, force: Float[np.ndarray, "3C"]) -> Float[np.ndarray, "3C 6"]:
+        """Return the least change of forces per change of the wrench, at the points that bear something."""
+        normal = np.einsum("ck,ck->c", force.reshape(-1, 3), self.ground.normals)
+        bears = np.repeat(normal > _BEARS_N, 3)
+        scale = np.where(bears, self.scale, 0.0)
+        return np.asarray(scale[:, None] * np.linalg.pinv(self.grasp * scale, rcond=1e-6))
 
     def _program(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"] | None:
         """Return forces with the least largest share of torque, by a linear program; None where there are none."""

@@ -116,7 +116,7 @@ class InverseDynamics:
 
     torque: Float[np.ndarray, "S n"]
     wrench: Float[np.ndarray, "S 6"]
-    jacobians: Float[np.ndarray, "S 6 n"]
+    jacobians: Float[np.ndarray, "S 6 m"]
 
 
 def compute_inverse_dynamics(
@@ -133,11 +133,11 @@ def compute_inverse_dynamics(
     apart = find_mechanism_joints(motion)
     roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
     torque, wrench = np.empty((len(q), model.nv)), np.zeros((len(q), 6))
-    jacobians = np.empty((len(q) if has_jacobians else 0, 6, model.nv))
+    jacobians = np.empty((len(q) if has_jacobians else 0, 6, model.nvExtended))
     for k in range(len(q)):
         poll()
         if has_jacobians:
-            jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nv)
+            jacobians[k] = pin.computeJointJacobians(model, data, q[k]).reshape(6, model.nvExtended)
         torque[k] = pin.rnea(model, data, q[k], v[k], a[k])
         for joint in roots:
             # The parent of a root is the world, so its placement in its parent is the one in the world.
@@ -150,7 +150,7 @@ def _share_in_cones(
     phase: Phase,
     wrench: Float[np.ndarray, "S 6"],
     torque: Float[np.ndarray, "S n"],
-    jacobians: Float[np.ndarray, "S 6 n"],
+    jacobians: Float[np.ndarray, "S 6 m"],
 ) -> Float[np.ndarray, "S"]:
     """Take the torques of contact forces off ``torque``; return the force that the contacts lack [N]."""
     levers = list_levers(motion.robot.model, phase, jacobians)
@@ -171,7 +171,7 @@ def make_joints(motion: Motion, torque: Float[np.ndarray, "S n"], levers: Float[
     return Joints(torque[:, limited], levers[:, limited], motion.robot.effort[limited])
 
 
-def list_levers(model: pin.Model, phase: Phase, jacobians: Float[np.ndarray, "S 6 n"]) -> Float[np.ndarray, "S n 3C"]:
+def list_levers(model: pin.Model, phase: Phase, jacobians: Float[np.ndarray, "S 6 m"]) -> Float[np.ndarray, "S n 3C"]:
     """Return the generalised forces of unit forces at a phase's contact points, in world axes."""
     parts = []
     for contact in phase.contacts:
@@ -189,7 +189,7 @@ def find_limited_joints(motion: Motion) -> Int[np.ndarray, "k"]:
 
 
 def _ground_torques(
-    model: pin.Model, phase: Phase, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 n"]
+    model: pin.Model, phase: Phase, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 m"]
 ) -> Float[np.ndarray, "S n"]:
     """Return the joint torques of the ground's wrench, shared at least norm between the planted links.
 
@@ -204,13 +204,23 @@ def _ground_torques(
 
 
 def _carried_torques(
-    model: pin.Model, joint: int, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 n"]
+    model: pin.Model, joint: int, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 m"]
 ) -> Float[np.ndarray, "S n"]:
     """Return the generalised forces of a wrench on what a joint carries, about the world's origin."""
-    carried = np.zeros(model.nv)
+    return np.asarray(np.einsum("sij,si->sj", jacobians, wrench) @ map_axes(model, joint))
+
+
+def map_axes(model: pin.Model, joint: int) -> Float[np.ndarray, "m n"]:
+    """Return the map from torques about all axes to those of the coordinates, of the axes that carry a joint alone.
+
+    There is an axis per coordinate and one per joint that follows another (``mimic``).
+    """
+    carried = np.zeros((model.nvExtended, model.nv))
     for above in list(model.supports[joint])[1:]:
-        carried[model.joints[above].idx_v : model.joints[above].idx_v + model.joints[above].nv] = 1.0
-    return np.asarray(np.einsum("sij,si->sj", jacobians, wrench) * carried)
+        made = model.joints[above]
+        for k in range(made.nvExtended):
+            carried[made.idx_vExtended + k, made.idx_v + k] = 1.0
+    return carried
 
 
 def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:

@@ -135,19 +135,19 @@ def list_load_cases(
     """
     model, data = robot.model, robot.model.createData()
     joints = [int(model.frames[model.getFrameId(load.tool)].parentJoint) for load in loads]
-    wrenches = np.zeros((len(loads), len(q), 6))
+    forces, points = np.zeros((2, len(loads), len(q), 3))
     for k, row in enumerate(q if loads else ()):
         pin.framesForwardKinematics(model, data, row)
         for index, load in enumerate(loads):
             pose = data.oMf[model.getFrameId(load.link)]
-            force = -pose.rotation @ load.force
             place = load.place
             if load.slide is not None:
                 place = _slide_to(
                     load, pose.rotation.T @ (data.oMf[model.getFrameId(load.tool)].translation - pose.translation)
                 )
-            point = pose.rotation @ place + pose.translation
-            wrenches[index, k] = np.concatenate([force, np.cross(point, force)])
+            forces[index, k] = -pose.rotation @ load.force
+            points[index, k] = pose.rotation @ place + pose.translation
+    wrenches = np.concatenate([forces, np.cross(points, forces)], axis=2)
     cases = []
     for share in product((0.0, 1.0), repeat=len(loads)):
         parts = tuple((joints[i], wrenches[i]) for i in range(len(loads)) if share[i])

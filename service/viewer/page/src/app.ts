@@ -13,6 +13,9 @@ import { Loads } from "./loads";
 import { Marks } from "./marks";
 import { Motion } from "./motion";
 import { Panel } from "./panel";
+import { readPoseGraph } from "./pose-data";
+import { PoseGraphView } from "./pose-graph";
+import { Poses } from "./poses";
 import { Forces, Regions } from "./regions";
 import { Robot } from "./robot";
 import { Shapeless } from "./shapeless";
@@ -21,6 +24,7 @@ import { Stage, Subject, View } from "./stage";
 import { Targets } from "./targets";
 import { THEMES } from "./theme";
 import { Player, SPEEDS, Timeline } from "./timeline";
+import { Visuals } from "./visuals";
 import { Cloud, Floor, Movables, Pieces, floorHeight } from "./world";
 
 export class App implements Player {
@@ -35,6 +39,7 @@ export class App implements Player {
   readonly marks: Marks;
   readonly goal: Goal;
   readonly labels: Labels;
+  readonly poses?: Poses;
   readonly help: HTMLElement;
   readonly tip = el("div", "tip");
   private readonly scales = el("div", "scales");
@@ -50,6 +55,7 @@ export class App implements Player {
   private readonly header: Header;
   private readonly hand: number;
   private last = 0;
+  private hadGhosts = false;
 
   constructor() {
     const { result, motion } = this;
@@ -71,7 +77,8 @@ export class App implements Player {
     this.goal = new Goal(result, motion);
     const subject = this.subject(z);
     this.stage = new Stage(viewport, subject);
-    this.robot = new Robot(result.bodies, motion);
+    const visuals = new Visuals(result.visuals, motion);
+    this.robot = new Robot(result.bodies, motion, visuals.count > 0);
     this.ghosts = new Ghosts([...result.bodies, ...this.movedBodies()], motion, result.waypoints);
     this.pieces = new Pieces(result);
     this.movables = new Movables(result, motion);
@@ -81,16 +88,19 @@ export class App implements Player {
     const centre = subject.box.getCenter(new Vector3());
     const reach = Math.max(6, subject.box.getSize(new Vector3()).length() * 2.2);
     this.layers = [
-      this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result),
+      ...(visuals.count > 0 ? [visuals] : []), this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result),
       new Cones(result), new Regions(result, z), new Forces(result), loads, this.goal,
       new Shapeless(result.shapeless, motion), this.marks,
       new Cloud(result.cloud), new Floor(result, z, centre, reach),
       ...(result.simulated ? [new SimulatedRobot(result, [...result.bodies, ...this.movedBodies()], result.simulated)] : []),
     ];
+    const graph = result.pose_graph && readPoseGraph(result.pose_graph);
+    if (graph) this.layers.splice(2, 0, (this.poses = new Poses(graph, result.bodies, () => this.sampledPhase())));
     if (result.simulated) this.ghosts.group.visible = false;
     for (const label of [...targets.labels, ...this.movables.labels, ...loads.labels, ...this.goal.labels]) this.labels.add(label);
     for (const layer of this.layers) this.stage.scene.add(layer.group);
     this.panel = new Panel(result, this.layers, (index) => this.chooseCheck(index), (layer) => this.toggle(layer));
+    if (graph) this.showGraph(new PoseGraphView(graph, { show: (phase, pose) => this.showPoses(phase, pose) }));
     this.timeline = new Timeline(result, this, this.ghosts.times);
     this.help = makeHelp(this.layers);
     document.body.append(this.panel.element, this.timeline.element, this.help);
@@ -201,6 +211,10 @@ export class App implements Player {
   setLayer(layer: Layer, isVisible: boolean): void {
     layer.group.visible = isVisible;
     layer.update?.(this.time);
+    if (layer === this.poses) {
+      this.poses.onChange();
+      this.fadeRobot();
+    }
     this.panel.setLayer(layer);
     this.marks.refresh();
     this.explain();
@@ -263,6 +277,34 @@ export class App implements Player {
     this.stage.draw();
   }
 
+  // A solid pose and the robot where it is now would hide each other: the robot becomes glass.
+  private fadeRobot(): void { this.robot.xray(this.isXray || this.poses?.group.visible === true); }
+
+  private showGraph(view: PoseGraphView): void {
+    this.panel.insert(view.element);
+    const poses = this.poses!;
+    poses.onChange = () => view.mark(poses.group.visible ? poses.phase : -1, poses.selected, poses.group.visible ? poses.strong : -1);
+    poses.onChange();
+  }
+
+  // The sampled phase that the motion is in or was in last.
+  private sampledPhase(): number {
+    const names = this.result.pose_graph!.phases.map((phase) => phase.name);
+    const begun = this.result.phases.filter((phase) => phase.start <= this.time + 1e-6);
+    return Math.max(0, ...begun.map((phase) => names.indexOf(phase.name.split(": ")[0])));
+  }
+
+  // Show the poses of a phase and one of them strongly; -1: the chosen one, or no phase. Ghosts of waypoints would hide them.
+  showPoses(phase: number, pose = -1): void {
+    if (!this.poses) return;
+    const isNew = phase >= 0 && !this.poses.group.visible;
+    if (isNew) this.hadGhosts = this.ghosts.group.visible;
+    this.poses.show(phase, pose);
+    if (isNew) this.setLayer(this.ghosts, false);
+    if (phase < 0 && this.poses.group.visible && this.hadGhosts) this.setLayer(this.ghosts, true);
+    this.setLayer(this.poses, phase >= 0);
+  }
+
   // Go to the time and place a check speaks of, and mark it there; -1 deselects.
   chooseCheck(index: number): void {
     this.marks.select(index);
@@ -297,6 +339,7 @@ export class App implements Player {
   setXray(on: boolean): void {
     this.isXray = on;
     for (const layer of this.layers) layer.xray?.(on);
+    if (this.poses) this.fadeRobot();
     this.header.setXray(on);
     this.stage.draw();
   }

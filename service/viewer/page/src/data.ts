@@ -1,4 +1,5 @@
 // The payload that service/viewer/payload.py wrote, decoded into typed arrays.
+import type { PackedPoseGraph } from "./pose-data";
 
 export interface Packed { dtype: string; shape: number[]; data: string }
 export interface Quantized extends Packed { lower: number[]; upper: number[] }
@@ -7,6 +8,9 @@ interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
 export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array; bends: Uint8Array }
 export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
+// What a link looks like, in its frame.
+interface PackedVisual { link: string; vertices: Quantized; triangles: Packed }
+export interface Visual { link: string; vertices: Float32Array; triangles: Uint16Array }
 interface MovedJoint { name: string; joint: string; type: "revolute" | "prismatic"; parent: string | null; origin: number[]; axis: number[] }
 // Bodies are in the frame of the link, which has a pose among those of the robot's links.
 export interface Movable extends MovedJoint { bodies: NamedHull[]; angles: Float32Array }
@@ -58,18 +62,20 @@ interface Payload {
   obstruction: Obstruction | null; shapeless: string[];
   times: Packed; links: string[]; positions: Quantized; rotations: Packed;
   bodies: { name: string; link: string; hull: PackedHull }[];
+  visuals?: PackedVisual[];
   pieces: PackedNamedHull[];
   movables: (MovedJoint & { bodies: PackedNamedHull[]; angles: Packed })[];
   phases: (Omit<Phase, "regions"> & { regions: (Omit<Region, "forces"> & { forces: Packed })[] })[];
   waypoints: number[]; support: (Omit<Support, "zmp"> & { zmp: Packed })[]; com: Packed; clearance: Packed; cloud: Quantized;
   simulated?: PackedSimulated | null;
+  pose_graph?: PackedPoseGraph;
 }
 
 export interface Result extends Omit<
-  Payload, "times" | "positions" | "rotations" | "bodies" | "pieces" | "movables" | "phases" | "support" | "com" | "clearance" | "cloud" | "simulated"
+  Payload, "times" | "positions" | "rotations" | "bodies" | "visuals" | "pieces" | "movables" | "phases" | "support" | "com" | "clearance" | "cloud" | "simulated"
 > {
   simulated?: Simulated;
-  times: Float32Array; positions: Float32Array; rotations: Int16Array; bodies: Body[]; pieces: NamedHull[];
+  times: Float32Array; positions: Float32Array; rotations: Int16Array; bodies: Body[]; visuals: Visual[]; pieces: NamedHull[];
   movables: Movable[]; phases: Phase[]; support: Support[]; com: Float32Array; clearance: Float32Array; cloud: Float32Array;
 }
 
@@ -105,6 +111,9 @@ export function readPayload(): Result {
     positions: points(payload.positions),
     rotations: new Int16Array(bytesOf(payload.rotations)),
     bodies: payload.bodies.map((body) => ({ ...body, hull: hullOf(body.hull) })),
+    visuals: (payload.visuals ?? []).map(({ link, vertices, triangles }) => ({
+      link, vertices: points(vertices), triangles: indices(triangles),
+    })),
     pieces: payload.pieces.map(namedHull),
     movables: payload.movables.map((movable) => ({
       ...movable, bodies: movable.bodies.map(namedHull), angles: floats(movable.angles),

@@ -8,7 +8,7 @@ import { Layer } from "./layer";
 import { Motion } from "./motion";
 import { Colours, timeColour } from "./theme";
 
-const VERTEX = `
+export const VERTEX = `
 attribute vec3 tint;
 attribute float strength;
 varying vec3 vView;
@@ -25,7 +25,7 @@ void main() {
 }`;
 
 // What faces the eye stays thin, what turns away glows: outlines read, what lies behind is not hidden.
-const FRAGMENT = `
+export const FRAGMENT = `
 uniform float gain;
 varying vec3 vView;
 varying vec3 vNormal;

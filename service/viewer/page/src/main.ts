@@ -13,7 +13,7 @@ function keys(app: App): void {
     l: () => document.body.classList.toggle("unlabelled"), s: () => app.savePicture(), i: () => app.togglePanel(),
     h: () => { app.isFollowing = !app.isFollowing; if (app.isFollowing) app.show("hand"); },
     "?": () => { app.help.hidden = !app.help.hidden; },
-    Escape: () => { app.help.hidden = true; app.chooseCheck(-1); },
+    Escape: () => { app.help.hidden = true; app.chooseCheck(-1); app.showPoses(-1); },
   };
   VIEWS.forEach((view, i) => { acts[String(i + 1)] = () => app.show(view); });
   for (const layer of app.layers) acts[layer.key] = () => app.toggle(layer);
@@ -58,7 +58,7 @@ function pointer(app: App): void {
   });
 }
 
-// #t=1.5&camera=front&layers=robot,pieces&theme=dark&check=0&xray=1&panel=0&bars=0&play=1
+// #t=1.5&camera=front&layers=robot,pieces&theme=dark&check=0&pose=12&xray=1&panel=0&bars=0&play=1
 function followHash(app: App): void {
   const wanted = new URLSearchParams(location.hash.slice(1));
   const theme = wanted.get("theme");
@@ -79,6 +79,8 @@ function followHash(app: App): void {
   if (wanted.get("xray")) app.setXray(wanted.get("xray") === "1");
   const check = Number(wanted.get("check") ?? NaN);
   if (Number.isInteger(check)) app.chooseCheck(check);
+  const pose = app.result.pose_graph?.poses[Number(wanted.get("pose") ?? NaN)];
+  if (pose) app.showPoses(pose.phase, Number(wanted.get("pose")));
   if (wanted.get("play") === "1") app.play(true);
 }
 

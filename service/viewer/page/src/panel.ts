@@ -149,6 +149,13 @@ export class Panel {
     return grip;
   }
 
+  // Put a section before the checks, after what stands in the way.
+  insert(section: HTMLElement): void {
+    const why = this.element.querySelector(".why")?.closest("section");
+    if (why) why.after(section);
+    else this.element.querySelector(".scroll")!.prepend(section);
+  }
+
   select(index: number): void {
     for (const [i, row] of this.rows) row.classList.toggle("chosen", i === index);
     this.rows.get(index)?.scrollIntoView({ block: "nearest" });

@@ -1,8 +1,9 @@
 // The robot and what it moves as physics carried them out: translucent, beside the plan.
-import { Group, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, Quaternion, Vector3 } from "three";
+import { Group, LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial } from "three";
 import { Body, Result, Simulated } from "./data";
 import { edgeGeometry, hullGeometry } from "./geometry";
 import { Layer, Legend } from "./layer";
+import { Link, placeLinks } from "./linked";
 import { Motion } from "./motion";
 import { Colours } from "./theme";
 
@@ -15,7 +16,7 @@ export class SimulatedRobot implements Layer {
   readonly group = new Group();
   readonly count: number;
   private readonly motion: Motion;
-  private readonly links: { group: Group; link: number }[] = [];
+  private readonly links: Link[] = [];
   private readonly material = new MeshStandardMaterial({
     flatShading: true, roughness: 0.7, transparent: true, opacity: OPACITY, depthWrite: false,
   });
@@ -35,15 +36,7 @@ export class SimulatedRobot implements Layer {
     });
   }
 
-  update(t: number): void {
-    const position = new Vector3();
-    const rotation = new Quaternion();
-    for (const { group, link } of this.links) {
-      this.motion.pose(link, t, position, rotation);
-      group.position.copy(position);
-      group.quaternion.copy(rotation);
-    }
-  }
+  update(t: number): void { placeLinks(this.links, this.motion, t); }
 
   recolour(colours: Colours): void {
     this.material.color.set(colours.simulated);

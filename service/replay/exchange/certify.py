@@ -1,0 +1,336 @@
+"""Certificates for motions of other planners: a trajectory is held to a request, exactly as it is interpolated."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.robot import BASE_NAMES, RobotModel
+from costs.stopping import never, poll, stops_when
+from service.demands import Demands, hold_to_request
+from service.demands.program import ProgramDemand, report_fixed_joints_that_move
+from service.errors import RequestError, shown, would_do
+from service.replay.exchange.interpolation import (
+    READ_AS,
+    SENTENCES,
+    Interpolation,
+    choose_interpolation,
+    make_curve,
+    make_even_law,
+)
+from service.replay.exchange.joint_trajectory import JointTrajectory
+from service.request.schema import PlanRequest
+from service.result.motion_json import BASE_COLUMNS
+from service.setup.prepare import PlanSetup, prepare
+from service.verify import Basis, Certificate, Check, Motion, Phase, Status, VerifyError, VerifySettings, Where, verify
+from service.verify.coverage.required import list_waived_checks
+
+PHASE = "motion"
+START_TOLERANCE = 1e-3  # of the first point from the request's start [rad, m]
+REST_SPEED = 1e-3  # at both ends; other planners round to single precision [rad/s, m/s]
+CORNERS = (
+    "a controller that is given positions alone moves on lines with corners; give velocities, or certify the spline "
+    "through the points (--interpolation spline) or the path alone (--untimed)"
+)
+LARGEST_TURN_RAD = 0.5  # of a base between two points, whose quaternions are read as angles
+
+
+@dataclass(frozen=True)
+class CertifiedTrajectory:
+    """Verdict on a trajectory of another planner.
+
+    Attributes:
+        request: what the trajectory is held to.
+        motion: the trajectory as the verifier reads it.
+        certificate: proof or refutation; its status is the verdict, its notes name the interpolation.
+        interpolation: ``linear``, ``cubic``, ``quintic`` or ``spline``.
+        failures: where it fails: time, links and pieces, millimetres; one sentence each.
+        notes: assumptions about the trajectory.
+        timings: seconds by step.
+    """
+
+    request: PlanRequest
+    motion: Motion
+    certificate: Certificate
+    interpolation: str
+    failures: tuple[str, ...]
+    notes: tuple[str, ...]
+    timings: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether every check holds, by proof where proofs exist."""
+        return self.certificate.status is Status.CERTIFIED
+
+    def __repr__(self) -> str:
+        end = f": {self.failures[0]}" if self.failures else ""
+        return f"<CertifiedTrajectory {self.certificate.status.value}, {self.interpolation}{end}>"
+
+
+def certify(
+    trajectory: JointTrajectory,
+    request: PlanRequest,
+    interpolation: Interpolation = "auto",
+    *,
+    timed: bool = True,
+    robot: RobotModel | None = None,
+    should_stop: Callable[[], bool] = never,
+    on_step: Callable[[str], None] | None = None,
+) -> CertifiedTrajectory:
+    """Prove or refute that a trajectory of another planner answers a request.
+
+    Robot, start, scene, goal, kept poses and planted feet come from the request.  Clearance of all pairs of links and
+    pieces, joint limits, speeds and accelerations, planted feet, balance and the goal are proven on the whole curve;
+    torques and ZMP at samples, as for a plan of our own.  Joints that the trajectory leaves out stay at the request's
+    start.  Speeds and accelerations are held to the robot's own limits: the request's ``velocity_scale`` and
+    ``acceleration_scale`` are aims of the planner.
+
+    Args:
+        trajectory: points, with derivatives where the planner gives them.
+        request: a goal or a TrajOpt problem; tasks with phases of their own are refused.
+        interpolation: how the robot's controller reads the points; ``auto`` takes quintics where accelerations are
+            given, else cubics where velocities are, else lines, as ros2_control does.
+        timed: whether times count; otherwise only the path is certified, and the certificate says so.
+        robot: the request's robot if it is loaded already.
+        should_stop: polled often; once it returns True, ``costs.stopping.Stopped`` is raised.
+        on_step: called with the name of each step.
+
+    Raises:
+        RequestError: the request, or the trajectory for it, cannot be used: names, shapes, times, values.
+    """
+    announce = on_step or (lambda step: None)
+    timings: dict[str, float] = {}
+    started = time.perf_counter()
+    with stops_when(should_stop):
+        _refuse_tasks(request)
+        timed = timed and request.options.timed
+        request = replace(request, options=replace(request.options, timed=timed))
+        setup = prepare(request, announce, robot, should_stop, checks_start=False)
+        poll()
+        timings["prepare"] = time.perf_counter() - started
+        announce("read trajectory")
+        points, notes = _place_points(trajectory, setup.robot, setup.start)
+        kind = choose_interpolation(trajectory, interpolation)
+        motion = _make_motion(points, setup, kind, timed=timed, source=trajectory.source)
+        announce("certificate")
+        started = time.perf_counter()
+        demands = _make_demands(setup)
+        held = _hold(demands, motion)
+        try:
+            certificate = verify(held, VerifySettings(rest_speed=REST_SPEED))
+        except VerifyError as error:
+            raise RequestError(f"{trajectory.source}: {error}") from None
+        certificate = _add_start(certificate, held, setup, demands.program)
+        timings["certificate"] = time.perf_counter() - started
+    sentence = f"{SENTENCES[kind]}; all checks are of this curve"
+    kept = [note for note in certificate.notes if not note.startswith("the curve itself is certified")]
+    certificate = replace(certificate, notes=(sentence, *kept))
+    failures = list_failures(certificate, held)
+    if kind == "linear" and any(check.name in ("limits.jump", "limits.rest") for check in certificate.failed()):
+        notes += (CORNERS,)
+    return CertifiedTrajectory(request, held, certificate, kind, failures, (*notes, *setup.notes), timings)
+
+
+def list_failures(certificate: Certificate, motion: Motion) -> tuple[str, ...]:
+    """Return where a motion fails: each sentence of a check that does not hold, with its time and place."""
+    checks = certificate.failed() or tuple(c for c in certificate.checks if c.basis is Basis.UNPROVEN)
+    return tuple(_locate(check, motion) for check in checks)
+
+
+def to_json(outcome: CertifiedTrajectory) -> dict[str, Any]:
+    """Return what ``scopt certify --json`` prints: verdict, failures, interpolation, checks and coverage."""
+    from service.result.result_json import proof_summary
+
+    certificate, law = outcome.certificate, outcome.motion.law
+    return {
+        "verdict": certificate.status.value,
+        "explanation": list(outcome.failures),
+        "interpolation": outcome.interpolation,
+        "held_to": f"read as {READ_AS[outcome.interpolation]}",
+        "notes": [*certificate.notes, *outcome.notes],
+        "duration_s": None if law is None else float(law.times[-1] - law.times[0]),
+        "timings": dict(outcome.timings),
+        **proof_summary(certificate),
+    }
+
+
+def _refuse_tasks(request: PlanRequest) -> None:
+    task = request.task
+    if task is not None and task.trajopt is None:
+        name = next(name for name, value in vars(task).items() if value is not None)
+        raise RequestError(
+            f"task.{name}: its phases are made by the planner; a trajectory is certified for a goal or task.trajopt"
+        )
+    if request.resume is not None:
+        raise RequestError("resume: a trajectory is certified as a whole; leave it out")
+
+
+@dataclass(frozen=True)
+class _Points:
+    """A trajectory in the robot's coordinates, (K, n) each; times are None for a path."""
+
+    times: Float[np.ndarray, "K"] | None
+    positions: Float[np.ndarray, "K n"]
+    velocities: Float[np.ndarray, "K n"] | None
+    accelerations: Float[np.ndarray, "K n"] | None
+
+
+def _place_points(
+    trajectory: JointTrajectory, robot: RobotModel, start: Float[np.ndarray, "n"]
+) -> tuple[_Points, tuple[str, ...]]:
+    """Return the points in the robot's order of coordinates, and notes about joints that the trajectory leaves out.
+
+    Raises:
+        RequestError: unknown joints, an incomplete base, or derivatives of some joints only.
+    """
+    source, names, values = trajectory.source, trajectory.joint_names, trajectory.positions
+    if set(names) & set(BASE_COLUMNS[3:]):
+        names, values = _read_base(trajectory, robot, start)
+    unknown = [name for name in names if name not in robot.joint_names]
+    if unknown:
+        own = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
+        listed = would_do(unknown[0], own)
+        raise RequestError(f"{source}: unknown joint {shown(unknown[0])}; {robot.name} has {listed}")
+    columns = [robot.joint_names.index(name) for name in names]
+    positions = np.tile(start, (len(values), 1))
+    positions[:, columns] = values
+    rates = [_place_rates(trajectory, kind, robot, names) for kind in ("velocities", "accelerations")]
+    still = [name for name in robot.joint_names if name not in names and name not in BASE_NAMES]
+    notes = []
+    if still:
+        listed = ", ".join(still[:5]) + (f" and {len(still) - 5} more" if len(still) > 5 else "")
+        notes.append(f"the trajectory leaves out {listed}: taken to stay at the request's start")
+    if robot.is_floating and not set(names) & set(BASE_NAMES):
+        notes.append("the trajectory leaves out the base: taken to stay at the request's start")
+    return _Points(trajectory.times, positions, rates[0], rates[1]), tuple(notes)
+
+
+def _place_rates(
+    trajectory: JointTrajectory, kind: str, robot: RobotModel, names: tuple[str, ...]
+) -> Float[np.ndarray, "K n"] | None:
+    values = getattr(trajectory, kind)
+    if values is None:
+        return None
+    columns = trajectory.columns_of_rates
+    unequal = sorted(set(columns) ^ set(names))
+    if unequal:
+        raise RequestError(
+            f"{trajectory.source}: {kind} and positions are not of the same coordinates: {shown(unequal[0])} is in "
+            "only one of them"
+        )
+    rates = np.zeros((len(values), robot.n))
+    rates[:, [robot.joint_names.index(name) for name in columns]] = values
+    return rates
+
+
+def _read_base(
+    trajectory: JointTrajectory, robot: RobotModel, start: Float[np.ndarray, "n"]
+) -> tuple[tuple[str, ...], Float[np.ndarray, "K j"]]:
+    """Return names and positions with the base's quaternions replaced by its z-y-x angles."""
+    source, names = trajectory.source, trajectory.joint_names
+    missing = [name for name in BASE_COLUMNS if name not in names]
+    if missing:
+        raise RequestError(f"{source}: the base lacks {missing[0]}; expected {', '.join(BASE_COLUMNS)}")
+    if not robot.is_floating:
+        raise RequestError(f"{source}: gives a base, and the base of {robot.name} is fixed")
+    columns = [names.index(name) for name in BASE_COLUMNS]
+    quaternions = trajectory.positions[:, columns[3:]]
+    lengths = np.linalg.norm(quaternions, axis=1)
+    if np.any(np.abs(lengths - 1.0) > 1e-3):
+        row = int(np.argmax(np.abs(lengths - 1.0)))
+        raise RequestError(f"{source}: the base's quaternion at point {row} has the length {lengths[row]:.4g}, not 1")
+    angles = np.unwrap(Rotation.from_quat(quaternions, scalar_first=True).as_euler("ZYX"), axis=0)
+    angles += 2.0 * np.pi * np.round((start[3:6] - angles[0]) / (2.0 * np.pi))  # the same turn as the start's
+    turn = np.abs(np.diff(angles, axis=0)).max(initial=0.0)
+    if turn > LARGEST_TURN_RAD:
+        raise RequestError(
+            f"{source}: the base turns by {np.rad2deg(turn):.0f} deg between two points; "
+            f"expected at most {np.rad2deg(LARGEST_TURN_RAD):.0f}, or base_yaw, base_pitch and base_roll"
+        )
+    others = [k for k in range(len(names)) if k not in columns]
+    values = np.hstack([trajectory.positions[:, columns[:3]], angles, trajectory.positions[:, others]])
+    return (*BASE_NAMES, *(names[k] for k in others)), values
+
+
+def _make_motion(points: _Points, setup: PlanSetup, kind: str, *, timed: bool, source: str) -> Motion:
+    """Return the motion with a single phase, without promises.
+
+    Raises:
+        RequestError: a timed motion is wanted, and there are no times.
+    """
+    times = points.times
+    if timed and times is None:
+        raise RequestError(f"{source}: has no times; --untimed (or timed=False) certifies the path alone")
+    is_by_time = times is not None and kind != "linear"  # derivatives are by time, also where only the path counts
+    if times is None and kind in ("cubic", "quintic"):
+        raise RequestError(f"{source}: has velocities and no times; {kind} needs both")
+    s = times if times is not None and (timed or is_by_time) else np.arange(float(len(points.positions)))
+    curve = make_curve(s, points.positions, points.velocities, points.accelerations, kind)
+    return Motion(
+        robot=setup.robot,
+        scene=setup.scene,
+        curve=curve,
+        law=make_even_law(s) if timed else None,
+        phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
+        waived=list_waived_checks(is_timed=timed, is_balanced=True),
+    )
+
+
+def _make_demands(setup: PlanSetup) -> Demands:
+    program = None
+    if setup.program is not None:
+        from service.trajopt.verifier_targets import make_program_demand  # slow to import
+
+        program = make_program_demand(setup.program, setup.robot)
+    return Demands(setup.request, setup.robot, setup.start, setup.scene, program)
+
+
+def _hold(demands: Demands, motion: Motion) -> Motion:
+    """Return the motion with the request's promises.
+
+    Raises:
+        RequestError: no point of the trajectory does what a step of a TrajOpt problem demands.
+    """
+    held = hold_to_request(demands, motion)
+    missed = [line for line in held.differences if line.startswith("no waypoint does")]
+    if missed:
+        raise RequestError(missed)
+    return held.motion
+
+
+def _add_start(
+    certificate: Certificate, motion: Motion, setup: PlanSetup, program: ProgramDemand | None
+) -> Certificate:
+    """Return the certificate with a check of the first point against the request's start, and of fixed joints."""
+    q = motion.curve.positions
+    off = np.abs(q[0] - setup.start)
+    worst = int(off.argmax())
+    name, s = setup.robot.joint_names[worst], float(motion.curve.knots[0])
+    value = float(off[worst])
+    is_ok = value <= START_TOLERANCE
+    text = f"the first point is within {value:.2g} rad of the request's start"
+    if not is_ok:
+        text = f"{name} starts at {q[0, worst]:.4f}, the request's start has {setup.start[worst]:.4f}"
+    where = Where(s, None if motion.law is None else s, None, (name,))
+    checks = [Check("start", is_ok, value, START_TOLERANCE, "rad", text, where, Basis.PROOF)]
+    lines = () if program is None else report_fixed_joints_that_move(program, setup.robot, setup.start, q)
+    checks += [Check("start.fixed", False, 1.0, 0.0, "1", line, where, Basis.PROOF) for line in lines]
+    is_violated = any(not check.ok for check in checks)
+    status = Status.VIOLATED if is_violated else certificate.status
+    return replace(certificate, status=status, checks=(*checks, *certificate.checks))
+
+
+def _locate(check: Check, motion: Motion) -> str:
+    """Return a check's sentence with its time, or its place on the path, and the points that it lies between."""
+    if check.where is None:
+        return check.text
+    knots = motion.curve.knots
+    row = int(np.clip(np.searchsorted(knots, check.where.s, side="right") - 1, 0, len(knots) - 2))
+    at = f"after point {row}" if check.where.time_s is None else f"at {check.where.time_s:.3f} s, after point {row}"
+    return f"{check.text} ({at})"

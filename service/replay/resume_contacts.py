@@ -1,0 +1,240 @@
+"""The rest of a plan that changes contacts: stances with known poses, from one of its phases on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.robot import BASE_NAMES, RobotModel
+from service.demands.contacts.stances import (
+    ContactChange,
+    ContactPhase,
+    ContactStance,
+    StanceContact,
+    find_link_yaw,
+    list_contact_phases,
+)
+from service.errors import RequestError, shown, would_do
+from service.request.contacts import (
+    MAX_WAY,
+    ContactsRequest,
+    KnownPosesRequest,
+    PlaceRequest,
+    PostureRequest,
+    StanceRequest,
+    SurfaceRequest,
+)
+from service.verify import Motion
+from service.verify.ground import GROUND_TOLERANCE_M
+
+FINISH = "finish"
+
+
+@dataclass(frozen=True)
+class ChangedContacts:
+    """What an earlier plan did: its stances and its motion.
+
+    Attributes:
+        robot: with contact patches.
+        stances: that of the start first.
+        has_finish: whether a last phase leads to a posture.
+        motion: of the plan.
+        surfaces: of its request, by name.
+    """
+
+    robot: RobotModel
+    stances: tuple[ContactStance, ...]
+    has_finish: bool
+    motion: Motion
+    surfaces: dict[str, SurfaceRequest]
+
+    def make_rest(self, phase: str, start: Float[np.ndarray, "n"], carrying: Sequence[str] | None) -> ContactsRequest:
+        """Return the task of doing the rest.
+
+        Args:
+            phase: name of the phase to begin with.
+            start: (n,) configuration of the robot as it is.
+            carrying: patches that carry it; by default those that do so at the start of the phase.
+
+        Raises:
+            RequestError: there is no such phase, or a patch is unknown.
+        """
+        specs = list_contact_phases(self.stances, has_finish=self.has_finish)
+        names = [spec.name for spec in specs]
+        if phase not in names:
+            raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(names)}")
+        spec = specs[names.index(phase)]
+        if spec.kind == "finish":
+            last = len(self.stances) - 1
+            held = self._choose(self.stances[last].contacts, carrying)
+            return ContactsRequest(self.surfaces, _name_surfaces(held), (self._stand(FINISH, phase),))
+        k = next(
+            k for k, stance in enumerate(self.stances) if k and phase in (f"{stance.name}: {spec.kind}", stance.name)
+        )
+        held = self._choose(self._find_held(spec, k, start), carrying)
+        on = {contact.patch: contact for contact in held}
+        rest = [self._change(k, set(on))]
+        rest += [self._change(later, None) for later in range(k + 1, len(self.stances))]
+        if self.has_finish:
+            rest.append(self._stand(FINISH, FINISH))
+        stances = tuple(stance for stance in rest if stance is not None)
+        return ContactsRequest(self.surfaces, _name_surfaces(held), stances)
+
+    def _find_held(self, spec: ContactPhase, k: int, start: Float[np.ndarray, "n"]) -> tuple[StanceContact, ...]:
+        """Return what carries the robot at the start of a phase; what has not left its place yet still does."""
+        if spec.kind != "lift":
+            return spec.contacts
+        return tuple(
+            contact
+            for contact in self.stances[k - 1].contacts
+            if contact in spec.contacts or _is_in_place(self.robot, contact, start)
+        )
+
+    def _choose(self, contacts: Sequence[StanceContact], carrying: Sequence[str] | None) -> tuple[StanceContact, ...]:
+        """Return the contacts of some patches, by default as they are.
+
+        Raises:
+            RequestError: the plan has no contact of a patch.
+        """
+        if carrying is None:
+            return tuple(contacts)
+        known = {contact.patch: contact for stance in self.stances for contact in stance.contacts}
+        known |= {contact.patch: contact for contact in contacts}
+        unknown = [patch for patch in carrying if patch not in known]
+        if unknown:
+            expected = would_do(unknown[0], sorted(known))
+            raise RequestError(f"contacts: the plan has no contact of {shown(unknown[0])}; expected {expected}")
+        return tuple(known[patch] for patch in carrying)
+
+    def _change(self, k: int, held: set[str] | None) -> StanceRequest | None:
+        """Return the change to a stance; None where the robot has made it already.
+
+        Args:
+            k: of the stance.
+            held: patches that carry the robot before; by default those of the stance before.
+        """
+        stance = self.stances[k]
+        change = ContactChange.between(self.stances[k - 1], stance)
+        if not change.leaving and not change.arriving:
+            return self._stand(stance.name, f"{stance.name}: move")
+        made = {contact.patch: _make_place(self.robot, contact) for contact in change.arriving}
+        links = {contact.planted.link for contact in change.arriving}
+        before = {c.patch for c in change.leaving} if held is None else held & {c.patch for c in change.leaving}
+        released = tuple(c.patch for c in change.leaving if c.patch in before and c.planted.link not in links)
+        if not made and not released:
+            return None
+        poses = KnownPosesRequest(
+            self._take_pose(f"{stance.name}: shift"),
+            self._take_pose(f"{stance.name}: land"),
+            way=self._take_way(f"{stance.name}: swing"),
+        )
+        return StanceRequest(stance.name, made, released, poses)
+
+    def _stand(self, name: str, phase: str) -> StanceRequest:
+        """Return the move to the pose at the end of a phase."""
+        return StanceRequest(name, poses=KnownPosesRequest(standing=self._take_pose(phase), way=self._take_way(phase)))
+
+    def _take_pose(self, name: str) -> PostureRequest | None:
+        """Return the configuration at the end of a phase; None without that phase."""
+        way = self._take_way(name)
+        return way[-1] if way else None
+
+    def _take_way(self, name: str) -> tuple[PostureRequest, ...]:
+        """Return the waypoints of a phase, at most as many as a request may have; none without that phase."""
+        for phase in self.motion.phases:
+            if phase.name == name:
+                knots = self.motion.curve.knots
+                knots = knots[(knots >= phase.first) & (knots <= phase.last)]
+                chosen = np.unique(np.linspace(0, len(knots) - 1, MAX_WAY).astype(int))
+                return tuple(self._describe(q) for q in self.motion.curve(knots[chosen]))
+        return ()
+
+    def _describe(self, q: Float[np.ndarray, "n"]) -> PostureRequest:
+        """Return a configuration as a request has it."""
+        robot = self.robot
+        x, y, z, yaw, pitch, roll = q[: len(BASE_NAMES)].tolist()
+        joints = dict(zip(robot.joint_names[len(BASE_NAMES) :], q[len(BASE_NAMES) : robot.n].tolist(), strict=True))
+        return PostureRequest((x, y, z, yaw, pitch, roll), joints, next(iter(sorted(robot.postures))))
+
+
+def move_contacts(
+    request: ContactsRequest, target: str, offset: Float[np.ndarray, "3"], obstacles: Sequence[str]
+) -> ContactsRequest:
+    """Return a task with the next place of a patch displaced, or all places on an obstacle that is displaced.
+
+    Args:
+        request: the task.
+        target: patch or obstacle.
+        offset: displacement in world axes [m].
+        obstacles: names of those that can be displaced.
+
+    Raises:
+        RequestError: neither a patch that is set down anew, nor an obstacle.
+    """
+    patches = list(dict.fromkeys(patch for stance in request.stances for patch in stance.make))
+    if target in patches:
+        k = next(k for k, stance in enumerate(request.stances) if target in stance.make)
+        stances = list(request.stances)
+        stances[k] = _move_places(stances[k], [target], offset)
+        return _with(request, request.surfaces, stances)
+    if target not in obstacles:
+        expected = would_do(target, [*patches, *obstacles])
+        words = f"adjust: this plan has no target {shown(target)} that can be displaced; expected {expected}"
+        raise RequestError(words)
+    on = [name for name, surface in request.surfaces.items() if target in (surface.piece, *surface.pieces)]
+    surfaces = {name: _move_surface(own, offset) if name in on else own for name, own in request.surfaces.items()}
+    stances = [
+        _move_places(stance, [patch for patch, place in stance.make.items() if place.surface in on], offset)
+        for stance in request.stances
+    ]
+    return _with(request, surfaces, stances)
+
+
+def _with(
+    request: ContactsRequest, surfaces: Mapping[str, SurfaceRequest], stances: Sequence[StanceRequest]
+) -> ContactsRequest:
+    return ContactsRequest(dict(surfaces), request.start, tuple(stances), request.finish)
+
+
+def _move_surface(surface: SurfaceRequest, offset: Float[np.ndarray, "3"]) -> SurfaceRequest:
+    if surface.corners is None:
+        return surface  # it moves with its piece
+    corners = tuple(displace(corner, offset) for corner in surface.corners)
+    return SurfaceRequest(None, surface.normal, corners, surface.pieces, surface.friction)
+
+
+def _move_places(stance: StanceRequest, patches: Sequence[str], offset: Float[np.ndarray, "3"]) -> StanceRequest:
+    make = {
+        patch: PlaceRequest(place.surface, displace(place.at, offset), place.yaw_deg) if patch in patches else place
+        for patch, place in stance.make.items()
+    }
+    return StanceRequest(stance.name, make, stance.release, stance.poses)
+
+
+def displace(place: tuple[float, float, float], offset: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+    """Return a place of a request moved by an offset in world axes [m]."""
+    x, y, z = (np.asarray(place) + offset).tolist()
+    return x, y, z
+
+
+def _name_surfaces(contacts: Sequence[StanceContact]) -> dict[str, str]:
+    return {contact.patch: contact.surface.name for contact in contacts}
+
+
+def _make_place(robot: RobotModel, contact: StanceContact) -> PlaceRequest:
+    """Return the place of a contact as a request has it."""
+    yaw = find_link_yaw(robot.contacts[contact.patch], contact)
+    x, y, z = contact.points.mean(axis=0).tolist()
+    return PlaceRequest(contact.surface.name, (x, y, z), float(np.rad2deg(yaw)))
+
+
+def _is_in_place(robot: RobotModel, contact: StanceContact, q: Float[np.ndarray, "n"]) -> bool:
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    pose = data.oMf[robot.model.getFrameId(contact.planted.link)]
+    points = contact.planted.sole @ pose.rotation.T + pose.translation
+    return bool(np.abs(contact.surface.measure_height(points)).max() <= GROUND_TOLERANCE_M)
