@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | bench | bench-service | bench-tasks | bench-egress | bench-physics | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-egress | bench-physics | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 RAY_VENV := .venv-ray
 RAY_READY := $(RAY_VENV)/.ready
+DOCS_VENV := .venv-docs
+DOCS_READY := $(DOCS_VENV)/.ready
 
 # Nothing of the caller's Python leaks in. Without bytecode files, each process that a test starts compiles the project.
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
@@ -15,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # Two processes that steal tests from each other; one thread each, or their linear algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
-.PHONY: help setup demo test test-fast test-ray coverage check bench bench-service bench-tasks bench-egress bench-physics attack gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-egress bench-physics attack gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -23,7 +25,9 @@ help:
 	@echo "make test-fast run the tests of the daily work, within a minute: all but those of tests/slow.txt"
 	@echo "make test-ray  run the tests of the executor on a Ray cluster, in an environment of its own"
 	@echo "make coverage  run the tests and list the lines and branches that none of them runs"
-	@echo "make check     ruff, mypy, import-linter"
+	@echo "make check     ruff, mypy, import-linter, buf (the schema: comments, and changes that break clients)"
+	@echo "make docs      the documentation site, in site"
+	@echo "make client    the wheel of scopt-client, a client without the planner, in dist"
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
 	@echo "make bench-tasks    doors and valves, given and from simulated scans, certified or not, as tables; an hour"
@@ -31,7 +35,7 @@ help:
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
 	@echo "make gallery   a film strip of a motion per task, in out/gallery"
-	@echo "make clean     remove .venv, .venv-ray, out and caches"
+	@echo "make clean     remove .venv, .venv-ray, .venv-docs, site, out and caches"
 
 setup: $(READY)
 
@@ -60,11 +64,31 @@ $(RAY_READY): pyproject.toml constraints.txt tools/setup.sh
 	@tools/setup.sh $(RAY_VENV) dev,ray
 	@touch $@
 
+docs: $(DOCS_READY)
+	NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/mkdocs build --strict --quiet
+	@echo "site/index.html"
+
+$(DOCS_READY): pyproject.toml constraints.txt tools/setup.sh
+	@tools/setup.sh $(DOCS_VENV) docs
+	@touch $@
+
 check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/buf lint service/proto
+	$(BIN)/buf breaking service/proto --against service/proto/accepted.binpb
+
+# Clients may rely on the schema from now on: `make check` refuses changes that break them.
+accept-schema: $(READY)
+	$(BIN)/buf build service/proto --exclude-source-info -o service/proto/accepted.binpb
+
+client: $(READY)
+	rm -rf out/client-package && mkdir -p out && $(BIN)/python tools/client_package.py out/client-package
+	if command -v uv >/dev/null; then uv build --quiet --wheel --out-dir dist out/client-package; \
+	else $(BIN)/python -m pip wheel -qq --disable-pip-version-check --no-deps --wheel-dir dist out/client-package; fi
+	@ls dist/scopt_client-*.whl
 
 bench: $(READY)
 	$(BIN)/python benchmarks/run.py
@@ -91,5 +115,5 @@ gallery: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python tools/gallery.py
 
 clean:
-	rm -rf $(VENV) $(RAY_VENV) out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage *.egg-info
+	rm -rf $(VENV) $(RAY_VENV) $(DOCS_VENV) site out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

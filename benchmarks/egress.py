@@ -33,7 +33,7 @@ from service.tasks.egress.plan import PoseSet, find_sequences, make_all_stages, 
 from service.tasks.egress.poses import PoseSolver
 from service.tasks.egress.stages import Stage
 
-REQUEST = Path(__file__).resolve().parents[1] / "examples" / "requests" / "egress.yaml"
+REQUEST = Path(__file__).resolve().parents[1] / "examples" / "requests" / "egress_model.yaml"
 SAMPLES, SEQUENCES = 50, 12
 GROUND_M = 3.0  # half the side of the ground
 TIGHT_SHARE = 0.35  # of the torque limits, so that they bind

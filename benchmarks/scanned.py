@@ -1,6 +1,6 @@
 """Valves and doors from simulated scans, and what a moved object costs: certified or not, why not, at what cost.
 
-``python -m benchmarks.scanned [--valves N] [--doors N] [--displaced N] [--seed S] [--out FILE]``
+``python -m benchmarks.scanned [--valves N] [--doors N] [--displaced N] [--angle DEG] [--seed S] [--out FILE]``
 
 The robot stands at random where the object can be moved: a place is drawn within ``AROUND_M`` and ``AROUND_DEG`` of
 the origin, 0.7 to 0.8 m before a valve.  It is taken if the poses of the whole task exist there (``find_stance`` on the
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.scanned_cases import SCANNER, ScannedCase, make_scanned_doors, make_scanned_valves
+from benchmarks.scanned_cases import OPEN_DEG, SCANNER, ScannedCase, make_scanned_doors, make_scanned_valves
 from benchmarks.tables import print_table
 from costs.robot import RobotModel, load_robot
 from perception import write_pcd
@@ -100,6 +100,14 @@ def choose_place(
     search = find_stance(parse_request(data), STANCE_LIMIT_S, radius, robot=robot, takes_first=True)
     whole = [place for place in search.candidates if place.outcome is not None and not place.outcome.missing]
     return whole[0] if whole else None
+
+
+def open_to(case: ScannedCase, angle: float) -> ScannedCase:
+    """Return a door that opens to an angle [deg]; another case as it is."""
+    if "door" not in case.true:
+        return case
+    true, seen = ({"door": {**task["door"], "open_deg": angle}} for task in (case.true, case.seen))
+    return replace(case, true=true, seen=seen)
 
 
 def stand_at(data: dict[str, Any], place: StanceCandidate) -> dict[str, Any]:
@@ -225,6 +233,7 @@ def main() -> None:
     parser.add_argument("--valves", type=int, default=N_VALVES)
     parser.add_argument("--doors", type=int, default=N_DOORS)
     parser.add_argument("--displaced", type=int, default=N_DISPLACED, help="of each, valves and doors")
+    parser.add_argument("--angle", type=float, default=OPEN_DEG, help="to which doors open [deg]")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--radius", type=float, default=0.4, help="of the places that are searched [m]")
@@ -239,6 +248,7 @@ def main() -> None:
         ("displaced", run_displaced, make_scanned_doors(given.displaced, given.seed + 1)),
     ]
     for table, run, cases in plans:
+        cases = [open_to(case, given.angle) for case in cases]
         for number, case in enumerate(cases):
             if given.only not in case.name:
                 continue
@@ -251,7 +261,7 @@ def main() -> None:
     if done["valves"]:
         print_summary("Valves from scans", done["valves"])
     if done["doors"]:
-        print_summary("Doors from scans, to 30 deg", done["doors"])
+        print_summary(f"Doors from scans, to {given.angle:g} deg", done["doors"])
     if done["displaced"]:
         print_summary("Objects moved after the plan, planned again with its choices", done["displaced"], has_first=True)
 

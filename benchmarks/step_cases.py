@@ -15,8 +15,8 @@ from service.body.equilibrium_pose import ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.whole_body import Aims, WholeBody
 from service.demands import compose_scene
-from service.demands.contacts.contact_task import make_surfaces
 from service.demands.contacts.stances import find_link_pose, make_contact_allowances, place_patch
+from service.demands.contacts.surfaces import make_surfaces
 from service.request.file import parse_request
 from service.setup.world import build_obstacles
 
@@ -167,7 +167,7 @@ def sit_down(
     task = request.task
     assert task is not None
     assert task.contacts is not None
-    surfaces = make_surfaces(task.contacts.surfaces, scene)
+    surfaces = make_surfaces(task.contacts.surfaces, scene, "task.contacts.surfaces")
     contacts = []
     for name, (surface, place) in places.items():
         pose = find_link_pose(robot.contacts[name], surfaces[surface], np.array(place), 0.0)

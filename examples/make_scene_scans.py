@@ -43,7 +43,7 @@ def main() -> None:
 
 def scan_vehicle() -> None:
     """Scan the obstacles of the egress request from the head of the seated robot, which sees itself."""
-    request = load_request(FOLDER.parent / "requests" / "egress.yaml")
+    request = load_request(FOLDER.parent / "requests" / "egress_model.yaml")
     robot = load_requested_robot(request)
     start = make_start_configuration(robot, request.start)[0]
     pieces, _ = build_obstacles(request)

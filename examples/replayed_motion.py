@@ -41,9 +41,27 @@ def read_model(folder: Path, data: dict[str, Any]) -> pin.Model:
         kind = kinds[m["type"]](axis / np.linalg.norm(axis))
         joint = model.addJoint(above, kind, pin.SE3(np.eye(3), place), m["joint"])
         model.addFrame(pin.Frame(m["name"], joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
-    if list(model.names)[1 + is_floating :] != data["curve"]["joint_names"][6 * is_floating :]:
+    data["followers"] = read_followers(tree)
+    own = [name for name in list(model.names)[1 + is_floating :] if name not in data["followers"]]
+    if sorted(own) != sorted(data["curve"]["joint_names"][6 * is_floating :]):
         raise SystemExit("the URDF's joints are not the curve's")
     return model
+
+
+def read_followers(tree: ElementTree.Element) -> dict[str, tuple[str, float, float]]:
+    """Return leader, ratio and offset of the joints that follow others (mimic), leaders that move by themselves."""
+    moving = {j.get("name", ""): j.find("mimic") for j in tree.iter("joint") if j.get("type") not in (None, "fixed")}
+    found = {}
+    for name, mimic in moving.items():
+        leader, ratio, offset = name, 1.0, 0.0
+        while mimic is not None and mimic.get("joint", "") in moving:
+            offset += ratio * float(mimic.get("offset", "0"))
+            ratio *= float(mimic.get("multiplier", "1"))
+            leader = mimic.get("joint", "")
+            mimic = moving[leader]
+        if leader != name:
+            found[name] = (leader, ratio, offset)
+    return found
 
 
 def covers(allowance: dict[str, Any], one: Named, other: Named) -> bool:
@@ -56,12 +74,21 @@ def covers(allowance: dict[str, Any], one: Named, other: Named) -> bool:
 
 
 class Replay:
-    """Placements along the curve, and bounds of how far a point leaves the chord between two of them."""
+    """Placements along the curve, and bounds of how far a point leaves the chord between two of them.
+
+    A joint that follows another one has a coordinate of its own; ``own`` are the coordinates of the curve.
+    """
 
     def __init__(self, model: pin.Model, data: dict[str, Any]) -> None:
         self.model, curve, phases = model, data["curve"], data["phases"]
-        self.names = list(curve["joint_names"])
+        given = list(curve["joint_names"])
+        base = given[:6] if data["robot"]["root"] == "floating" else []
+        self.names = base + list(model.names)[2 if base else 1 :]
+        self.own = [self.names.index(name) for name in given]
+        leads = [data["followers"].get(name, (name, 1.0, 0.0)) for name in self.names]
+        column, ratio, offset = [given.index(x[0]) for x in leads], *np.array([x[1:] for x in leads]).T
         self.knots, q, v = (np.array(curve[key], float) for key in ("knots", "positions", "tangents"))
+        q, v = q[:, column] * ratio + offset, v[:, column] * ratio
         self.samples = np.array(curve["samples"], float)
         self.edges = np.unique([*self.knots, *(self.samples[p[end]] for p in phases for end in ("first", "last"))])
         h = np.diff(self.knots)[:, None]

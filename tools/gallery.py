@@ -5,6 +5,7 @@ Plans a valve turn and a door from the shipped scans, a given door with a push b
     python tools/gallery.py                           # out/gallery/valve.png, door.png, push_bar.png, reach.png
     python tools/gallery.py out/valve --frames 8      # out/gallery/valve.png of a result folder
     python tools/gallery.py out/valve --simulated     # of the page that `scopt simulate out/valve` wrote
+    python tools/gallery.py --width 1400 --out docs/gallery    # small ones, for docs/gallery.md
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "gallery", help="folder of the pictures")
     parser.add_argument("--frames", type=int, default=6, help="pictures per strip")
     parser.add_argument("--simulated", action="store_true", help="pictures of simulation.html instead of viewer.html")
+    parser.add_argument("--width", type=int, help="width of the strips [px]; then they are WebP files")
     options = parser.parse_args()
     page = "simulation.html" if options.simulated else "viewer.html"
     browser = next((found for found in map(shutil.which, BROWSERS) if found), None)
@@ -82,10 +84,21 @@ def main() -> int:
                 print(f"{name}: no motion to show ({result['verdict']})", file=sys.stderr)
                 status = 1
                 continue
-            path = options.out / f"{name}.png"
-            render_strip(browser, folder, name, options.frames, Path(scratch), page).save(path)
+            strip = render_strip(browser, folder, name, options.frames, Path(scratch), page)
+            path = save_strip(strip, options.out / name, options.width)
             print(f"{path}  {result['verdict']}")
     return status
+
+
+def save_strip(strip: Image.Image, path: Path, width: int | None) -> Path:
+    """Save a picture as PNG, or with a width [px] as a smaller WebP; return the path with its suffix."""
+    if width is None:
+        path = path.with_suffix(".png")
+        strip.save(path)
+        return path
+    path = path.with_suffix(".webp")
+    strip.resize((width, round(width * strip.height / strip.width)), Image.Resampling.LANCZOS).save(path, quality=80)
+    return path
 
 
 def read_result(folder: Path) -> dict[str, Any]:

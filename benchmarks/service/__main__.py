@@ -23,6 +23,11 @@ PARTS = (
     "messages",
     "strangers",
     "endurance",
+    "operations.fairness",
+    "operations.loads",
+    "operations.stops",
+    "operations.damage",
+    "operations.mutator",
 )
 
 
