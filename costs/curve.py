@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+SAME_KNOT = 1e-9  # difference of path parameters that is rounding
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -49,6 +51,11 @@ class Curve:
         if order not in (0, 1, 2):
             raise ValueError(f"order must be 0, 1 or 2, got {order}")
         return evaluate_polynomials(differentiate(self.coefficients()[:, i], order), u)
+
+    def find_knots(self, first: float, last: float) -> slice:
+        """Return which knots lie from ``first`` to ``last``, both included, up to rounding."""
+        begin, end = np.searchsorted(self.knots, (first - SAME_KNOT, last + SAME_KNOT)).tolist()
+        return slice(begin, end)
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,17 @@ def test_ill_posed_curves_are_refused(knots, tangents, message):
         Curve(knots, np.zeros((len(knots), 1)), tangents)
 
 
+def test_knots_of_a_stretch_are_found_in_spite_of_rounding():
+    curve = random_curve(3)
+    n = len(curve.knots)
+    for first in range(n):
+        for last in range(first, n):
+            off = 1e-12
+            assert curve.find_knots(curve.knots[first] + off, curve.knots[last] - off) == slice(first, last + 1)
+    between = 0.5 * (curve.knots[0] + curve.knots[1])
+    assert curve.find_knots(between, curve.knots[-1]) == slice(1, n)
+
+
 def test_an_unknown_order_is_refused():
     with pytest.raises(ValueError, match="order must be 0, 1 or 2, got 3"):
         random_curve(0)(np.array([0.5]), order=3)

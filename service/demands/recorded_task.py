@@ -15,7 +15,6 @@ from service.verify import Motion
 
 STILL = 1e-5  # by which a joint of the mechanism at rest may be off [rad, m]
 BORDER_OFF = 1.5e-3  # by which a joint of the mechanism may miss its value at a phase's border [rad, m]
-ROUNDING = 1e-9  # of path parameters
 
 
 class TaskDemand(Protocol):
@@ -75,7 +74,7 @@ def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[Pha
     for index in np.flatnonzero(off > STILL).tolist():
         yield f"{names[index]} starts at {curve.positions[0, -k + index]:.4g} instead of {start[index]:.4g}"
     for phase, spec in zip(motion.phases, specs, strict=True):
-        inside = (curve.knots >= phase.first - ROUNDING) & (curve.knots <= phase.last + ROUNDING)
+        inside = curve.find_knots(phase.first, phase.last)
         values, rates = curve.positions[inside, -k:], curve.tangents[inside, -k:]
         moving = () if spec is None else spec.moving
         for index in range(k):

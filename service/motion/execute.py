@@ -213,8 +213,7 @@ def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monito
 
 def _add_waypoints(motion: Motion, first: float, last: float, failures: Sequence[float]) -> Float[np.ndarray, "T n"]:
     """Return the phase's knots with the middle of every interval that has a failure added."""
-    knots = motion.curve.knots
-    knots = knots[(knots >= first) & (knots <= last)]
+    knots = motion.curve.knots[motion.curve.find_knots(first, last)]
     rows = np.clip(np.searchsorted(knots, failures, side="right") - 1, 0, len(knots) - 2)
     middle = 0.5 * (knots[rows] + knots[rows + 1])
     return motion.curve(np.union1d(knots, middle))

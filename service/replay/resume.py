@@ -31,7 +31,6 @@ from service.setup.world import Surroundings
 from service.start.configuration import make_start_configuration
 from service.verify import Motion
 
-SAME_KNOT = 1e-9  # of path parameters
 NOMINAL_DIGITS = 5  # of the positions of an earlier motion
 
 
@@ -151,8 +150,7 @@ def _keep_motion(motion: Motion) -> NominalRequest:
     """Return the knots of a motion's curve by phase, from which another is searched."""
     curve, phases = motion.curve, {}
     for phase in motion.phases:
-        first, last = np.searchsorted(curve.knots, (phase.first - SAME_KNOT, phase.last + SAME_KNOT))
-        positions = np.round(curve.positions[first:last], NOMINAL_DIGITS).ravel()
+        positions = np.round(curve.positions[curve.find_knots(phase.first, phase.last)], NOMINAL_DIGITS).ravel()
         phases[phase.name] = NominalPhase(tuple(positions.tolist()))
     return NominalRequest(motion.robot.joint_names, phases)
 

@@ -147,10 +147,9 @@ class ChangedContacts:
         """Return the waypoints of a phase, at most as many as a request may have; none without that phase."""
         for phase in self.motion.phases:
             if phase.name == name:
-                knots = self.motion.curve.knots
-                knots = knots[(knots >= phase.first) & (knots <= phase.last)]
-                chosen = np.unique(np.linspace(0, len(knots) - 1, MAX_WAY).astype(int))
-                return tuple(self._describe(q) for q in self.motion.curve(knots[chosen]))
+                waypoints = self.motion.curve.positions[self.motion.curve.find_knots(phase.first, phase.last)]
+                chosen = np.unique(np.linspace(0, len(waypoints) - 1, MAX_WAY).astype(int))
+                return tuple(self._describe(q) for q in waypoints[chosen])
         return ()
 
     def _describe(self, q: Float[np.ndarray, "n"]) -> PostureRequest:
