@@ -61,7 +61,10 @@ def test_both_sides_prove_who_they_are(folder: Path, kind: str) -> None:
         with CLIENTS[kind](target, **proof) as client:
             assert client.robots()[0].name == "atlas"
         for less in ({"tls_ca": folder / "ca.pem"}, {**proof, "tls_ca": folder / "other.pem"}, {}):
-            with CLIENTS[kind](target, retry=once, timeout_s=5.0, **less) as client, pytest.raises(PlannerError) as end:
+            with (
+                CLIENTS[kind](target, retry=once, timeout_s=60.0, **less) as client,
+                pytest.raises(PlannerError) as end,
+            ):
                 client.robots()
             assert end.value.code is grpc.StatusCode.UNAVAILABLE
 
@@ -93,7 +96,7 @@ def _sending(words: bytes) -> Iterator[str]:
 def _error_text(kind: str, target: str, **settings: Any) -> str:
     """Return the error text of an unreachable server."""
     once = Retry(attempts=1)
-    with CLIENTS[kind](target, retry=once, timeout_s=10.0, **settings) as client, pytest.raises(PlannerError) as end:
+    with CLIENTS[kind](target, retry=once, timeout_s=60.0, **settings) as client, pytest.raises(PlannerError) as end:
         client.robots()
     assert end.value.code is grpc.StatusCode.UNAVAILABLE
     assert len(end.value.text) < 200

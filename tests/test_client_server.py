@@ -63,7 +63,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield Served(f"localhost:{address.rpartition(':')[2]}", folder / "ca.pem", tokens)
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=120)
 
 
 @pytest.mark.parametrize("name", ["joint_goal", "pose_goal", "valve"])

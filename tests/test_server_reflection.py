@@ -35,7 +35,7 @@ with grpc.insecure_channel(sys.argv[1]) as channel:
         answer = GetMessageClass(method.output_type)
         invoke = make(f"/{service}/{name}", request_serializer=lambda it: it.SerializeToString(),
                       response_deserializer=answer.FromString)
-        return invoke(GetMessageClass(method.input_type)(**request), timeout=60)
+        return invoke(GetMessageClass(method.input_type)(**request), timeout=240)
 
     health = call("grpc.health.v1.Health", "Check", {"service": "planner.v1.PlannerService"})
     goal = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
@@ -92,7 +92,7 @@ def test_reflection_answers_in_both_versions_and_describes_itself(server: Server
         )
         names = {f"grpc.reflection.{it}.ServerReflection" for it in ("v1", "v1alpha")}
         requests = [ask(list_services=""), *(ask(file_containing_symbol=name) for name in sorted(names))]
-        services, *files = call(iter(requests), timeout=30)
+        services, *files = call(iter(requests), timeout=120)
     assert names <= {it.name for it in services.list_services_response.service}
     assert [len(it.file_descriptor_response.file_descriptor_proto) for it in files] == [1, 1]
 
@@ -100,7 +100,7 @@ def test_reflection_answers_in_both_versions_and_describes_itself(server: Server
 def test_a_probe_at_the_socket_learns_that_the_server_accepts_work(server: ServerProcess) -> None:
     def probe(target: str) -> subprocess.CompletedProcess[str]:
         program = [sys.executable, "-c", "from service.cli.app import main; main()", "health", "--target", target]
-        return subprocess.run(program, capture_output=True, text=True, timeout=60)
+        return subprocess.run(program, capture_output=True, text=True, timeout=240)
 
     socket = server.log.parent / "probe.sock"
     answer = probe(f"unix:{socket}")
