@@ -39,11 +39,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that ``slow.txt`` lists."""
+    """Mark the tests that ``slow.txt`` lists; their files come first, so that no process waits long for another."""
     for item in items:
         function = getattr(item, "originalname", item.name)
         if item.path.name in SLOW or f"{item.path.name}::{function}" in SLOW:
             item.add_marker("slow")
+    files = {name.partition("::")[0] for name in SLOW}
+    items.sort(key=lambda item: item.path.name not in files)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -53,12 +54,12 @@ with grpc.insecure_channel(sys.argv[1]) as channel:
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    folder = tmp_path_factory.mktemp("server")
-    config = folder / "server.toml"
-    config.write_text('socket = "probe.sock"\nmetrics = "127.0.0.1:0"\nbudget = ["egress=200"]\n')
-    with planner_server(folder / "data", "--config", str(config)) as started:
-        yield started
+def server() -> Iterator[ServerProcess]:
+    with tempfile.TemporaryDirectory(dir="/tmp") as scratch:  # the path of a socket is short
+        config = Path(scratch) / "server.toml"
+        config.write_text('socket = "probe.sock"\nmetrics = "127.0.0.1:0"\nbudget = ["egress=200"]\n')
+        with planner_server(Path(scratch) / "data", "--config", str(config)) as started:
+            yield started
 
 
 def test_client_made_of_reflection_alone_plans_and_reads_the_verdict(server: ServerProcess, tmp_path: Path) -> None:

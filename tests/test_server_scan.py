@@ -55,6 +55,7 @@ def test_valve_of_an_uploaded_scan_is_found_and_turned(stub: PlannerServiceStub)
     assert hit.sizes["rim_radius"] == pytest.approx(truth["valve"]["rim_radius"], abs=0.005)
 
     json_id = stub.UploadCloud(uploaded(scene.json, format="json"), timeout=120).cloud_id
+    request["task"]["valve"]["turn_deg"] = 45
     for surroundings in ({"cloud": cloud_id}, {"file": scene.scene_id}, {"file": json_id}):
         done = finished(stub.Plan(plan_request({**request, "scene": surroundings}), timeout=240))
         assert done.result.verdict == VERDICT_CERTIFIED, surroundings
