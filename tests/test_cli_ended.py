@@ -29,7 +29,7 @@ service.cli.app.main()
 
 
 def _run(program: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240)
 
 
 def test_ctrl_c_while_modules_are_imported_is_one_line() -> None:

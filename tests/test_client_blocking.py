@@ -11,7 +11,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,7 @@ def test_closing_or_dropping_the_iterator_stops_the_plan(stand_in: PlannerStandI
                 assert list(events) == []
             del events
             gc.collect()
-            assert stand_in.stopped.wait(5.0)
+            assert stand_in.stopped.wait(60.0)
             assert client.status().queued == 2
 
 
@@ -121,12 +122,12 @@ def test_closing_the_client_ends_calls_of_other_threads(stand_in: PlannerStandIn
 
     thread = threading.Thread(target=plan)
     thread.start()
-    assert begun.wait(5.0)
+    assert begun.wait(60.0)
     client.close()
-    thread.join(5.0)
+    thread.join(60.0)
     assert not thread.is_alive()
     assert [error.code for error in errors] == [grpc.StatusCode.CANCELLED]
-    assert stand_in.stopped.wait(5.0)
+    assert stand_in.stopped.wait(60.0)
 
 
 def test_a_client_starts_no_thread_of_its_own(stand_in: PlannerStandIn, target: str) -> None:
@@ -139,7 +140,7 @@ def test_a_client_starts_no_thread_of_its_own(stand_in: PlannerStandIn, target: 
     assert not {name for name in names if "asyncio" in name.lower() or "loop" in name.lower()}
     left = [thread for thread in set(threading.enumerate()) - before if not thread.name.startswith("ThreadPool")]
     for thread in left:
-        thread.join(5.0)
+        thread.join(60.0)
     assert not [thread.name for thread in left if thread.is_alive()]
 
 
@@ -186,21 +187,26 @@ def test_blocking_and_asynchronous_clients_of_several_threads_log_nothing(
     assert caplog.records == []
 
 
-def test_ctrl_c_interrupts_a_waiting_iteration_and_a_delay(stand_in: PlannerStandIn, target: str) -> None:
-    def interrupt_soon() -> None:
-        threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+@contextmanager
+def interrupted() -> Iterator[None]:
+    """Ctrl-C while the body waits, which ends the body."""
+    timer = threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT))
+    try:
+        with pytest.raises(KeyboardInterrupt):  # noqa: PT012 -- the timer may ring at once
+            timer.start()
+            yield
+    finally:
+        timer.cancel()  # nobody else is to be interrupted
 
+
+def test_ctrl_c_interrupts_a_waiting_iteration_and_a_delay(stand_in: PlannerStandIn, target: str) -> None:
     stand_in.plans.append(slow_plan(stand_in))
     with PlannerClient(target) as client:
-        interrupt_soon()
-        with pytest.raises(KeyboardInterrupt):
+        with interrupted():
             list(client.plan_events(REQUEST))
-        assert stand_in.stopped.wait(5.0)
-    retry = Retry(first_delay_s=10.0)
-    with PlannerClient("localhost:1", retry=retry) as client:
-        interrupt_soon()
-        with pytest.raises(KeyboardInterrupt):
-            client.status()
+        assert stand_in.stopped.wait(60.0)
+    with PlannerClient("localhost:1", retry=Retry(first_delay_s=10.0)) as client, interrupted():
+        client.status()
 
 
 @pytest.mark.parametrize("left_open", ["client", "iterator"])
@@ -210,7 +216,7 @@ def test_an_interpreter_with_an_open_client_ends_silently(
     def plan(request: pb.PlanRequest, context: grpc.ServicerContext) -> Any:
         yield accepted(request)
         context.add_callback(stand_in.stopped.set)
-        stand_in.stopped.wait(30.0)
+        stand_in.stopped.wait(120.0)
 
     stand_in.plans.append(plan)
     program = (
@@ -227,6 +233,6 @@ def test_an_interpreter_with_an_open_client_ends_silently(
         )
     command = [sys.executable, "-W", "error", "-X", "dev", "-c", program]
     variables = {**os.environ, "GRPC_VERBOSITY": "NONE", "PYTHONPATH": str(ROOT)}
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=variables)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False, env=variables)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "0.1.0\n", "")
-    assert left_open == "client" or stand_in.stopped.wait(5.0)
+    assert left_open == "client" or stand_in.stopped.wait(60.0)

@@ -338,10 +338,15 @@ def test_attempts_are_limited(
 def test_a_deadline_ends_a_plan_and_its_error_names_the_last_step(
     connect: Callable[..., Any], stand_in: PlannerStandIn
 ) -> None:
-    stand_in.plans.append(slow_plan(stand_in))
-    with connect() as client, pytest.raises(PlannerError, match=r"no answer within 0\.2 s; last step: 'waiting'"):
-        client.plan(REQUEST, deadline_s=0.2)
-    assert stand_in.stopped.wait(5.0)
+    for deadline_s in (0.2, 2.0, 20.0):  # a busy machine comes to its first step later
+        stand_in.plans.append(slow_plan(stand_in))
+        with connect() as client, pytest.raises(PlannerError, match=f"no answer within {deadline_s:g} s") as caught:
+            client.plan(REQUEST, deadline_s=deadline_s)
+        assert stand_in.stopped.wait(60.0)
+        if str(caught.value).endswith("last step: 'waiting'"):
+            return
+        stand_in.stopped.clear()
+    pytest.fail(str(caught.value))
 
 
 def test_a_deadline_includes_the_uploads(connect: Callable[..., Any], stand_in: PlannerStandIn, tmp_path: Path) -> None:
@@ -363,7 +368,7 @@ def test_an_exception_in_a_callback_stops_the_plan_and_writes_nothing(
     with connect() as client:
         with pytest.raises(KeyError):
             client.plan(REQUEST, out=tmp_path / "plan", on_progress=interrupt)
-        assert stand_in.stopped.wait(5.0)
+        assert stand_in.stopped.wait(60.0)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -378,7 +383,7 @@ def test_cancelling_the_task_stops_the_plan(stand_in: PlannerStandIn, target: st
             task.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await task
-            await asyncio.to_thread(stand_in.stopped.wait, 5.0)
+            await asyncio.to_thread(stand_in.stopped.wait, 60.0)
 
     asyncio.run(main())
     assert stand_in.stopped.is_set()

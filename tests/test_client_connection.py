@@ -61,7 +61,10 @@ def test_both_sides_prove_who_they_are(folder: Path, kind: str) -> None:
         with CLIENTS[kind](target, **proof) as client:
             assert client.robots()[0].name == "atlas"
         for less in ({"tls_ca": folder / "ca.pem"}, {**proof, "tls_ca": folder / "other.pem"}, {}):
-            with CLIENTS[kind](target, retry=once, timeout_s=5.0, **less) as client, pytest.raises(PlannerError) as end:
+            with (
+                CLIENTS[kind](target, retry=once, timeout_s=60.0, **less) as client,
+                pytest.raises(PlannerError) as end,
+            ):
                 client.robots()
             assert end.value.code is grpc.StatusCode.UNAVAILABLE
 
@@ -93,7 +96,7 @@ def _sending(words: bytes) -> Iterator[str]:
 def _error_text(kind: str, target: str, **settings: Any) -> str:
     """Return the error text of an unreachable server."""
     once = Retry(attempts=1)
-    with CLIENTS[kind](target, retry=once, timeout_s=10.0, **settings) as client, pytest.raises(PlannerError) as end:
+    with CLIENTS[kind](target, retry=once, timeout_s=60.0, **settings) as client, pytest.raises(PlannerError) as end:
         client.robots()
     assert end.value.code is grpc.StatusCode.UNAVAILABLE
     assert len(end.value.text) < 200
@@ -101,8 +104,8 @@ def _error_text(kind: str, target: str, **settings: Any) -> str:
 
 
 @pytest.mark.parametrize("kind", CLIENTS)
-def test_an_address_without_a_server_is_named(kind: str, tmp_path: Path) -> None:
-    for target in ("localhost:1", f"unix:{tmp_path}/socket"):
+def test_an_address_without_a_server_is_named(kind: str) -> None:
+    for target in ("localhost:1", "unix:/tmp/no/such/socket"):
         words = "start one there with `scopt serve`, or try again if it is still starting"
         assert _error_text(kind, target) == f"no server answers at {target}; {words}"
     target = "no.such.host.invalid:50051"

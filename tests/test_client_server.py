@@ -22,6 +22,9 @@ from service.wire.hashes import hash_trajectory
 REQUESTS = Path(__file__).parents[1] / "examples" / "requests"
 
 
+LONG_S = 1200
+
+
 @dataclass(frozen=True)
 class Served:
     """Running server: address, authority, and tokens by role."""
@@ -56,6 +59,8 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     options |= {"tls-cert": folder / "server.pem", "tls-key": folder / "server.key", "tokens": folder / "tokens.yaml"}
     command = [sys.executable, "-c", "from service.cli.app import main; main()", "serve"]
     command += [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    for kind in ("valve", "door", "contacts"):  # as long as a busy machine takes
+        command += ["--budget", f"{kind}={LONG_S}"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
@@ -63,7 +68,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield Served(f"localhost:{address.rpartition(':')[2]}", folder / "ca.pem", tokens)
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=120)
 
 
 @pytest.mark.parametrize("name", ["joint_goal", "pose_goal", "valve"])
@@ -80,7 +85,7 @@ def test_example_requests_are_certified_by_a_server(served: Served, tmp_path: Pa
 
 def test_a_door_is_opened_alike_by_the_server_and_here(served: Served, tmp_path: Path) -> None:
     path = tmp_path / "door.yaml"
-    path.write_text(json.dumps(door_request(open_deg=20.0)))
+    path.write_text(json.dumps({**door_request(open_deg=20.0), "options": {"time_limit_s": LONG_S}}))
     there = served.scopt("plan", "request", path, "--out", tmp_path / "there")
     assert there.stdout.splitlines()[-1].startswith("CERTIFIED  clearance "), there.stdout
     here = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "here")])
@@ -95,6 +100,7 @@ def test_contacts_change_alike_by_the_server_and_here(served: Served, tmp_path: 
     contacts = request["task"]["contacts"]
     del contacts["stances"][1:]
     contacts.pop("finish")
+    request["options"] = {**request.get("options", {}), "time_limit_s": LONG_S}
     path = tmp_path / "contacts.yaml"
     path.write_text(json.dumps(request))
     there = served.scopt("plan", "request", path, "--out", tmp_path / "there")

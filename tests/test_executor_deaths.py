@@ -22,7 +22,7 @@ from executor_waiting import Events, is_running, parent_of, until
 from service.executor import Job, JobCancelled, LocalPool, WorkerDied, WorkerState, local_pool, supervisor
 from service.executor.channel import Kind
 
-SOON_S = 20.0  # far more than anything takes
+SOON_S = 120.0  # far more than anything takes
 SUPPORT = Path(jobs.__file__).parent
 
 
@@ -172,6 +172,13 @@ def test_each_job_ends_once_however_close_its_end_is_to_the_kill() -> None:
     assert set(outcomes) <= {"killed", "stopped"}
 
 
+@pytest.fixture
+def unwatched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody looks whether workers are stopped, and replaces them."""
+    monkeypatch.setattr(local_pool, "WATCH_EVERY_S", 3600.0)
+
+
+@pytest.mark.usefixtures("unwatched")
 def test_a_worker_suspended_while_it_sends_its_result_delays_no_other_job() -> None:
     stopped: list[int] = []
 
@@ -191,6 +198,7 @@ def test_a_worker_suspended_while_it_sends_its_result_delays_no_other_job() -> N
         assert job.attempts == 2
 
 
+@pytest.mark.usefixtures("unwatched")
 def test_a_worker_that_stops_reading_delays_no_other_job() -> None:
     with LocalPool(2, grace_s=0.05) as pool:
         assert pool.wait_ready(SOON_S)
@@ -398,17 +406,17 @@ def test_a_closed_pool_leaves_neither_processes_nor_threads_nor_descriptors() ->
         workers = pids(pool)
         fork_server = parent_of(workers[0])
     assert not any(is_running(pid) for pid in (*workers, fork_server))
-    assert set(threading.enumerate()) == threads
-    assert len(os.listdir("/proc/self/fd")) == fds
+    assert set(threading.enumerate()) <= threads
+    assert len(os.listdir("/proc/self/fd")) <= fds
 
 
-def test_a_stopped_worker_is_replaced_and_its_job_started_elsewhere() -> None:
+def test_a_stopped_worker_is_replaced_and_its_job_started_elsewhere(tmp_path: Path) -> None:
     with LocalPool(1) as pool:
-        job = pool.submit(jobs.nap, 0.5)
-        assert until(lambda: job.pid is not None and job.running())
-        assert job.pid is not None
-        os.kill(job.pid, signal.SIGSTOP)
-        assert job.result(SOON_S) == 0.5
+        job = pool.submit(jobs.wait_for_file, tmp_path / "go")
+        os.kill(worker_of(job), signal.SIGSTOP)
+        assert until(lambda: job.attempts == 2)
+        (tmp_path / "go").touch()
+        assert job.result(SOON_S)
         assert job.attempts == 2
 
 
@@ -418,26 +426,25 @@ def test_a_worker_that_waits_for_a_stopped_process_of_its_own_is_replaced(tmp_pa
         assert job.result(SOON_S) == 2
 
 
-def test_a_stopped_fork_server_is_continued_and_a_killed_one_replaced_by_its_standby() -> None:
+def test_a_stopped_fork_server_is_continued_and_a_killed_one_replaced_by_its_standby(tmp_path: Path) -> None:
     with LocalPool(1, preload=("json",)) as pool:
         assert pool.wait_ready(SOON_S)
-        job = pool.submit(jobs.nap, 0.5)
-        assert until(lambda: job.pid is not None and job.running())
-        assert job.pid is not None
-        fork_server = parent_of(job.pid)
-        os.kill(fork_server, signal.SIGSTOP)
-        os.kill(job.pid, signal.SIGKILL)
-        assert job.result(SOON_S) == 0.5
-        for _ in range(2):
-            again = pool.submit(jobs.nap, 0.5)
-            assert until(lambda job=again: job.pid is not None and job.running())
-            assert again.pid is not None
-            parent = parent_of(again.pid)
+        job = pool.submit(jobs.wait_for_file, tmp_path / "go")
+        worker = worker_of(job)
+        os.kill(parent_of(worker), signal.SIGSTOP)
+        os.kill(worker, signal.SIGKILL)
+        assert until(lambda: job.attempts == 2)
+        (tmp_path / "go").touch()
+        assert job.result(SOON_S)
+        for number in range(2):
+            again = pool.submit(jobs.wait_for_file, tmp_path / f"go {number}")
+            parent = parent_of(worker_of(again))
             os.kill(parent, signal.SIGKILL)
-            assert again.result(SOON_S) == 0.5
-            assert again.pid is not None
-            assert parent_of(again.pid) != parent
-        last = parent_of(again.pid)
+            assert until(lambda job=again: job.attempts == 2)
+            last = parent_of(worker_of(again))
+            assert last != parent
+            (tmp_path / f"go {number}").touch()
+            assert again.result(SOON_S)
     assert until(lambda: not is_running(last))
 
 
@@ -462,19 +469,26 @@ def test_a_worker_that_computes_with_the_interpreters_lock_for_too_long_is_repla
         pool.submit(jobs.sum_up, 10**11, max_attempts=1).result(SOON_S)
 
 
-def test_workers_come_back_when_the_fork_server_and_a_standby_die_together() -> None:
+def test_workers_come_back_when_the_fork_server_and_a_standby_die_together(tmp_path: Path) -> None:
     with LocalPool(1, preload=("json",)) as pool:
         assert pool.wait_ready(SOON_S)
-        job = pool.submit(jobs.nap, 0.5)
-        assert until(lambda: job.pid is not None and job.running())
-        assert job.pid is not None
-        fork_server = parent_of(job.pid)
+        job = pool.submit(jobs.wait_for_file, tmp_path / "go")
+        fork_server = parent_of(worker_of(job))
         assert until(lambda: len(standbys(fork_server)) == local_pool.N_STANDBYS)
         standby, *others = standbys(fork_server)
         for pid in (fork_server, standby):
             os.kill(pid, signal.SIGKILL)
-        assert job.result(SOON_S) == 0.5
-        assert parent_of(job.pid) in others
+        assert until(lambda: job.attempts == 2)
+        assert parent_of(worker_of(job)) in others
+        (tmp_path / "go").touch()
+        assert job.result(SOON_S)
+
+
+def worker_of(job: Job[object]) -> int:
+    """Wait until a job runs; return the process id of its worker."""
+    assert until(lambda: job.pid is not None and job.running() and is_running(job.pid))
+    assert job.pid is not None
+    return job.pid
 
 
 def standbys(fork_server: int) -> list[int]:

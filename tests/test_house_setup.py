@@ -40,7 +40,7 @@ def _checkout(folder: Path) -> Path:
 def _setup(checkout: Path, path: Path) -> subprocess.CompletedProcess[str]:
     command = ["bash", str(checkout / "tools" / "setup.sh"), ".venv"]
     environment = {"PATH": str(path), "HOME": os.environ.get("HOME", "/")}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=60)
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=240)
 
 
 ALL_LIBRARIES = "echo libgomp.so.1 libEGL.so.1 libusb-1.0.so.0 libGL.so.1"

@@ -127,7 +127,7 @@ def test_damaged_files_of_libraries_read_or_are_refused(tmp_path: Path, kind: st
     while len(outcomes) < N_LIBRARY_FILES:
         todo = [str(len(outcomes)), str(N_LIBRARY_FILES - len(outcomes))]
         command = [sys.executable, cloud_mutations.__file__, str(path), *todo]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
         lines = done.stdout.splitlines()
         if done.returncode == 0:
             outcomes += lines[1::2]

@@ -128,7 +128,7 @@ def test_a_reader_that_works_without_end_is_stopped(tmp_path: Path, monkeypatch:
 
 def test_a_reader_that_sleeps_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = impostor(
-        tmp_path, monkeypatch, "import signal, time\nsignal.setitimer(signal.ITIMER_REAL, 0)\ntime.sleep(60)"
+        tmp_path, monkeypatch, "import signal, time\nsignal.setitimer(signal.ITIMER_REAL, 0)\ntime.sleep(600)"
     )
     started: list[subprocess.Popen[bytes]] = []
 

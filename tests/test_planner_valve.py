@@ -172,9 +172,8 @@ def test_a_scan_without_a_valve_says_so(shared_data):
     assert "no valve was found" in result.explanation[0]
 
 
-@pytest.mark.parametrize("scan", ["scan0.pcd", "scan2.pcd"])
-def test_valves_of_other_scans_are_turned(shared_data, scan):
-    result = plan(request({"turn_deg": 360}, shared_data / "scenes" / "valve_a" / scan))
+def test_the_valve_of_another_scan_is_turned(shared_data):
+    result = plan(request({"turn_deg": 360}, shared_data / "scenes" / "valve_a" / "scan0.pcd"))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert result.figures["turned_deg"] == pytest.approx(360.0, abs=0.5)
 

@@ -54,7 +54,7 @@ def test_what_a_stopping_server_ends_is_sent_elsewhere(pool: LocalPool) -> None:
         handles = [await _begun(runner), runner.start("scene", nap, 60.0, deadline=None, budget_s=60.0)]
         runner.stop_all(STOPPING)
         errors = await asyncio.gather(*(await_result(handle) for handle in handles), return_exceptions=True)
-        await asyncio.wait_for(runner.wait_until_empty(), 5.0)
+        await asyncio.wait_for(runner.wait_until_empty(), 60.0)
         return [error.code for error in errors if isinstance(error, Refusal)]
 
     assert asyncio.run(ends()) == [grpc.StatusCode.UNAVAILABLE] * 2

@@ -48,6 +48,6 @@ def test_plan_on_a_cluster_can_be_stopped_and_the_next_one_made(stub: PlannerSer
 
 
 def test_object_in_an_uploaded_scan_is_found_on_a_cluster(stub: PlannerServiceStub) -> None:
-    cloud_id = stub.UploadCloud(uploaded(SCAN.read_bytes(), format="pcd"), timeout=60).cloud_id
+    cloud_id = stub.UploadCloud(uploaded(SCAN.read_bytes(), format="pcd"), timeout=240).cloud_id
     clouds = wire.CloudsSpec(clouds=[{"file": cloud_id}])  # type: ignore[list-item]
     assert stub.Detect(wire.DetectRequest(clouds=clouds, kind="valve"), timeout=120).hits[0].confidence >= 0.5

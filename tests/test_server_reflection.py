@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,7 +36,7 @@ with grpc.insecure_channel(sys.argv[1]) as channel:
         answer = GetMessageClass(method.output_type)
         invoke = make(f"/{service}/{name}", request_serializer=lambda it: it.SerializeToString(),
                       response_deserializer=answer.FromString)
-        return invoke(GetMessageClass(method.input_type)(**request), timeout=60)
+        return invoke(GetMessageClass(method.input_type)(**request), timeout=240)
 
     health = call("grpc.health.v1.Health", "Check", {"service": "planner.v1.PlannerService"})
     goal = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
@@ -53,12 +54,12 @@ with grpc.insecure_channel(sys.argv[1]) as channel:
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    folder = tmp_path_factory.mktemp("server")
-    config = folder / "server.toml"
-    config.write_text('socket = "probe.sock"\nmetrics = "127.0.0.1:0"\nbudget = ["egress=200"]\n')
-    with planner_server(folder / "data", "--config", str(config)) as started:
-        yield started
+def server() -> Iterator[ServerProcess]:
+    with tempfile.TemporaryDirectory(dir="/tmp") as scratch:  # the path of a socket is short
+        config = Path(scratch) / "server.toml"
+        config.write_text('socket = "probe.sock"\nmetrics = "127.0.0.1:0"\nbudget = ["egress=200"]\n')
+        with planner_server(Path(scratch) / "data", "--config", str(config)) as started:
+            yield started
 
 
 def test_client_made_of_reflection_alone_plans_and_reads_the_verdict(server: ServerProcess, tmp_path: Path) -> None:
@@ -92,7 +93,7 @@ def test_reflection_answers_in_both_versions_and_describes_itself(server: Server
         )
         names = {f"grpc.reflection.{it}.ServerReflection" for it in ("v1", "v1alpha")}
         requests = [ask(list_services=""), *(ask(file_containing_symbol=name) for name in sorted(names))]
-        services, *files = call(iter(requests), timeout=30)
+        services, *files = call(iter(requests), timeout=120)
     assert names <= {it.name for it in services.list_services_response.service}
     assert [len(it.file_descriptor_response.file_descriptor_proto) for it in files] == [1, 1]
 
@@ -100,7 +101,7 @@ def test_reflection_answers_in_both_versions_and_describes_itself(server: Server
 def test_a_probe_at_the_socket_learns_that_the_server_accepts_work(server: ServerProcess) -> None:
     def probe(target: str) -> subprocess.CompletedProcess[str]:
         program = [sys.executable, "-c", "from service.cli.app import main; main()", "health", "--target", target]
-        return subprocess.run(program, capture_output=True, text=True, timeout=60)
+        return subprocess.run(program, capture_output=True, text=True, timeout=240)
 
     socket = server.log.parent / "probe.sock"
     answer = probe(f"unix:{socket}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import grpc
 import pytest
-from executor_jobs import nap
+from executor_jobs import nap, wait_for_file
 from planner_calls import QUICK, finished, plan_request
 from planner_server import planner_server
 
@@ -120,16 +120,17 @@ def pool() -> Iterator[LocalPool]:
         yield made
 
 
-def test_who_helps_gives_way_to_who_asks(pool: LocalPool) -> None:
+def test_who_helps_gives_way_to_who_asks(pool: LocalPool, tmp_path: Path) -> None:
     async def helped() -> tuple[bool, float]:
         shop = JobRunner(pool, Admission(2, 4))
-        first = shop.start("scene", nap, 1.0, deadline=None, budget_s=60.0)
-        spare = shop.start_spare(nap, 60.0)
+        first = shop.start("scene", wait_for_file, tmp_path / "go", deadline=None, budget_s=600.0)
+        spare = shop.start_spare(nap, 600.0)
         assert spare is not None
-        assert shop.start_spare(nap, 60.0) is None  # nobody is idle
+        assert shop.start_spare(nap, 600.0) is None  # nobody is idle
         second = shop.start("scene", nap, 0.01, deadline=None, budget_s=60.0)
         await second.ended
         is_still_at_it = not first.ended.done()
+        (tmp_path / "go").touch()
         await first.ended
         return is_still_at_it, spare.waited_s
 
@@ -142,8 +143,10 @@ def test_server_that_spreads_plans_answers_as_one_that_does_not(tmp_path: Path) 
         grpc.insecure_channel(server.address) as channel,
     ):
         stub = PlannerServiceStub(channel)
-        for _ in range(3):
-            assert finished(stub.Plan(plan_request(QUICK), timeout=60)).result.verdict == VERDICT_CERTIFIED
-        status = stub.GetStatus(wire.GetStatusRequest(), timeout=20)
-        assert status.verdicts["CERTIFIED"] == 3
-        assert sum(worker.jobs_done for worker in status.workers) > 3
+        for n_plans in range(1, 20):
+            assert finished(stub.Plan(plan_request(QUICK), timeout=240)).result.verdict == VERDICT_CERTIFIED
+            status = stub.GetStatus(wire.GetStatusRequest(), timeout=120)
+            assert status.verdicts["CERTIFIED"] == n_plans
+            if sum(worker.jobs_done for worker in status.workers) > n_plans >= 3:
+                return  # both workers were ready, and one helped the other
+        pytest.fail("nobody helped")

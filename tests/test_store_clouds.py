@@ -85,13 +85,13 @@ def test_an_upload_that_is_closed_while_it_is_written_leaves_nothing(
         def slowly(n_bytes: int) -> None:
             arrive(n_bytes)
             is_writing.set()
-            may_go_on.wait(5)
+            may_go_on.wait(60)
 
         monkeypatch.setattr(store, "_reserve", slowly)
         upload = store.upload("ann", ".ply")
         thread = threading.Thread(target=upload.write, args=(b"half",))
         thread.start()
-        is_writing.wait(5)
+        assert is_writing.wait(60)
         upload.close()
         assert store.stats().n_uploads == 1
         may_go_on.set()

@@ -41,9 +41,10 @@ def test_killing_the_process_at_any_moment_loses_no_finished_plan_and_no_review(
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             assert process.stdout.readline() == "open\n"
-            time.sleep(draw.uniform(0.005, 0.15))
+            lines = [process.stdout.readline().rstrip("\n") for _ in range(draw.randint(10, 60))]
+            time.sleep(draw.uniform(0.0, 0.005))
             os.kill(process.pid, signal.SIGKILL)
-            lines = process.stdout.read().splitlines()
+            lines += process.stdout.read().splitlines()
         finished |= {line[2:] for line in lines if line.startswith("F") and len(line) == 34}
         reviewed |= {line[2:] for line in lines if line.startswith("R") and len(line) == 34}
         with Store(tmp_path) as store:

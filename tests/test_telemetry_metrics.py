@@ -46,15 +46,15 @@ def _count_ended(metrics: Metrics) -> float:
 
 
 async def _until(is_true: Callable[[], bool]) -> None:
-    """Wait until something has happened, at most 10 s."""
-    for _ in range(200):
+    """Wait until something has happened, at most a minute."""
+    for _ in range(1200):
         if is_true():
             return
         await asyncio.sleep(0.05)
 
 
 def _run(coroutine: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(coroutine, 20))
+    asyncio.run(asyncio.wait_for(coroutine, 240))
 
 
 def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
@@ -73,19 +73,23 @@ def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
             await cancelled.write(planner_pb2.UploadCloudRequest(chunk=b"x"))
             await _until(lambda: _samples(metrics).get(("scopt_requests_open", "UploadCloud")) == 1)
             cancelled.cancel()
-            await stub.UploadCloud(timeout=0.5).code()
+            await _until(lambda: _count_ended(metrics) >= 5)
+            for n_late in range(1, 40):  # the server may hear of the client's own deadline first, and counts a cancel
+                await stub.UploadCloud(timeout=0.1).code()
+                await _until(lambda count=5 + n_late: _count_ended(metrics) >= count)
+                if ("scopt_requests_total", "DEADLINE_EXCEEDED", "UploadCloud") in _samples(metrics):
+                    break
             await end_of(channel.unary_unary("/planner.v1.PlannerService/MadeUp")(b""))
-            await _until(lambda: _count_ended(metrics) >= 6)
 
     _run(calls())
     samples = _samples(metrics)
     ended = {key[1:]: value for key, value in samples.items() if key[0] == "scopt_requests_total"}
+    assert ended.pop(("CANCELLED", "UploadCloud")) >= 1
     assert ended == {
         ("OK", "ListRobots"): 1,
         ("OK", "Plan"): 1,
         ("INVALID_ARGUMENT", "Plan"): 1,
         ("INTERNAL", "Plan"): 1,
-        ("CANCELLED", "UploadCloud"): 1,
         ("DEADLINE_EXCEEDED", "UploadCloud"): 1,
     }
     assert samples["scopt_request_seconds_count", "Plan"] == 3
@@ -157,7 +161,7 @@ def test_metrics_are_shown_on_this_machine() -> None:
     metrics = Metrics()
     metrics.upload_finished(7)
     with MetricsServer("127.0.0.1:0", metrics.registry) as server:
-        with urllib.request.urlopen(f"http://{server.address}/metrics", timeout=5) as answer:
+        with urllib.request.urlopen(f"http://{server.address}/metrics", timeout=60) as answer:
             assert b"scopt_upload_bytes_total 7.0" in answer.read()
         with pytest.raises(TelemetryError, match=r"cannot listen there \(Address already in use\)"):
             MetricsServer(server.address, metrics.registry)

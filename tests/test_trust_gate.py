@@ -147,7 +147,7 @@ def test_too_many_requests_of_one_client_are_refused_with_a_time_and_leave_other
     tokens, file = known
 
     async def calls() -> None:
-        gate = AccessInterceptor(file, ClientLimiter(ClientLimits(requests_per_s=0.5, requests_burst=3)))
+        gate = AccessInterceptor(file, ClientLimiter(ClientLimits(requests_per_s=0.01, requests_burst=3)))
         async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(tokens[Role.PLAN])
             for _ in range(3):
@@ -155,7 +155,7 @@ def test_too_many_requests_of_one_client_are_refused_with_a_time_and_leave_other
             with pytest.raises(grpc.aio.AioRpcError) as caught:
                 await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
             assert caught.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
-            assert 1.0 < _retry_after(caught.value) <= 2.0
+            assert 10.0 < _retry_after(caught.value) <= 100.0
             await stub.GetStatus(planner_pb2.GetStatusRequest(), metadata=_with(tokens[Role.ADMIN]))
 
     _run(calls())
@@ -163,7 +163,7 @@ def test_too_many_requests_of_one_client_are_refused_with_a_time_and_leave_other
 
 def test_tokens_cannot_be_tried_at_leisure(known: tuple[dict[Role, str], Tokens]) -> None:
     async def calls() -> None:
-        gate = AccessInterceptor(known[1], ClientLimiter(ClientLimits(requests_per_s=0.5, requests_burst=5)))
+        gate = AccessInterceptor(known[1], ClientLimiter(ClientLimits(requests_per_s=0.01, requests_burst=5)))
         async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
             codes = [
@@ -185,42 +185,36 @@ def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dic
             open_calls = [stub.UploadCloud(metadata=plan) for _ in range(2)]
             for call in open_calls:
                 await call.write(planner_pb2.UploadCloudRequest(chunk=b"x"))
-            await asyncio.sleep(0.05)
-            third = stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
-            assert await end_of(third) == (
-                grpc.StatusCode.RESOURCE_EXHAUSTED,
-                "2 calls of this client are open; try again when one has ended",
-            )
+            code, words = await until_other_than(grpc.StatusCode.OK, stub, plan)  # once both have arrived
+            assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
+            assert words == "2 calls of this client are open; try again when one has ended"
             open_calls[0].cancel()
             await open_calls[1].done_writing()
             assert (await open_calls[1]).size_bytes == 1
-            await asyncio.sleep(0.05)
             for _ in range(3):
-                await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+                code, _ = await until_other_than(grpc.StatusCode.RESOURCE_EXHAUSTED, stub, plan)
+                assert code is grpc.StatusCode.OK
 
     _run(calls())
 
 
 def test_a_call_that_says_nothing_or_too_little_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(service.trust.rpc, "REQUEST_WAIT_S", 0.1)
-
     async def calls() -> None:
         async with (
             serving([AccessInterceptor(None, ClientLimiter())]) as (address, answering),
             grpc.aio.insecure_channel(address) as channel,
         ):
             method = channel.stream_unary("/planner.v1.PlannerService/ListRobots")
-            silent = method()
-            assert await end_of(silent) == (grpc.StatusCode.DEADLINE_EXCEEDED, "no request arrived within 0.1 s")
             empty = method()
             await empty.done_writing()
             assert await end_of(empty) == (grpc.StatusCode.INVALID_ARGUMENT, "no request arrived")
-            stalled = planner_pb2_grpc.PlannerServiceStub(channel).UploadCloud()
+            monkeypatch.setattr(service.trust.rpc, "REQUEST_WAIT_S", 2.0)
+            silent, stalled = method(), planner_pb2_grpc.PlannerServiceStub(channel).UploadCloud()
             await stalled.write(planner_pb2.UploadCloudRequest())
-            assert await end_of(stalled) == (
-                grpc.StatusCode.DEADLINE_EXCEEDED,
-                "no message arrived within 0.1 s",
-            )
+            assert await asyncio.gather(end_of(silent), end_of(stalled)) == [
+                (grpc.StatusCode.DEADLINE_EXCEEDED, "no request arrived within 2 s"),
+                (grpc.StatusCode.DEADLINE_EXCEEDED, "no message arrived within 2 s"),
+            ]
         assert answering.callers == [("UploadCloud", "local")]
 
     _run(calls())
@@ -268,11 +262,23 @@ def test_garbage_on_the_wire_gets_an_error_and_the_server_goes_on() -> None:
             host, port = address.split(":")
             reader, writer = await asyncio.open_connection(host, int(port))
             writer.write(os.urandom(4096))
-            await asyncio.wait_for(reader.read(), 5)
+            await asyncio.wait_for(reader.read(), 60)
             writer.close()
             await planner_pb2_grpc.PlannerServiceStub(channel).ListRobots(planner_pb2.ListRobotsRequest())
 
     _run(calls())
+
+
+async def until_other_than(
+    code: grpc.StatusCode, stub: planner_pb2_grpc.PlannerServiceStub, metadata: tuple[tuple[str, str], ...]
+) -> tuple[grpc.StatusCode, str]:
+    """Ask until a call ends otherwise, at most a minute; how it ended."""
+    for _ in range(1200):
+        end = await end_of(stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=metadata))
+        if end[0] is not code:
+            break
+        await asyncio.sleep(0.05)
+    return end
 
 
 def _retry_after(error: grpc.aio.AioRpcError) -> float:

@@ -44,7 +44,7 @@ def _client(authority: trustme.CA, leaf: trustme.LeafCert | None = None) -> grpc
 
 
 def _run(coroutine: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(coroutine, 20))
+    asyncio.run(asyncio.wait_for(coroutine, 240))
 
 
 async def _ask(address: str, credentials: grpc.ChannelCredentials, token: str = "") -> grpc.StatusCode:
@@ -52,7 +52,7 @@ async def _ask(address: str, credentials: grpc.ChannelCredentials, token: str = 
     async with grpc.aio.secure_channel(address, credentials) as channel:
         stub = planner_pb2_grpc.PlannerServiceStub(channel)
         try:
-            await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=metadata, timeout=5)
+            await stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=metadata, timeout=60)
         except grpc.aio.AioRpcError as error:
             return error.code()
     return grpc.StatusCode.OK

@@ -36,7 +36,7 @@ def find_chromium() -> str | None:
 class Browser:
     """One tab; DevTools messages go through the pipe on file descriptors 3 and 4, so that no port is opened."""
 
-    def __init__(self, program: str, profile: Path, patience_s: float = 60.0) -> None:
+    def __init__(self, program: str, profile: Path, patience_s: float = 300.0) -> None:
         to_child, self._out = os.pipe()
         self._in, from_child = os.pipe()
         command = f"exec {shlex.quote(program)} {FLAGS} --user-data-dir={shlex.quote(str(profile))} about:blank"

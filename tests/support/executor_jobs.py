@@ -134,7 +134,7 @@ def report_and_never_poll(size: int, control: Control) -> None:
 def stuck_in_native_code(control: Control) -> None:
     """Hold the interpreter's lock in a call that does not return."""
     control.report(os.getpid())
-    ctypes.PyDLL(None).sleep(60)
+    ctypes.PyDLL(None).sleep(600)
 
 
 def keep_the_lock_once(folder: Path) -> int:
@@ -142,7 +142,7 @@ def keep_the_lock_once(folder: Path) -> int:
     append_mark(folder, "run")
     runs = len((folder / "marks").read_text().split())
     if runs == 1:
-        ctypes.PyDLL(None).sleep(60)
+        ctypes.PyDLL(None).sleep(600)
     return runs
 
 
@@ -214,7 +214,7 @@ def signal_itself(number: int) -> str:
 
 def start_child(control: Control) -> None:
     """Start a process in a session of its own, as file readers are, and wait for it."""
-    child = subprocess.Popen(["sleep", "60"], start_new_session=True)
+    child = subprocess.Popen(["sleep", "600"], start_new_session=True)
     control.report((os.getpid(), child.pid))
     child.wait()
 
@@ -222,7 +222,7 @@ def start_child(control: Control) -> None:
 def send_nonsense() -> None:
     for fd in _sockets():
         os.write(fd, b"\xff" * 64)
-    time.sleep(30)
+    time.sleep(600)
 
 
 def send_nonsense_later(payload: bytes) -> None:
@@ -258,7 +258,7 @@ def report_until_stopped(control: Control) -> str:
 def close_sockets() -> None:
     for fd in _sockets():
         os.close(fd)
-    time.sleep(30)
+    time.sleep(600)
 
 
 def report_then_return(count: int, control: Control) -> bytes:
@@ -279,7 +279,7 @@ def fail_to_warm_up() -> None:
 
 
 def warm_up_without_end() -> None:
-    time.sleep(60)
+    time.sleep(600)
 
 
 def thread_names() -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 
-def until(condition: Callable[[], Any], timeout_s: float = 10.0) -> bool:
+def until(condition: Callable[[], Any], timeout_s: float = 60.0) -> bool:
     """Wait until a condition holds; return whether it did in time."""
     end = time.monotonic() + timeout_s
     while not condition():

@@ -14,20 +14,28 @@ from service.request.file import parse_request
 from service.wire.requests import request_to_message
 
 DETAILS = "grpc-status-details-bin"
+LONGEST_S = 1200.0  # longer than any test waits; servers of tests allow it
 QUICK = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
-# A goal that cannot be reached keeps a worker busy for seconds: postures are tried one after the other.
+# One joint that a post is in the way of: the search for a way around it goes on until it is ended.
+ARM = ("l_arm_shx", "l_arm_ely", "l_arm_elx", "l_arm_wry", "l_arm_wrx", "l_arm_wry2")
 ENDLESS = {
-    "robot": {"name": "atlas"},
-    "start": {"posture": "stand"},
-    "scene": {
-        "obstacles": [
-            {"type": "box", "name": f"bar{i}", "size": [0.02, 2.0, 0.02], "position": [0.42, 0.0, 0.75 + 0.06 * i]}
-            for i in range(16)
-        ]
+    "robot": {
+        "name": "atlas",
+        "root": "fixed",
+        "locked": dict.fromkeys(("back_bkz", "back_bky", "back_bkx", *ARM), 0.0),
     },
-    "goal": {"poses": [{"link": "l_hand", "position": [0.75, 0.25, 1.2]}]},
-    "options": {"starts": 64},
+    "start": {"joints": {"l_arm_shz": -0.5}},
+    "scene": {
+        "obstacles": [{"type": "box", "name": "post", "size": [0.03, 0.03, 2.0], "position": [0.0, 0.8, 0.0]}],
+    },
+    "goal": {"joints": {"l_arm_shz": 0.5}},
+    "options": {"time_limit_s": LONGEST_S},
 }
+
+
+def search_for(seconds: float) -> dict[str, Any]:
+    """A request that keeps a worker busy for so long, and then finds nothing."""
+    return {**ENDLESS, "options": {"time_limit_s": seconds}}
 
 
 def plan_request(request: dict[str, Any] | None = None, **more: Any) -> wire.PlanRequest:

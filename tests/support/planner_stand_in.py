@@ -244,7 +244,7 @@ def slow_plan(stand_in: PlannerStandIn) -> Plan:
         context.add_callback(stand_in.stopped.set)
         yield accepted(request)
         yield pb.PlanResponse(progress={"step": "waiting", "fraction": 0.5})
-        stand_in.stopped.wait(30.0)
+        stand_in.stopped.wait(120.0)
 
     return plan
 
@@ -262,7 +262,7 @@ def serving(
     try:
         yield f"localhost:{bound}"
     finally:
-        server.stop(0).wait(5.0)
+        server.stop(0).wait(60.0)
 
 
 def write_cloud(folder: Path, n_bytes: int = 1000, name: str = "scan.pcd") -> Path:

@@ -55,9 +55,9 @@ def work_without_end() -> dict[str, Any]:
 def sleep_beside_a_child(note: str) -> dict[str, Any]:
     """Sleep, deaf to the clock, and have a child that does the same; the note says who they are."""
     signal.setitimer(signal.ITIMER_REAL, 0)
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     Path(note).write_text(f"{os.getpid()} {child.pid}")
-    time.sleep(60)
+    time.sleep(600)
     return {}
 
 
