@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -132,6 +133,19 @@ class WholeBody:
         The required clearance of a pair is at most its distance at a configuration that cannot move; otherwise no
         trajectory through it would be feasible.
         """
+        is_plain = not allowances and not overrides
+        checker = self._plain_checker if is_plain else self._make_checker(allowances, overrides)
+        # A pair that may touch is not allowed more than its depth because it has it at an end.
+        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, -TOUCHING_SHARE * CLEARANCE_TOLERANCE)
+
+    @cached_property
+    def _plain_checker(self) -> SweptCollisionChecker:
+        """Checker without regard to a task or to ends; most others share its work space."""
+        return self._make_checker((), ())
+
+    def _make_checker(
+        self, allowances: Sequence[Allowance], overrides: Sequence[tuple[BodyRef, BodyRef, float]]
+    ) -> SweptCollisionChecker:
         margins = PairMargins.of(
             self.robot,
             self.scene,
@@ -140,9 +154,7 @@ class WholeBody:
             overrides,
             SELF_SHARE * self.aims.margin,
         )
-        checker = SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
-        # A pair that may touch is not allowed more than its depth because it has it at an end.
-        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, -TOUCHING_SHARE * CLEARANCE_TOLERANCE)
+        return SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
 
     def make_pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
         """Return a checker of poses that requires a few millimetres, or a pair's distance at the ends if less."""
@@ -167,7 +179,7 @@ class WholeBody:
 
     def measure_nearest(self, q: Float[np.ndarray, "n"]) -> float:
         """Return the smallest distance of pairs that may not touch at a configuration, at most the sight [m]."""
-        contacts = self.make_checker()(self.engine(q[None]))
+        contacts = self._plain_checker(self.engine(q[None]))
         own = contacts.distance[contacts.margin > 0.0]
         return float(own.min(initial=self.sight))
 
