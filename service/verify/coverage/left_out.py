@@ -60,9 +60,7 @@ def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: Veri
     return tuple(sorted(left_out, key=lambda item: item.pair))
 
 
-def _neighbour_pair(
-    prepared: PreparedMotion, samples: _Samples, tree: LinkTree, pair: tuple[str, str]
-) -> LeftOut:
+def _neighbour_pair(prepared: PreparedMotion, samples: _Samples, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
     """Return a pair of joint neighbours.
 
     Its overlap is given where one link is fixed to the world and a far part of it meets the other.
