@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -80,6 +81,8 @@ class WholeBody:
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
         region: where contacts that are not soles on level ground hold the robot.
+        kept_apart: pairs of links that the robot ignores, and that keep their margin all the same.
+        sampled_clearance: of the poses of sampled paths [m]; the optimiser adds the rest of the margin.
     """
 
     robot: RobotModel
@@ -97,6 +100,8 @@ class WholeBody:
     releases: tuple[Release, ...] = ()
     touches: tuple[Allowance, ...] | None = None
     region: PlannedRegion | None = None
+    kept_apart: frozenset[tuple[str, str]] = frozenset()
+    sampled_clearance: float = SAMPLING_CLEARANCE
 
     @staticmethod
     def standing(
@@ -115,6 +120,23 @@ class WholeBody:
     def with_robot(self, robot: RobotModel, nominal: Float[np.ndarray, "n"]) -> WholeBody:
         """Return the same stance of an augmented robot."""
         return replace(self, robot=robot, engine=KinematicsEngine(robot), nominal=nominal)
+
+    def keep_apart(self, pairs: AbstractSet[tuple[str, str]]) -> WholeBody:
+        """Return the robot that keeps these links apart although its files leave them out, if they are apart now."""
+        wider = replace(self, kept_apart=self.kept_apart | pairs)
+        contacts = wider._plain_checker(wider.engine(self.nominal[None]))
+        is_inside = contacts.is_self & (contacts.distance <= 0.0)
+        links = [body.link for body in self.robot.bodies]
+        inside = {
+            (min(links[a], links[b]), max(links[a], links[b]))
+            for a, b in zip(contacts.body[is_inside].tolist(), contacts.other[is_inside].tolist(), strict=True)
+        }
+        return replace(self, kept_apart=wider.kept_apart - inside)
+
+    @cached_property
+    def _checked_robot(self) -> RobotModel:
+        """Robot whose ignored pairs are those that are not checked."""
+        return replace(self.robot, ignored_pairs=self.robot.ignored_pairs - self.kept_apart)
 
     def on_contacts(
         self, planted: Sequence[PlantedContact], touches: Sequence[Allowance], region: PlannedRegion
@@ -147,7 +169,7 @@ class WholeBody:
         self, allowances: Sequence[Allowance], overrides: Sequence[tuple[BodyRef, BodyRef, float]]
     ) -> SweptCollisionChecker:
         margins = PairMargins.of(
-            self.robot,
+            self._checked_robot,
             self.scene,
             self.aims.margin,
             (*self.standing_allowances(), *allowances),
@@ -159,9 +181,9 @@ class WholeBody:
     def make_pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
         """Return a checker of poses that requires a few millimetres, or a pair's distance at the ends if less."""
         allowances = self.standing_allowances()
-        margins = PairMargins.of(self.robot, self.scene, SAMPLING_CLEARANCE, allowances)
+        margins = PairMargins.of(self._checked_robot, self.scene, self.sampled_clearance, allowances)
         checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
-        fitting = self._fit_margins(checker, ends, 0.5 * CLEARANCE_TOLERANCE)
+        fitting = self._fit_margins(checker, ends, 0.5 * min(CLEARANCE_TOLERANCE, self.sampled_clearance))
         return PoseChecker(self.robot, self.scene, fitting.margins)
 
     def _fit_margins(
