@@ -34,7 +34,7 @@ class HessianSum:
         self._last = list(parts)
         if not same:
             return self._make(others)
-        if [id(part.rows.jacobian) for part in same] != [id(part.rows.jacobian) for part in self._kept]:
+        if len(same) != len(self._kept) or not all(_is_among(part, self._kept) for part in same):
             self._kept, self._sum_of_kept = same, self._make(same)
         return self._sum_of_kept if not others else sparse.csc_array(self._sum_of_kept + self._make(others))
 
