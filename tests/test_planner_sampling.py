@@ -134,7 +134,7 @@ def test_a_result_names_the_start_it_was_found_from(tmp_path):
 def test_a_gap_narrower_than_the_usual_clearance_is_passed_with_less(tmp_path):
     body = arm(tmp_path)
     reach = max(np.linalg.norm(part.vertices[:, :2], axis=1).max() for part in body.robot.bodies if part.link == "l0")
-    post = ConvexPiece("post", 0.1 * CORNERS + [reach + 0.05 + 0.007, 0.0, 0.0])  # 7 mm, less than 4 mm beside the elbow
+    post = ConvexPiece("post", 0.1 * CORNERS + [reach + 0.05 + 0.007, 0.0, 0.0])  # 4 mm beside the elbow
     narrow = replace(body, scene=Scene((post,)))
     tree = Tree(seed=0, most_checks=3000, planner="RRTConnect")
     assert sample_path(problem_of(narrow), tree) is None
