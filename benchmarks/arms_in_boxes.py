@@ -230,7 +230,7 @@ class Run:
     @property
     def has_goal(self) -> bool:
         """Whether a configuration at the goal was found."""
-        return self.is_certified or "goal pose" not in self.result.unsolved
+        return self.is_certified or self.result.found_from != "goal pose"
 
     @property
     def line(self) -> str:
