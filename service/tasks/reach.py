@@ -52,8 +52,8 @@ MOST_NARROW = 400  # waypoints of such a path
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
     Tree(1, 1500, "RRTConnect"),
-    Tree(2, 1500, "RRTConnect", NEAR, *NARROW),
-    Tree(3, 2000, "LBKPIECE1"),
+    Tree(2, 2000, "LBKPIECE1"),
+    Tree(3, 1500, "RRTConnect", NEAR, *NARROW),
     Tree(4, 4000, "RRTConnect", IN_A_TURN, *NARROW),
     Tree(5, 4000, "LBKPIECE1", NEAR, *NARROW),
     Tree(6, 8000, "RRTConnect", EVERYWHERE, *NARROW),
@@ -211,7 +211,7 @@ class _ReachSearch:
                         "straight line to a random posture at the goal",
                         self._solve(straight_path(body.nominal, end, waypoints), **QUICK),
                     )
-                    yield from self._around(end, Tree(number, TREES[3].most_checks, "RRTConnect"))
+                    yield from self._around(end, Tree(number, TREES[2].most_checks, "RRTConnect"))
                     if solver.monitor.remaining_s() < reserve:
                         return
             end = ends[number % len(ends)]
