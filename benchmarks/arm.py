@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ TIME_LIMIT_S = 2.0
 STEP = 0.005  # between the judge's poses [rad]
 CLEAR_ENDS = 0.02  # the median clearance is of problems whose ends have at least this clearance [m]
 END_TOLERANCE = 1e-3  # [rad, m]
+MOVED, TURNED = 0.02, 0.05  # of copies: obstacles [m], ends [rad]
+CLEAR_COPY = 1e-3  # clearance of their ends [m]
 
 
 class Judge:
@@ -121,6 +124,35 @@ def judged(
         }
 
 
+def jitter(problems: Sequence[BenchProblem], robot: RobotModel, copies: int, seed: int = 0) -> list[BenchProblem]:
+    """Return copies with every obstacle moved by up to ``MOVED`` along each axis and the ends by up to ``TURNED``.
+
+    Ends beyond the limits or in collision are drawn again.
+    """
+    judge, made = Judge(robot), list[BenchProblem]()
+    for k, problem in enumerate(problems):
+        rng = np.random.default_rng([seed, k])
+        given = (problem.request.start.positions_by_joint, problem.request.goal.joints if problem.request.goal else {})
+        ends = np.array([[end[joint] for joint in robot.joint_names] for end in given])
+        while len(made) < (k + 1) * copies:
+            obstacles = tuple(
+                replace(obstacle, position=tuple(np.array(obstacle.position) + rng.uniform(-MOVED, MOVED, 3)))
+                for obstacle in problem.request.scene.obstacles
+            )
+            request = replace(problem.request, scene=replace(problem.request.scene, obstacles=obstacles))
+            pieces = [piece.vertices for piece in build_obstacles(request)[0]]
+            moved = np.clip(ends + rng.uniform(-TURNED, TURNED, ends.shape), robot.lower + 0.02, robot.upper - 0.02)
+            if judge.clearance(moved, pieces) <= CLEAR_COPY:
+                continue
+            start, goal = (dict(zip(robot.joint_names, row.tolist(), strict=True)) for row in moved)
+            assert request.goal is not None
+            request = replace(
+                request, start=replace(request.start, joints=start), goal=replace(request.goal, joints=goal)
+            )
+            made.append(replace(problem, name=f"{problem.name}~{len(made) - k * copies}", request=request))
+    return made
+
+
 def first_call(problems: Path, robot: BenchRobot) -> float:
     """Return the CPU time of a new process from its start to the verdict on one problem [s]."""
     code = (
@@ -137,10 +169,11 @@ def first_call(problems: Path, robot: BenchRobot) -> float:
     return float(done.stdout.split()[-1])
 
 
-def report(folder: Path, bench_robot: BenchRobot) -> int:
+def report(folder: Path, bench_robot: BenchRobot, copies: int) -> int:
     """Print everything; return 1 if the judge refutes a claim."""
     problems = read_problems(folder, bench_robot, {"time_limit_s": TIME_LIMIT_S, "timed": False})
     robot = load_requested_robot(problems[0].request)
+    problems = jitter(problems, robot, copies) if copies else problems
     with tempfile.TemporaryDirectory() as scratch:
         rows = run_bench(problems, robot, Path(scratch) / "results.json", lambda name, done: None)
     print_table(
@@ -175,15 +208,16 @@ def main() -> int:
     parser.add_argument("--urdf", type=Path)
     parser.add_argument("--srdf", type=Path)
     parser.add_argument("--package-root", type=Path)
+    parser.add_argument("--copies", type=int, default=0, help="of each problem, slightly moved, in place of it")
     given = parser.parse_args()
     if given.folder is not None:
-        return report(given.folder, BenchRobot(given.urdf, given.srdf, given.package_root))
+        return report(given.folder, BenchRobot(given.urdf, given.srdf, given.package_root), given.copies)
     folder = Path(os.environ.get("SCOPT_DATA", ROOT.parent / "shared" / "data")) / "mbm_panda"
     if not folder.is_dir():
         print(f"no problems at {folder} (set SCOPT_DATA)")
         return 0
     panda = folder / "panda_bench" / "panda"
-    return report(folder, BenchRobot(panda.with_suffix(".urdf"), panda.with_suffix(".srdf"), folder))
+    return report(folder, BenchRobot(panda.with_suffix(".urdf"), panda.with_suffix(".srdf"), folder), given.copies)
 
 
 if __name__ == "__main__":

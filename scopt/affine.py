@@ -76,3 +76,21 @@ class AffineRows:
         indices = (columns + n * np.asarray(first)[rows]).astype(np.int32)
         jacobian = sparse.csr_array((dense[rows, columns], indices, indptr), shape=(m, n_waypoints * n))
         return AffineRows(np.asarray(value, dtype=float), jacobian)
+
+
+@dataclass(frozen=True)
+class WeightedRows:
+    """Affine rows, each with its weight in the merit."""
+
+    rows: AffineRows
+    weight: Float[np.ndarray, "m"]
+
+    @staticmethod
+    def stack(parts: Sequence[WeightedRows], n_variables: int) -> WeightedRows:
+        """Return the rows of all parts in their order."""
+        nonempty = [part for part in parts if len(part.weight)]
+        if not nonempty:
+            return WeightedRows(AffineRows.empty(n_variables), np.zeros(0))
+        if len(nonempty) == 1:
+            return nonempty[0]
+        return WeightedRows(AffineRows.stack([p.rows for p in nonempty]), np.concatenate([p.weight for p in nonempty]))

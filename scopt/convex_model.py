@@ -10,20 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
-from scopt.affine import AffineRows
+from scopt.affine import AffineRows, WeightedRows
 from scopt.exact_terms import ExactTerm, add_exact_terms
 from scopt.expression import ConvexExpression, read_iterate
+from scopt.hessian import HessianSum, make_hessian
 from scopt.problem import Penalty, Problem, Sense
 from scopt.qp import QuadraticProgram
 from scopt.residual import Residual
-
-
-@dataclass(frozen=True)
-class WeightedRows:
-    """Affine rows, each with its weight in the merit."""
-
-    rows: AffineRows
-    weight: Float[np.ndarray, "m"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +28,7 @@ class ConvexModel:
         constraint_rows: where each constraint's rows stand.
         n_waypoints, n: shape of the iterate.
         exact: convex expressions, which are in the merit as they are.
+        hessian: (F, F) of the squared rows in the free variables, if it is known.
     """
 
     squared: WeightedRows
@@ -44,6 +38,7 @@ class ConvexModel:
     n_waypoints: int
     n: int
     exact: tuple[ExactTerm, ...] = ()
+    hessian: sparse.csc_array | None = None
 
     def merit(self, dx: Float[np.ndarray, "N"]) -> float:
         """Return the modelled merit after a step ``dx``."""
@@ -61,10 +56,14 @@ class ConvexModel:
         return (self.absolute if kind is Penalty.ABS else self.hinge).rows.slice_rows(rows.start, rows.stop)
 
 
-def convexify(problem: Problem[Any], state: Any, mu: float, *, is_affine: bool = False) -> ConvexModel:
+def convexify(
+    problem: Problem[Any], state: Any, mu: float, hessians: HessianSum | None = None, *, is_affine: bool = False
+) -> ConvexModel:
     """Linearise every term of the problem at ``state``; constraints enter as l1 penalties of weight ``mu``.
 
-    Convex expressions stay as they are unless ``is_affine``.
+    Args:
+        hessians: keeps what does not change from iterate to iterate of one solve.
+        is_affine: whether convex expressions are linearised, too; else they stay as they are.
     """
     n_waypoints, n = problem.lower.shape
     parts: Mapping[Penalty, list[WeightedRows]] = {kind: [] for kind in Penalty}
@@ -86,21 +85,15 @@ def convexify(problem: Problem[Any], state: Any, mu: float, *, is_affine: bool =
         start = sum(len(part.weight) for part in parts[kind])
         constraint_rows[constraint.name] = (kind, slice(start, start + len(rows.value)))
         parts[kind].append(WeightedRows(rows, np.full(len(rows.value), mu * constraint.scale)))
-    stacked = {kind: _stack(parts[kind], n_waypoints * n) for kind in Penalty}
+    stacked = {kind: WeightedRows.stack(parts[kind], n_waypoints * n) for kind in Penalty}
     affine = stacked[Penalty.SQUARED], stacked[Penalty.ABS], stacked[Penalty.HINGE]
-    return ConvexModel(*affine, constraint_rows, n_waypoints, n, tuple(exact))
+    hessian = None if hessians is None else hessians.of(parts[Penalty.SQUARED])
+    return ConvexModel(*affine, constraint_rows, n_waypoints, n, tuple(exact), hessian)
 
 
 def _is_exact(residual: Residual[Any]) -> TypeGuard[ConvexExpression[Any]]:
     """Return whether a residual enters the model as it is."""
     return isinstance(residual, ConvexExpression) and not residual.is_affine
-
-
-def _stack(parts: list[WeightedRows], n_variables: int) -> WeightedRows:
-    nonempty = [part for part in parts if len(part.weight)]
-    if not nonempty:
-        return WeightedRows(AffineRows.empty(n_variables), np.zeros(0))
-    return WeightedRows(AffineRows.stack([p.rows for p in nonempty]), np.concatenate([p.weight for p in nonempty]))
 
 
 @dataclass(frozen=True)
@@ -173,7 +166,9 @@ def assemble(
     column[is_free] = position[:n_steps]
     slack = position[n_steps:]
     c = np.zeros(total)
-    P = _make_hessian(model.squared, column, c, total)
+    c[position[:n_steps]] = _make_gradient(model.squared)[is_free]
+    hessian = make_hessian(model.squared, is_free) if model.hessian is None else model.hessian
+    P = _spread(hessian, position[:n_steps], total)
     c[slack] = np.concatenate([part.weight for part in l1])
 
     n_hinge = len(model.hinge.weight)
@@ -226,18 +221,17 @@ def _find_span(jacobian: sparse.csr_array, n: int) -> tuple[Int[np.ndarray, "m"]
     return first // n, last // n
 
 
-def _make_hessian(squared: WeightedRows, column: np.ndarray, c: np.ndarray, total: int) -> sparse.csc_array:
-    """Return the Hessian of the squared rows in the program's order; add their gradient to ``c``."""
-    jacobian = squared.rows.jacobian
-    gradient = 2.0 * (jacobian.T @ (squared.weight * squared.rows.value))
-    free = column >= 0
-    c[column[free]] += gradient[free]
-    weight = np.repeat(2.0 * squared.weight, np.diff(jacobian.indptr))
-    weighted = sparse.csr_array((jacobian.data * weight, jacobian.indices, jacobian.indptr), shape=jacobian.shape)
-    hessian = sparse.coo_array(jacobian.T @ weighted)
-    row, col = column[hessian.coords[0]], column[hessian.coords[1]]
-    keep = (row >= 0) & (col >= 0)
-    return sparse.csc_array((hessian.data[keep], (row[keep], col[keep])), shape=(total, total))
+def _make_gradient(squared: WeightedRows) -> Float[np.ndarray, "N"]:
+    return np.asarray(2.0 * (squared.rows.jacobian.T @ (squared.weight * squared.rows.value)))
+
+
+def _spread(hessian: sparse.csc_array, position: Int[np.ndarray, "F"], total: int) -> sparse.csc_array:
+    """Place a Hessian of step variables among all variables; ``position`` rises, so that the indices stay sorted."""
+    indptr = np.zeros(total + 1, dtype=np.int32)
+    indptr[position + 1] = np.diff(hessian.indptr)
+    np.cumsum(indptr, out=indptr)
+    indices = position[hessian.indices].astype(np.int32)
+    return sparse.csc_array((hessian.data, indices, indptr), shape=(total, total))
 
 
 def _make_rows(

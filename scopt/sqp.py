@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify
 from scopt.correction import Correction
+from scopt.hessian import HessianSum
 from scopt.iterate import Iterate, measure, measure_start
 from scopt.penalty_schedule import PenaltySchedule
 from scopt.problem import Penalty, Problem
@@ -76,9 +77,10 @@ class TrustRegionSQP:
         region, schedule, termination = self.trust_region, self.penalty_schedule, self.termination
         radius, level, progress = region.init(), schedule.init(), termination.init()
         current = course.best
+        hessians = HessianSum((problem.upper > problem.lower).ravel())
         while True:  # penalty iterations
             while True:  # convexify iterations
-                local = self._convexify(problem, current, level.mu)
+                local = self._convexify(problem, current, level.mu, hessians)
                 is_accepted = False
                 while not region.terminate(radius):  # trust region iterations
                     is_cancelled = should_stop is not None and should_stop()
@@ -116,13 +118,12 @@ class TrustRegionSQP:
                 return course.finish(status, level.mu)
             level, radius = schedule.step(level), region.reopen(radius)
 
-    def _convexify(self, problem: Problem[StateT], current: Iterate[StateT], mu: float) -> _Local:
+    def _convexify(self, problem: Problem[StateT], current: Iterate[StateT], mu: float, hessians: HessianSum) -> _Local:
         """Model the merit around an iterate."""
         began = time.perf_counter()
-        is_free = (problem.upper > problem.lower).ravel()
-        model = convexify(problem, current.state, mu)
+        model = convexify(problem, current.state, mu, hessians)
         is_corrected = self.settings.is_corrected
-        subproblem = assemble(model, is_free, _find_hard_rows(problem, model) if is_corrected else None)
+        subproblem = assemble(model, hessians.is_free, _find_hard_rows(problem, model) if is_corrected else None)
         took_s = time.perf_counter() - began
         correction = Correction.of(problem, current.x, model) if is_corrected else None
         return _Local(mu, current.merit(mu), model, subproblem, correction, took_s)

@@ -122,11 +122,19 @@ def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> Pha
 
 
 def _search(setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> bool:
-    """Certify one plan of the task after another; return whether the last is final."""
+    """Certify one plan of the task after another; return whether the last is final.
+
+    Where links meet that the robot's files leave out, the search begins anew with these kept apart.
+    """
     for task in plan_task(setup, solver):
         attempt.begin(task)
         if task.phases:
             _certify(task, setup.request, solver.monitor, attempt)
+        body = solver.body
+        if attempt.verdict is not Verdict.CERTIFIED and not attempt.meeting <= body.kept_apart:
+            apart = body.keep_apart(attempt.meeting)
+            if apart.kept_apart != body.kept_apart:
+                return _search(setup, replace(solver, body=apart), attempt)
         if attempt.is_final(task):
             return True
     return False

@@ -1,6 +1,7 @@
 """The sampling planner's starts, and what they are good for: problems that no straight start leads around."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -128,3 +129,46 @@ def test_a_result_names_the_start_it_was_found_from(tmp_path):
     assert free.found_from == "straight line"
     assert plan(parse_request({**request, "options": {"starts": 1}})).found_from == "straight line"
     assert around.found_from
+
+
+def test_a_gap_narrower_than_the_usual_clearance_is_passed_with_less(tmp_path):
+    body = arm(tmp_path)
+    reach = max(np.linalg.norm(part.vertices[:, :2], axis=1).max() for part in body.robot.bodies if part.link == "l0")
+    post = ConvexPiece("post", 0.1 * CORNERS + [reach + 0.05 + 0.007, 0.0, 0.0])  # 4 mm beside the elbow
+    narrow = replace(body, scene=Scene((post,)))
+    tree = Tree(seed=0, most_checks=3000, planner="RRTConnect")
+    assert sample_path(problem_of(narrow), tree) is None
+    path = sample_path(problem_of(replace(narrow, sampled_clearance=2e-3)), replace(tree, edge_step=0.05))
+    assert path is not None
+    assert np.abs(path[:, 1]).max() > 1.0  # folded
+
+
+def test_coordinates_are_drawn_no_farther_beyond_the_ends_than_the_tree_says(tmp_path):
+    problem = problem_of(arm(tmp_path))
+    tree = Tree(seed=1, most_checks=3000, planner="RRTConnect")
+    assert sample_path(problem, replace(tree, beyond=0.3)) is None  # the way around folds the arm
+    path = sample_path(problem, replace(tree, beyond=2.0))
+    assert np.abs(path).max() <= 2.9
+    assert sample_path(problem, replace(tree, beyond=np.inf)) is not None
+
+
+def test_links_that_an_srdf_leaves_out_keep_apart_where_they_would_meet(tmp_path):
+    urdf = write_planar_arm(tmp_path, 3, 0.3, 0.03, limit=2.9)
+    srdf = tmp_path / "arm.srdf"
+    left_out = (("l0", "l1", "Adjacent"), ("l1", "l2", "Adjacent"), ("l0", "l2", "Never"))
+    rows = "".join(f'<disable_collisions link1="{a}" link2="{b}" reason="{why}"/>' for a, b, why in left_out)
+    srdf.write_text(f'<robot name="arm">{rows}</robot>')
+    request = parse_request(
+        {
+            "robot": {"urdf": str(urdf), "srdf": str(srdf)},
+            "start": {"joints": {"j0": 0.0, "j1": 1.7, "j2": 2.45}},
+            "goal": {"joints": {"j0": 0.0, "j1": 2.6, "j2": 1.55}},
+            "scene": {"obstacles": [{"name": "box", "type": "box", "size": [0.1] * 3, "position": [0.5, -0.5, 0.0]}]},
+            "options": {"timed": False},
+        }
+    )
+    result = plan(request)
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    pair = next(item for item in result.certificate.coverage.left_out if item.pair == ("l0", "l2"))
+    assert pair.reason == "srdf (Never)"
+    assert pair.s is None  # proven apart

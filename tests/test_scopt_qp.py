@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from scopt import AffineRows, SolverError
-from scopt.convex_model import ConvexModel, WeightedRows, assemble
+from scopt.affine import WeightedRows
+from scopt.convex_model import ConvexModel, assemble
 from scopt.qp import BACKENDS, QPStatus, QuadraticProgram, select_backend
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,9 +11,9 @@ from jaxtyping import Float, Int
 
 from costs.collision import PoseChecker
 from costs.robot import BASE_NAMES
-from service.body.whole_body import WholeBody
+from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 
-EDGE_STEP = 0.15  # largest joint step between the poses at which an edge is checked [rad, m]
+EDGE_STEP = 0.15  # by default; see ``Tree.edge_step`` [rad, m]
 CLOCK_EVERY = 16
 LEAST_TRAVEL = 0.05  # range of the coordinate along a carrier [rad, m]
 CARRIED_POINTS = 40  # of a path whose other coordinates follow a carrier
@@ -33,6 +33,7 @@ class SamplingProblem:
         free: indices of the coordinates that move.
         carrier: (G, n) configurations from start to end on the contacts that stay. The coordinates that are not free
             then follow them, as far along as one more coordinate says, which is the last.
+        edge_step: largest joint step between the poses at which an edge is checked [rad, m].
     """
 
     body: WholeBody
@@ -41,6 +42,7 @@ class SamplingProblem:
     end: Float[np.ndarray, "n"]
     free: Int[np.ndarray, "k"]
     carrier: Float[np.ndarray, "G n"] | None = None
+    edge_step: float = EDGE_STEP
 
     @property
     def length(self) -> float:
@@ -64,6 +66,12 @@ class SamplingProblem:
         q[:, self.free] = poses[:, : len(self.free)]
         return q
 
+    def interpolate_edge(self, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> Float[np.ndarray, "K k"]:
+        """Return poses close to each other on the straight line, without the first, which is clear already."""
+        step = last - first
+        count = max(int(np.ceil(np.abs(step).max() / self.edge_step)), 1)
+        return np.asarray(first + (np.arange(1, count + 1) / count)[:, None] * step)
+
     def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
         """Return whether poses of the search are all clear and balanced."""
         kinematics = self.body.engine.place(self.place(poses))
@@ -73,13 +81,6 @@ class SamplingProblem:
         if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < margin:
             return False
         return self.checker.are_clear(kinematics)
-
-
-def interpolate_edge(first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> Float[np.ndarray, "K k"]:
-    """Return poses close to each other on the straight line, without the first, which is clear already."""
-    step = last - first
-    count = max(int(np.ceil(np.abs(step).max() / EDGE_STEP)), 1)
-    return np.asarray(first + (np.arange(1, count + 1) / count)[:, None] * step)
 
 
 def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
@@ -102,11 +103,18 @@ class Tree:
         most_checks: limit of checked edges and states.
         planner: RRTConnect (Kuffner and LaValle, ICRA 2000), or LBKPIECE1 (Sucan and Kavraki, WAFR 2008, with lazy
             checks), which gets through narrow shelves with a tenth of the checks and is worse among bars.
+        beyond: how far beyond start and end the coordinates are drawn, within their limits [rad, m]; infinite for a
+            turn about 0.
+        clearance: of the poses [m]; what lacks of the margin is added by the optimiser.
+        edge_step: largest joint step between the poses at which an edge is checked [rad, m].
     """
 
     seed: int
     most_checks: int
     planner: Literal["RRTConnect", "LBKPIECE1"] = "RRTConnect"
+    beyond: float = np.pi
+    clearance: float = SAMPLING_CLEARANCE
+    edge_step: float = EDGE_STEP
 
 
 def sample_path(
@@ -123,6 +131,7 @@ def sample_path(
 
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(tree.seed + 1)
+    problem = replace(problem, edge_step=tree.edge_step)
     corners = _connect(problem, tree, is_over)
     if corners is None:
         return None
@@ -138,7 +147,7 @@ def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) 
 
     first, last = problem.ends
     space = base.RealVectorStateSpace(len(first))
-    space.setBounds(_bounds(problem))
+    space.setBounds(_bounds(problem, tree.beyond))
     effort = _EffortCounter(problem, tree.most_checks, is_over)
 
     def read_state(state: object) -> Float[np.ndarray, "k"]:
@@ -146,7 +155,7 @@ def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) 
 
     class Edge(base.MotionValidator):  # type: ignore[misc]
         def checkMotion(self, first: object, last: object, *_: object) -> bool:
-            return effort.is_clear(interpolate_edge(read_state(first), read_state(last)))
+            return effort.is_clear(problem.interpolate_edge(read_state(first), read_state(last)))
 
     information = base.SpaceInformation(space)
     information.setStateValidityChecker(lambda state: effort.is_clear(read_state(state)[None]))
@@ -168,16 +177,19 @@ def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) 
     return np.array([read_state(path.getState(k)) for k in range(path.getStateCount())])
 
 
-def _bounds(problem: SamplingProblem) -> object:
-    """Return the limits of the free coordinates, at most half a turn beyond start and end."""
+def _bounds(problem: SamplingProblem, beyond: float) -> object:
+    """Return the limits of the free coordinates, at most so far beyond start and end; within a turn if infinite."""
     from ompl import base
 
     robot = problem.body.robot
     bounds = base.RealVectorBounds(len(problem.ends[0]))
     for k, index in enumerate(problem.free.tolist()):
         ends = float(problem.start[index]), float(problem.end[index])
-        bounds.setLow(k, max(float(robot.lower[index]), min(ends) - np.pi))
-        bounds.setHigh(k, min(float(robot.upper[index]), max(ends) + np.pi))
+        low, high = min(ends) - beyond, max(ends) + beyond
+        if not np.isfinite(beyond):
+            low, high = min(*ends, -np.pi), max(*ends, np.pi)
+        bounds.setLow(k, max(float(robot.lower[index]), low))
+        bounds.setHigh(k, min(float(robot.upper[index]), high))
     if problem.carrier is not None:
         bounds.setLow(len(problem.free), 0.0)
         bounds.setHigh(len(problem.free), problem.length)
@@ -216,7 +228,7 @@ def shorten_polyline(
         if len(corners) < 3:
             return corners
         first, last = np.sort(rng.choice(len(corners), 2, replace=False))
-        if last - first > 1 and problem.is_clear(interpolate_edge(corners[first], corners[last])):
+        if last - first > 1 and problem.is_clear(problem.interpolate_edge(corners[first], corners[last])):
             corners = np.delete(corners, np.arange(first + 1, last), axis=0)
     for _ in range(POINT_TRIES):
         if len(corners) < 3:
@@ -230,7 +242,7 @@ def shorten_polyline(
         shares = (at - ends[edges]) / np.maximum(lengths[edges], 1e-12)
         joined = corners[edges] + shares[:, None] * (corners[edges + 1] - corners[edges])
         saved = at[1] - at[0] - float(np.linalg.norm(joined[1] - joined[0]))
-        if saved > LEAST_SAVING * ends[-1] and problem.is_clear(interpolate_edge(joined[0], joined[1])):
+        if saved > LEAST_SAVING * ends[-1] and problem.is_clear(problem.interpolate_edge(joined[0], joined[1])):
             corners = np.concatenate([corners[: edges[0] + 1], joined, corners[edges[1] + 1 :]])
     return corners
 

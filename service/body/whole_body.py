@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -79,6 +81,8 @@ class WholeBody:
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
         region: where contacts that are not soles on level ground hold the robot.
+        kept_apart: pairs of links that the robot ignores, and that keep their margin all the same.
+        sampled_clearance: of the poses of sampled paths [m]; the optimiser adds the rest of the margin.
     """
 
     robot: RobotModel
@@ -96,6 +100,8 @@ class WholeBody:
     releases: tuple[Release, ...] = ()
     touches: tuple[Allowance, ...] | None = None
     region: PlannedRegion | None = None
+    kept_apart: frozenset[tuple[str, str]] = frozenset()
+    sampled_clearance: float = SAMPLING_CLEARANCE
 
     @staticmethod
     def standing(
@@ -115,6 +121,23 @@ class WholeBody:
         """Return the same stance of an augmented robot."""
         return replace(self, robot=robot, engine=KinematicsEngine(robot), nominal=nominal)
 
+    def keep_apart(self, pairs: AbstractSet[tuple[str, str]]) -> WholeBody:
+        """Return the robot that keeps these links apart although its files leave them out, if they are apart now."""
+        wider = replace(self, kept_apart=self.kept_apart | pairs)
+        contacts = wider._plain_checker(wider.engine(self.nominal[None]))
+        is_inside = contacts.is_self & (contacts.distance <= 0.0)
+        links = [body.link for body in self.robot.bodies]
+        inside = {
+            (min(links[a], links[b]), max(links[a], links[b]))
+            for a, b in zip(contacts.body[is_inside].tolist(), contacts.other[is_inside].tolist(), strict=True)
+        }
+        return replace(self, kept_apart=wider.kept_apart - inside)
+
+    @cached_property
+    def _checked_robot(self) -> RobotModel:
+        """Robot whose ignored pairs are those that are not checked."""
+        return replace(self.robot, ignored_pairs=self.robot.ignored_pairs - self.kept_apart)
+
     def on_contacts(
         self, planted: Sequence[PlantedContact], touches: Sequence[Allowance], region: PlannedRegion
     ) -> WholeBody:
@@ -132,24 +155,35 @@ class WholeBody:
         The required clearance of a pair is at most its distance at a configuration that cannot move; otherwise no
         trajectory through it would be feasible.
         """
+        is_plain = not allowances and not overrides
+        checker = self._plain_checker if is_plain else self._make_checker(allowances, overrides)
+        # A pair that may touch is not allowed more than its depth because it has it at an end.
+        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, -TOUCHING_SHARE * CLEARANCE_TOLERANCE)
+
+    @cached_property
+    def _plain_checker(self) -> SweptCollisionChecker:
+        """Checker without regard to a task or to ends; most others share its work space."""
+        return self._make_checker((), ())
+
+    def _make_checker(
+        self, allowances: Sequence[Allowance], overrides: Sequence[tuple[BodyRef, BodyRef, float]]
+    ) -> SweptCollisionChecker:
         margins = PairMargins.of(
-            self.robot,
+            self._checked_robot,
             self.scene,
             self.aims.margin,
             (*self.standing_allowances(), *allowances),
             overrides,
             SELF_SHARE * self.aims.margin,
         )
-        checker = SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
-        # A pair that may touch is not allowed more than its depth because it has it at an end.
-        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, -TOUCHING_SHARE * CLEARANCE_TOLERANCE)
+        return SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
 
     def make_pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
         """Return a checker of poses that requires a few millimetres, or a pair's distance at the ends if less."""
         allowances = self.standing_allowances()
-        margins = PairMargins.of(self.robot, self.scene, SAMPLING_CLEARANCE, allowances)
+        margins = PairMargins.of(self._checked_robot, self.scene, self.sampled_clearance, allowances)
         checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
-        fitting = self._fit_margins(checker, ends, 0.5 * CLEARANCE_TOLERANCE)
+        fitting = self._fit_margins(checker, ends, 0.5 * min(CLEARANCE_TOLERANCE, self.sampled_clearance))
         return PoseChecker(self.robot, self.scene, fitting.margins)
 
     def _fit_margins(
@@ -167,7 +201,7 @@ class WholeBody:
 
     def measure_nearest(self, q: Float[np.ndarray, "n"]) -> float:
         """Return the smallest distance of pairs that may not touch at a configuration, at most the sight [m]."""
-        contacts = self.make_checker()(self.engine(q[None]))
+        contacts = self._plain_checker(self.engine(q[None]))
         own = contacts.distance[contacts.margin > 0.0]
         return float(own.min(initial=self.sight))
 

@@ -34,6 +34,7 @@ class Attempt:
         unverified: the newest plan with a motion that has no certificate yet.
         uncovered: what the newest certificate does not cover, where nothing else is open.
         is_repeated: whether the motion before was not covered in the same way.
+        meeting: pairs of links that the robot's files leave out and that meet in the newest motion.
     """
 
     verdict: Verdict = Verdict.NOT_FOUND
@@ -45,6 +46,7 @@ class Attempt:
     unverified: tuple[TaskPlan, Motion] | None = None
     uncovered: frozenset[str] = frozenset()
     is_repeated: bool = False
+    meeting: frozenset[tuple[str, str]] = frozenset()
 
     def begin(self, task: TaskPlan) -> None:
         """Take another task plan, which is returned until a motion is verified."""
@@ -55,6 +57,7 @@ class Attempt:
     def keep_better(self, task: TaskPlan, motion: Motion, certificate: Certificate) -> None:
         """Keep a verified motion unless an earlier one has the better certificate."""
         uncovered = certificate.list_uncovered()
+        self.meeting = certificate.list_meeting()
         self.is_repeated, self.uncovered = bool(uncovered) and uncovered == self.uncovered, uncovered
         if self.certificate is not None and _RANK[certificate.status] <= _RANK[self.certificate.status]:
             return

@@ -23,7 +23,7 @@ from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
 from service.setup.checks import StartCheck, check_goal_and_keep, check_start, find_soles
-from service.setup.units import find_unit_problems, note_far_obstacles
+from service.setup.units import check_units
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
 from service.start.configuration import make_start_configuration
 from service.start.mechanism_file import inline_mechanism
@@ -116,11 +116,7 @@ def prepare(
     check_masses(robot)
     check_names(request, robot, TakenNames.of(robot, request))
     start, notes, program = _resolve_and_check(robot, request)
-    unit_problems = find_unit_problems(request, robot, start)
-    if unit_problems:
-        raise RequestError(unit_problems)
-    notes += robot.notes
-    notes += note_far_obstacles(request, robot, start)
+    notes += (*robot.notes, *check_units(request, robot, start))
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)
     announce("perceive scene")

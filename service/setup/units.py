@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel
+from service.errors import RequestError
 from service.request.fields import LARGEST_M
 from service.request.scene import (
     BoxRequest,
@@ -44,12 +45,29 @@ class _Box:
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - other.high, other.low - self.high), 0.0)))
 
 
-def find_unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
-    """Return one line per position so far away that its unit or frame must be wrong; the schema checks sizes."""
-    here = _robot_box(robot, start)
+def check_units(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
+    """Return a note about obstacles too far away to influence the motion, if there are any.
+
+    Raises:
+        RequestError: one line per position so far away that its unit or frame must be wrong; the schema checks sizes.
+    """
+    here, boxes = _robot_box(robot, start), _extents(request.scene.obstacles)
+    problems = _find_problems(request, here, boxes)
+    if problems:
+        raise RequestError(problems)
+    gaps = [(here.gap(box), obstacle.name) for obstacle, box in zip(request.scene.obstacles, boxes, strict=True)]
+    far = [f"{name} ({gap:.0f} m)" for gap, name in gaps if gap > IDLE_M]
+    if not far:
+        return ()
+    named = ", ".join(far[:MOST_NAMED]) + (f" and {len(far) - MOST_NAMED} more" if len(far) > MOST_NAMED else "")
+    return (f"scene.obstacles: out of the robot's reach by far: {named}; are they given in metres?",)
+
+
+def _find_problems(request: PlanRequest, here: _Box, boxes: Sequence[_Box]) -> tuple[str, ...]:
+    """Return the lines of ``check_units``, given the boxes around robot and obstacles."""
     base = None if request.start.base is None else np.array(request.start.base.position)
     problems: list[str] = []
-    for field, point, box in _places(request):
+    for field, point, box in _places(request, boxes):
         gap = here.gap(box)
         if gap <= FAR_M:
             continue
@@ -65,17 +83,6 @@ def find_unit_problems(request: PlanRequest, robot: RobotModel, start: Float[np.
     return tuple(dict.fromkeys(problems))
 
 
-def note_far_obstacles(request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"]) -> tuple[str, ...]:
-    """Return a note about obstacles too far away to influence the motion, if there are any."""
-    here = _robot_box(robot, start)
-    gaps = [(here.gap(_extent(obstacle)), obstacle.name) for obstacle in request.scene.obstacles]
-    far = [f"{name} ({gap:.0f} m)" for gap, name in gaps if gap > IDLE_M]
-    if not far:
-        return ()
-    named = ", ".join(far[:MOST_NAMED]) + (f" and {len(far) - MOST_NAMED} more" if len(far) > MOST_NAMED else "")
-    return (f"scene.obstacles: out of the robot's reach by far: {named}; are they given in metres?",)
-
-
 def _robot_box(robot: RobotModel, start: Float[np.ndarray, "n"]) -> _Box:
     """Return the bounding box of the robot's bodies at its start; without bodies, its base or the world's origin."""
     placed = [vertices for _, vertices in place_bodies(robot, start)]
@@ -83,11 +90,10 @@ def _robot_box(robot: RobotModel, start: Float[np.ndarray, "n"]) -> _Box:
     return _Box.around(np.vstack(placed) if placed else base[None])
 
 
-def _places(request: PlanRequest) -> Iterator[tuple[str, Float[np.ndarray, "3"], _Box]]:
+def _places(request: PlanRequest, boxes: Sequence[_Box]) -> Iterator[tuple[str, Float[np.ndarray, "3"], _Box]]:
     """Yield the field, position and bounding box of each placed object in the world [m]."""
-    for index, obstacle in enumerate(request.scene.obstacles):
+    for index, (obstacle, box) in enumerate(zip(request.scene.obstacles, boxes, strict=True)):
         field = f"scene.obstacles[{index}]"
-        box = _extent(obstacle)
         if isinstance(obstacle, ConvexRequest) and not any(obstacle.position):
             yield f"{field}.points", np.array(obstacle.points[0]), box
         else:
@@ -150,9 +156,17 @@ def _relative_problems(request: PlanRequest) -> Iterator[str]:
             yield f"{line}; are these millimetres? Use {_row(_MM * point)}."
 
 
-def _extent(obstacle: ObstacleRequest) -> _Box:
-    """Return the axis-aligned box around an obstacle; for a mesh, which is not read yet, the largest box."""
-    rotation = Rotation.from_quat(obstacle.quaternion_wxyz, scalar_first=True).as_matrix()
+def _extents(obstacles: Sequence[ObstacleRequest]) -> tuple[_Box, ...]:
+    """Return the axis-aligned boxes around obstacles; for meshes, which are not read yet, the largest box."""
+    if not obstacles:
+        return ()
+    quaternions = np.array([obstacle.quaternion_wxyz for obstacle in obstacles])
+    rotations = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    return tuple(_extent(*placed) for placed in zip(obstacles, rotations, strict=True))
+
+
+def _extent(obstacle: ObstacleRequest, rotation: Float[np.ndarray, "3 3"]) -> _Box:
+    """Return the axis-aligned box around a turned obstacle."""
     centre = np.array(obstacle.position)
     match obstacle:
         case ConvexRequest():

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count, islice
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +28,7 @@ from service.body.phases import (
 )
 from service.body.sampling import Tree, measure_length, resample_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
-from service.body.whole_body import WholeBody
+from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
 from service.explain.goal import find_goal_reasons
 from service.request.schema import GoalRequest, PoseGoalRequest
@@ -45,13 +44,26 @@ SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled p
 RANDOM: dict[str, float] = {"max_iterations": 40}  # among the last attempts
 LEAD: dict[str, float] = {"max_iterations": 40, "patience": 10}  # after the straight line has failed
 # The effort of a search varies with its seed: several short searches are faster than a long one.
+# Where joints turn far, most of their space leads nowhere: trees draw near the ends, everywhere, or within a turn.
+NEAR, EVERYWHERE, IN_A_TURN = 0.8, float(np.pi), float(np.inf)
+# Paths through gaps narrower than twice the margin: clearance [m], and step at which edges are checked [rad, m].
+NARROW = (2e-3, 0.05)
+MOST_NARROW = 400  # waypoints of such a path
 TREES = (
     Tree(0, 1000, "LBKPIECE1"),
     Tree(1, 1500, "RRTConnect"),
     Tree(2, 2000, "LBKPIECE1"),
-    Tree(3, 4000, "RRTConnect"),
-    Tree(4, 4000, "LBKPIECE1"),
-    Tree(5, 8000, "RRTConnect"),
+    Tree(3, 1500, "RRTConnect", NEAR, *NARROW),
+    Tree(4, 4000, "RRTConnect", IN_A_TURN, *NARROW),
+    Tree(5, 4000, "LBKPIECE1", NEAR, *NARROW),
+    Tree(6, 8000, "RRTConnect", EVERYWHERE, *NARROW),
+)
+LARGE_TREES = (
+    Tree(0, 8000, "RRTConnect", IN_A_TURN, *NARROW),
+    Tree(0, 8000, "LBKPIECE1", NEAR, *NARROW),
+    Tree(0, 8000, "RRTConnect", NEAR, *NARROW),
+    Tree(0, 8000, "RRTConnect", EVERYWHERE),
+    Tree(0, 8000, "LBKPIECE1", EVERYWHERE, *NARROW),
 )
 RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
 RANDOM_GUESSES = 8  # about half of them lead to a pose
@@ -60,7 +72,6 @@ IK_DRAWS = 16  # batches of random configurations after which a goal counts as o
 BATCH = 48  # random configurations that are led to the goal at once
 OVERLAPPING_TRIED = 6  # of those in collision, by batch
 ENDS_PER_ROUND = 3
-PLANNERS: tuple[Literal["RRTConnect", "LBKPIECE1"], ...] = ("RRTConnect", "LBKPIECE1", "RRTConnect")
 MOST_CHECKS = 40_000  # of one tree: some seconds
 SHRINK = (0.8, 0.6, 0.4)  # sizes of shrunken obstacles
 EXPLAIN_RESERVE_S, EXPLAIN_SHARE = 10.0, 0.2
@@ -170,14 +181,14 @@ class _ReachSearch:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight_path(start, other, self._count_waypoints(other)), **QUICK)
-        yield from self._around(end, TREES[1])
-        yield from self._around(end, TREES[2])
+        for tree in TREES[1:4]:
+            yield from self._around(end, tree)
         for name, posture in posture_guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(path_via(start, posture, end, waypoints), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
-        for tree in TREES[3:]:
+        for tree in TREES[4:]:
             yield from self._around(end, tree)
         yield from self._search_on([end])
 
@@ -191,7 +202,7 @@ class _ReachSearch:
             return
         limit = solver.monitor.time_limit_s
         reserve = min(EXPLAIN_RESERVE_S, EXPLAIN_SHARE * limit)  # for the explanation of why nothing was found
-        checks = TREES[-1].most_checks
+        checks = LARGE_TREES[0].most_checks
         for number in count(len(TREES)):
             if not self.goal.is_complete:
                 for end in islice(find_random_ends(solver, self.goal, ends, 1, number), ENDS_PER_ROUND):
@@ -204,10 +215,11 @@ class _ReachSearch:
                     if solver.monitor.remaining_s() < reserve:
                         return
             end = ends[number % len(ends)]
-            yield from self._through_shrunken(end, Tree(number, TREES[3].most_checks), SHRINK[number % len(SHRINK)])
+            yield from self._through_shrunken(end, Tree(number, TREES[4].most_checks), SHRINK[number % len(SHRINK)])
             if solver.monitor.remaining_s() < reserve:
                 return
-            yield from self._around(end, Tree(number, checks, PLANNERS[number % len(PLANNERS)]))
+            large = LARGE_TREES[number % len(LARGE_TREES)]
+            yield from self._around(end, replace(large, seed=number, most_checks=checks))
             if solver.monitor.remaining_s() < reserve:
                 return
             checks = min(checks * 3 // 2, MOST_CHECKS)
@@ -294,8 +306,9 @@ class _ReachSearch:
 
     def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """Yield the solve from a sampled path; the path itself where the solve fails and the path does not."""
+        body = replace(self.solver.body, sampled_clearance=tree.clearance)
         with self.solver.monitor.step("sampling", 0.5):
-            corners = self.solver.sample_corners(self.solver.body.nominal, end, tree)
+            corners = replace(self.solver, body=body).sample_corners(body.nominal, end, tree)
         if corners is None:
             return
         waypoints = max(self._count_waypoints(end), 2 * len(corners))
@@ -304,9 +317,21 @@ class _ReachSearch:
             # The hull of a long step may contain what the step itself goes around.
             denser = self._solve_sampled(resample_path(corners, DENSER * waypoints))
             solved = denser if denser.is_feasible else solved
+        if not solved.is_feasible and self.n_waypoints is None and tree.clearance < SAMPLING_CLEARANCE:
+            narrow = self._solve_narrow(corners, tree)
+            solved = narrow if narrow.is_feasible else solved
         if solved.is_feasible:
             solved = self._tighten(solved, tree)
         yield f"path of {tree.planner}, tree {tree.seed + 1}", solved
+
+    def _solve_narrow(self, corners: Float[np.ndarray, "K n"], tree: Tree) -> Solved:
+        """Return the solve from a path with little clearance: with a small margin, and in steps like its checks."""
+        body = self.solver.body
+        aims = replace(body.aims, margin=min(body.aims.margin, tree.clearance))
+        narrow = replace(self, solver=replace(self.solver, body=replace(body, aims=aims)))
+        length = float(np.abs(np.diff(corners, axis=0)).max(axis=1).sum())
+        waypoints = int(np.ceil(length / tree.edge_step)) + len(corners)
+        return narrow._solve_sampled(resample_path(corners, min(waypoints, MOST_NARROW)))
 
     def _solve_sampled(self, path: Float[np.ndarray, "T n"]) -> Solved:
         """Return the solve from a sampled path; the path itself where the solve fails and the path does not."""

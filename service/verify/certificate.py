@@ -292,6 +292,13 @@ class Certificate:
         names = {check.name for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN}
         return frozenset(names if all(name.startswith("coverage.") for name in names) else ())
 
+    def list_meeting(self) -> frozenset[tuple[str, str]]:
+        """Return the pairs of links that were left out, are no neighbours, and do not keep apart."""
+        left_out = () if self.coverage is None else self.coverage.left_out
+        return frozenset(
+            item.pair for item in left_out if item.s is not None and not item.is_neighbour and item.reason != "kept"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data; NaN and infinity become None."""
         return dict(json.loads(self.to_json()))

@@ -23,7 +23,8 @@ _FLAT = 128
 # Where two faces touch within rounding coal fails and returns the lowest double: it is called again with the
 # mover nudged by far less than any tolerance [m].
 _ABSURD = 1e6
-_NUDGES = 1e-8 * np.array([[0.0, 0.0, 0.0], [0.61, -0.48, 0.63], [-0.43, 0.71, -0.56], [0.37, 0.52, -0.77]])
+_NUDGES = (None, *(1e-8 * np.array([[0.61, -0.48, 0.63], [-0.43, 0.71, -0.56], [0.37, 0.52, -0.77]])))
+_POLLED = 64  # distances between two polls: some milliseconds at most
 # Vertex sets kept: a robot's bodies and the pieces of some scenes.
 _KEPT = 2048
 
@@ -190,14 +191,15 @@ class DistanceQuery:
         distance, direction = np.empty(len(movers)), np.empty((len(movers), 3))
         result, request, identity = self._result, self._request, self._identity
         for row, (mover, turned, moved, holder) in enumerate(zip(movers, rotation, translation, holders, strict=True)):
-            poll()
+            if row % _POLLED == 0:
+                poll()
             for nudge in _NUDGES:
                 result.clear()
-                pose = coal.Transform3s(turned, moved + nudge)
-                distance[row] = coal.distance(mover, pose, holder, identity, request, result)
-                if distance[row] > -_ABSURD:
+                pose = coal.Transform3s(turned, moved if nudge is None else moved + nudge)
+                found = coal.distance(mover, pose, holder, identity, request, result)
+                if found > -_ABSURD:
                     break
-            direction[row] = result.normal
+            distance[row], direction[row] = found, result.normal
         length = np.sqrt((direction * direction).sum(axis=1))
         length[~((length > 0.5) & (length < 2.0))] = np.nan
         return distance, direction / length[:, None]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import combinations
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
@@ -38,15 +38,16 @@ def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: Veri
     # Names out of order denote no pair, as documented in RobotModel.
     ignored = {pair for pair in motion.robot.ignored_pairs if pair[0] < pair[1]}
     left_out, rest = [], []
+    samples = _Samples.of(prepared)
     for pair in combinations(own, 2):
         if tree.joint[pair[0]] == tree.joint[pair[1]]:
             left_out.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
         elif pair in ignored and tree.are_neighbours(*pair):
-            left_out.append(_neighbour_pair(prepared, tree, pair))
+            left_out.append(_neighbour_pair(prepared, samples, tree, pair))
         elif pair in ignored:
             rest.append(pair)
     kept = _kept_joints(prepared)
-    not_apart = _find_pairs_not_apart(prepared, rest, settings)
+    not_apart = _find_pairs_not_apart(prepared, samples, rest, settings)
     for pair in rest:
         if pair not in not_apart:
             left_out.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
@@ -59,18 +60,16 @@ def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: Veri
     return tuple(sorted(left_out, key=lambda item: item.pair))
 
 
-def _neighbour_pair(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
+def _neighbour_pair(prepared: PreparedMotion, samples: _Samples, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
     """Return a pair of joint neighbours.
 
     Its overlap is given where one link is fixed to the world and a far part of it meets the other.
     """
     if any(tree.joint[link] == 0 for link in pair):
-        s = _sample_places(prepared)
-        placed, rows = prepared.at(s)
-        for depth in _depths(prepared.motion.robot.bodies, placed, rows, pair):
+        for depth in samples.depths(pair):
             worst = int(depth.argmax())
             if depth.min() < -_APART_M and depth[worst] > 0.0:
-                deepest, place = float(depth[worst]), float(s[worst])
+                deepest, place = float(depth[worst]), float(samples.s[worst])
                 time_s = find_time(prepared.motion.law, place)
                 return LeftOut(pair, "adjacent", is_neighbour=False, deepest_m=deepest, s=place, time_s=time_s)
     return LeftOut(pair, "adjacent", is_neighbour=True, deepest_m=float("nan"))
@@ -115,10 +114,10 @@ def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
 
 
 def _find_pairs_not_apart(
-    prepared: PreparedMotion, pairs: Sequence[tuple[str, str]], settings: VerifySettings
+    prepared: PreparedMotion, samples: _Samples, pairs: Sequence[tuple[str, str]], settings: VerifySettings
 ) -> Mapping[tuple[str, str], tuple[float, float]]:
     """Return pairs that are not proven to keep apart on the whole curve: deepest sampled overlap [m], and where."""
-    overlaps = _find_sampled_overlaps(prepared, pairs)
+    overlaps = _find_sampled_overlaps(samples, pairs)
     pairs = [pair for pair in pairs if pair not in overlaps]
     if not pairs:
         return overlaps
@@ -145,56 +144,73 @@ def _find_pairs_not_apart(
     return overlaps
 
 
-def _sample_places(prepared: PreparedMotion) -> Float[np.ndarray, "S"]:
-    """Return the path parameters at which left out pairs are sampled: all knots, and more between."""
-    knots = prepared.motion.curve.knots
-    return np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
+@dataclass(frozen=True)
+class _Samples:
+    """Poses of the motion at which pairs that are left out are looked at: all knots, and more between.
 
+    Attributes:
+        s: (S,) path parameters; of poses without a path their numbers.
+        placed, rows: joint placements, and which of them belong to these parameters.
+        solids: the robot's bodies.
+        centres, radii: (S, B, 3), (B,) their spheres in the world [m].
+    """
 
-def _find_sampled_overlaps(
-    prepared: PreparedMotion, pairs: Sequence[tuple[str, str]]
-) -> dict[tuple[str, str], tuple[float, float]]:
-    """Return pairs that overlap at some sample of the motion: deepest overlap [m], and where."""
-    overlaps: dict[tuple[str, str], tuple[float, float]] = {}
-    s = _sample_places(prepared)
-    for pair in pairs:
-        placed, rows = prepared.at(s)
-        depth = _overlap(prepared.motion.robot.bodies, placed, rows, pair)
-        worst = int(depth.argmax())
-        if depth[worst] > 0.0:
-            overlaps[pair] = float(depth[worst]), float(s[worst])
-    return overlaps
+    s: Float[np.ndarray, "S"]
+    placed: Placements
+    rows: Int[np.ndarray, "S"]
+    solids: tuple[CoalSolid, ...]
+    centres: Float[np.ndarray, "S B 3"]
+    radii: Float[np.ndarray, "B"]
 
+    @staticmethod
+    def of(prepared: PreparedMotion) -> _Samples:
+        knots = prepared.motion.curve.knots
+        s = np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], _SAMPLES)]))
+        return _Samples.at(prepared.motion.robot.bodies, s, *prepared.at(s))
 
-def _overlap(
-    bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
-) -> Float[np.ndarray, "S"]:
-    """Return the overlap of a pair's links at each pose [m]; negative infinity where their spheres are apart."""
-    depths = list(_depths(bodies, placed, rows, pair))
-    return np.asarray(np.max(depths, axis=0))
+    @staticmethod
+    def at(
+        bodies: Sequence[LinkBody], s: Float[np.ndarray, "S"], placed: Placements, rows: Int[np.ndarray, "S"]
+    ) -> _Samples:
+        solids = tuple(CoalSolid.of_body(body) for body in bodies)
+        where = rows[:, None], np.array([solid.joint for solid in solids], dtype=int)
+        local = np.array([solid.sphere[0] for solid in solids]).reshape(-1, 3, 1)
+        centres = (placed.rotation[where] @ local)[..., 0] + placed.translation[where]
+        return _Samples(s, placed, rows, solids, centres, np.array([solid.sphere[1] for solid in solids]))
 
+    def overlap(self, pair: tuple[str, str]) -> Float[np.ndarray, "S"]:
+        """Return the overlap of a pair's links at each pose [m]; negative infinity where their spheres are apart."""
+        return np.asarray(np.max(list(self.depths(pair)), axis=0))
 
-def _depths(
-    bodies: Sequence[LinkBody], placed: Placements, rows: np.ndarray, pair: tuple[str, str]
-) -> Iterator[Float[np.ndarray, "S"]]:
-    """Yield the same for each pair of their bodies."""
-    query = DistanceQuery()
-    for first in (CoalSolid.of_body(body) for body in bodies if body.link == pair[0]):
-        for second in (CoalSolid.of_body(body) for body in bodies if body.link == pair[1]):
-            depth = np.full(len(rows), -np.inf)
-            between = _centre(placed, rows, first) - _centre(placed, rows, second)
-            near = np.flatnonzero(np.linalg.norm(between, axis=1) < first.sphere[1] + second.sphere[1])
+    def depths(self, pair: tuple[str, str]) -> Iterator[Float[np.ndarray, "S"]]:
+        """Yield the same for each pair of their bodies."""
+        query = DistanceQuery()
+        of_first, of_second = ([k for k, solid in enumerate(self.solids) if solid.link == link] for link in pair)
+        for i, j in product(of_first, of_second):
+            first, second = self.solids[i], self.solids[j]
+            depth = np.full(len(self.rows), -np.inf)
+            between = self.centres[:, i] - self.centres[:, j]
+            reach = self.radii[i] + self.radii[j]
+            near = np.flatnonzero(np.einsum("sk,sk->s", between, between) < reach * reach)
             if len(near):
-                rotation, translation = placed.relative(second.joint, first.joint, rows[near])
+                rotation, translation = self.placed.relative(second.joint, first.joint, self.rows[near])
                 solids = [first.convex] * len(near), [second.convex] * len(near)
                 distance, _ = query.closest(solids[0], rotation, translation, solids[1])
                 depth[near] = -distance
             yield depth
 
 
-def _centre(placed: Placements, rows: np.ndarray, solid: CoalSolid) -> Float[np.ndarray, "S 3"]:
-    """Return the centre of a solid's sphere in the world at each pose [m]."""
-    return np.asarray(placed.rotation[rows, solid.joint] @ solid.sphere[0] + placed.translation[rows, solid.joint])
+def _find_sampled_overlaps(
+    samples: _Samples, pairs: Sequence[tuple[str, str]]
+) -> dict[tuple[str, str], tuple[float, float]]:
+    """Return pairs that overlap at some sample of the motion: deepest overlap [m], and where."""
+    overlaps: dict[tuple[str, str], tuple[float, float]] = {}
+    for pair in pairs:
+        depth = samples.overlap(pair)
+        worst = int(depth.argmax())
+        if depth[worst] > 0.0:
+            overlaps[pair] = float(depth[worst]), float(samples.s[worst])
+    return overlaps
 
 
 def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
@@ -221,5 +237,6 @@ def _share_of_overlaps(robot: RobotModel, tree: LinkTree, pair: tuple[str, str])
         low = np.nan_to_num(robot.lower[first : first + size], neginf=-np.pi)
         high = np.nan_to_num(robot.upper[first : first + size], posinf=np.pi)
         q[:, first : first + size] = rng.uniform(low, high, (_POSES, size))
-    depth = _overlap(robot.bodies, ForwardKinematics(robot.model).at(q), np.arange(_POSES), pair)
+    poses = np.arange(_POSES)
+    depth = _Samples.at(robot.bodies, poses.astype(float), ForwardKinematics(robot.model).at(q), poses).overlap(pair)
     return float(np.mean(depth > 0.0))

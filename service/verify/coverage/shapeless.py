@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from xml.etree import ElementTree
 
 import numpy as np
@@ -114,7 +115,8 @@ def _lines(prepared: PreparedMotion, tree: LinkTree, link: str) -> Iterator[Floa
         yield np.linspace(0.0, 1.0, count)[:, None] * np.asarray(end)
 
 
-def _elements(urdf: str) -> dict[str, ElementTree.Element]:
+@lru_cache(maxsize=4)
+def _elements(urdf: str) -> Mapping[str, ElementTree.Element]:
     if not urdf:
         return {}
     return {str(element.get("name")): element for element in ElementTree.fromstring(urdf).findall("link")}

@@ -1,0 +1,60 @@
+"""Hessian of the squared rows, of which the part whose Jacobian stays the same is summed once in a solve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool
+from scipy import sparse
+
+from scopt.affine import WeightedRows
+
+
+@dataclass
+class HessianSum:
+    """Sum of ``2 J^T W J`` over squared terms, in the free step variables of one solve.
+
+    Terms of joint positions have one Jacobian for the whole solve: what they add is kept from iterate to iterate.
+
+    Attributes:
+        is_free: (N,) which step variables are in the program.
+    """
+
+    is_free: Bool[np.ndarray, "N"]
+    _kept: list[WeightedRows] = field(default_factory=list)
+    _sum_of_kept: sparse.csc_array = field(default_factory=lambda: sparse.csc_array((0, 0)))
+    _last: list[WeightedRows] = field(default_factory=list)
+
+    def of(self, parts: Sequence[WeightedRows]) -> sparse.csc_array:
+        """Return the sum for the terms at one iterate, with sorted indices."""
+        same = [part for part in parts if _is_among(part, self._last)]
+        others = [part for part in parts if not _is_among(part, self._last)]
+        self._last = list(parts)
+        if not same:
+            return self._make(others)
+        if len(same) != len(self._kept) or not all(_is_among(part, self._kept) for part in same):
+            self._kept, self._sum_of_kept = same, self._make(same)
+        return self._sum_of_kept if not others else sparse.csc_array(self._sum_of_kept + self._make(others))
+
+    def _make(self, parts: Sequence[WeightedRows]) -> sparse.csc_array:
+        return make_hessian(WeightedRows.stack(parts, len(self.is_free)), self.is_free)
+
+
+def make_hessian(squared: WeightedRows, is_free: Bool[np.ndarray, "N"]) -> sparse.csc_array:
+    """Return ``2 J^T W J`` of squared rows in the free variables, with sorted indices."""
+    jacobian = squared.rows.jacobian
+    weight = np.repeat(2.0 * squared.weight, np.diff(jacobian.indptr))
+    weighted = sparse.csr_array((jacobian.data * weight, jacobian.indices, jacobian.indptr), shape=jacobian.shape)
+    full = sparse.csc_array(jacobian.T @ weighted)
+    free = full if is_free.all() else sparse.csc_array(full[:, is_free][is_free])
+    free.sort_indices()
+    return free
+
+
+def _is_among(part: WeightedRows, others: Sequence[WeightedRows]) -> bool:
+    """Return whether another part has the same Jacobian and weights, so that it adds the same."""
+    return any(
+        other.rows.jacobian is part.rows.jacobian and np.array_equal(other.weight, part.weight) for other in others
+    )
