@@ -16,6 +16,7 @@ from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
 from service.demands.resume import Beginning, ResumedDemand, find_group, find_index, resume_phases
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
+from service.tasks.compliance import CannotFollowError, keep_motion
 from service.tasks.handling import find_collisions
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
@@ -55,8 +56,10 @@ def plan_rest(
     specs: Sequence[PhaseSpec],
     measure: Callable[[Motion], Mapping[str, float]],
     resume: ResumeRequest,
-) -> TaskPlan:
-    """Plan the rest of a task from the nominal configuration of the body.
+) -> Iterator[TaskPlan]:
+    """Yield plans of the rest of a task from the nominal configuration of the body.
+
+    A compliant rest is first the earlier motion itself, with the arm displaced that holds the mechanism.
 
     Args:
         solver: of the body augmented by the mechanism, whose joints are at their start.
@@ -76,6 +79,15 @@ def plan_rest(
     problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
         raise RequestError(problems)
+    notes: tuple[str, ...] = ()
+    if resume.is_compliant and resume.nominal is not None:
+        rest = resume_phases(specs, demand.phase, start, Beginning.AT_ONCE)
+        try:
+            kept = keep_motion(PhaseSequence(solver, demand.mechanism, rest), resume.nominal)
+            yield replace(kept, measure=_join_figures(measure, kept.measure))
+            notes = ("the earlier motion is not kept: its certificate fails where only the arm yields",)
+        except CannotFollowError as error:
+            notes = (f"the earlier motion is not kept: {error}",)
     best: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
     for beginning in beginnings:
         is_reach = beginning is Beginning.REACH
@@ -86,10 +98,16 @@ def plan_rest(
         planned = sequence.plan(body.nominal)
         if planned[1] is None:
             note = f"planned again from '{demand.phase}' on"
-            return TaskPlan(body, planned[0], measure=measure, notes=(note,))
+            yield TaskPlan(body, planned[0], measure=measure, notes=(*notes, note))
+            return
         if len(planned[0]) >= len(best[0]):
             best = planned
-    return TaskPlan(body, best[0], stuck=best[1], measure=measure)
+    yield TaskPlan(body, best[0], stuck=best[1], measure=measure, notes=notes)
+
+
+def _join_figures(*measures: Callable[[Motion], Mapping[str, float]]) -> Callable[[Motion], Mapping[str, float]]:
+    """Return a function that measures all figures of several."""
+    return lambda motion: {name: value for measure in measures for name, value in measure(motion).items()}
 
 
 def _read_nominal(body: WholeBody, resume: ResumeRequest) -> dict[str, Float[np.ndarray, "T n"]]:
