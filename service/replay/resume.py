@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -77,7 +77,9 @@ def make_rest_request(
     resume = _make_resume(data, folder, request, robot, motion)
     resume = replace(resume, phase=phase, plan=plan, mechanism=state.mechanism, is_rescanned=cloud is not None)
     if is_compliant:
-        resume = _keep_curve(resume, motion, folder)
+        if resume.nominal is None:
+            raise ResultError(f"{folder}: no hand holds a mechanism in this plan; there is nothing to yield to")
+        resume = replace(resume, is_compliant=True)
     names = [*(entry["name"] for entry in data["phases"]), *data["not_planned"]]
     if request.goal is not None and phase not in names:
         raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(names)}")
@@ -143,7 +145,9 @@ def _make_resume(
 ) -> ResumeRequest:
     """Return a section with the choices of the earlier plan; those that it kept itself are kept on."""
     if request.resume is not None:
-        return request.resume
+        return (
+            request.resume if request.resume.nominal is None else replace(request.resume, nominal=_keep_motion(motion))
+        )
     empty = ResumeRequest(phase="-", plan="sha256:" + 64 * "0")
     task = request.task
     if task is None or task.contacts is not None or task.egress is not None:
@@ -174,39 +178,17 @@ def _read_state(data: dict[str, Any], phase: str) -> StateRequest:
 
 
 def _keep_motion(motion: Motion) -> NominalRequest:
-    """Return the knots of a motion's curve by phase, from which another is searched."""
-    curve, phases = motion.curve, {}
-    for phase, knots in _split_knots(motion):
-        positions = np.round(curve.positions[knots], NOMINAL_DIGITS).ravel()
-        phases[phase] = NominalPhase(tuple(positions.tolist()))
-    return NominalRequest(motion.robot.joint_names, phases)
-
-
-def _keep_curve(resume: ResumeRequest, motion: Motion, folder: Path) -> ResumeRequest:
-    """Return a section with the curve and the time law of the earlier motion, which is kept if it can be.
-
-    Raises:
-        ResultError: the earlier plan has no phases in which a hand holds a mechanism.
-    """
-    if resume.nominal is None or motion.robot.joint_names != resume.nominal.joint_names:
-        raise ResultError(f"{folder}: no hand holds a mechanism in this plan; there is nothing to yield to")
+    """Return a motion's curve by phase with its time law: the new one is kept near it."""
     curve, law, phases = motion.curve, motion.law, {}
-    for phase, knots in _split_knots(motion):
+    for phase in motion.phases:
+        first, last = np.searchsorted(curve.knots, (phase.first - SAME_KNOT, phase.last + SAME_KNOT))
         positions, tangents = (
-            tuple(np.round(values[knots], NOMINAL_DIGITS).ravel().tolist())
+            tuple(np.round(values[first:last], NOMINAL_DIGITS).ravel().tolist())
             for values in (curve.positions, curve.tangents)
         )
-        phases[phase] = NominalPhase(positions, tuple(curve.knots[knots].tolist()), tangents)
+        phases[phase.name] = NominalPhase(positions, tuple(curve.knots[first:last].tolist()), tangents)
     path, speed = ((), ()) if law is None else (tuple(law.path.tolist()), tuple(law.speed.tolist()))
-    nominal = NominalRequest(motion.robot.joint_names, phases, path, speed)
-    return replace(resume, nominal=nominal, is_compliant=True)
-
-
-def _split_knots(motion: Motion) -> Iterator[tuple[str, slice]]:
-    """Yield each phase's name and its knots."""
-    for phase in motion.phases:
-        first, last = np.searchsorted(motion.curve.knots, (phase.first - SAME_KNOT, phase.last + SAME_KNOT))
-        yield phase.name, slice(int(first), int(last))
+    return NominalRequest(motion.robot.joint_names, phases, path, speed)
 
 
 def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | str:

@@ -123,6 +123,11 @@ class NominalRequest(Section):
     law_path: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)] = ()
     law_speed: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)] = ()
 
+    @property
+    def has_curve(self) -> bool:
+        """Whether the motion is known exactly, between its waypoints too."""
+        return bool(self.phases) and all(phase.knots for phase in self.phases.values())
+
     def __post_init__(self) -> None:
         n = len(self.joint_names)
         if len(set(self.joint_names)) < n:
@@ -180,5 +185,5 @@ class ResumeRequest(Section):
     is_compliant: bool = False
 
     def __post_init__(self) -> None:
-        if self.is_compliant and (self.nominal is None or not all(p.knots for p in self.nominal.phases.values())):
+        if self.is_compliant and (self.nominal is None or not self.nominal.has_curve):
             raise PydanticCustomError("nominal", "is_compliant needs the earlier motion with its knots and tangents")

@@ -7,7 +7,7 @@ arm would pass a limit of speed or acceleration are slower.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,17 +23,17 @@ from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
 from service.request.resume import NominalRequest
 from service.tasks.handling import list_arm_joints
 from service.tasks.sequence import PhaseSequence, place_tool, slide_tool
-from service.verify import Motion
 
-MOST_M, MOST_RAD = 0.015, np.deg2rad(5.0)  # by which a hand may be displaced [m, rad]
+MOST_M, MOST_RAD = 0.015, np.deg2rad(5.0)  # by which a hand yields [m, rad]
 SAME_STATE = 2e-5  # of the robot where the rest begins: the earlier motion is written with five digits [rad, m]
 SAME_MECHANISM = 1e-4  # of the mechanism at the ends of a phase [rad, m]
-STEPS = 40  # of Gauss-Newton
+SAME_HOLD = 1e-3  # of the arm's joints where the rest begins with the hand at its place [rad]
+STEPS = 25  # of Gauss-Newton
 DAMPING, LEAST_DAMPING = 1e-3, 1e-6  # of the first and of the last ones [m^2, rad^2]
 KEPT_WEIGHT = 0.03  # of the hand's earlier pose, which is kept as far as its place and its lean allow; it fades
 KEPT_LENGTH = 0.3  # by which the hand may as well be off as by 1 rad [m]
 SLIDE_RESERVE = 2e-3  # of what a hand may slide, for the curve between the knots [m]
-FADING = 0.8  # of damping and weight from step to step
+FADING = 0.6  # of damping and weight from step to step
 MOST_STEP = 0.05  # of a joint [rad, m]
 SETTLED = 1e-5  # of the arm's joints in a step [rad]
 LIMIT_ROUNDS = 4  # of the search for joints at their limits
@@ -42,7 +42,7 @@ BETWEEN = np.array([0.25, 0.5, 0.75])  # of an interval: where the displacement 
 
 
 class CannotFollowError(ValueError):
-    """The earlier motion cannot be kept; the message says why, in millimetres and degrees."""
+    """The earlier motion cannot be kept; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -60,21 +60,33 @@ class Displacement:
     phase: str
     hand: str
 
+    @property
+    def is_compliance(self) -> bool:
+        """Whether a hand that yields is displaced as far without another command."""
+        return self.distance_m <= MOST_M and self.turn_rad <= MOST_RAD
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Both as figures of a result."""
+        return {
+            "hand_displaced_mm": 1e3 * self.distance_m,
+            "hand_displaced_deg": float(np.rad2deg(self.turn_rad)),
+        }
+
     def __str__(self) -> str:
         size = f"{1e3 * self.distance_m:.1f} mm and {np.rad2deg(self.turn_rad):.1f} deg"
         return f"{self.hand} is displaced by up to {size}, most in '{self.phase}'"
 
 
-def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> TaskPlan:
-    """Return the earlier motion with the arm displaced that holds the mechanism of the sequence.
+def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[TaskPlan, Displacement]:
+    """Return the earlier motion with the arm displaced that holds the mechanism of the sequence, and by how much.
 
     Args:
         sequence: phases of the rest, of which ``nominal`` has the earlier waypoints.
         earlier: the earlier motion with knots, tangents and time law.
 
     Raises:
-        CannotFollowError: the robot or the mechanism is not as the earlier motion begins, an arm does not reach, or a
-            hand would be displaced by more than ``MOST_M`` or ``MOST_RAD``.
+        CannotFollowError: the robot or the mechanism is not as the earlier motion begins, or an arm does not reach.
     """
     body, engine = sequence.solver.body, sequence.solver.body.engine
     curve, borders = _read_curve(sequence, earlier)
@@ -95,6 +107,7 @@ def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> TaskPlan:
         if spec.hand is None:
             blend = _blend(curve.knots[a : b + 1], *_find_ends(offset, a, b))
             offset[a : b + 1] = np.clip(path + blend, *_find_limits(body.robot, path, np.arange(body.robot.n))) - path
+    _begin_at_start(sequence.specs[0], curve, offset, borders[0][1])
     tangents = np.concatenate([_differentiate(curve.knots[a : b + 1], offset[a : b + 1])[:-1] for a, b in borders])
     displaced = Curve(
         curve.knots,
@@ -102,20 +115,8 @@ def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> TaskPlan:
         curve.tangents + np.concatenate([tangents, np.zeros((1, body.robot.n))]),
     )
     largest = _measure(engine, sequence.specs, borders, curve, displaced)
-    if largest.distance_m > MOST_M or largest.turn_rad > MOST_RAD:
-        most = f"{1e3 * MOST_M:.0f} mm and {np.rad2deg(MOST_RAD):.0f} deg"
-        raise CannotFollowError(f"{largest}; expected at most {most}")
     phases = sequence.take([displaced.positions[a : b + 1] for a, b in borders])
-    note = f"the earlier motion is kept: {largest}"
-
-    def measure(motion: Motion) -> Mapping[str, float]:
-        return {
-            "hand_displaced_mm": 1e3 * largest.distance_m,
-            "hand_displaced_deg": float(np.rad2deg(largest.turn_rad)),
-        }
-
-    kept = KeptCurve(displaced, _read_law(earlier, curve))
-    return TaskPlan(body, phases, measure=measure, notes=(note,), kept=kept)
+    return TaskPlan(body, phases, kept=KeptCurve(displaced, _read_law(earlier, curve))), largest
 
 
 def _read_curve(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[Curve, list[tuple[int, int]]]:
@@ -190,38 +191,40 @@ def _yield_arm(
     beside: Hold = lambda waypoints: FramePose(robot, hand.tool, waypoints, shifted[waypoints], POSITION)  # noqa: E731
     axis: Hold = lambda waypoints: AxisDirection(robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)  # noqa: E731
     kept: Hold = lambda waypoints: FramePose(robot, hand.tool, waypoints, poses[waypoints], (True,) * 6)  # noqa: E731
-    limited: list[tuple[Hold, float]] = [(axis, 0.5 * (hand.aim_rad + hand.tilt_rad))]
-    if hand.slide is not None and off_m is None:
-        room = float(np.linalg.norm(hand.slide)) - SLIDE_RESERVE
-        limited.append((lambda waypoints: slide_tool(robot, hand, waypoints, hand.place[None]), room))
+    along: Hold = lambda waypoints: slide_tool(robot, hand, waypoints, hand.place[None])  # noqa: E731
+    slide = None if off_m is not None else hand.slide
+    room = 0.0 if slide is None else float(np.linalg.norm(slide)) - SLIDE_RESERVE
+    holds = [at_place if off_m is None else beside, *([] if slide is None else [along]), axis, kept]
+    lean = 0.5 * (hand.aim_rad + hand.tilt_rad)
     x, limits = np.array(q), _find_limits(robot, q, columns)
     for step in range(STEPS):
-        held, held_rows = linearize_holds(engine, x, [at_place if off_m is None else beside])
-        parts = [_limit_rows(*linearize_holds(engine, x, [hold]), most) for hold, most in limited]
-        soft, soft_rows = linearize_holds(engine, x, [kept])
+        value, rows = linearize_holds(engine, x, holds)
+        off = float(np.abs(value[:, : -8 if slide is None else -9]).max())
+        if slide is not None:
+            _limit_rows(value[:, -9:-8], rows[:, -9:-8], room)
+        leans = _limit_rows(value[:, -8:-6], rows[:, -8:-6], lean)
         weight = KEPT_WEIGHT * FADING**step * np.repeat([1.0 / KEPT_LENGTH, 1.0], 3)
-        value = np.concatenate([held, *(value for value, _ in parts), weight * soft], axis=1)
-        rows = np.concatenate([held_rows, *(rows for _, rows in parts), weight[:, None] * soft_rows], axis=1)
+        value[:, -6:] *= weight
+        rows[:, -6:] *= weight[:, None]
         damping = max(DAMPING * FADING**step, LEAST_DAMPING)
         moved = _step_within(x[:, columns], value, rows[:, :, columns], damping, limits)
         change = np.abs(moved - x[:, columns]).max()
         x[:, columns] = moved
         if change <= SETTLED:
             break
-    off, lean = float(np.abs(held).max()), float(np.linalg.norm(parts[0][0], axis=1).max())
-    if off > hand.tolerance_m or lean > hand.tilt_rad - hand.aim_rad:
-        words = f"{1e3 * off:.1f} mm and {np.rad2deg(lean):.1f} deg"
+    if off > hand.tolerance_m or leans > hand.tilt_rad - lean:
+        words = f"{1e3 * off:.1f} mm and {np.rad2deg(leans):.1f} deg"
         raise CannotFollowError(f"the arm of {hand.tool} alone does not follow in '{spec.name}': it stays {words} off")
     return x
 
 
-def _limit_rows(
-    value: Float[np.ndarray, "T k"], rows: Float[np.ndarray, "T k n"], most: float
-) -> tuple[Float[np.ndarray, "T k"], Float[np.ndarray, "T k n"]]:
-    """Return by how much residuals are longer than they may be, and its derivative; nothing where they are not."""
+def _limit_rows(value: Float[np.ndarray, "T k"], rows: Float[np.ndarray, "T k n"], most: float) -> float:
+    """Reduce residuals and their derivatives in place to what is beyond a length; return the most that is beyond it."""
     length = np.linalg.norm(value, axis=1)
-    beyond = np.maximum(1.0 - most / np.maximum(length, most), 0.0)[:, None]
-    return value * beyond, rows * (beyond > 0.0)[:, :, None]
+    beyond = np.maximum(1.0 - most / np.maximum(length, most), 0.0)
+    value *= beyond[:, None]
+    rows *= (beyond > 0.0)[:, None, None]
+    return float(np.max(beyond * length))
 
 
 def _find_limits(
@@ -264,6 +267,14 @@ def _locate(
     kinematics = engine(q)
     rotation = kinematics.rotation[:, joint]
     return rotation @ pose[:3, :3], rotation @ pose[:3, 3] + kinematics.position[:, joint]
+
+
+def _begin_at_start(spec: PhaseSpec, curve: Curve, offset: Float[np.ndarray, "K n"], last: int) -> None:
+    """Let the displacement begin at nothing, in place, where the first phase has a hand."""
+    off = offset[0].copy()
+    if spec.hand is not None and not spec.hand.is_line and np.abs(off).max() > SAME_HOLD:
+        raise CannotFollowError(f"the hand is not at its place where '{spec.name}' begins")
+    offset[: last + 1] -= _blend(curve.knots[: last + 1], off, np.zeros_like(off))
 
 
 def _find_ends(
