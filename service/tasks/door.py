@@ -31,7 +31,7 @@ HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
 PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
 PUSH_UP = (1.05, 1.25, 0.9)  # heights of the peg's tip on the leaf [m]
-HAND_ROOM = 0.25  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
+HAND_ROOM, AMPLE_ROOM = 0.25, 0.4  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
 PULL_PLACES = (0.0, 0.08, -0.08)  # of the hand along a pull handle, from its middle [m]
 BAR_SHARES = (0.3, 0.1, 0.4)  # of the hand along a push bar, from its middle towards the free edge
 
@@ -154,8 +154,10 @@ class DoorOpening:
     def _list_choices(self) -> Iterator[tuple[DoorChoice, AtHandle | None]]:
         """Yield the holds of the handle, with what they reach there where that is known.
 
-        A pulled door that opens little is tried with all holds at the handle alone before the leaf is pushed.
+        A pulled leaf that is hardly open when the hand lets go is pushed only after all other holds were tried at the
+        handle alone, and from the largest opening first; so is one that opens little in all.
         """
+        geometry = self.door.geometry
         choices = [
             choice
             for hand in self.hands
@@ -163,17 +165,26 @@ class DoorOpening:
                 self.door, hand, measure_peg(self.solver.body.robot, hand), self.target, self.stays
             )
         ]
-        start = self.door.geometry.ajar
-        if self.door.is_push or self.target > start + AT_HANDLE_ALONE:
+        if self.door.is_push:
             yield from ((choice, None) for choice in choices)
             return
-        opened: list[tuple[DoorChoice, AtHandle]] = []
+        opens_little = self.target <= geometry.ajar + AT_HANDLE_ALONE
+        later: list[tuple[DoorChoice, AtHandle]] = []
+        unheld = list[DoorChoice]()
         for choice in choices:
-            with suppress(StaticRegionError):
-                opened.append((choice, self._open_at_handle(choice)))
-                if opened[-1][1][2] >= self.target - 1e-6:
-                    yield opened.pop()
-        yield from opened if opened else ((choice, None) for choice in choices)
+            try:
+                opened = self._open_at_handle(choice)
+            except StaticRegionError:
+                unheld.append(choice)
+                continue
+            reached = opened[2]
+            has_room = geometry.width * np.sin(reached) >= AMPLE_ROOM and not opens_little
+            if reached >= self.target - 1e-6 or has_room:
+                yield choice, opened
+            else:
+                later.append((choice, opened))
+        yield from sorted(later, key=lambda pair: -pair[1][2])
+        yield from ((choice, None) for choice in unheld)
 
     def _plan_choice(
         self, choice: DoorChoice, at_handle: AtHandle | None, tried: PushesTried
