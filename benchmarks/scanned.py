@@ -9,7 +9,9 @@ is named.  The lidar scans from the robot's head at that place, the object is de
 motion is planned on what was seen.
 
 ``--displaced N``: the objects of the first N certified cases that are given by numbers are moved (valves by 1 cm and 3
-deg, doors by 1 cm) and planned again with the choices of the first plan (hand, entry, grip): share and seconds.
+deg, doors by 1 cm) and planned again with the choices of the first plan (hand, entry, grip): share and seconds.  The
+first motion is also kept, with only the arm yielding that holds the object (at most 15 mm and 5 deg): for the same
+displacement, and for a random one of up to that size.
 Processor time is of one call of the planner, perception and certificate included.
 """
 
@@ -59,6 +61,9 @@ class Run:
         reason: first sentence of the explanation; empty where certified.
         cpu_s: of the planner.
         first_cpu_s: of the plan before, for an object that was moved.
+        kept, kept_within: whether the first motion was certified with a yielding arm, for the object moved by all of
+            ``DISPLACED_M`` and ``DISPLACED_DEG``, and by a random part of both.
+        kept_cpu_s: of keeping the motion, where it was kept for a random part.
         steps_s: wall time by step of the planner.
     """
 
@@ -69,6 +74,9 @@ class Run:
     cpu_s: float = 0.0
     first_cpu_s: float = 0.0
     steps_s: dict[str, float] | None = None
+    kept: bool = False
+    kept_within: bool = False
+    kept_cpu_s: float = 0.0
 
     @property
     def is_certified(self) -> bool:
@@ -152,22 +160,24 @@ def run_scanned(case: ScannedCase, robot: RobotModel, rng: np.random.Generator, 
         return run_plan(case.name, case.group, parse_request(data), robot)
 
 
-def displace(task: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
-    """Return a task with its object moved: a valve by 1 cm and 3 deg, a door by 1 cm in its plane of motion."""
+def displace(
+    task: dict[str, Any], rng: np.random.Generator, shares: tuple[float, float] = (1.0, 1.0)
+) -> dict[str, Any]:
+    """Return a task with its object moved: a valve by shares of 1 cm and 3 deg, a door by one of 1 cm in its plane."""
     moved = copy.deepcopy(task)
     if "valve" in moved:
         valve = moved["valve"]
         shift = rng.normal(size=3)
-        shift *= DISPLACED_M / np.linalg.norm(shift)
+        shift *= shares[0] * DISPLACED_M / np.linalg.norm(shift)
         about = rng.normal(size=3)
-        turn = Rotation.from_rotvec(np.deg2rad(DISPLACED_DEG) * about / np.linalg.norm(about))
+        turn = Rotation.from_rotvec(np.deg2rad(shares[1] * DISPLACED_DEG) * about / np.linalg.norm(about))
         valve["centre"] = (np.array(valve["centre"]) + shift).tolist()
         valve["axis"] = turn.apply(valve["axis"]).tolist()
         if "lever" in valve:
             valve["lever"]["direction"] = turn.apply(valve["lever"]["direction"]).tolist()
         return moved
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    shift = DISPLACED_M * np.array([np.cos(angle), np.sin(angle), 0.0])
+    shift = shares[0] * DISPLACED_M * np.array([np.cos(angle), np.sin(angle), 0.0])
     door = moved["door"]
     for section, field in (("leaf", "hinge"), ("leaf", "edge"), ("handle", "centre")):
         door[section][field] = (np.array(door[section][field]) + shift).tolist()
@@ -187,21 +197,29 @@ def run_displaced(case: ScannedCase, robot: RobotModel, rng: np.random.Generator
         return Run(case.name, case.group, "NO FIRST PLAN", " | ".join(result.explanation[:2]), first_cpu)
     with tempfile.TemporaryDirectory() as scratch:
         folder = write_result(result, Path(scratch) / "first").folder
-        names = result.motion.robot.joint_names
-        values = dict(zip(names, result.motion.curve.positions[0].tolist(), strict=True))
-        record = json.loads((folder / "result.json").read_text())
-        movable = {entry["joint"]: entry["start"] for entry in record["movables"]}
-        joints = {name: value for name, value in values.items() if not name.startswith("base_") and name not in movable}
-        base = data["start"]["base"]
-        state = Path(scratch) / "state.json"
-        state.write_text(json.dumps({"joints": joints, "base": base, "mechanism": movable}))
-        rest = make_rest_request(folder, result.motion.phases[0].name, state)
+        phase = result.motion.phases[0].name
         task = displace(case.true, rng)
-        again = parse_request({**data, "task": task})
-        if rest.resume is None or again.task is None:
-            return Run(case.name, case.group, "ERROR", "no rest of the plan", first_cpu_s=first_cpu)
-        moved = replace(rest, task=again.task)
-        return run_plan(case.name, case.group, moved, robot, first_cpu)
+        run = run_plan(case.name, case.group, _move(folder, phase, data, task), robot, first_cpu)
+        part = displace(case.true, rng, (rng.uniform(), rng.uniform()))
+        whole, _ = _keep(_move(folder, phase, data, task, is_compliant=True), robot)
+        within, kept_cpu = _keep(_move(folder, phase, data, part, is_compliant=True), robot)
+        return replace(run, kept=whole, kept_within=within, kept_cpu_s=kept_cpu)
+
+
+def _move(
+    folder: Path, phase: str, data: dict[str, Any], task: dict[str, Any], *, is_compliant: bool = False
+) -> PlanRequest:
+    """Return the request for all of an earlier plan with its object moved."""
+    rest = make_rest_request(folder, phase, None, is_compliant=is_compliant)
+    return replace(rest, task=parse_request({**data, "task": task}).task)
+
+
+def _keep(request: PlanRequest, robot: RobotModel) -> tuple[bool, float]:
+    """Return whether the earlier motion is kept and certified, and the processor time where it is."""
+    began = time.process_time()
+    result = plan(request, robot=robot)
+    is_kept = result.verdict.value == "CERTIFIED" and "hand_displaced_mm" in result.figures
+    return is_kept, time.process_time() - began if is_kept else 0.0
 
 
 def print_summary(title: str, runs: Sequence[Run], *, has_first: bool = False) -> None:
@@ -210,7 +228,8 @@ def print_summary(title: str, runs: Sequence[Run], *, has_first: bool = False) -
     for run in runs:
         groups[run.group].append(run)
     header = ("group", "cases", "certified", "CPU median [s]", "CPU p95 [s]")
-    header = (*header, "first plan, median [s]") if has_first else header
+    if has_first:
+        header = (*header, "first plan, median [s]", "kept", "kept, moved by up to", "kept CPU median [s]")
     rows = []
     for group, members in [*groups.items(), ("all", list(runs))]:
         counted = [run for run in members if run.verdict not in ("NO STANCE", "NO FIRST PLAN")]
@@ -220,7 +239,12 @@ def print_summary(title: str, runs: Sequence[Run], *, has_first: bool = False) -
         cpu = [run.cpu_s for run in counted]
         cells = [group, str(len(counted)), f"{certified}/{len(counted)} ({100.0 * certified / len(counted):.0f} %)"]
         cells += [f"{statistics.median(cpu):.1f}", f"{np.percentile(cpu, 95):.1f}"]
-        cells += [f"{statistics.median(run.first_cpu_s for run in counted):.1f}"] if has_first else []
+        if has_first:
+            cells += [f"{statistics.median(run.first_cpu_s for run in counted):.1f}"]
+            cells += [
+                f"{sum(kept)}/{len(kept)}" for kept in zip(*((r.kept, r.kept_within) for r in counted), strict=True)
+            ]
+            cells += [f"{statistics.median([run.kept_cpu_s for run in counted if run.kept_within] or [0.0]):.1f}"]
         rows.append(tuple(cells))
     print_table(title, header, rows)
     for reason, count in Counter(f"{run.verdict}: {run.reason[:170]}" for run in runs if not run.is_certified).items():

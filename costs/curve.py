@@ -123,6 +123,12 @@ class TimeLaw:
     path: Float[np.ndarray, "M"]
     speed: Float[np.ndarray, "M"]
 
+    @staticmethod
+    def accelerated(path: Float[np.ndarray, "M"], speed: Float[np.ndarray, "M"]) -> TimeLaw:
+        """Return the law from time 0 on that passes increasing path parameters at the given speeds."""
+        durations = 2.0 * np.diff(path) / (speed[:-1] + speed[1:])
+        return TimeLaw(np.concatenate([[0.0], np.cumsum(durations)]), path, speed)
+
     @cached_property
     def shares(self) -> Float[np.ndarray, "M-1"]:
         """Length of each step over the integral of its speeds; 1 where both are 0, huge where only the latter is."""

@@ -82,7 +82,7 @@ def test_torque_is_the_work_of_weight_and_loads_per_angle() -> None:
 
 def test_arm_begins_at_the_shoulder_and_is_never_longer_than_measured() -> None:
     hand = HANDS["left"]
-    names = [ROBOT.model.names[joint] for joint in list_arm_joints(ROBOT, hand)]
+    names = [ROBOT.model.names[joint] for joint in list_arm_joints(ROBOT, hand.tool)]
     assert names[0] == "l_arm_shz"
     assert len(names) == 7
     rng = np.random.default_rng(0)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.collision import Contacts
+from costs.curve import Curve, TimeLaw
 from costs.state import MotionState
 from scopt import Problem, Result
 from service.body.holds import Hold
@@ -80,6 +81,19 @@ class PlannedPhase:
 
 
 @dataclass(frozen=True)
+class KeptCurve:
+    """Curve and time law of an earlier motion that are kept.
+
+    Attributes:
+        curve: through the waypoints of all phases; neighbouring phases share their border knot.
+        law: its time law; None where it has none.
+    """
+
+    curve: Curve
+    law: TimeLaw | None
+
+
+@dataclass(frozen=True)
 class TaskPlan:
     """The result of a task's planner.
 
@@ -93,6 +107,7 @@ class TaskPlan:
         notes: choices that were made.
         is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
         pose_graph: poses from which the sequence was chosen (JSON-ready), or None.
+        kept: curve and time law through all waypoints where they are known already, or None.
     """
 
     body: WholeBody
@@ -104,6 +119,7 @@ class TaskPlan:
     notes: tuple[str, ...] = ()
     is_impossible: bool = False
     pose_graph: Mapping[str, Any] | None = None
+    kept: KeptCurve | None = None
 
     @property
     def reasons(self) -> tuple[str, ...]:

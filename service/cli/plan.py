@@ -48,6 +48,10 @@ def plan_command(
             metavar="TARGET:X,Y,Z",
         ),
     ] = None,
+    compliant: Annotated[
+        bool,
+        typer.Option("--compliant", help="With --from-phase: keep the plan's motion if the arm that holds can yield."),
+    ] = False,
     trajopt: Annotated[bool, typer.Option("--trajopt", help="REQUEST is a TrajOpt problem (docs/trajopt.md).")] = False,
     robot: Annotated[str | None, typer.Option(help="Bundled robot or URDF of a TrajOpt problem.")] = None,
     srdf: Annotated[Path | None, typer.Option(help="SRDF of that URDF; manip may name its groups.")] = None,
@@ -75,12 +79,14 @@ def plan_command(
     with --scene or --cloud. It starts at --start, else at the first row of a given_traj, else at the robot's posture.
 
     With --from-phase, REQUEST is the result of an earlier plan. The new motion starts at --state and keeps the earlier
-    plan's choices; --cloud gives a new scan, and --adjust displaces what is not where it was.
+    plan's choices; --cloud gives a new scan, and --adjust displaces what is not where it was. With --compliant the
+    earlier motion itself is certified for the displaced mechanism, with the arm displaced that holds it; --state may
+    then be left out, for a robot that is where the plan begins the phase. Where that fails, the rest is planned again.
     """
-    if (from_phase is None) != (state is None):
+    if (from_phase is None) != (state is None) and not (compliant and from_phase is not None):
         raise typer.BadParameter("--from-phase and --state come together")
-    if adjust and from_phase is None:
-        raise typer.BadParameter("--adjust goes with --from-phase")
+    if (adjust or compliant) and from_phase is None:
+        raise typer.BadParameter("--adjust and --compliant go with --from-phase")
     name = request.stem if from_phase is None else f"{(request.parent if request.is_file() else request).name}-rest"
     folder = out if out is not None else Path("out") / name
     given = any(value is not None for value in (robot, srdf, package_root, floating, scene, start, time_limit))
@@ -103,11 +109,11 @@ def plan_command(
             paths = (robot, srdf, package_root, floating, scene, start)
             files = TrajoptFiles(*paths, limit_s, is_timed=not untimed, checks_torque=not no_torque)
             plan_request = load_trajopt_request(request, files)
-        elif from_phase is not None and state is not None:
+        elif from_phase is not None:
             from service.replay.adjust import adjust_request, read_adjustment
             from service.replay.resume import make_rest_request, read_recorded_scan
 
-            plan_request = make_rest_request(request, from_phase, state, cloud)
+            plan_request = make_rest_request(request, from_phase, state, cloud, is_compliant=compliant)
             around = read_recorded_scan(request, plan_request) if cloud is None else None
             for target, offset in map(read_adjustment, adjust or []):
                 plan_request, around = adjust_request(plan_request, around, target, offset)

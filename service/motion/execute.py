@@ -12,11 +12,11 @@ from costs.allowance import Allowance
 from costs.curve import Curve, TimeLaw
 from service.body.holds import DRIFT
 from service.body.monitor import Monitor
-from service.body.task_plan import PlannedPhase, TaskPlan
+from service.body.task_plan import KeptCurve, PlannedPhase, TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
-from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
+from service.motion.timing import TimingSettings, slow_to_limits, slow_until_zmp_inside, time_curve
 from service.start.standing import FEET_GROUP
 from service.verify import Basis, Certificate, LoadedRegion, Motion, Phase, SupportPolygon
 from service.verify.coverage.required import list_waived_checks
@@ -38,7 +38,7 @@ BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s,
 def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     """Make the sampled motion of a task's phases (at least one), without a time law if ``timing`` is None."""
     body = plan.body
-    spline = _fit_spline(plan)
+    spline = _fit_spline(plan) if plan.kept is None else _keep_spline(plan, plan.kept)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
     neighbours = make_neighbour_allowances(body.robot, body.scene, body.nominal)
@@ -64,7 +64,10 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         return replace(motion, samples=_sample_path(spline.curve, _limit_chords(plan, spline, chord)))
     planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
-    motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
+    if plan.kept is None or plan.kept.law is None:
+        motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
+    else:
+        motion = replace(motion, law=slow_to_limits(body.robot, spline.curve, plan.kept.law, timing))
     law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
     # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
     is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
@@ -87,6 +90,13 @@ def _fit_spline(plan: TaskPlan) -> Spline:
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
+
+
+def _keep_spline(plan: TaskPlan, kept: KeptCurve) -> Spline:
+    """Return the curve that a plan keeps, with all of its knots as waypoints."""
+    counts = [len(phase.q) - 1 for phase in plan.phases]
+    ends = (0, *np.cumsum(counts).tolist())
+    return Spline(kept.curve, ends, np.ones(len(kept.curve.knots), dtype=bool))
 
 
 def _make_phase(

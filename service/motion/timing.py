@@ -89,11 +89,7 @@ def time_curve(
         TimingError: when a limit is not positive or no law was found.
     """
     settings = settings or TimingSettings()
-    limited = replace(
-        robot,
-        velocity=robot.velocity * settings.velocity_scale,
-        acceleration=robot.acceleration * settings.acceleration_scale,
-    )
+    limited = _scale_limits(robot, settings)
     if not (np.all(limited.velocity > 0.0) and np.all(limited.acceleration > 0.0)):
         raise TimingError("speed and acceleration limits must be positive to time a curve")
     rests = [float(s) for s in rest_at if curve.knots[0] < s < curve.knots[-1]]
@@ -105,8 +101,13 @@ def time_curve(
         cells = grid[a : b + 1]
         support = _find_support(phases, float(cells[0]), float(cells[-1]))
         speed[a : b + 1] = _time_segment(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)
-    law = _make_law(grid, speed)
+    law = TimeLaw.accelerated(grid, speed)
     return _slow_to_limits(limited, curve, law)
+
+
+def slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw, settings: TimingSettings) -> TimeLaw:
+    """Return a law, slower between two rests where speed or acceleration would pass a limit."""
+    return _slow_to_limits(_scale_limits(robot, settings), curve, law)
 
 
 def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: float = 0.0) -> TimeLaw:
@@ -209,9 +210,13 @@ def _time_segment(
     raise TimingError(f"no time law found between s = {grid[0]} and s = {grid[-1]}")
 
 
-def _make_law(grid: Float[np.ndarray, "M"], speed: Float[np.ndarray, "M"]) -> TimeLaw:
-    durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
-    return TimeLaw(np.concatenate([[0.0], np.cumsum(durations)]), grid, speed)
+def _scale_limits(robot: RobotModel, settings: TimingSettings) -> RobotModel:
+    """Return the robot with the shares of its speed and acceleration limits that are used."""
+    return replace(
+        robot,
+        velocity=robot.velocity * settings.velocity_scale,
+        acceleration=robot.acceleration * settings.acceleration_scale,
+    )
 
 
 def _stretch_law(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:

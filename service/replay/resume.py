@@ -25,8 +25,9 @@ from service.replay.resume_contacts import ChangedContacts
 from service.request.file import load_section, replace_cloud, request_hash
 from service.request.resume import HoldChoice, NominalPhase, NominalRequest, ResumeRequest
 from service.request.scene import MeshRequest
-from service.request.schema import PlanRequest, StartRequest, StateRequest, TaskRequest
+from service.request.schema import PlanRequest, PoseRequest, StartRequest, StateRequest, TaskRequest
 from service.result.folder import read_result, result_path
+from service.result.motion_json import BASE_COLUMNS
 from service.setup.world import Surroundings
 from service.start.configuration import make_start_configuration
 from service.verify import Motion
@@ -39,14 +40,17 @@ def hash_plan(data: Mapping[str, Any]) -> str:
     return "sha256:" + hashlib.sha256(orjson.dumps(data["certificate"])).hexdigest()
 
 
-def make_rest_request(path: Path, phase: str, state_file: Path, cloud: Path | None = None) -> PlanRequest:
+def make_rest_request(
+    path: Path, phase: str, state_file: Path | None, cloud: Path | None = None, *, is_compliant: bool = False
+) -> PlanRequest:
     """Return the request that plans the rest of an earlier plan from the robot's state.
 
     Args:
         path: result folder of the earlier plan, or its ``result.json``.
         phase: name of the phase to begin with.
-        state_file: file with a ``StateRequest``.
+        state_file: file with a ``StateRequest``; None for the state in which the earlier plan begins the phase.
         cloud: new scan, which shows the scene as it is now.
+        is_compliant: whether the earlier motion is kept if it can be, and only the arm that holds yields.
 
     Raises:
         ResultError: the earlier plan cannot be read or continued.
@@ -63,17 +67,22 @@ def make_rest_request(path: Path, phase: str, state_file: Path, cloud: Path | No
         raise ResultError(
             f"{folder}: request_hash does not fit the request; the result was changed after it was written"
         )
-    state = load_section(StateRequest, state_file)
     plan = hash_plan(data)
-    if state.plan is not None and state.plan != plan:
-        raise RequestError(f"{state_file.name}: plan: {shown(state.plan)} is not the plan in {folder}, which is {plan}")
     robot, motion = read_record(data, folder)
+    state = _read_state(data, phase) if state_file is None else load_section(StateRequest, state_file)
+    source = folder.name if state_file is None else state_file.name
+    if state.plan is not None and state.plan != plan:
+        raise RequestError(f"{source}: plan: {shown(state.plan)} is not the plan in {folder}, which is {plan}")
     resume = _make_resume(data, folder, request, robot, motion)
     resume = replace(resume, phase=phase, plan=plan, mechanism=state.mechanism, is_rescanned=cloud is not None)
+    if is_compliant:
+        if resume.nominal is None:
+            raise ResultError(f"{folder}: no hand holds a mechanism in this plan; there is nothing to yield to")
+        resume = replace(resume, is_compliant=True)
     names = [*(entry["name"] for entry in data["phases"]), *data["not_planned"]]
     if request.goal is not None and phase not in names:
         raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(names)}")
-    start = _read_start(robot, state, state_file.name)
+    start = _read_start(robot, state, source)
     rest = replace(request, start=start, resume=resume)
     changed = _read_changed_contacts(data, folder, request, robot, motion)
     if changed is not None:
@@ -135,7 +144,9 @@ def _make_resume(
 ) -> ResumeRequest:
     """Return a section with the choices of the earlier plan; those that it kept itself are kept on."""
     if request.resume is not None:
-        return request.resume
+        return (
+            request.resume if request.resume.nominal is None else replace(request.resume, nominal=_keep_motion(motion))
+        )
     empty = ResumeRequest(phase="-", plan="sha256:" + 64 * "0")
     task = request.task
     if task is None or task.contacts is not None or task.egress is not None:
@@ -146,13 +157,37 @@ def _make_resume(
     return replace(empty, **kept, nominal=_keep_motion(motion))
 
 
+def _read_state(data: dict[str, Any], phase: str) -> StateRequest:
+    """Return the state in which an earlier plan begins a phase.
+
+    Raises:
+        RequestError: it has no such phase.
+    """
+    first = {entry["name"]: entry["first"] for entry in data["phases"]}
+    if phase not in first:
+        raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(first)}")
+    trajectory, at = data["trajectory"], first[phase]
+    values = dict(zip(trajectory["joint_names"], trajectory["positions"][at], strict=True))
+    base = None
+    if set(BASE_COLUMNS) <= set(values):
+        numbers = [values.pop(name) for name in BASE_COLUMNS]
+        base = PoseRequest(tuple(numbers[:3]), tuple(numbers[3:]))
+    mechanism = {movable["joint"]: movable["angles"][at] for movable in data["movables"]}
+    return StateRequest(joints=values, base=base, mechanism=mechanism)
+
+
 def _keep_motion(motion: Motion) -> NominalRequest:
-    """Return the knots of a motion's curve by phase, from which another is searched."""
-    curve, phases = motion.curve, {}
+    """Return a motion's curve by phase with its time law: the new one is kept near it."""
+    curve, law, phases = motion.curve, motion.law, {}
     for phase in motion.phases:
-        positions = np.round(curve.positions[curve.find_knots(phase.first, phase.last)], NOMINAL_DIGITS).ravel()
-        phases[phase.name] = NominalPhase(tuple(positions.tolist()))
-    return NominalRequest(motion.robot.joint_names, phases)
+        knots = curve.find_knots(phase.first, phase.last)
+        positions, tangents = (
+            tuple(np.round(values[knots], NOMINAL_DIGITS).ravel().tolist())
+            for values in (curve.positions, curve.tangents)
+        )
+        phases[phase.name] = NominalPhase(positions, tuple(curve.knots[knots].tolist()), tangents)
+    path, speed = ((), ()) if law is None else (tuple(law.path.tolist()), tuple(law.speed.tolist()))
+    return NominalRequest(motion.robot.joint_names, phases, path, speed)
 
 
 def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import field
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, StrictInt, StrictStr
@@ -96,9 +98,13 @@ class NominalPhase(Section):
 
     Attributes:
         positions: of all joints at the first waypoint, then at the second, and so on [rad, m].
+        knots: path parameter of each waypoint on the curve of the whole plan.
+        tangents: derivatives by the path parameter, in the order of ``positions``.
     """
 
     positions: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)]
+    knots: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)] = ()
+    tangents: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)] = ()
 
 
 @dataclass(config=SECTION)
@@ -108,10 +114,19 @@ class NominalRequest(Section):
     Attributes:
         joint_names: joints of the robot and of the mechanism, the base's coordinates among them.
         phases: waypoints by name of the phase.
+        law_path, law_speed: path parameters of the plan's time law, and ds/dt there, with constant acceleration
+            between them; empty for an untimed plan.
     """
 
     joint_names: Annotated[tuple[Name, ...], Field(min_length=1), at_most(MAX_JOINTS)]
     phases: Annotated[dict[Name, NominalPhase], at_most(MAX_PHASES)] = field(default_factory=dict)
+    law_path: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)] = ()
+    law_speed: Annotated[tuple[Number, ...], at_most(MAX_POSITIONS)] = ()
+
+    @property
+    def has_curve(self) -> bool:
+        """Whether the motion is known exactly, between its waypoints too."""
+        return bool(self.phases) and all(phase.knots for phase in self.phases.values())
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
@@ -123,6 +138,22 @@ class NominalRequest(Section):
                 raise PydanticCustomError(
                     "nominal", words, {"phase": shown(name), "count": len(phase.positions), "n": n}
                 )
+            given = len(phase.knots), len(phase.tangents)
+            rises = all(first < second for first, second in pairwise(phase.knots))
+            if given not in ((0, 0), (len(phase.positions) // n, len(phase.positions))) or not rises:
+                words = "{phase}: expected increasing knots, one per waypoint, and as many tangents as positions"
+                raise PydanticCustomError("nominal", words, {"phase": shown(name)})
+        if not _is_law(self.law_path, self.law_speed):
+            words = "expected an increasing law_path, and as many speeds in law_speed, never two of 0 in a row"
+            raise PydanticCustomError("nominal", words)
+
+
+def _is_law(path: Sequence[float], speed: Sequence[float]) -> bool:
+    """Return whether every step of a time law leads forwards and takes a finite time; an empty one is none."""
+    steps = zip(pairwise(path), pairwise(speed), strict=True) if len(path) == len(speed) else None
+    if steps is None or len(path) == 1:
+        return False
+    return min(speed, default=0.0) >= 0.0 and all(a < b and v + w > 0.0 for (a, b), (v, w) in steps)
 
 
 @dataclass(config=SECTION)
@@ -138,7 +169,8 @@ class ResumeRequest(Section):
         stroke: how the earlier plan turns a wheel.
         handle, leaf: how the earlier plan opens a door.
         hold: how the earlier plan holds a mechanism that the request gives.
-        nominal: the earlier motion. It makes the search shorter and nothing else depends on it.
+        nominal: the earlier motion. It makes the search shorter; nothing else depends on it but ``is_compliant``.
+        is_compliant: whether the earlier motion is kept if it can be: only the arm that holds the mechanism yields.
     """
 
     phase: Name
@@ -150,3 +182,8 @@ class ResumeRequest(Section):
     leaf: LeafChoice | None = None
     hold: HoldChoice | None = None
     nominal: NominalRequest | None = None
+    is_compliant: bool = False
+
+    def __post_init__(self) -> None:
+        if self.is_compliant and (self.nominal is None or not self.nominal.has_curve):
+            raise PydanticCustomError("nominal", "is_compliant needs the earlier motion with its knots and tangents")

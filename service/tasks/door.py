@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -31,7 +31,7 @@ HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
 PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
 PUSH_UP = (1.05, 1.25, 0.9)  # heights of the peg's tip on the leaf [m]
-HAND_ROOM = 0.25  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
+HAND_ROOM, AMPLE_ROOM = 0.25, 0.4  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
 PULL_PLACES = (0.0, 0.08, -0.08)  # of the hand along a pull handle, from its middle [m]
 BAR_SHARES = (0.3, 0.1, 0.4)  # of the hand along a push bar, from its middle towards the free edge
 
@@ -66,6 +66,26 @@ def list_choices(
     for grip in grips[:most_grips]:
         for sense in senses:
             yield DoorChoice(hand, peg_m, grip, sense, target, stays=stays)
+
+
+AtHandle = tuple[tuple[PlannedPhase, ...], Stuck | None, float]
+"""Phases at the handle, the step that has no solution, and the opening angle that they reach [rad]."""
+
+Place = tuple[Hand, float, float]
+"""Hand and place of its tip on the leaf, from the hinge axis and from the lower edge [m]."""
+
+
+@dataclass(frozen=True)
+class PushesTried:
+    """Places on the leaf that were tried already: they are the same, however the hand held the handle before.
+
+    Attributes:
+        farthest: index of the largest angle that a pose was found for, or None, by place and angles.
+        failed: place, angle at which the push begins, and at which it ends, where the push has no solution.
+    """
+
+    farthest: dict[tuple[Place, tuple[float, ...]], int | None] = field(default_factory=dict)
+    failed: set[tuple[Place, float, float]] = field(default_factory=set)
 
 
 @dataclass(frozen=True)
@@ -116,24 +136,66 @@ class DoorOpening:
         best: TaskPlan | None = None
         best_angle = -1.0
         unheld: StaticRegionError | None = None
-        for hand in self.hands:
-            peg = measure_peg(self.solver.body.robot, hand)
-            for choice in list_choices(self.door, hand, peg, self.target, self.stays):
-                try:
-                    plan, angle = self._plan_choice(choice)
-                except StaticRegionError as error:  # held elsewhere the loads may be smaller
-                    unheld = error
-                    continue
-                if best is None or angle > best_angle or (angle == best_angle and len(plan.phases) > len(best.phases)):
-                    best, best_angle = plan, angle
-                if plan.is_feasible:
-                    return plan
+        tried = PushesTried()
+        for choice, at_handle in self._list_choices():
+            try:
+                plan, angle = self._plan_choice(choice, at_handle, tried)
+            except StaticRegionError as error:  # held elsewhere the loads may be smaller
+                unheld = error
+                continue
+            if best is None or angle > best_angle or (angle == best_angle and len(plan.phases) > len(best.phases)):
+                best, best_angle = plan, angle
+            if plan.is_feasible:
+                return plan
         if best is None:
             raise unheld or ValueError("a door needs a hand")
         return best
 
-    def _plan_choice(self, choice: DoorChoice) -> tuple[TaskPlan, float]:
-        """Plan with one hold of the handle, and a regrasp if that does not open the leaf far enough."""
+    def _list_choices(self) -> Iterator[tuple[DoorChoice, AtHandle | None]]:
+        """Yield the holds of the handle, with what they reach there where that is known.
+
+        A pulled leaf that is hardly open when the hand lets go is pushed only after all other holds were tried at the
+        handle alone, and from the largest opening first; so is one that opens little in all.
+        """
+        geometry = self.door.geometry
+        choices = [
+            choice
+            for hand in self.hands
+            for choice in list_choices(
+                self.door, hand, measure_peg(self.solver.body.robot, hand), self.target, self.stays
+            )
+        ]
+        if self.door.is_push:
+            yield from ((choice, None) for choice in choices)
+            return
+        opens_little = self.target <= geometry.ajar + AT_HANDLE_ALONE
+        later: list[tuple[DoorChoice, AtHandle]] = []
+        unheld = list[DoorChoice]()
+        for choice in choices:
+            try:
+                opened = self._open_at_handle(choice)
+            except StaticRegionError:
+                unheld.append(choice)
+                continue
+            reached = opened[2]
+            has_room = geometry.width * np.sin(reached) >= AMPLE_ROOM and not opens_little
+            if reached >= self.target - 1e-6 or has_room:
+                yield choice, opened
+            else:
+                later.append((choice, opened))
+        yield from sorted(later, key=lambda pair: -pair[1][2])
+        yield from ((choice, None) for choice in unheld)
+
+    def _plan_choice(
+        self, choice: DoorChoice, at_handle: AtHandle | None, tried: PushesTried
+    ) -> tuple[TaskPlan, float]:
+        """Plan with one hold of the handle, and a regrasp if that does not open the leaf far enough.
+
+        Args:
+            choice: the hold.
+            at_handle: phases up to the largest angle at the handle, if they are known.
+            tried: pushes of the leaf that were tried with other holds.
+        """
         body, start = self.solver.body, self.door.geometry.ajar
         phases: tuple[PlannedPhase, ...] = ()
         stuck: Stuck | None = None
@@ -141,17 +203,17 @@ class DoorOpening:
         if self.door.is_push and choice.first > start + AT_HANDLE_ALONE and not self.is_patient:
             early = replace(self, is_patient=True, most_at_handle=start + EARLY_FIRST)
             with suppress(StaticRegionError):  # a larger opening may be held elsewhere
-                plan, reached = early._plan_choice(choice)
+                plan, reached = early._plan_choice(choice, None, tried)
                 if plan.is_feasible:
                     return plan, reached
         if choice.first > start:
-            phases, stuck, reached = self._open_at_handle(choice)
+            phases, stuck, reached = self._open_at_handle(choice) if at_handle is None else at_handle
             choice = replace(choice, first=reached)
             if stuck is not None:
                 return TaskPlan(body, phases, stuck=stuck, measure=self.measure), start
         if reached < self.target - 1e-6:
             at = phases[-1].q[-1] if phases else body.nominal
-            pushed = self._push(choice, at)
+            pushed = self._push(choice, at, tried)
             if pushed is not None:
                 choice, more, reached = pushed
                 phases += more
@@ -164,7 +226,7 @@ class DoorOpening:
             )
         return TaskPlan(body, phases, obstacle, measure=self.measure, notes=notes), reached
 
-    def _open_at_handle(self, choice: DoorChoice) -> tuple[tuple[PlannedPhase, ...], Stuck | None, float]:
+    def _open_at_handle(self, choice: DoorChoice) -> AtHandle:
         """Open as far as the hand can stay at the handle; the angle is tried in steps of ten degrees."""
         start = self.door.geometry.ajar
         angles = [angle for angle in self._angles(start) if angle <= self.most_at_handle + 1e-6]
@@ -182,7 +244,7 @@ class DoorOpening:
         return *result, start
 
     def _push(
-        self, choice: DoorChoice, at: Float[np.ndarray, "n"]
+        self, choice: DoorChoice, at: Float[np.ndarray, "n"], tried: PushesTried
     ) -> tuple[DoorChoice, tuple[PlannedPhase, ...], float] | None:
         """Push the leaf from where it is with the peg's tip, as far as this stance allows; None if nowhere."""
         best: tuple[DoorChoice, tuple[PlannedPhase, ...], float] | None = None
@@ -204,14 +266,21 @@ class DoorOpening:
                 if best is not None and candidates[0] <= best[2]:
                     return best
 
-                def at_angle(angle: float, place: tuple[Hand, float, float] = place) -> DoorChoice:
+                def at_angle(angle: float, place: Place = place) -> DoorChoice:
                     return replace(choice, push=Push(*place, angle))
 
-                farthest = self._find_farthest(candidates, at_angle)
+                asked = place, tuple(candidates)
+                if asked not in tried.farthest:
+                    tried.farthest[asked] = self._find_farthest(candidates, at_angle)
+                farthest = tried.farthest[asked]
                 if farthest is None:
                     continue
                 held[index] = candidates[farthest]
+                if (place, choice.first, held[index]) in tried.failed:
+                    continue
                 pushed = self._plan_push(at_angle(held[index]), at)
+                if pushed is None:
+                    tried.failed.add((place, choice.first, held[index]))
                 if pushed is not None and (best is None or held[index] > best[2]):
                     best = at_angle(held[index]), pushed, held[index]
                     if held[index] >= self.target:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,8 +31,8 @@ HANDLE_MARGIN = 4e-3  # between a hand and the door that it holds [m]
 def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> Iterator[TaskPlan]:
     """Yield plans to open the request's door; each further one stays at the handle for a smaller angle."""
     begun = _begin(setup, solver, request)
-    if isinstance(begun, TaskPlan):
-        yield begun
+    if not isinstance(begun, tuple):
+        yield from begun
         return
     opening, notes = begun
     for plan in opening.plans():
@@ -42,28 +42,28 @@ def plan_door(setup: PlanSetup, solver: PhaseSolver, request: DoorRequest) -> It
 
 def _begin(
     setup: PlanSetup, solver: PhaseSolver, request: DoorRequest
-) -> TaskPlan | tuple[DoorOpening, tuple[str, ...]]:
-    """Return what there is to open and notes about it, or the plan where there is nothing to search for."""
+) -> Iterable[TaskPlan] | tuple[DoorOpening, tuple[str, ...]]:
+    """Return what there is to open and notes about it, or plans where there is nothing to search for."""
     found = find_door(setup, request)
     if isinstance(found, str):
-        return TaskPlan(solver.body, (), (found,))
+        return [TaskPlan(solver.body, (), (found,))]
     door, note = set_back(found[0], setup.request.resume), found[1]
     target = float(np.deg2rad(request.open_deg))
     shut = find_shut(request, door)
     if shut is not None:
-        return TaskPlan(solver.body, (), (shut,))
+        return [TaskPlan(solver.body, (), (shut,))]
     hands = choose_hands(solver.body, request, door)
     narrow = find_narrow_lever(solver.body, door, hands)
     if narrow is not None:
-        return TaskPlan(solver.body, (), (narrow,))
+        return [TaskPlan(solver.body, (), (narrow,))]
     near = list_clearances(hands, door)
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     if setup.request.resume is not None:
         rest = resume_door(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
         solver = replace(add_mechanism(solver, rest.mechanism), overrides=near)
         opening = DoorOpening(solver, door, hands, target, request.stays, waypoints)
-        plan = plan_rest(solver, rest, rest.specs, opening.measure, setup.request.resume)
-        return replace(plan, notes=(note, *plan.notes))
+        plans = plan_rest(solver, rest, rest.specs, opening.measure, setup.request.resume)
+        return (replace(plan, notes=(note, *plan.notes)) for plan in plans)
     solver = replace(add_mechanism(solver, door.mechanism), overrides=near)
     collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
@@ -74,7 +74,7 @@ def _begin(
         is_piece = any(met.is_piece for met in obstacles)
         sentences = tuple(met.describe(target) for met in obstacles)
         advice = () if is_piece else (STANCE_ADVICE,)
-        return TaskPlan(solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)
+        return [TaskPlan(solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)]
     notes = (note, *(met.describe(target) for met in blocked))
     return DoorOpening(solver, door, hands, target, request.stays, waypoints), notes
 

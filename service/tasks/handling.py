@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.kinematics import locate_links
+from costs.kinematics import locate_frame, locate_links
+from costs.robot import RobotModel
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
 
@@ -50,3 +51,14 @@ def find_collisions(body: WholeBody, touches: Sequence[Allowance] = (), remedy: 
             link, part = (member.name for member in sorted(pair, key=lambda member: member.link in moved))
             depth = -float(contacts.distance[row])
             yield f"start is in collision: {link} is {depth:.3f} m inside {part}{remedy}"
+
+
+def list_arm_joints(robot: RobotModel, tool: str) -> list[int]:
+    """Return the joints between the trunk and a tool, the shoulder's first: those that no other limb hangs on."""
+    model = robot.model
+    chain: list[int] = []
+    joint = locate_frame(robot, tool)[0]
+    while joint > 0 and (not chain or len(model.children[joint]) == 1):
+        chain.insert(0, joint)
+        joint = int(model.parents[joint])
+    return chain

@@ -54,7 +54,7 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
     given = read_given_mechanism(request)
     hands = choose_hands(solver.body, given)
     if setup.request.resume is not None:
-        yield _plan_rest(setup, solver, given, setup.request.resume)
+        yield from _plan_rest(setup, solver, given, setup.request.resume)
         return
     try:
         solver = add_mechanism(solver, given.mechanism)
@@ -94,8 +94,10 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         raise unheld
 
 
-def _plan_rest(setup: PlanSetup, solver: PhaseSolver, given: GivenMechanism, resume: ResumeRequest) -> TaskPlan:
-    """Plan the rest of a task with the hand of the earlier plan.
+def _plan_rest(
+    setup: PlanSetup, solver: PhaseSolver, given: GivenMechanism, resume: ResumeRequest
+) -> Iterator[TaskPlan]:
+    """Yield plans of the rest of a task with the hand of the earlier plan.
 
     Raises:
         RequestError: the phase, the hand or the mechanism's joints do not fit the task.
@@ -104,8 +106,8 @@ def _plan_rest(setup: PlanSetup, solver: PhaseSolver, given: GivenMechanism, res
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     rest, hand = resume_mechanism(demand, resume, waypoints), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
-    plan = plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume)
-    return _leave_anyhow(solver, plan, rest.specs[-1], rest.mechanism)
+    for plan in plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume):
+        yield _leave_anyhow(solver, plan, rest.specs[-1], rest.mechanism)
 
 
 def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, last: PhaseSpec, mechanism: Mechanism) -> TaskPlan:

@@ -16,6 +16,7 @@ from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
 from service.demands.resume import Beginning, ResumedDemand, find_group, find_index, resume_phases
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
+from service.tasks.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
 from service.tasks.handling import find_collisions
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
@@ -55,8 +56,10 @@ def plan_rest(
     specs: Sequence[PhaseSpec],
     measure: Callable[[Motion], Mapping[str, float]],
     resume: ResumeRequest,
-) -> TaskPlan:
-    """Plan the rest of a task from the nominal configuration of the body.
+) -> Iterator[TaskPlan]:
+    """Yield plans of the rest of a task from the nominal configuration of the body.
+
+    The first is the earlier motion itself, with the arm displaced that holds the mechanism, where that is enough.
 
     Args:
         solver: of the body augmented by the mechanism, whose joints are at their start.
@@ -76,6 +79,23 @@ def plan_rest(
     problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
         raise RequestError(problems)
+    refusal: tuple[str, ...] = ()
+    if resume.nominal is not None and resume.nominal.has_curve:
+        rest = resume_phases(specs, demand.phase, start, Beginning.AT_ONCE)
+        try:
+            kept, off = keep_motion(PhaseSequence(solver, demand.mechanism, rest), resume.nominal)
+            if resume.is_compliant and off.is_compliance:
+                note = f"the earlier motion is kept: {off}"
+                yield replace(kept, measure=_join_figures(measure, off.figures), notes=(note,))
+                refusal = ("the earlier motion is not kept: its certificate fails where only the arm yields",)
+            else:
+                most = f"{1e3 * MOST_M:.0f} mm and {np.rad2deg(MOST_RAD):.0f} deg"
+                refusal = (f"the earlier motion is not kept: {off}; expected at most {most}",)
+                refusal = refusal if resume.is_compliant else ()
+                note = f"the earlier motion with an arm elsewhere: {off}"
+                yield replace(kept, measure=measure, notes=(*refusal, note))
+        except CannotFollowError as error:
+            refusal = (f"the earlier motion is not kept: {error}",) if resume.is_compliant else ()
     best: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
     for beginning in beginnings:
         is_reach = beginning is Beginning.REACH
@@ -86,10 +106,18 @@ def plan_rest(
         planned = sequence.plan(body.nominal)
         if planned[1] is None:
             note = f"planned again from '{demand.phase}' on"
-            return TaskPlan(body, planned[0], measure=measure, notes=(note,))
+            yield TaskPlan(body, planned[0], measure=measure, notes=(*refusal, note))
+            return
         if len(planned[0]) >= len(best[0]):
             best = planned
-    return TaskPlan(body, best[0], stuck=best[1], measure=measure)
+    yield TaskPlan(body, best[0], stuck=best[1], measure=measure, notes=refusal)
+
+
+def _join_figures(
+    measure: Callable[[Motion], Mapping[str, float]], more: Mapping[str, float]
+) -> Callable[[Motion], Mapping[str, float]]:
+    """Return a function that measures the figures of a motion and adds others."""
+    return lambda motion: {**measure(motion), **more}
 
 
 def _read_nominal(body: WholeBody, resume: ResumeRequest) -> dict[str, Float[np.ndarray, "T n"]]:

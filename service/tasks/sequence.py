@@ -114,6 +114,18 @@ class PhaseSequence:
             at = phases[-1].q[-1]
         return phases, None
 
+    def take(self, paths: Sequence[Float[np.ndarray, "T n"]]) -> tuple[PlannedPhase, ...]:
+        """Return given waypoints of each phase as they are, with the phases' promises."""
+        compiler = self._compiler
+        specs = zip(self.specs, paths, strict=True)
+        return tuple(compiler.promise(spec, q, q[:, compiler.columns]) for spec, q in specs)
+
+    def turn_rigid_hands(self, at: Sequence[Float[np.ndarray, "n"]]) -> PhaseSequence:
+        """Return the sequence with rigid hands turned about their axes as they are at one configuration per phase."""
+        compiler = self._compiler
+        turned = [spec.with_rotation(compiler.find_rotation(spec, q)) for spec, q in zip(self.specs, at, strict=True)]
+        return replace(self, specs=tuple(turned))
+
     def try_pose(
         self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]] = (), most: int = QUICK_GUESSES
     ) -> Solved:
@@ -490,21 +502,26 @@ class _Compiler:
 
     def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
+        is_line = spec.hand is not None and spec.hand.is_line
+        phase = self.promise(spec, solved.x, spec.values(spec.n_waypoints))
+        resolve = None if is_line else lambda q: self.solve_between(spec, [q])
+        return replace(phase, is_feasible=solved.is_feasible, resolve=resolve)
+
+    def promise(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"], values: Float[np.ndarray, "S k"]) -> PlannedPhase:
+        """Return waypoints with the promises of a phase; its regions are found for the mechanism at ``values``."""
         holds: tuple[Hold, ...] = ()
         if spec.hand is not None and not spec.hand.is_line:
             holds = (make_hold(self.robot, spec.hand),)
-
         return PlannedPhase(
             spec.name,
-            solved.x,
-            solved.is_feasible,
-            holds,
-            spec.touches,
-            lambda at: spec.targets(self.mechanism, at),
-            resolve=None if spec.hand is not None and spec.hand.is_line else lambda q: self.solve_between(spec, [q]),
+            q,
+            is_feasible=True,
+            holds=holds,
+            allowances=spec.touches,
+            targets=lambda at: spec.targets(self.mechanism, at),
             loads=spec.loads,
-            regions=self.find_regions(spec, spec.values(spec.n_waypoints)),
-            values=spec.values(spec.n_waypoints) if spec.loads else None,
+            regions=self.find_regions(spec, values),
+            values=values if spec.loads else None,
         )
 
     def _constraints(
@@ -516,12 +533,10 @@ class _Compiler:
             return ()
         places = hand.places(count)[waypoints]
         name = "tool on its line" if hand.is_line else "tool at its place"
-        residual: Residual[MotionState] = _place_residual(self.robot, hand, waypoints, places, is_along=False)
-        if hand.rotation is not None:
-            residual = _rigid_residual(self.robot, hand, waypoints, places)
+        residual = place_tool(self.robot, hand, waypoints, places)
         constraints = [Constraint(name, residual, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m")]
         if hand.slide is not None:
-            along = _place_residual(self.robot, hand, waypoints, places, is_along=True)
+            along = slide_tool(self.robot, hand, waypoints, places)
             room = float(np.linalg.norm(hand.slide)) - POSITION_TOLERANCE
             constraints.append(
                 Constraint(
@@ -556,9 +571,29 @@ class _Compiler:
 
 def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
     """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
+    return lambda waypoints: place_tool(robot, hand, waypoints, hand.place[None])
+
+
+def place_tool(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> Residual[MotionState]:
+    """Return a tool's distance from its places, but for its slide; of a rigid hand also its turn about its axis."""
     if hand.rotation is not None:
-        return lambda waypoints: _rigid_residual(robot, hand, waypoints, hand.place[None])
-    return lambda waypoints: _place_residual(robot, hand, waypoints, hand.place[None], is_along=False)
+        return _rigid_residual(robot, hand, waypoints, places)
+    return _place_residual(robot, hand, waypoints, places, is_along=False)
+
+
+def slide_tool(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> Residual[MotionState]:
+    """Return how far a tool is along its slide from its places [m]."""
+    return _place_residual(robot, hand, waypoints, places, is_along=True)
 
 
 def _rigid_residual(

@@ -28,6 +28,7 @@ from service.demands.wheel import Wheel, make_wheel_mechanism
 from service.request.schema import ValveRequest
 from service.tasks.door import HAND_ROOM, LEAST_FIRST, PUSH_ALONG, PUSH_UP, list_choices
 from service.tasks.door_sweep import find_blocked_opening
+from service.tasks.handling import list_arm_joints
 from service.tasks.mechanism_task import check_hold, find_blocked_move
 from service.tasks.sequence import PhaseSequence
 from service.tasks.valve import ValveTurn
@@ -622,26 +623,15 @@ def measure_torque(body: WholeBody, spec: PhaseSpec, q: Float[np.ndarray, "n"]) 
     return float((torque[limited] / robot.effort[limited]).max(initial=0.0))
 
 
-def list_arm_joints(robot: RobotModel, hand: Hand) -> list[int]:
-    """Return the joints between the trunk and a hand, the shoulder's first: those that no other limb hangs on."""
-    model = robot.model
-    chain: list[int] = []
-    joint = locate_frame(robot, hand.tool)[0]
-    while joint > 0 and (not chain or len(model.children[joint]) == 1):
-        chain.insert(0, joint)
-        joint = int(model.parents[joint])
-    return chain
-
-
 def find_shoulder(robot: RobotModel, q: Float[np.ndarray, "n"], hand: Hand) -> Float[np.ndarray, "3"]:
     """Return (3,) the place of a hand's shoulder in the world [m]."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
-    return np.array(data.oMi[list_arm_joints(robot, hand)[0]].translation)
+    return np.array(data.oMi[list_arm_joints(robot, hand.tool)[0]].translation)
 
 
 def measure_arm(robot: RobotModel, hand: Hand, frame: str) -> float:
     """Return the length of the chain from the shoulder to a frame of the hand [m]; the arm is never longer."""
-    inner = [robot.model.jointPlacements[joint].translation for joint in list_arm_joints(robot, hand)[1:]]
+    inner = [robot.model.jointPlacements[joint].translation for joint in list_arm_joints(robot, hand.tool)[1:]]
     _, pose_joint_frame = locate_frame(robot, frame)
     return float(sum(np.linalg.norm(step) for step in (*inner, pose_joint_frame[:3, 3])))

@@ -89,7 +89,7 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
         return
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     if setup.request.resume is not None:
-        yield _plan_rest(solver, wheel, request, setup.request.resume, waypoints)
+        yield from _plan_rest(solver, wheel, request, setup.request.resume, waypoints)
         return
     notes = describe_valve(valve, wheel, request)
     for plan in _list_turns(solver, wheel, hands, request, waypoints):
@@ -329,8 +329,8 @@ def list_clearances(hands: Sequence[Hand]) -> tuple[tuple[BodyRef, BodyRef, floa
 
 def _plan_rest(
     solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, reach_waypoints: int
-) -> TaskPlan:
-    """Plan the rest of a turn with the hand, the entry and the strokes of the earlier plan."""
+) -> Iterator[TaskPlan]:
+    """Yield plans of the rest of a turn with the hand, the entry and the strokes of the earlier plan."""
     demand = ValveDemand(wheel, request, list_robot_hands(solver.body.robot))
     rest, choice = resume_valve(demand, resume), read_kept_choice(demand, resume)
     solver = _add_wheel(solver, rest.mechanism, [choice.hand])

@@ -990,7 +990,7 @@ class Options(_message.Message):
     def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ...) -> None: ...
 
 class Resume(_message.Message):
-    __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf", "hold", "nominal")
+    __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf", "hold", "nominal", "is_compliant")
     class MechanismEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -1007,6 +1007,7 @@ class Resume(_message.Message):
     LEAF_FIELD_NUMBER: _ClassVar[int]
     HOLD_FIELD_NUMBER: _ClassVar[int]
     NOMINAL_FIELD_NUMBER: _ClassVar[int]
+    IS_COMPLIANT_FIELD_NUMBER: _ClassVar[int]
     phase: str
     plan: str
     mechanism: _containers.ScalarMap[str, float]
@@ -1016,10 +1017,11 @@ class Resume(_message.Message):
     leaf: LeafChoice
     hold: HoldChoice
     nominal: NominalMotion
-    def __init__(self, phase: _Optional[str] = ..., plan: _Optional[str] = ..., mechanism: _Optional[_Mapping[str, float]] = ..., is_rescanned: bool = ..., stroke: _Optional[_Union[StrokeChoice, _Mapping]] = ..., handle: _Optional[_Union[HandleChoice, _Mapping]] = ..., leaf: _Optional[_Union[LeafChoice, _Mapping]] = ..., hold: _Optional[_Union[HoldChoice, _Mapping]] = ..., nominal: _Optional[_Union[NominalMotion, _Mapping]] = ...) -> None: ...
+    is_compliant: bool
+    def __init__(self, phase: _Optional[str] = ..., plan: _Optional[str] = ..., mechanism: _Optional[_Mapping[str, float]] = ..., is_rescanned: bool = ..., stroke: _Optional[_Union[StrokeChoice, _Mapping]] = ..., handle: _Optional[_Union[HandleChoice, _Mapping]] = ..., leaf: _Optional[_Union[LeafChoice, _Mapping]] = ..., hold: _Optional[_Union[HoldChoice, _Mapping]] = ..., nominal: _Optional[_Union[NominalMotion, _Mapping]] = ..., is_compliant: bool = ...) -> None: ...
 
 class NominalMotion(_message.Message):
-    __slots__ = ("joint_names", "phases")
+    __slots__ = ("joint_names", "phases", "law_path", "law_speed")
     class PhasesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -1029,15 +1031,23 @@ class NominalMotion(_message.Message):
         def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[NominalPhase, _Mapping]] = ...) -> None: ...
     JOINT_NAMES_FIELD_NUMBER: _ClassVar[int]
     PHASES_FIELD_NUMBER: _ClassVar[int]
+    LAW_PATH_FIELD_NUMBER: _ClassVar[int]
+    LAW_SPEED_FIELD_NUMBER: _ClassVar[int]
     joint_names: _containers.RepeatedScalarFieldContainer[str]
     phases: _containers.MessageMap[str, NominalPhase]
-    def __init__(self, joint_names: _Optional[_Iterable[str]] = ..., phases: _Optional[_Mapping[str, NominalPhase]] = ...) -> None: ...
+    law_path: _containers.RepeatedScalarFieldContainer[float]
+    law_speed: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, joint_names: _Optional[_Iterable[str]] = ..., phases: _Optional[_Mapping[str, NominalPhase]] = ..., law_path: _Optional[_Iterable[float]] = ..., law_speed: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class NominalPhase(_message.Message):
-    __slots__ = ("positions",)
+    __slots__ = ("positions", "knots", "tangents")
     POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    KNOTS_FIELD_NUMBER: _ClassVar[int]
+    TANGENTS_FIELD_NUMBER: _ClassVar[int]
     positions: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, positions: _Optional[_Iterable[float]] = ...) -> None: ...
+    knots: _containers.RepeatedScalarFieldContainer[float]
+    tangents: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, positions: _Optional[_Iterable[float]] = ..., knots: _Optional[_Iterable[float]] = ..., tangents: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class HoldChoice(_message.Message):
     __slots__ = ("hand",)

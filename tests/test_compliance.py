@@ -1,0 +1,154 @@
+"""An earlier motion is kept where its mechanism has moved a little: only the arm that holds it yields."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from costs.kinematics import KinematicsEngine, locate_links
+from costs.rotation import make_tangent_basis
+from service.cli.app import app
+from service.errors import RequestError
+from service.planner import plan
+from service.replay.replay import verify_result
+from service.replay.resume import make_rest_request
+from service.request.file import parse_request, to_json
+from service.request.schema import PlanRequest
+from service.result.folder import read_result
+from service.result.output import write_result
+from service.result.result import PlanResult, Verdict
+from service.wire.requests import request_from_message, request_to_message
+
+CENTRE = np.array([0.68, 0.12, 1.1])
+VALVE: dict[str, Any] = {
+    "robot": {"name": "atlas"},
+    "start": {"posture": "reach_ready"},
+    "task": {"valve": {"centre": CENTRE.tolist(), "axis": [-1, 0, 0], "radius": 0.14, "turn_deg": 60}},
+}
+MOVED = np.array([0.006, -0.005, 0.004])
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A valve turned by 60 degrees."""
+    result = plan(parse_request(VALVE))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    return write_result(result, tmp_path_factory.mktemp("turned") / "out").folder
+
+
+def _moved(folder: Path, offset: Sequence[float] | np.ndarray) -> PlanRequest:
+    """The request to keep the motion for the valve elsewhere."""
+    request = make_rest_request(folder, "reach", None, is_compliant=True)
+    valve = {**VALVE["task"]["valve"], "centre": (CENTRE + offset).tolist()}
+    return replace(request, task=parse_request({**VALVE, "task": {"valve": valve}}).task)
+
+
+def _notes(result: PlanResult) -> str:
+    return " | ".join(note for note in result.notes if "earlier motion" in note)
+
+
+def test_only_the_arm_that_holds_the_wheel_is_elsewhere_at_the_same_times(turned: Path, tmp_path: Path) -> None:
+    result = plan(_moved(turned, MOVED))
+    assert "is kept" in _notes(result)
+    assert verify_result(write_result(result, tmp_path / "out").folder)["verdict"] == "CERTIFIED"
+    assert result.motion is not None
+    data, motion = read_result(turned), result.motion
+    names = motion.robot.joint_names
+    earlier = np.array(data["curve"]["positions"])
+    columns = [data["curve"]["joint_names"].index(name) for name in names]
+    off = np.abs(motion.curve.positions - earlier[:, columns]).max(axis=0)
+    (side,) = {name[0] for name, size in zip(names, off, strict=True) if size > 1e-4}
+    assert all(name.startswith(f"{side}_arm") for name, size in zip(names, off, strict=True) if size > 1e-4)
+    assert motion.law is not None
+    duration = data["trajectory"]["times"][-1]
+    assert duration - 1e-6 <= motion.law.times[-1] <= 1.1 * duration
+    tool = f"{side}_peg"
+    assert result.figures["hand_displaced_mm"] == pytest.approx(
+        1e3 * _largest_distance(result, earlier[:, columns], tool), abs=0.2
+    )
+    assert 1e3 * np.linalg.norm(MOVED) - 1.5 < result.figures["hand_displaced_mm"] < 15.0
+
+
+def _largest_distance(result: PlanResult, earlier: np.ndarray, tool: str) -> float:
+    """Largest distance of a tool from the earlier motion at the knots of phases with a hand on the wheel [m]."""
+    motion = result.motion
+    assert motion is not None
+    engine, curve = KinematicsEngine(motion.robot), motion.curve
+    is_free = np.zeros(len(curve.knots), dtype=bool)
+    for phase in motion.phases:
+        is_free |= (curve.knots >= phase.first) & (curve.knots < phase.last) & (phase.name == "reach")
+    rows = np.flatnonzero(~is_free)
+    places = [[locate_links(engine, q[row], [tool])[tool][:3, 3] for row in rows] for q in (earlier, curve.positions)]
+    return float(np.linalg.norm(np.array(places[0]) - places[1], axis=1).max())
+
+
+def test_the_peg_stays_in_the_wheel_where_it_is_now(turned: Path) -> None:
+    motion = plan(_moved(turned, MOVED)).motion
+    assert motion is not None
+    turn = next(phase for phase in motion.phases if phase.name == "turn")
+    q = motion.curve(np.linspace(turn.first, turn.last, 30))
+    engine = KinematicsEngine(motion.robot)
+    tool = next(target.frame for target in turn.targets if hasattr(target, "frame"))
+    pegs = np.array([locate_links(engine, row, [tool])[tool][:3, 3] for row in q]) - (CENTRE + MOVED)
+    first, second = make_tangent_basis(np.array([-1.0, 0.0, 0.0]))
+    radius = np.hypot(pegs @ first, pegs @ second)
+    assert np.ptp(radius) < 2e-3
+    assert np.ptp(pegs[:, 0]) < 2e-3
+
+
+def test_a_wheel_that_moved_too_far_is_named_in_millimetres_and_turned_anew(turned: Path) -> None:
+    result = plan(_moved(turned, [0.0, 0.03, 0.0]))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert "is displaced by up to 3" in _notes(result)
+    assert "expected at most 15 mm and 5 deg" in _notes(result)
+    assert "hand_displaced_mm" not in result.figures
+
+
+def test_a_robot_that_is_elsewhere_cannot_keep_the_motion(turned: Path) -> None:
+    request = _moved(turned, MOVED)
+    joints = {**request.start.joints, "l_arm_elx": request.start.joints["l_arm_elx"] + 0.01}
+    result = plan(replace(request, start=replace(request.start, joints=joints)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert "l_arm_elx is 0.01 off the beginning of the earlier motion" in _notes(result)
+
+
+def test_a_message_says_the_same(turned: Path) -> None:
+    request = _moved(turned, MOVED)
+    assert request_from_message(request_to_message(request)) == request
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"nominal": None}, "is_compliant needs the earlier motion with its knots and tangents"),
+        ({"knots": [0.0, 0.0]}, "expected increasing knots, one per waypoint, and as many tangents as positions"),
+        ({"law_speed": [0.0]}, "expected an increasing law_path"),
+    ],
+)
+def test_a_motion_that_is_none_is_refused(change: dict[str, Any], words: str, turned: Path) -> None:
+    data = to_json(_moved(turned, MOVED))
+    resume = data["resume"]
+    if "nominal" in change:
+        del resume["nominal"]
+    elif "knots" in change:
+        resume["nominal"]["phases"]["turn"]["knots"][1] = resume["nominal"]["phases"]["turn"]["knots"][0]
+    else:
+        resume["nominal"]["law_speed"][-2] = 0.0
+    with pytest.raises(RequestError, match=words):
+        parse_request(data)
+
+
+def test_the_command_keeps_the_motion(turned: Path, tmp_path: Path) -> None:
+    offset = ",".join(map(str, MOVED))
+    arguments = ["plan", str(turned), "--from-phase", "reach", "--compliant", "--adjust", f"valve:{offset}"]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert "the earlier motion is kept: " in done.output
+    without = CliRunner().invoke(app, ["plan", str(turned), "--compliant"])
+    assert "--adjust and --compliant go with --from-phase" in without.output
