@@ -37,6 +37,9 @@ _MOST_SETTLED, _SOME_RAYS = 20, 2000
 _FROM_BEHIND, _SETTLE_GATES, _UNSETTLED = (0.0, 0.02), np.linspace(0.06, 0.025, 10), 0.025  # [m]
 _PART, _MISSING = 0.35, (0.5, 0.9)  # size of a part by the radius, and share of its rays that go on through it
 _BLURRED = (0.045, 0.08)  # distance of the points by the object's radius: rated 1, and rated 0
+# Points near the object that do not lie on it, by those on it: rated 1, and rated 0.  Near an expected pose neighbours
+# are no reason to doubt it; elsewhere bars that go on beyond the object's ends are.
+_NEAR_EXPECTED, _NEAR_FOUND = (0.2, 0.8), (0.2, 0.36)
 _ON_PLANES = (0.6, 0.8)  # share of the rays on a mesh that end on a wide plane: rated 1, and rated 0
 _N_NUDGED = 4
 _NUDGES = (0.04, 0.025, 0.015)  # [m], and five times as many radians
@@ -225,7 +228,7 @@ def _settle(
             continue
         best, settled = _nudge(surface, judge, judge.region.thin(_MOST_POINTS), (score, pose))
         rivals = [other for other, turned, _ in fitted if _is_different(settled, turned, centre)]
-        matches.append(_make_match(settled, judge, _compare_rivals(rivals, best), solid))
+        matches.append(_make_match(settled, judge, _compare_rivals(rivals, best), solid, _NEAR_FOUND))
         scores.append(max(best, 0.0))
     order = sorted(range(len(matches)), key=lambda i: (-matches[i].confidence * scores[i], -matches[i].confidence))
     return [matches[i] for i in order]
@@ -304,7 +307,13 @@ def _is_different(pose: MeshPose, other: MeshPose, centre: Float[np.ndarray, "3"
     return bool(angle > _DIFFERENT_DEG or np.linalg.norm(pose.to_world(centre) - other.to_world(centre)) > _DIFFERENT_M)
 
 
-def _make_match(pose: MeshPose, judge: PoseJudge, rival: float, solid: Solid) -> MeshMatch:
+def _make_match(
+    pose: MeshPose,
+    judge: PoseJudge,
+    rival: float,
+    solid: Solid,
+    unexplained_limits: tuple[float, float] = _NEAR_EXPECTED,
+) -> MeshMatch:
     verdict = judge.count(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
     _, _, radius = _measure_solid(solid)
@@ -329,7 +338,7 @@ def _make_match(pose: MeshPose, judge: PoseJudge, rival: float, solid: Solid) ->
         * _ramp_down(through, 0.08, 0.25)
         * _ramp_down(missing, *_MISSING)
         * _ramp_down(hidden, 0.4, 0.9)
-        * _ramp_down(unexplained, 0.2, 0.8)
+        * _ramp_down(unexplained, *unexplained_limits)
         * _ramp_down(on_planes, *_ON_PLANES)
         * _ramp_down(rms / radius, *_BLURRED)
     )

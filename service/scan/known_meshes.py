@@ -33,7 +33,7 @@ UPLOAD_NAME = "mesh"  # name of an uploaded mesh without a name
 _TAKEN = ("floor", "plane", "wall", "clutter", "unknown", "coacd", "stem")
 _OPTION = "--mesh"
 _SPANS = (1e-3, 100.0)
-_FORMS = "FILE, 'TYPE NAME=NUMBER ...', 'FILE near X Y Z', 'FILE near POSE' or 'FILE at POSE'"
+_FORMS = "FILE, 'FILE near X Y Z', 'FILE near POSE' or 'FILE at POSE', or TYPE NAME=NUMBER ... in place of FILE"
 _AFTER = {3: "X Y Z", 6: "X Y Z YAW PITCH ROLL", 7: "X Y Z QW QX QY QZ", 16: "16 numbers"}
 
 # By the scene file's rule (docs/scene-format.md) the name of a value that is not a length shows its unit.
