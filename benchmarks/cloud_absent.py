@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, lathe, pipe, torus
 from perception.simulate.scenes.fixtures import BoxLever
 from perception.simulate.scenes.loose import chair, table
 from perception.simulate.scenes.scene import PlacedObjects, cartons, make_room, pose_of, things, upright_pipe, wall
 from perception.simulate.scenes.valves import tilt_axis
+from perception.solids.primitives import Mesh, bent_bar, box, capsule, cylinder, lathe, pipe, torus
 
 Place = tuple[float, float, float]
 Maker = Callable[[np.random.Generator], tuple[list[PlacedObjects], Place]]

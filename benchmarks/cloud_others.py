@@ -15,7 +15,6 @@ from benchmarks.cloud_absent import ABSENT, Maker
 from benchmarks.cloud_cases import Case
 from perception import wheel_basis
 from perception.simulate import Caster, join_meshes
-from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, lathe, torus
 from perception.simulate.scenes import SimulatedScene, Truth
 from perception.simulate.scenes.debris import heap
 from perception.simulate.scenes.doors import Door
@@ -37,6 +36,7 @@ from perception.simulate.scenes.scene import (
 )
 from perception.simulate.scenes.valves import PipedWheel, tilt_axis, valve_body
 from perception.simulate.valve_scene import Valve
+from perception.solids.primitives import Mesh, bent_bar, box, capsule, cylinder, lathe, torus
 
 
 def wheel(

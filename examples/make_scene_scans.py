@@ -16,9 +16,9 @@ from make_valve_scan import SENSOR, link_hulls
 
 from perception import inside_hulls, write_pcd
 from perception.simulate import Pose, Room, Scanner, scan
-from perception.simulate.mesh import box, hull
 from perception.simulate.scenes.doors import Door
 from perception.simulate.scenes.scene import Truth
+from perception.solids.primitives import box, hull
 from service.request.file import load_request
 from service.setup.world import build_obstacles
 from service.start.configuration import make_start_configuration

@@ -45,6 +45,7 @@ from perception.ground.floor import FloorPlane, floor_piece, floor_pieces, on_fl
 from perception.ground.levels import find_floors
 from perception.memory import Memory
 from perception.perceive import Perceived, perceive
+from perception.solids.match import find_matches
 from perception.update import Earlier, update
 from perception.view import View, make_view
 
@@ -75,6 +76,7 @@ __all__ = [
     "detect_valves",
     "door_bodies",
     "find_floors",
+    "find_matches",
     "floor_piece",
     "floor_pieces",
     "has_clear_spokes",

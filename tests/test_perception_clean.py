@@ -20,7 +20,7 @@ from perception import (
 from perception.cleaning.outliers import on_grazed_surface, surface_points
 from perception.simulate import box, cylinder
 from perception.simulate.cast import cast
-from perception.simulate.mesh import Mesh, join_meshes
+from perception.solids.primitives import Mesh, join_meshes
 
 CUBE = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
 

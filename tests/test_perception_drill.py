@@ -11,9 +11,9 @@ from perception.detect.drill.shape import DrillShape, meet
 from perception.detect.drill.supports import level_heights, standing_clusters
 from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
-from perception.simulate.mesh import hull
 from perception.simulate.scenes import make_scene
 from perception.simulate.scenes.loose import Drill, can, pot
+from perception.solids.primitives import hull
 
 SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.7)
 SCANNER = Scanner(n_beams=541, fan_deg=160.0, n_lines=70)

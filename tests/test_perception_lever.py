@@ -10,9 +10,9 @@ from perception.detect.shared.bar_pivot import face_behind
 from perception.detect.shared.faces import Face, FaceRays
 from perception.sightlines import Sightlines
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
-from perception.simulate.mesh import Mesh, bent_bar
 from perception.simulate.scenes import make_scene
 from perception.simulate.scenes.fixtures import BoxLever, Panel
+from perception.solids.primitives import Mesh, bent_bar
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.4)
 SCANNER = Scanner(n_beams=541, fan_deg=135.0, n_lines=90)

@@ -10,9 +10,9 @@ import pytest
 from perception import CONFIDENT, Detection, PerceptionError, View, detect, detect_kinds, make_view, read_cloud
 from perception.detect.panel.relief import find_discs
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
-from perception.simulate.mesh import Mesh
 from perception.simulate.scenes import make_scene
 from perception.simulate.scenes.fixtures import BoxLever, Panel
+from perception.solids.primitives import Mesh
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.4)
 SCANNER = Scanner(n_beams=541, fan_deg=135.0, n_lines=90)

@@ -9,9 +9,9 @@ import pytest
 
 from perception import PerceptionError
 from perception.simulate import Caster, DepthCamera, Pose, Scanner, Sensor, SolidState, box, join_meshes, scan
-from perception.simulate.mesh import capsule, lathe, pipe
 from perception.simulate.scenes import SCENES, VARIANTS, SimulatedScene, make_scene
 from perception.simulate.scenes.doors import Door
+from perception.solids.primitives import capsule, lathe, pipe
 
 FLOOR = box((-4.0, -4.0, -0.1), (4.0, 4.0, 0.0))
 WORLD = [FLOOR, box((1.5, -0.5, 0.0), (1.7, 0.6, 1.8)), box((0.9, 0.1, 0.0), (1.0, 0.4, 1.2))]

@@ -31,7 +31,7 @@ from perception.detect.vehicle.level import Patch
 from perception.detect.vehicle.seat import Seat
 from perception.sightlines import Sightlines, index_of
 from perception.simulate import Mesh, Pose, Room, Scanner, Valve, box, cylinder, scan, torus
-from perception.simulate.mesh import lathe, pipe
+from perception.solids.primitives import lathe, pipe
 
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
 # As dense as a whole turn of the fan, but only ahead: a test needs no more.

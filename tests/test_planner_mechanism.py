@@ -24,7 +24,7 @@ from tiny_robots import atlas
 from costs.robot import with_mechanism
 from perception import write_npz
 from perception.simulate import Pose, Scanner, scan
-from perception.simulate.mesh import box as solid_box
+from perception.solids.primitives import box as solid_box
 from service.client.local_files import resolve_paths
 from service.demands.given_mechanism import GivenMechanismDemand, make_mechanism_phases, read_given_mechanism
 from service.demands.hands import HANDS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.simulate.mesh import Mesh
+from perception.solids.primitives import Mesh
 
 
 @dataclass(frozen=True)

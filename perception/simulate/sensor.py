@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.cloud import Cloud
 from perception.simulate.cast import Caster, Hits
-from perception.simulate.mesh import Mesh, join_meshes
+from perception.solids.primitives import Mesh, join_meshes
 
 _EDGE = 0.03
 # Turns per second of the two prisms: far from a ratio of small integers, so that the rosette fills the cone.

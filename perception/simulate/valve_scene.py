@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.valve.ring import wheel_basis
-from perception.simulate.mesh import Mesh, box, cylinder, hull, torus
+from perception.solids.primitives import Mesh, box, cylinder, hull, torus
 
 
 @dataclass(frozen=True)

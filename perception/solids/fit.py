@@ -16,14 +16,22 @@ from perception.sightlines import SightIndex, Sightlines
 from perception.solids.mesh import Mesh
 from perception.view import View
 
-_FACING = 0.05  # cosine
+FACING = 0.05  # cosine
 _FEWEST = 12
-_MOST_TURN = 0.3  # [rad] in one step
-_DAMPING = 1e-3
-_LEAST_SIZE = 1e-3  # of the matched surface, for damping [m]
+_ALONG_RAYS = 0.061  # gate from which points are compared with the place that their ray meets [m]
+MOST_TURN = 0.3  # [rad] in one step
+DAMPING = 1e-3
+LEAST_SIZE = 1e-3  # of the matched surface, for damping [m]
 MIN_AGREEING = 30
-_PLANE_BAND = 0.025
+_PLANE_BAND, _PLANE_EDGE = 0.025, 0.05
+_WIDE = 2.4  # width of a wide plane, by the object's radius
+_ANGLES = np.linspace(0.0, np.pi, 16, endpoint=False)
+_WAYS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_FEWEST_OF_PART = 15
+_UNEXPLAINED = 1.0  # weight of a point near the object that does not lie on it
 _TOLERANCE = (0.012, 0.03)
+# Distances from an edge within which rays do not count [m], and least share of the rays that must be left.
+_BESIDE_EDGE, _FIRM = (0.008, 0.005, 0.003, 0.0), 0.25
 
 
 class Surface:
@@ -52,6 +60,14 @@ class Surface:
         """Return the distance at which each ray of unit direction first meets the mesh [m]; infinite for a miss."""
         rays = np.concatenate([starts, direction], axis=1).astype(np.float32)
         return _array(self._scene.cast_rays(self._tensor(rays))["t_hit"])
+
+    def meet(
+        self, starts: Float[np.ndarray, "R 3"], direction: Float[np.ndarray, "R 3"]
+    ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
+        """Return what ``hits`` returns, and the unit outward normals there."""
+        rays = np.concatenate([starts, direction], axis=1).astype(np.float32)
+        answer = self._scene.cast_rays(self._tensor(rays))
+        return _array(answer["t_hit"]), _array(answer["primitive_normals"])
 
 
 def _array(tensor: object) -> np.ndarray:
@@ -111,12 +127,21 @@ def fit_pose(surface: Surface, region: Region, start: MeshPose, gates: Iterable[
     """
     pose = start
     for gate in gates:
-        points = pose.to_mesh(region.points)
+        points, starts = pose.to_mesh(region.points), pose.to_mesh(region.starts)
         place, normal = surface.nearest(points)
+        if gate <= _ALONG_RAYS:
+            # Noise lies along the rays, and the nearest place to a point inside a slender part may be its side or back.
+            way = points - starts
+            length = np.linalg.norm(way, axis=1)
+            way /= np.maximum(length, 1e-9)[:, None]
+            met, normal_there = surface.meet(starts, way)
+            is_near = np.abs(met - length) < gate
+            place[is_near] = (starts + np.where(is_near, met, 0.0)[:, None] * way)[is_near]
+            normal[is_near] = normal_there[is_near]
         offset = points - place
         distance = np.linalg.norm(offset, axis=1)
-        sight = pose.to_mesh(region.starts) - place
-        facing = (normal * sight).sum(axis=1) > _FACING * np.linalg.norm(sight, axis=1)
+        sight = starts - place
+        facing = (normal * sight).sum(axis=1) > FACING * np.linalg.norm(sight, axis=1)
         used = (distance < gate) & facing
         if used.sum() < _FEWEST:
             return pose
@@ -137,19 +162,24 @@ def _take_step(
     J = np.concatenate([np.cross(place - middle, normal), normal], axis=1)
     residual = (normal * offset).sum(axis=1)
     # Damping: points that are all nearest to one corner do not determine the orientation.
-    size = max(float(np.linalg.norm(place - middle, axis=1).mean()), _LEAST_SIZE)
-    damping = _DAMPING * weight.sum() * np.diag([size**2] * 3 + [1.0] * 3)
+    size = max(float(np.linalg.norm(place - middle, axis=1).mean()), LEAST_SIZE)
+    damping = DAMPING * weight.sum() * np.diag([size**2] * 3 + [1.0] * 3)
     step = np.linalg.solve(J.T @ (weight[:, None] * J) + damping, J.T @ (weight * residual))
-    turn = step[:3] * min(1.0, _MOST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
+    turn = step[:3] * min(1.0, MOST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
     rotation = Rotation.from_rotvec(turn).as_matrix()
     return MeshPose(pose.rotation @ rotation, pose.to_world(middle + step[3:] - rotation @ middle))
 
 
 @dataclass(frozen=True)
 class RayCounts:
-    """Numbers of rays that end on the mesh, pass through it or end before it, and of unexplained points near it."""
+    """Numbers of rays that end on the mesh, pass through it or end before it, and of unexplained points near it.
+
+    Attributes:
+        agreeing: without those that end on a wide plane, which are counted in ``on_planes``.
+    """
 
     agreeing: int
+    on_planes: int
     through: int
     hidden: int
     unexplained: int
@@ -164,16 +194,49 @@ class RayCounts:
 
 
 @dataclass(frozen=True)
+class WidePlanes:
+    """Planes wider than an object, such as tables and walls, each as far as it was seen.
+
+    Attributes:
+        normals: (P, 3) unit.
+        offsets: (P,) ``normal . x == offset`` [m].
+        bases: (P, 2, 3) directions in each plane.
+        lower, upper: (P, 2) extent along these directions [m].
+    """
+
+    normals: Float[np.ndarray, "P 3"]
+    offsets: Float[np.ndarray, "P"]
+    bases: Float[np.ndarray, "P 2 3"]
+    lower: Float[np.ndarray, "P 2"]
+    upper: Float[np.ndarray, "P 2"]
+
+    def hold(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+        """Return which points lie on one of the planes."""
+        on = np.zeros(len(points), dtype=bool)
+        for normal, offset, basis, lower, upper in zip(
+            self.normals, self.offsets, self.bases, self.lower, self.upper, strict=True
+        ):
+            near = np.flatnonzero(np.abs(points @ normal - offset) <= _PLANE_BAND)
+            flat = points[near] @ basis.T
+            on[near[((flat >= lower) & (flat <= upper)).all(axis=1)]] = True
+        return on
+
+
+@dataclass(frozen=True)
 class PoseJudge:
-    """Rays and points near a candidate position; ``wide`` (P, 4) are planes larger than the object."""
+    """Rays and points near a candidate position; ``wide`` are planes larger than the object."""
 
     surface: Surface
     rays: Sightlines
     region: Region
-    wide: Float[np.ndarray, "P 4"]
+    wide: WidePlanes
 
-    def count(self, pose: MeshPose, most_rays: int, most_points: int) -> RayCounts:
-        """Count rays that agree with a pose and rays that contradict it, from a subset of rays and points."""
+    def count(self, pose: MeshPose, most_rays: int, most_points: int, least: float = _TOLERANCE[0]) -> RayCounts:
+        """Count rays that agree with a pose and rays that contradict it, from a subset of rays and points.
+
+        Args:
+            least: smallest tolerance, for a pose that is not yet settled [m].
+        """
         rays = self.rays.thin(most_rays)
         hit = self.surface.hits(pose.to_mesh(rays.start), rays.direction @ pose.rotation)
         met = np.isfinite(hit)
@@ -183,20 +246,58 @@ class PoseJudge:
         offset = pose.to_mesh(region.points) - place
         distance = np.linalg.norm(offset, axis=1)
         close = distance[distance < _TOLERANCE[1]]
-        tolerance = float(np.clip(3.0 * 1.48 * np.median(close), *_TOLERANCE)) if len(close) else _TOLERANCE[0]
+        tolerance = float(np.clip(3.0 * 1.48 * np.median(close), least, _TOLERANCE[1])) if len(close) else least
         # Only points in the 5 cm beyond two tolerances contradict the pose: objects stand on tables.
         outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
-        share = len(rays) / max(1, len(region.points))
+        thinned = len(rays) * len(self.region.points) / max(1, len(self.rays) * len(region.points))
         # A ray that ends on a wide plane, such as a wall, is no evidence for an object beside that plane.
         agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
+        n_loose = int((~self.wide.hold(rays.ends[agreeing])).sum())
         return RayCounts(
-            int((~lie_on_planes(rays.ends[agreeing], self.wide)).sum()),
+            n_loose,
+            len(agreeing) - n_loose,
             int((beyond > tolerance).sum()),
             int((beyond < -tolerance).sum()),
-            int(share * 0.2 * outside.sum()),
+            int(thinned * _UNEXPLAINED * outside.sum()),
             tolerance,
             distance[distance <= tolerance],
         )
+
+    def share_through(self, pose: MeshPose, part: float) -> tuple[float, float]:
+        """Return the share of the rays towards the mesh that went on through it, and of its part where it is largest.
+
+        Rays that graze an edge do not count.
+
+        Rays beside an edge pass where the pose, or the width of the beam, is a few millimetres off.  A ray counts if
+        the four rays beside it meet the mesh too; they are nearer to it where the mesh is slender.
+
+        Args:
+            part: edge of the cubes that divide the mesh into parts [m].
+        """
+        start, way = pose.to_mesh(self.rays.start), self.rays.direction @ pose.rotation
+        hit = self.surface.hits(start, way)
+        met = np.flatnonzero(np.isfinite(hit))
+        if not len(met):
+            return 0.0, 0.0
+        start, way, hit, length = start[met], way[met], hit[met], self.rays.length[met]
+        tolerance = _TOLERANCE[0] + 0.5 * (_TOLERANCE[1] - _TOLERANCE[0])
+        u = np.cross(way, np.eye(3)[np.argmin(np.abs(way), axis=1)])
+        u /= np.linalg.norm(u, axis=1)[:, None]
+        v = np.cross(way, u)
+        firm = np.zeros(len(met), dtype=bool)
+        for beside in _BESIDE_EDGE:
+            offsets = [sign * beside * across for across in (u, v) for sign in (-1.0, 1.0)]
+            firm = np.all([np.isfinite(self.surface.hits(start + offset, way)) for offset in offsets], axis=0)
+            if firm.sum() >= max(MIN_AGREEING, _FIRM * len(met)):
+                break
+        beyond = (length - hit)[firm]
+        through, counts = beyond > tolerance, beyond >= -tolerance
+        cells = np.floor((start + hit[:, None] * way)[firm] / part).astype(np.int64)[counts]
+        _, cell = np.unique(cells, axis=0, return_inverse=True)
+        n_rays = np.bincount(cell.reshape(-1), minlength=1)
+        n_through = np.bincount(cell.reshape(-1), through[counts], minlength=1)
+        worst = float((n_through / np.maximum(n_rays, 1))[n_rays >= _FEWEST_OF_PART].max(initial=0.0))
+        return float(through.sum() / max(1, counts.sum())), worst
 
 
 def make_pose_judge(
@@ -206,27 +307,25 @@ def make_pose_judge(
     near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
     points, starts = view.obstacles[near], view.starts[near]
     wide = find_wide_planes(points, starts, radius, view.seed)
-    kept = (np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05) & ~lie_on_planes(points, wide)
+    kept = (np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05) & ~wide.hold(points)
     rays = index.passing(place[None], 2.0 * radius + 0.1)
     return PoseJudge(surface, rays, Region(points[kept], starts[kept]), wide)
 
 
 def find_wide_planes(
     points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"], radius: float, seed: int
-) -> Float[np.ndarray, "P 4"]:
-    """Return planes (unit normal, offset) larger than an object of this radius [m], such as tables and walls."""
-    if len(points) < MIN_AGREEING:
-        return np.zeros((0, 4))
-    coarse = coarsen(points, starts, VOXEL)
-    planes = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(seed), None)
-    reaches = [np.linalg.norm(np.ptp(coarse.points[plane.members] @ plane.basis.T, axis=0)) for plane in planes]
-    wide = [
-        np.append(plane.normal, plane.offset)
-        for plane, reach in zip(planes, reaches, strict=True)
-        if reach > 2.4 * radius
-    ]
-    return np.array(wide).reshape(-1, 4)
-
-
-def lie_on_planes(points: Float[np.ndarray, "N 3"], planes: Float[np.ndarray, "P 4"]) -> Bool[np.ndarray, "N"]:
-    return np.asarray((np.abs(points @ planes[:, :3].T - planes[:, 3]) <= _PLANE_BAND).any(axis=1))
+) -> WidePlanes:
+    """Return planes wider than an object of this radius [m]."""
+    planes = []
+    if len(points) >= MIN_AGREEING:
+        coarse = coarsen(points, starts, VOXEL)
+        found = find_planes(coarse.points, coarse.counts, coarse.starts, np.random.default_rng(seed), None)
+        flats = [(plane, coarse.points[plane.members] @ plane.basis.T) for plane in found]
+        planes = [(plane, flat) for plane, flat in flats if np.ptp(flat @ _WAYS, axis=0).max() > _WIDE * radius]
+    return WidePlanes(
+        np.array([plane.normal for plane, _ in planes]).reshape(-1, 3),
+        np.array([plane.offset for plane, _ in planes]),
+        np.array([plane.basis for plane, _ in planes]).reshape(-1, 2, 3),
+        np.array([flat.min(axis=0) - _PLANE_EDGE for _, flat in planes]).reshape(-1, 2),
+        np.array([flat.max(axis=0) + _PLANE_EDGE for _, flat in planes]).reshape(-1, 2),
+    )

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from perception.convex.split import find_clusters
 from perception.errors import MeshError
 from perception.sightlines import sight_index
 from perception.solids.fit import (
@@ -20,21 +19,31 @@ from perception.solids.fit import (
     Surface,
     find_wide_planes,
     fit_pose,
-    lie_on_planes,
     make_pose_judge,
 )
 from perception.solids.mesh import Mesh, Solid, make_solid
+from perception.solids.nearest_field import NearestField
+from perception.solids.places import find_candidates, list_beside, spread_samples
 from perception.view import View
 
 CONFIDENT = 0.5
-_N_ORIENTATIONS = 240
 _N_BEST = 10
 _COARSE_POINTS, _COARSE_RAYS = 250, 500
 _MOST_POINTS, _MOST_RAYS = 4000, 6000
-_MOST_CLUSTERS = 6
-_N_NUDGED = 3
+# Search without an approximate pose: samples of the surface; points, steps and last gate [m] of the rough fits;
+# different orientations kept at a place; rough poses and rays of the fits to follow.
+_SAMPLES, _ROUGH_POINTS, _ROUGH_STEPS, _LEAST_GATE, _KEPT_HERE = 256, 150, 8, 0.02, 4
+_MOST_SETTLED, _SOME_RAYS = 20, 2000
+_FROM_BEHIND, _SETTLE_GATES, _UNSETTLED = (0.0, 0.02), np.linspace(0.06, 0.025, 10), 0.025  # [m]
+_PART, _MISSING = 0.35, (0.5, 0.9)  # size of a part by the radius, and share of its rays that go on through it
+_BLURRED = (0.045, 0.08)  # distance of the points by the object's radius: rated 1, and rated 0
+# Points near the object that do not lie on it, by those on it: rated 1, and rated 0.  Near an expected pose neighbours
+# are no reason to doubt it; elsewhere bars that go on beyond the object's ends are.
+_NEAR_EXPECTED, _NEAR_FOUND = (0.2, 0.8), (0.2, 0.36)
+_ON_PLANES = (0.6, 0.8)  # share of the rays on a mesh that end on a wide plane: rated 1, and rated 0
+_N_NUDGED = 4
 _NUDGES = (0.04, 0.025, 0.015)  # [m], and five times as many radians
-_NUDGE_POINTS = 1000
+_NUDGE_POINTS = 600
 _NUDGE_GATES = np.concatenate([np.linspace(0.05, 0.025, 5), np.full(5, 0.025)])
 _DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
 
@@ -46,7 +55,8 @@ class MeshMatch:
     Attributes:
         confidence: 0 to 1; 0.5 and more is reliable.
         residuals: ``rms`` and ``median`` distance of the points on the mesh [m]; ``seen_through``, share of the rays
-            through the mesh that should have ended on it; ``hidden``, share that ended before it; ``unexplained``,
+            through the mesh that should have ended on it; ``missing``, the same of the part where it is largest;
+            ``hidden``, share that ended before it; ``unexplained``,
             points close to its surface as a share of those on it; ``rival``, score of the best clearly different pose
             over this one's (near 1: the scan does not distinguish them); ``n_points`` on the mesh.
         solid: the mesh in its own frame.
@@ -116,31 +126,121 @@ def match_mesh(
 
     Args:
         mesh: the object, in its own frame [m]; a solid if it is already checked.
-        hint: (3,) a point on or near the object [m]; without it and ``initial``, every cluster of the object's size is
-            tried, after removal of planes larger than the object.
+        hint: (3,) a point on or near the object [m]; without it and ``initial``, the whole scan is searched, without
+            planes larger than the object.
         initial: (4, 4) approximate pose (within 20 degrees and 15 cm); only poses near it are tried.
 
     Raises:
         MeshError: the mesh cannot be used.
     """
     solid = mesh if isinstance(mesh, Solid) else make_solid(mesh)
+    if initial is None:
+        matches = find_matches(solid, view, hint)
+        return matches[0] if matches else MeshMatch(np.eye(4), 0.0, {"n_points": 0.0}, solid, 0.0)
     surface, centre, radius = _measure_solid(solid)
-    index = sight_index(view.cloud)
-    candidates: list[tuple[float, MeshPose, PoseJudge]] = []
-    for place in _find_places(view, radius, centre, hint, initial):
-        judge = make_pose_judge(surface, index, view, place, radius)
-        region = judge.region
-        if len(region.points) < MIN_AGREEING:
+    judge = make_pose_judge(surface, sight_index(view.cloud), view, initial[:3, :3] @ centre + initial[:3, 3], radius)
+    found = []
+    if len(judge.region.points) >= MIN_AGREEING:
+        found = _search(surface, judge, judge.region, _make_starts(centre, initial), radius)
+    if not found:
+        return MeshMatch(initial, 0.0, {"n_points": 0.0}, solid, 0.0)
+    best, pose = found[0]
+    rivals = [score for score, other in found if _is_different(pose, other, centre)]
+    return _make_match(pose, judge, _compare_rivals(rivals, best), solid)
+
+
+def find_matches(solid: Solid, view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[MeshMatch]:
+    """Return the poses at which the scan may show a solid, best supported first; no two of them overlap by half.
+
+    Args:
+        solid: the object, in its own frame [m].
+        hint: (3,) a point on or near the object; None to search the whole scan [m].
+    """
+    if not len(view.obstacles):
+        return []
+    whole = _join_meshes([*solid.closed, *solid.open])
+    surface, centre, radius = _measure_solid(solid)
+    loose = ~find_wide_planes(view.obstacles, view.starts, radius, view.seed).hold(view.obstacles)
+    samples, normals = spread_samples(whole, _SAMPLES)
+    samples -= centre
+    beside = list_beside(surface, samples + centre, normals, radius) - centre
+    likely = find_candidates(view, loose, (samples, beside), radius, hint)
+    if likely is None:
+        return []
+    cells, candidates = likely
+    field = NearestField.of(surface, whole.vertices.min(axis=0), whole.vertices.max(axis=0), radius)
+    points, starts = view.obstacles[loose], view.starts[loose]
+    rough: list[tuple[float, MeshPose]] = []
+    for candidate in candidates:
+        near = np.linalg.norm(points - candidate.place, axis=1) <= 1.3 * radius + 0.03
+        region = Region(points[near], starts[near]).thin(_ROUGH_POINTS)
+        if near.sum() < MIN_AGREEING:
             continue
-        starts = _make_starts(place, centre, radius, region, initial)
-        candidates += [(score, pose, judge) for score, pose in _search(surface, judge, region, starts, radius)]
-    if not candidates:
-        return MeshMatch(np.eye(4) if initial is None else initial, 0.0, {"n_points": 0.0}, solid, 0.0)
-    candidates.sort(key=lambda candidate: -candidate[0])
-    best, pose, judge = candidates[0]
-    rivals = [score for score, other, _ in candidates if _is_different(pose, other, centre)]
-    rival = float(max(0.0, max(rivals, default=0.0)) / best) if best > 0.0 else 1.0
-    return _make_match(pose, judge, rival, solid)
+        shifts = candidate.place - candidate.rotations @ centre
+        gates = np.linspace(0.6 * radius, max(0.15 * radius, _LEAST_GATE), _ROUGH_STEPS)
+        rotations, shifts, near_it = field.fit(
+            candidate.rotations, shifts, region.points, region.starts.mean(axis=0), gates
+        )
+        scores = cells.rate(samples + centre, beside + centre, rotations, shifts) + near_it
+        kept: list[MeshPose] = []
+        for i in np.argsort(-scores, kind="stable"):
+            pose = MeshPose(rotations[i], shifts[i])
+            if all(_is_different(pose, other, centre) for other in kept):
+                kept.append(pose)
+                rough.append((float(scores[i]), pose))
+            if len(kept) == _KEPT_HERE:
+                break
+    rough.sort(key=lambda scored: -scored[0])
+    return _settle(rough[:_MOST_SETTLED], solid, surface, centre, radius, view)
+
+
+def _settle(
+    rough: Sequence[tuple[float, MeshPose]],
+    solid: Solid,
+    surface: Surface,
+    centre: Float[np.ndarray, "3"],
+    radius: float,
+    view: View,
+) -> list[MeshMatch]:
+    """Return matches fitted from rough poses, without those that overlap a better one.
+
+    Order: confidence times score, best first.
+    """
+    index = sight_index(view.cloud)
+    fitted: list[tuple[float, MeshPose, PoseJudge]] = []
+    for _, start in rough:
+        judge = make_pose_judge(surface, index, view, start.to_world(centre), radius)
+        if len(judge.region.points) < MIN_AGREEING:
+            continue
+        few = judge.region.thin(_NUDGE_POINTS)
+        away = start.to_world(centre) - few.starts.mean(axis=0)
+        away /= np.linalg.norm(away)
+        poses = [fit_pose(surface, few, start.translate(by * away), _SETTLE_GATES) for by in _FROM_BEHIND]
+        rated = [judge.count(pose, _SOME_RAYS, _NUDGE_POINTS, _UNSETTLED).score for pose in poses]
+        first = int(np.argmax(rated))
+        fitted.append((rated[first], poses[first], judge))
+    fitted.sort(key=lambda candidate: -candidate[0])
+    matches: list[MeshMatch] = []
+    scores: list[float] = []
+    for score, pose, judge in fitted[:_N_NUDGED]:
+        place = pose.to_world(centre)
+        if any(np.linalg.norm(place - _centre_of(other, centre)) < radius for other in matches):
+            continue
+        best, settled = _nudge(surface, judge, judge.region.thin(_MOST_POINTS), (score, pose))
+        rivals = [other for other, turned, _ in fitted if _is_different(settled, turned, centre)]
+        matches.append(_make_match(settled, judge, _compare_rivals(rivals, best), solid, _NEAR_FOUND))
+        scores.append(max(best, 0.0))
+    order = sorted(range(len(matches)), key=lambda i: (-matches[i].confidence * scores[i], -matches[i].confidence))
+    return [matches[i] for i in order]
+
+
+def _centre_of(match: MeshMatch, centre: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    return np.asarray(match.pose_world_mesh[:3, :3] @ centre + match.pose_world_mesh[:3, 3])
+
+
+def _compare_rivals(rivals: Sequence[float], best: float) -> float:
+    """Return the score of the best rival over a pose's own; 1 for a pose without support."""
+    return float(max(0.0, max(rivals, default=0.0)) / best) if best > 0.0 else 1.0
 
 
 def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) -> MeshMatch:
@@ -193,49 +293,13 @@ def _nudge(surface: Surface, judge: PoseJudge, region: Region, best: tuple[float
     return best[0], fit_pose(surface, region, best[1], _NUDGE_GATES[-3:])
 
 
-def _find_places(
-    view: View,
-    radius: float,
-    centre: Float[np.ndarray, "3"],
-    hint: Float[np.ndarray, "3"] | None,
-    initial: Float[np.ndarray, "4 4"] | None,
-) -> list[Float[np.ndarray, "3"]]:
-    """Return candidate positions of the object's centre in the world [m]."""
-    if initial is not None:
-        return [initial[:3, :3] @ centre + initial[:3, 3]]
-    if hint is not None:
-        return [np.asarray(hint, dtype=float)]
-    if not len(view.obstacles):
-        return []
-    # Tables and walls are removed, since they would connect the object with everything else on them.
-    loose = ~lie_on_planes(view.obstacles, find_wide_planes(view.obstacles, view.starts, radius, view.seed))
-    points, starts = view.obstacles[loose], view.starts[loose]
-    groups = [points[members] for members in find_clusters(points, starts)] if len(points) else []
-    fitting = [group for group in groups if 0.2 * radius < 0.5 * np.linalg.norm(np.ptp(group, axis=0)) < 1.5 * radius]
-    return [group.mean(axis=0) for group in sorted(fitting, key=len, reverse=True)[:_MOST_CLUSTERS]]
-
-
-def _make_starts(
-    place: Float[np.ndarray, "3"],
-    centre: Float[np.ndarray, "3"],
-    radius: float,
-    region: Region,
-    initial: Float[np.ndarray, "4 4"] | None,
-) -> list[MeshPose]:
-    """Return start poses: around the initial one, or at the position in 240 random orientations."""
-    if initial is not None:
-        given = MeshPose(initial[:3, :3], initial[:3, 3])
-        turns = [np.zeros(3), *(sign * 0.3 * axis for axis in np.eye(3) for sign in (-1, 1))]
-        shifts = [np.zeros(3), *(sign * 0.08 * axis for axis in np.eye(3) for sign in (-1, 1))]
-        about = given.to_world(centre)
-        return [given.rotate(turn, about).translate(shift) for turn in turns for shift in shifts]
-    core = region.points[np.linalg.norm(region.points - place, axis=1) <= radius]
-    middle = np.median(core, axis=0) if len(core) >= MIN_AGREEING else place
-    away = middle - region.starts.mean(axis=0)
-    # Only the near side is seen: the object's centre lies behind the centre of its points.
-    middle = middle + 0.2 * radius * away / max(float(np.linalg.norm(away)), 1e-9)
-    rotations = Rotation.random(_N_ORIENTATIONS, rng=np.random.default_rng(0)).as_matrix()
-    return [MeshPose(rotation, middle - rotation @ centre) for rotation in rotations]
+def _make_starts(centre: Float[np.ndarray, "3"], initial: Float[np.ndarray, "4 4"]) -> list[MeshPose]:
+    """Return start poses around an approximate one."""
+    given = MeshPose(initial[:3, :3], initial[:3, 3])
+    turns = [np.zeros(3), *(sign * 0.3 * axis for axis in np.eye(3) for sign in (-1, 1))]
+    shifts = [np.zeros(3), *(sign * 0.08 * axis for axis in np.eye(3) for sign in (-1, 1))]
+    about = given.to_world(centre)
+    return [given.rotate(turn, about).translate(shift) for turn in turns for shift in shifts]
 
 
 def _is_different(pose: MeshPose, other: MeshPose, centre: Float[np.ndarray, "3"]) -> bool:
@@ -243,17 +307,26 @@ def _is_different(pose: MeshPose, other: MeshPose, centre: Float[np.ndarray, "3"
     return bool(angle > _DIFFERENT_DEG or np.linalg.norm(pose.to_world(centre) - other.to_world(centre)) > _DIFFERENT_M)
 
 
-def _make_match(pose: MeshPose, judge: PoseJudge, rival: float, solid: Solid) -> MeshMatch:
+def _make_match(
+    pose: MeshPose,
+    judge: PoseJudge,
+    rival: float,
+    solid: Solid,
+    unexplained_limits: tuple[float, float] = _NEAR_EXPECTED,
+) -> MeshMatch:
     verdict = judge.count(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
-    through = verdict.through / met
+    _, _, radius = _measure_solid(solid)
+    through, missing = judge.share_through(pose, _PART * radius)
     hidden = verdict.hidden / max(1, met + verdict.hidden)
     unexplained = verdict.unexplained / max(1, verdict.agreeing)
+    on_planes = verdict.on_planes / max(1, verdict.agreeing + verdict.on_planes)
     rms = float(np.sqrt(np.mean(verdict.distance**2))) if len(verdict.distance) else float("inf")
     residuals = {
         "rms": rms,
         "median": float(np.median(verdict.distance)) if len(verdict.distance) else float("inf"),
         "seen_through": through,
+        "missing": missing,
         "hidden": hidden,
         "unexplained": unexplained,
         "rival": rival,
@@ -261,7 +334,13 @@ def _make_match(pose: MeshPose, judge: PoseJudge, rival: float, solid: Solid) ->
     }
     enough = min(1.0, verdict.agreeing / (2.0 * MIN_AGREEING))
     confidence = (
-        enough * _ramp_down(through, 0.08, 0.25) * _ramp_down(hidden, 0.4, 0.9) * _ramp_down(unexplained, 0.2, 0.8)
+        enough
+        * _ramp_down(through, 0.08, 0.25)
+        * _ramp_down(missing, *_MISSING)
+        * _ramp_down(hidden, 0.4, 0.9)
+        * _ramp_down(unexplained, *unexplained_limits)
+        * _ramp_down(on_planes, *_ON_PLANES)
+        * _ramp_down(rms / radius, *_BLURRED)
     )
     return MeshMatch(pose.matrix, float(confidence), residuals, solid, verdict.tolerance)
 

@@ -16,7 +16,7 @@ from service.cli.command import command
 from service.cli.options import CloudOptions, Json
 from service.cli.report import HIT_COLUMNS, MESH_COLUMNS, make_hit_row, make_mesh_row, print_line, print_table
 from service.cli.run import EXIT_CODES, EndedError, cancellable, consoles, print_json, progress
-from service.request.choices import EVERY_KIND, KINDS, Method, Unknown
+from service.request.choices import EVERY_KIND, GIVEN, KINDS, Method, Unknown
 
 KIND_HELP = f"{', '.join(KINDS)}, or {EVERY_KIND}"
 Hint = Annotated[
@@ -31,6 +31,9 @@ TimeLimit = Annotated[
         min=0.1,
         max=3600.0,
     ),
+]
+MeshScale = Annotated[
+    float, typer.Option(help="Metres per unit of the mesh files: 0.001 for millimetres.", min=1e-6, max=1e6)
 ]
 # Settings that an update takes from the earlier scene unless these options give others.
 _KEPT_BY_UPDATE = {
@@ -56,15 +59,14 @@ def scene_command(
     mesh: Annotated[
         list[str] | None,
         typer.Option(
-            help="Known object (STL, OBJ, PLY or URDF): FILE is looked for in the scan, 'FILE near X Y Z' about a "
-            "point, 'FILE near POSE' within 15 cm and 20 degrees of a pose (numbers as of --transform), "
+            help="Known object (STL, OBJ, PLY, URDF or object file): FILE is looked for in the scan, "
+            "'FILE near X Y Z' about a point, 'FILE near POSE' within 15 cm and 20 degrees of a pose (numbers as of "
+            "--transform), "
             "'FILE at POSE' stands there; may be given again.",
             metavar="MESH",
         ),
     ] = None,
-    mesh_scale: Annotated[
-        float, typer.Option(help="Metres per unit of the mesh files: 0.001 for millimetres.", min=1e-6, max=1e6)
-    ] = 1.0,
+    mesh_scale: MeshScale = 1.0,
     method: Annotated[
         Method, typer.Option(help="How pieces are made: planes (slabs and hulls) or coacd (slower).")
     ] = "planes",
@@ -128,6 +130,17 @@ def detect_command(
     kind: Annotated[str, typer.Argument(help=f"What to look for: {KIND_HELP}.", metavar="KIND")],
     clouds: CloudOptions,
     hint: Hint = None,
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object",
+            help=f"With KIND {GIVEN}: what to look for, a file as for scene --mesh or parameters such as "
+            "'wheel radius=0.3 rim_radius=0.02 spokes=5', with 'near X Y Z' or 'near POSE' if that is known; may be "
+            "given again.",
+            metavar="OBJECT",
+        ),
+    ] = None,
+    mesh_scale: MeshScale = 1.0,
     time_limit: TimeLimit = None,
     as_json: Json = False,
 ) -> str | None:
@@ -140,18 +153,21 @@ def detect_command(
     with progress(stderr, "read cloud") as report, cancellable(stderr) as should_stop, _stop_in_time(should_stop):
         from service.scan.cloud import parse_cloud_options
         from service.scan.detect import detect_file
+        from service.scan.known_meshes import parse_mesh_option
 
         cloud_input = parse_cloud_options(clouds.to_settings())
-        summary = detect_file(cloud_input, kind, hint, lambda step: report(step, None), time_limit)
+        meshes = tuple(parse_mesh_option(text, mesh_scale, "--object") for text in objects or ())
+        summary = detect_file(cloud_input, kind, hint, lambda step: report(step, None), time_limit, meshes)
     if as_json:
         print_json(summary)
     else:
         if summary["hits"]:
             print_table(stdout, HIT_COLUMNS, [make_hit_row(hit) for hit in summary["hits"]])
         elif summary["searched"]:
-            objects = f"no {kind}" if kind != EVERY_KIND else f"nothing ({', '.join(summary['searched'])})"
+            is_one = kind not in (EVERY_KIND, GIVEN)
+            missing = f"no {kind}" if is_one else f"nothing ({', '.join(summary['searched'])})"
             place = "" if hint is None else f" near ({', '.join(f'{value:g}' for value in hint)})"
-            stdout.print(f"{objects} was found{place}", markup=False)
+            stdout.print(f"{missing} was found{place}", markup=False)
         _print_notes(stdout, summary["notes"])
         _print_unfinished(stdout, summary["unfinished"], time_limit)
     return "TIME_LIMIT" if summary["unfinished"] else None

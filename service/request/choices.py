@@ -15,3 +15,6 @@ KINDS = ("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "op
 
 EVERY_KIND = "all"
 """Kind that requests all kinds."""
+
+GIVEN = "object"
+"""Kind of objects that a user gives as a mesh or by parameters."""

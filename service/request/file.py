@@ -18,6 +18,7 @@ from pydantic_core import ErrorDetails
 from service.errors import RequestError, shown, would_do
 from service.request.scene import ObstacleRequest
 from service.request.schema import AttachedRequest, PlanRequest
+from service.request.shapes import PartRequest
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
@@ -240,7 +241,7 @@ def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
     elif kind == "missing":
         return f"{field}: is missing"
     elif kind.startswith("union_tag"):
-        union = AttachedRequest if "attached" in location else ObstacleRequest
+        union = PartRequest if "parts" in location else AttachedRequest if "attached" in location else ObstacleRequest
         known = [get_args(get_type_hints(shape)["type"])[0] for shape in get_args(get_args(union)[0])]
         tag = context.get("tag")
         words = f"a type is needed, got {shown(value)}" if tag is None else f"unknown type {shown(tag)}"

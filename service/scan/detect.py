@@ -14,17 +14,21 @@ from typing import Any
 import numpy as np
 
 from costs.stopping import Stopped, poll, stops_when
-from perception import Detection, PerceptionError, View, detect_each, make_view, settle_overlaps
+from perception import Detection, PerceptionError, View, detect_each, find_matches, make_view, settle_overlaps
+from perception.solids.match import KnownMesh, locate
 from service.errors import RequestError, ServiceError, would_do
 from service.json_data import to_json_data
-from service.request.choices import EVERY_KIND, KINDS
+from service.request.choices import EVERY_KIND, GIVEN, KINDS
 from service.scan.cloud import CloudInput, OnStep, count_points, read_input
+from service.scan.known_meshes import MeshInput, encode_residuals, load_known_meshes
 
 _LOG = logging.getLogger(__name__)
 
 FORMAT = "scopt-detections/1"
 _NEAR_HINT_M = 0.5
 _SHOWN_KINDS = 12
+_REPORTED = 0.05
+_EVERY = 5
 
 
 class TimeOver(Exception):  # noqa: N818 - how a command ends early, not an error
@@ -61,21 +65,26 @@ def detect_file(
     hint: tuple[float, float, float] | None,
     on_step: OnStep,
     time_limit_s: float | None = None,
+    objects: Sequence[MeshInput] = (),
 ) -> dict[str, Any]:
     """Find objects in cloud files; return hits and statistics, JSON-ready.
 
     Args:
-        kind: one of ``perception.KINDS``, or ``all``.
+        kind: one of ``perception.KINDS``, ``all``, or ``object`` for those in ``objects``.
         hint: a point near the object, as an operator would click it [m].
         on_step: called with the name of each step before it begins.
         time_limit_s: limit for all together; hits until then are returned, and kinds not searched are listed.
+        objects: objects given by a mesh or by parameters; the kind of a hit is the object's name.
 
     Raises:
         RequestError: a file, name or value cannot be used.
         OutOfTimeError: the time limit was reached before the search for the first kind began.
     """
     started = time.perf_counter()
-    kinds = check_kinds((kind,), "KIND")
+    if (kind == GIVEN) != bool(objects):
+        raise RequestError(f"KIND: '{GIVEN}' and --object need each other; got '{kind}' and {len(objects)} objects")
+    known = load_known_meshes(objects, KINDS, "--object")
+    kinds = tuple(item.name for item in known) if objects else check_kinds((kind,), "KIND")
     check_hint(hint)
     search = None
     try:
@@ -84,7 +93,10 @@ def detect_file(
             on_step("clean")
             view = make_view(read.cloud, reach=clouds.reach, robot_hulls=read.hulls, soles=read.soles, seed=clouds.seed)
             search = Search()
-            search_objects(kinds, view, hint, on_step, search)
+            if known:
+                search_given(known, view, hint, on_step, search)
+            else:
+                search_objects(kinds, view, hint, on_step, search)
     except PerceptionError as error:
         raise RequestError(f"{clouds.files_text}: {error}") from None
     except TimeOver:
@@ -93,6 +105,7 @@ def detect_file(
                 f"--time-limit: {time_limit_s:g} s were over before anything could be looked for; expected more"
             ) from None
     hits = sorted(settle_overlaps(search.hits), key=lambda hit: -hit.confidence)
+    notes = [note for item in known for note in item.solid.notes]
     return {
         "format": FORMAT,
         "kind": kind,
@@ -100,7 +113,7 @@ def detect_file(
         "unfinished": search.unfinished(kinds),
         "hits": [encode_hit(hit) for hit in hits],
         "figures": {**count_points(read, view), "time_s": round(time.perf_counter() - started, 3)},
-        "notes": [*view.notes, *hint_notes(view, hint), *search.notes],
+        "notes": [*view.notes, *notes, *hint_notes(view, hint), *search.notes],
     }
 
 
@@ -152,6 +165,32 @@ def search_objects(
     for kind, hits in detect_each(kinds, view, place, on_kind=announce, on_failure=search.fail):
         search.hits.extend(hits)
         search.kinds.append(kind)
+
+
+def search_given(
+    known: Sequence[KnownMesh],
+    view: View,
+    hint: tuple[float, float, float] | None,
+    on_step: OnStep,
+    search: Search,
+) -> None:
+    """Add the places of each given object, best first, to ``search``; ``near`` of an object goes before the hint."""
+    place = None if hint is None else np.array(hint)
+    for item in known:
+        on_step(f"look for {item.name}")
+        poll()
+        if item.pose_world_mesh is not None:
+            matches = [locate(item, view)]
+        else:
+            matches = find_matches(item.solid, view, place if item.hint is None else item.hint)
+        for match in matches:
+            if match.confidence >= _REPORTED:
+                points = view.obstacles[match.explains(view.obstacles)]
+                residuals = encode_residuals(match)
+                search.hits.append(
+                    Detection(item.name, match.pose_world_mesh, {}, match.confidence, residuals, points[::_EVERY])
+                )
+        search.kinds.append(item.name)
 
 
 def check_kinds(kinds: Sequence[str], option: str) -> tuple[str, ...]:

@@ -20,7 +20,9 @@ from perception.solids.mesh import Solid
 from service.errors import RequestError
 from service.json_data import to_json_data
 from service.request.scene import KnownMeshRequest
+from service.request.shapes import ObjectRequest
 from service.scan.cloud import parse_numbers
+from service.scan.given_objects import is_object_text, make_object, parse_object_text
 from service.scan.meshes import FORMATS, read_solid, split_convex
 from service.scan.scene_file import Placing
 from service.trust.folders import UPLOADED
@@ -31,12 +33,13 @@ UPLOAD_NAME = "mesh"  # name of an uploaded mesh without a name
 _TAKEN = ("floor", "plane", "wall", "clutter", "unknown", "coacd", "stem")
 _OPTION = "--mesh"
 _SPANS = (1e-3, 100.0)
-_FORMS = "FILE, 'FILE near X Y Z', 'FILE near POSE' or 'FILE at POSE'"
+_FORMS = "FILE, 'FILE near X Y Z', 'FILE near POSE' or 'FILE at POSE', or TYPE NAME=NUMBER ... in place of FILE"
 _AFTER = {3: "X Y Z", 6: "X Y Z YAW PITCH ROLL", 7: "X Y Z QW QX QY QZ", 16: "16 numbers"}
 
 # By the scene file's rule (docs/scene-format.md) the name of a value that is not a length shows its unit.
 _RESIDUALS = {
     "seen_through": "seen_through_share",
+    "missing": "missing_share",
     "hidden": "hidden_share",
     "unexplained": "unexplained_ratio",
     "rival": "rival_ratio",
@@ -48,13 +51,14 @@ class MeshInput:
     """A mesh file, and the known or approximate pose of the mesh.
 
     Attributes:
-        file: STL, OBJ, PLY or URDF.
+        file: STL, OBJ, PLY, URDF or object file; the type of an object given by a line of text.
         scale: metres per unit of the file.
         pose_world_mesh: (4, 4) pose; None if the mesh is to be found.
         hint: (3,) point near the mesh if it has no pose [m].
         is_placed: whether the pose is exact; else the mesh is matched to the scan around it.
         name: name of its pieces; empty for the file's name.
         called: name of the file in messages; empty for its path.
+        given: the object's parameters, if they are not in a file.
     """
 
     file: Path
@@ -64,6 +68,7 @@ class MeshInput:
     is_placed: bool = False
     name: str = ""
     called: str = ""
+    given: ObjectRequest | None = None
 
     @property
     def file_text(self) -> str:
@@ -108,44 +113,57 @@ class PlacedMesh:
             "placing": self.placing,
             "confidence": round(self.match.confidence, 4),
             "pose_world_mesh": to_json_data(self.pose_world_mesh),
-            "residuals": {
-                _RESIDUALS.get(name, name): float(value)
-                for name, value in self.match.residuals.items()
-                if np.isfinite(value)
-            },
+            "residuals": encode_residuals(self.match),
             "pieces": [piece.name for piece in self.pieces],
         }
 
 
-def parse_mesh_option(text: str, scale: float = 1.0) -> MeshInput:
-    """Parse one ``--mesh``: a file, and its pose (``at``) or the position or pose to search around (``near``).
+def encode_residuals(match: MeshMatch) -> dict[str, float]:
+    """Return the residuals of a match by their names in files; those that are not finite are left out."""
+    return {_RESIDUALS.get(name, name): float(value) for name, value in match.residuals.items() if np.isfinite(value)}
+
+
+def parse_mesh_option(text: str, scale: float = 1.0, option: str = _OPTION) -> MeshInput:
+    """Parse one ``--mesh``: a file or an object's parameters, and its pose (``at``) or where to search (``near``).
 
     Raises:
-        RequestError: the file does not exist, or the text after its name is not a pose.
+        RequestError: the file does not exist, a parameter is wrong, or the text after it is not a pose.
     """
     file, how, words = Path(text), "", ""
     parts = re.fullmatch(r"(.+)\s+(at|near)(?:\s+(.*))?", text.strip(), re.DOTALL)
     if parts is not None and not os.path.isfile(file):
         file, how, words = Path(parts[1]), parts[2], parts[3] or ""
-    if not os.path.isfile(file):
-        how = "is a folder" if os.path.isdir(file) else "is not there"
-        raise RequestError(f"{_OPTION}: {file} {how}; expected {_FORMS}")
-    if file.suffix.lower() not in FORMATS:
-        known = ", ".join(FORMATS)
-        raise RequestError(f"{_OPTION}: {file}: format '{file.suffix}' is not read; expected {known}")
+    mesh = _choose_mesh(file, scale, option)
     if not how:
-        return MeshInput(file, scale)
-    values = parse_numbers(words, f"{_OPTION}: {file} {how}")
+        return mesh
+    values = parse_numbers(words, f"{option}: {file} {how}")
     if len(values) not in _AFTER:
         forms = ", ".join(f"'{form}'" for form in _AFTER.values())
-        raise RequestError(f"{_OPTION}: {file} {how}: expected {forms}, got '{words}'")
+        raise RequestError(f"{option}: {file} {how}: expected {forms}, got '{words}'")
     try:
         pose = rigid_pose((*values, 0.0, 0.0, 0.0) if len(values) == 3 else values)
     except PerceptionError as error:
-        raise RequestError(f"{_OPTION}: {file} {how}: {str(error).replace('transform', 'pose', 1)}") from None
+        raise RequestError(f"{option}: {file} {how}: {str(error).replace('transform', 'pose', 1)}") from None
     if how == "near" and len(values) == 3:
-        return MeshInput(file, scale, hint=pose[:3, 3])
-    return MeshInput(file, scale, pose, is_placed=how == "at")
+        return replace(mesh, hint=pose[:3, 3])
+    return replace(mesh, pose_world_mesh=pose, is_placed=how == "at")
+
+
+def _choose_mesh(file: Path, scale: float, option: str) -> MeshInput:
+    """Return the mesh of a file, or of an object's parameters that stand in its place."""
+    if is_object_text(str(file)) and not os.path.isfile(file):
+        try:
+            given = parse_object_text(str(file))
+        except RequestError as error:
+            raise RequestError([f"{option}: {problem}" for problem in error.problems]) from None
+        return MeshInput(Path(given.parts[0].type), scale, called=str(file), given=given)
+    if not os.path.isfile(file):
+        how = "is a folder" if os.path.isdir(file) else "is not there"
+        raise RequestError(f"{option}: {file} {how}; expected {_FORMS}")
+    if file.suffix.lower() not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise RequestError(f"{option}: {file}: format '{file.suffix}' is not read; expected {known}")
+    return MeshInput(file, scale)
 
 
 def mesh_from_request(request: KnownMeshRequest, file: Path) -> MeshInput:
@@ -160,7 +178,9 @@ def mesh_from_request(request: KnownMeshRequest, file: Path) -> MeshInput:
     return replace(mesh, pose_world_mesh=rigid_pose((*place, *(turn or (1.0, 0.0, 0.0, 0.0)))))
 
 
-def load_known_meshes(meshes: Sequence[MeshInput], taken: Collection[str] = ()) -> tuple[KnownMesh, ...]:
+def load_known_meshes(
+    meshes: Sequence[MeshInput], taken: Collection[str] = (), option: str = _OPTION
+) -> tuple[KnownMesh, ...]:
     """Read the meshes; each gets its requested or its file's name, numbered if that name is taken.
 
     Raises:
@@ -168,18 +188,24 @@ def load_known_meshes(meshes: Sequence[MeshInput], taken: Collection[str] = ()) 
     """
     names = _make_names([mesh.name or mesh.file.stem for mesh in meshes], {*_TAKEN, *taken})
     return tuple(
-        KnownMesh(name, _read_mesh(mesh), mesh.pose_world_mesh, mesh.hint, mesh.is_placed)
+        KnownMesh(name, _read_mesh(mesh, option), mesh.pose_world_mesh, mesh.hint, mesh.is_placed)
         for name, mesh in zip(names, meshes, strict=True)
     )
 
 
-def _read_mesh(mesh: MeshInput) -> Solid:
-    solid = read_solid(mesh.file, _OPTION, mesh.scale)
+def _read_mesh(mesh: MeshInput, option: str) -> Solid:
+    if mesh.given is None:
+        solid = read_solid(mesh.file, option, mesh.scale)
+    else:
+        try:
+            solid = make_object(mesh.given, mesh.file.name, mesh.scale)
+        except RequestError as error:
+            raise RequestError(f"{option}: {error}") from None
     vertices = np.concatenate([part.vertices for part in (*solid.closed, *solid.open)])
     span = float(np.ptp(vertices, axis=0).max())
     if not _SPANS[0] <= span <= _SPANS[1]:
         raise RequestError(
-            f"{_OPTION}: {mesh.file_text} spans {span:.3g} m at --mesh-scale {mesh.scale:g}; "
+            f"{option}: {mesh.file_text} spans {span:.3g} m at --mesh-scale {mesh.scale:g}; "
             f"expected {_SPANS[0]:g} to {_SPANS[1]:g} m"
         )
     return solid

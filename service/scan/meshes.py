@@ -11,19 +11,22 @@ from scipy.spatial import ConvexHull
 
 from costs.robot import RobotError, StillShape, read_object_shapes
 from service.errors import RequestError
+from service.request.shapes import OBJECT_SUFFIXES
+from service.scan.given_objects import read_object
 
 if TYPE_CHECKING:
     from perception.solids.mesh import Mesh, Solid
 
 URDF = ".urdf"
-FORMATS = (".stl", ".obj", ".ply", URDF)
+FORMATS = (".stl", ".obj", ".ply", URDF, *OBJECT_SUFFIXES)
 
 
 def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
     """Read a mesh file, in its own frame [m].
 
     Args:
-        path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero form one object.
+        path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero form one object, or an object
+            file with its parameters.
         field: field of the request that names the file.
         scale: metres per unit of the file.
 
@@ -39,11 +42,15 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
     if path.suffix.lower() not in FORMATS:
         raise RequestError(f"{field}: {path.name}: format '{path.suffix}' is not read; expected {', '.join(FORMATS)}")
     try:
+        if path.suffix.lower() in OBJECT_SUFFIXES:
+            return read_object(path, scale)
         if path.suffix.lower() != URDF:
             return make_solid(read_mesh(path, scale), path.name)
         return unite_solids(
             [make_solid(_read_shape(shape, scale), shape.where) for shape in read_object_shapes(path)], path.name
         )
+    except RequestError as error:
+        raise RequestError([f"{field}: {problem}" for problem in error.problems]) from None
     except (PerceptionError, RobotError) as error:
         raise RequestError(f"{field}: {error}") from None
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.simulate.mesh import Mesh, bent_bar, box, cylinder, hull, torus
 from perception.simulate.scenes.scene import (
     PlacedObjects,
     Recipe,
@@ -21,6 +20,7 @@ from perception.simulate.scenes.scene import (
     generator,
     pose_of,
 )
+from perception.solids.primitives import Mesh, bent_bar, box, cylinder, hull, torus
 
 
 @dataclass(frozen=True)

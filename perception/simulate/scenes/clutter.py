@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.simulate.mesh import box, cylinder, torus
 from perception.simulate.scenes.loose import bucket, can, cart, chair, cupboard, pot, radiator, shelf, table, tyre
 from perception.simulate.scenes.scene import (
     PlacedObjects,
@@ -23,6 +22,7 @@ from perception.simulate.scenes.scene import (
     upright_pipe,
     wall,
 )
+from perception.solids.primitives import box, cylinder, torus
 
 
 @dataclass(frozen=True)

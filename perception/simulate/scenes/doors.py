@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry, HandleKind
-from perception.simulate.mesh import Mesh, box, cylinder
 from perception.simulate.scenes.handles import (
     BAR_HALF_DEPTH,
     BAR_HALF_HEIGHT,
@@ -36,6 +35,7 @@ from perception.simulate.scenes.scene import (
     side_walls,
     things,
 )
+from perception.solids.primitives import Mesh, box, cylinder
 
 Furniture = Literal["lever", "knob", "bar", "pull", "plate", "none"]
 FarFurniture = Literal["lever", "knob", "pull", "plate", "none"]

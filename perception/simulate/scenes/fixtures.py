@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.simulate.mesh import bent_bar, box, cylinder, lathe, pipe
 from perception.simulate.scenes.scene import (
     PlacedObjects,
     Recipe,
@@ -23,6 +22,7 @@ from perception.simulate.scenes.scene import (
     wall,
 )
 from perception.simulate.scenes.valves import Vector, tilt_axis
+from perception.solids.primitives import bent_bar, box, cylinder, lathe, pipe
 
 _PIPE_WALL = 0.004
 _STRAIGHT = 0.15  # length from the mouth to the elbow [m]

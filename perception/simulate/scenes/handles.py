@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from perception.simulate.mesh import Mesh, bent_bar, box, cylinder, lathe
+from perception.solids.primitives import Mesh, bent_bar, box, cylinder, lathe
 
 STANDOFFS: Mapping[str, float] = {"lever": 0.052, "knob": 0.048, "bar": 0.055, "pull": 0.06}
 """Usual distance of a handle's centre line, or a knob's middle, from the face [m]."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.simulate.mesh import Mesh, bent_bar, box, capsule, cylinder, lathe, torus
 from perception.simulate.scenes.scene import PlacedObjects, Truth, pose_of, things
+from perception.solids.primitives import Mesh, bent_bar, box, capsule, cylinder, lathe, torus
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.cloud import Cloud
-from perception.simulate.mesh import Mesh, box, cylinder
 from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState, scan
+from perception.solids.primitives import Mesh, box, cylinder
 
 VARIANTS: Mapping[str, Sensor] = {
     "dense": Scanner(),

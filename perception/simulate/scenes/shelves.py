@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.simulate.mesh import bent_bar, box, cylinder
 from perception.simulate.scenes.loose import Drill, bucket, can, pot, shelf, table
 from perception.simulate.scenes.scene import (
     PlacedObjects,
@@ -19,6 +18,7 @@ from perception.simulate.scenes.scene import (
     things,
     wall,
 )
+from perception.solids.primitives import bent_bar, box, cylinder
 
 
 def tools(x: float, y: float, z: float) -> PlacedObjects:

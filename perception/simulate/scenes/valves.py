@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.valve.ring import wheel_basis
-from perception.simulate.mesh import Mesh, bent_bar, cylinder, lathe
 from perception.simulate.scenes.scene import (
     PlacedObjects,
     Recipe,
@@ -24,6 +23,7 @@ from perception.simulate.scenes.scene import (
     wall,
 )
 from perception.simulate.valve_scene import Valve
+from perception.solids.primitives import Mesh, bent_bar, cylinder, lathe
 
 Vector = tuple[float, float, float]
 # y, z, outer radius [m] and number of spokes of each wheel of a manifold.

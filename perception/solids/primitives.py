@@ -1,4 +1,4 @@
-"""Triangle meshes of simple solids for the simulator; winding is arbitrary."""
+"""Triangle meshes of simple solids; winding is arbitrary."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from perception.solids.mesh import Mesh as Mesh  # re-exported for sensors and scenes
+from perception.solids.mesh import Mesh as Mesh  # re-exported
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
