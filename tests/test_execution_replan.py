@@ -9,7 +9,9 @@ import pinocchio as pin
 import pytest
 from small_plan import small_plan
 
+from costs.scene import ConvexPiece
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
+from perception.detect.valve.bodies import ValveDetection
 from service import parse_request, plan, write_result
 from service.demands.door_demand import SeenDoor
 from service.errors import ExecutionError, RequestError, ResultError
@@ -107,6 +109,20 @@ def test_a_valve_given_by_its_circle_is_displaced():
     np.testing.assert_allclose(moved.task.valve.centre, [0.71, 0.1, 1.08])
     assert around is None
     assert replace(moved, task=request.task) == request
+
+
+def test_a_valve_of_the_scan_is_displaced_with_its_stem():
+    centre, axis = np.array([0.7, 0.0, 1.1]), np.array([-1.0, 0.0, 0.0])
+    valve = ValveDetection(centre, axis, 0.2, 0.21, 0.01, 0.01, (0.0,), 0.03, (0.0, 0.0), 0.9, 0.001, 500)
+    corners = centre + np.array([[0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [0.1, 0.02, 0.0], [0.1, 0.0, 0.02]])
+    wall, stem = ConvexPiece("wall", corners + 0.3, "wall"), ConvexPiece("stem", corners, "stem")
+    request = parse_request({"robot": {"name": "atlas"}, "scene": {"cloud": "scan.pcd"}, "task": {"valve": {}}})
+    offset = np.array([0.0, 0.01, -0.005])
+    same, moved = adjust_request(request, Surroundings((wall, stem), (valve,)), "valve", offset)
+    assert same == request
+    np.testing.assert_allclose(moved.valves[0].centre, centre + offset)
+    assert moved.pieces[0] == wall
+    np.testing.assert_allclose(moved.pieces[1].vertices, corners + offset)
 
 
 def test_a_given_door_is_displaced_with_its_handle():

@@ -15,6 +15,7 @@ from service.request.schema import PlanRequest, TaskRequest
 from service.setup.world import Surroundings
 
 VALVE, DOOR = "valve", "door"
+STEM = "stem"  # kind of the piece behind a wheel, which goes with it
 LARGEST_M = 0.3  # of a displacement
 
 
@@ -76,7 +77,10 @@ def adjust_request(
     if around is None or not around.valves:
         raise RequestError("adjust: the earlier plan recorded no valve")
     first = replace(around.valves[0], centre=around.valves[0].centre + offset)
-    return request, replace(around, valves=(first, *around.valves[1:]))
+    pieces = tuple(
+        replace(piece, vertices=piece.vertices + offset) if piece.kind == STEM else piece for piece in around.pieces
+    )
+    return request, replace(around, pieces=pieces, valves=(first, *around.valves[1:]))
 
 
 def _move_door(
