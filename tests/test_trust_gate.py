@@ -18,6 +18,7 @@ from small_service import end_of, serving
 import service.trust.rpc
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
 from service.trust import AccessInterceptor, ClientLimiter, ClientLimits, Role, Tokens, make_token
+from service.trust.rpc import Refusal
 
 
 @pytest.fixture
@@ -34,7 +35,7 @@ def _with(token: str) -> tuple[tuple[str, str], ...]:
 
 
 def _run(coroutine: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(coroutine, 20))
+    asyncio.run(asyncio.wait_for(coroutine, 120))
 
 
 def test_calls_of_every_kind_come_through_and_know_their_caller(known: tuple[dict[Role, str], Tokens]) -> None:
@@ -177,17 +178,34 @@ def test_tokens_cannot_be_tried_at_leisure(known: tuple[dict[Role, str], Tokens]
     _run(calls())
 
 
+class _TwoOpenCalls(ClientLimiter):
+    """Lets two calls be open, and says when both are."""
+
+    def __init__(self) -> None:
+        super().__init__(ClientLimits(max_open_calls=2))
+        self.both_open, self.n_entered = asyncio.Event(), 0
+
+    def enter(self, key: str) -> Refusal | None:
+        refusal = super().enter(key)
+        self.n_entered += refusal is None
+        if self.n_entered == 2:
+            self.both_open.set()
+        return refusal
+
+
 def test_open_calls_are_limited_and_their_places_are_given_back(known: tuple[dict[Role, str], Tokens]) -> None:
     async def calls() -> None:
-        gate = AccessInterceptor(known[1], ClientLimiter(ClientLimits(max_open_calls=2)))
+        limiter = _TwoOpenCalls()
+        gate = AccessInterceptor(known[1], limiter)
         async with serving([gate]) as (address, _), grpc.aio.insecure_channel(address) as channel:
             stub, plan = planner_pb2_grpc.PlannerServiceStub(channel), _with(known[0][Role.PLAN])
             open_calls = [stub.UploadCloud(metadata=plan) for _ in range(2)]
             for call in open_calls:
                 await call.write(planner_pb2.UploadCloudRequest(chunk=b"x"))
-            code, words = await until_other_than(grpc.StatusCode.OK, stub, plan)  # once both have arrived
-            assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
-            assert words == "2 calls of this client are open; try again when one has ended"
+            await limiter.both_open.wait()
+            third = stub.ListRobots(planner_pb2.ListRobotsRequest(), metadata=plan)
+            words = "2 calls of this client are open; try again when one has ended"
+            assert await end_of(third) == (grpc.StatusCode.RESOURCE_EXHAUSTED, words)
             open_calls[0].cancel()
             await open_calls[1].done_writing()
             assert (await open_calls[1]).size_bytes == 1
