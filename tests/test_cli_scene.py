@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
+from browser import Browser, open_browser
 from cloud_files import write_bag
 from little_scan import crate_scan, little_scan, scopt
 
@@ -389,13 +389,8 @@ def test_help_imports_no_library_of_the_planner() -> None:
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    program = find_chromium()
-    if program is None:
-        pytest.skip("no chromium on this machine")
-    browser = Browser(program, tmp_path_factory.mktemp("profile"))
-    browser.size(1000, 700)
-    yield browser
-    browser.close()
+    with open_browser(tmp_path_factory.mktemp("profile"), (1000, 700)) as browser:
+        yield browser
 
 
 def test_the_page_draws_everything_and_talks_to_nobody(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
+from browser import Browser, open_browser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
@@ -138,13 +138,8 @@ def test_outside_the_region_there_are_no_forces() -> None:
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    program = find_chromium()
-    if program is None:
-        pytest.skip("no chromium on this machine")
-    browser = Browser(program, tmp_path_factory.mktemp("profile"))
-    browser.size(900, 640)
-    yield browser
-    browser.close()
+    with open_browser(tmp_path_factory.mktemp("profile"), (900, 640)) as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
+from browser import open_browser
 from told_results import told_results
 
 from service.result.output import write_result
@@ -25,12 +25,8 @@ def results(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    program = find_chromium()
-    if program is None:
-        pytest.skip("no chromium on this machine")
-    browser = Browser(program, tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
+    with open_browser(tmp_path_factory.mktemp("profile")) as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")

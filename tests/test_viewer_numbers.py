@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from browser import Browser, find_chromium
+from browser import Browser, open_browser
 from told_results import told_results
 from viewer_results import make_result
 
@@ -62,17 +62,10 @@ class Page:
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory) -> Mapping[str, Page]:
     """Pages of all results, read by one browser in a small window."""
-    program = find_chromium()
-    if program is None:
-        pytest.skip("no chromium on this machine")
-    folder = tmp_path_factory.mktemp("told")
-    results = {name: make() for name, make in told_results(folder).items()}
-    browser = Browser(program, tmp_path_factory.mktemp("profile"))
-    try:
-        browser.size(240, 160)
+    with open_browser(tmp_path_factory.mktemp("profile"), (240, 160)) as browser:
+        folder = tmp_path_factory.mktemp("told")
+        results = {name: make() for name, make in told_results(folder).items()}
         return {name: Page(result, _read(browser, result, folder / "out")) for name, result in results.items()}
-    finally:
-        browser.close()
 
 
 def _read(browser: Browser, result: PlanResult, folder: Path) -> dict:
@@ -166,14 +159,9 @@ def test_what_was_not_checked_is_said_beside_certified_and_nowhere_called_checke
     result, placements = make_result()
     result["coverage"] = {"not_checked": ["torques (no link names a mass)"], "left_out": []}
     write_viewer(result, placements, tmp_path / "covered.html")
-    program = find_chromium()
-    assert program is not None
-    browser = Browser(program, tmp_path / "profile")
-    try:
+    with open_browser(tmp_path / "profile") as browser:
         browser.open((tmp_path / "covered.html").as_uri())
         says = browser.run("document.querySelector('.says').textContent")
-    finally:
-        browser.close()
     assert says.endswith("; not checked: torques (no link names a mass)")
     assert "torques checked" not in says
     assert "torques" not in says.split("; not checked")[0]

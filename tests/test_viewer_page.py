@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
+from browser import open_browser
 from viewer_results import TURN, VALVE, make_result
 
 from service.viewer import LinkPlacements, write_viewer
@@ -34,13 +34,8 @@ def test_the_bundle_carries_the_licence_of_three():
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    program = find_chromium()
-    if program is None:
-        pytest.skip("no chromium on this machine")
-    browser = Browser(program, tmp_path_factory.mktemp("profile"))
-    browser.size(1000, 700)
-    yield browser
-    browser.close()
+    with open_browser(tmp_path_factory.mktemp("profile"), (1000, 700)) as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")

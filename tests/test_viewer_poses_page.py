@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from browser import Browser, find_chromium
+from browser import open_browser
 from posed_results import COSTS, PATH, SENTENCES, make_posed_result, place_graph
 
 from service.viewer import LinkPlacements, write_viewer
@@ -27,13 +27,8 @@ LAYER = """[...document.querySelectorAll('.layer')].find((e) => e.innerText.incl
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    program = find_chromium()
-    if program is None:
-        pytest.skip("no chromium on this machine")
-    browser = Browser(program, tmp_path_factory.mktemp("profile"))
-    browser.size(840, 400)
-    yield browser
-    browser.close()
+    with open_browser(tmp_path_factory.mktemp("profile"), (840, 400)) as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -79,23 +79,9 @@ def plan_rest(
     problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
         raise RequestError(problems)
-    refusal: tuple[str, ...] = ()
-    if resume.nominal is not None and resume.nominal.has_curve:
-        rest = resume_phases(specs, demand.phase, start, Beginning.AT_ONCE)
-        try:
-            kept, off = keep_motion(PhaseSequence(solver, demand.mechanism, rest), resume.nominal)
-            if resume.is_compliant and off.is_compliance:
-                note = f"the earlier motion is kept: {off}"
-                yield replace(kept, measure=_join_figures(measure, off.figures), notes=(note,))
-                refusal = ("the earlier motion is not kept: its certificate fails where only the arm yields",)
-            else:
-                most = f"{1e3 * MOST_M:.0f} mm and {np.rad2deg(MOST_RAD):.0f} deg"
-                refusal = (f"the earlier motion is not kept: {off}; expected at most {most}",)
-                refusal = refusal if resume.is_compliant else ()
-                note = f"the earlier motion with an arm elsewhere: {off}"
-                yield replace(kept, measure=measure, notes=(*refusal, note))
-        except CannotFollowError as error:
-            refusal = (f"the earlier motion is not kept: {error}",) if resume.is_compliant else ()
+    kept, refusal = _keep_earlier(solver, demand, specs, measure, resume)
+    if kept is not None:
+        yield kept
     best: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
     for beginning in beginnings:
         is_reach = beginning is Beginning.REACH
@@ -111,6 +97,34 @@ def plan_rest(
         if len(planned[0]) >= len(best[0]):
             best = planned
     yield TaskPlan(body, best[0], stuck=best[1], measure=measure, notes=refusal)
+
+
+def _keep_earlier(
+    solver: PhaseSolver,
+    demand: ResumedDemand,
+    specs: Sequence[PhaseSpec],
+    measure: Callable[[Motion], Mapping[str, float]],
+    resume: ResumeRequest,
+) -> tuple[TaskPlan | None, tuple[str, ...]]:
+    """Return the earlier motion with the arm displaced that holds, or None; and what a plan made anew has to say of it.
+
+    Without ``resume.is_compliant`` the arm may be anywhere, and a new plan says nothing of it.
+    """
+    if resume.nominal is None or not resume.nominal.has_curve:
+        return None, ()
+    rest = resume_phases(specs, demand.phase, demand.mechanism.start, Beginning.AT_ONCE)
+    try:
+        kept, off = keep_motion(PhaseSequence(solver, demand.mechanism, rest), resume.nominal)
+    except CannotFollowError as error:
+        return None, (f"the earlier motion is not kept: {error}",) if resume.is_compliant else ()
+    if resume.is_compliant and off.is_compliance:
+        note = f"the earlier motion is kept: {off}"
+        refusal = "the earlier motion is not kept: its certificate fails where only the arm yields"
+        return replace(kept, measure=_join_figures(measure, off.figures), notes=(note,)), (refusal,)
+    most = f"{1e3 * MOST_M:.0f} mm and {np.rad2deg(MOST_RAD):.0f} deg"
+    refusals = (f"the earlier motion is not kept: {off}; expected at most {most}",) if resume.is_compliant else ()
+    note = f"the earlier motion with an arm elsewhere: {off}"
+    return replace(kept, measure=measure, notes=(*refusals, note)), refusals
 
 
 def _join_figures(

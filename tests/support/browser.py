@@ -14,10 +14,12 @@ import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -163,3 +165,18 @@ class Browser:
         except subprocess.TimeoutExpired:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
+
+
+@contextlib.contextmanager
+def open_browser(profile: Path, size: tuple[int, int] | None = None) -> Iterator[Browser]:
+    """A browser with a window of a size, closed in the end; the test is skipped where there is none."""
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no chromium on this machine")
+    browser = Browser(program, profile)
+    try:
+        if size is not None:
+            browser.size(*size)
+        yield browser
+    finally:
+        browser.close()
