@@ -16,13 +16,14 @@ from jaxtyping import Float, Int
 from costs.curve import Curve, TimeLaw
 from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel
-from costs.terms import AxisDirection, FramePose
+from costs.terms import FramePose
 from service.body.holds import POSITION, Hold, linearize_holds
 from service.body.task_plan import KeptCurve, TaskPlan
-from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
+from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.request.resume import NominalRequest
 from service.tasks.handling import list_arm_joints
-from service.tasks.sequence import PhaseSequence, place_tool, slide_tool
+from service.tasks.held_tool import aim_tool, make_hold, slide_tool
+from service.tasks.sequence import PhaseSequence
 
 MOST_M, MOST_RAD = 0.015, np.deg2rad(5.0)  # by which a hand yields [m, rad]
 SAME_STATE = 2e-5  # of the robot where the rest begins: the earlier motion is written with five digits [rad, m]
@@ -187,14 +188,13 @@ def _yield_arm(
     shifted = poses.copy()
     shifted[:, :3, :3] = np.eye(3)
     shifted[:, :3, 3] += 0.0 if off_m is None else off_m
-    at_place: Hold = lambda waypoints: place_tool(robot, hand, waypoints, hand.place[None])  # noqa: E731
     beside: Hold = lambda waypoints: FramePose(robot, hand.tool, waypoints, shifted[waypoints], POSITION)  # noqa: E731
-    axis: Hold = lambda waypoints: AxisDirection(robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)  # noqa: E731
+    axis: Hold = lambda waypoints: aim_tool(robot, hand, waypoints)  # noqa: E731
     kept: Hold = lambda waypoints: FramePose(robot, hand.tool, waypoints, poses[waypoints], (True,) * 6)  # noqa: E731
     along: Hold = lambda waypoints: slide_tool(robot, hand, waypoints, hand.place[None])  # noqa: E731
     slide = None if off_m is not None else hand.slide
     room = 0.0 if slide is None else float(np.linalg.norm(slide)) - SLIDE_RESERVE
-    holds = [at_place if off_m is None else beside, *([] if slide is None else [along]), axis, kept]
+    holds = [make_hold(robot, hand) if off_m is None else beside, *([] if slide is None else [along]), axis, kept]
     lean = 0.5 * (hand.aim_rad + hand.tilt_rad)
     x, limits = np.array(q), _find_limits(robot, q, columns)
     for step in range(STEPS):

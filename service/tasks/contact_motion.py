@@ -32,7 +32,7 @@ from service.demands.contacts.stances import (
     list_contact_phases,
 )
 from service.tasks.known_motion import KnownMotion, lead_way
-from service.tasks.sequence import shrink
+from service.tasks.phase_compiler import shrink
 from service.verify.forces.loaded_balance import find_normals
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20

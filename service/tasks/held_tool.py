@@ -1,0 +1,138 @@
+"""A tool that is held at a place or led along a line: its residuals, and configurations that follow it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from costs.kinematics import locate_frame
+from costs.robot import RobotModel
+from costs.state import MotionState
+from costs.terms import AxisDirection, FramePose
+from scopt import Residual
+from service.body.holds import Hold
+from service.body.inverse_kinematics import solve_holds
+from service.body.whole_body import WholeBody
+from service.demands.phase_spec import AXIS, HandMotion, find_rotation_onto
+
+FOLLOW_STEPS = 12  # of Newton's method from one waypoint to the next
+FOLLOWED = 1e-3  # largest residual of a waypoint that follows the tool [m, rad]
+
+
+def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
+    """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
+    return lambda waypoints: place_tool(robot, hand, waypoints, hand.place[None])
+
+
+def place_tool(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> Residual[MotionState]:
+    """Return a tool's distance from its places, but for its slide; of a rigid hand also its turn about its axis."""
+    if hand.rotation is not None:
+        return _rigid_residual(robot, hand, waypoints, places)
+    return _place_residual(robot, hand, waypoints, places, is_along=False)
+
+
+def slide_tool(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> Residual[MotionState]:
+    """Return how far a tool is along its slide from its places [m]."""
+    return _place_residual(robot, hand, waypoints, places, is_along=True)
+
+
+def _rigid_residual(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> FramePose:
+    """Return the tool's distance from its places, and its turn about its axis."""
+    targets = np.tile(np.eye(4), (len(places), 1, 1))
+    targets[:, :3, :3], targets[:, :3, 3] = hand.rotation, places
+    axes = (True, True, True, False, False, True)
+    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
+
+
+def _place_residual(
+    robot: RobotModel,
+    hand: HandMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+    *,
+    is_along: bool,
+) -> FramePose:
+    """Return the tool's distance from its places: along its slide, or across it (in all directions without one)."""
+    targets = np.tile(np.eye(4), (len(places), 1, 1))
+    targets[:, :3, 3] = places
+    axes = (True, True, True, False, False, False)
+    if hand.slide is not None:
+        direction = hand.slide / np.linalg.norm(hand.slide)
+        targets[:, :3, :3] = find_rotation_onto(AXIS, direction)
+        axes = (not is_along, not is_along, is_along, False, False, False)
+    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
+
+
+def aim_tool(robot: RobotModel, hand: HandMotion, waypoints: Int[np.ndarray, "S"]) -> AxisDirection:
+    """Return how far a tool's axis leans from the direction that it should have."""
+    return AxisDirection(robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)
+
+
+def follow_tool(
+    body: WholeBody,
+    hand: HandMotion,
+    guess: Float[np.ndarray, "T n"],
+    prescribed: Bool[np.ndarray, "n"],
+    *,
+    is_backwards: bool = False,
+) -> Float[np.ndarray, "T n"] | None:
+    """Return a path on which the tool is where it should be, one waypoint after the other; None where it cannot be.
+
+    Each waypoint continues the two before it and is then brought to its place, with the planted links at theirs and the
+    joints within their limits.  Nothing else is kept: obstacles and balance are left to the optimiser.
+
+    Args:
+        body: the robot, with the mechanism that the tool may move with.
+        hand: where the tool should be.
+        guess: the path begins at its first waypoint and steps as it does while there is nothing to continue.
+        prescribed: coordinates that are as in the guess at every waypoint.
+        is_backwards: whether the path begins at the guess' last waypoint instead.
+    """
+    path, count = guess.copy(), len(guess)
+    places = hand.places(count)
+    order = range(count - 1, -1, -1) if is_backwards else range(count)
+    for number in range(1, count):
+        at, before = order[number], order[number - 1]
+        step = path[before] - path[order[number - 2]] if number > 1 else guess[at] - guess[before]
+        start = np.where(prescribed, guess[at], path[before] + step)
+        holds = (*body.holds(), *_hold_along(body.robot, hand, places[[at]]))
+        found, error = solve_holds(body, start[None], holds, prescribed, FOLLOW_STEPS)
+        if error[0] > FOLLOWED:
+            return None
+        path[at] = found[0]
+    return path
+
+
+def _hold_along(robot: RobotModel, hand: HandMotion, place: Float[np.ndarray, "1 3"]) -> tuple[Hold, Hold]:
+    """Return the holds of a tool at one place and of its axis."""
+    return (lambda waypoints: place_tool(robot, hand, waypoints, place)), lambda waypoints: aim_tool(
+        robot, hand, waypoints
+    )
+
+
+def find_turn_joint(body: WholeBody, tool: str) -> tuple[int, float]:
+    """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
+    robot = body.robot
+    joint, pose_joint_tool = locate_frame(robot, tool)
+    column = int(robot.model.joints[joint].idx_vExtended)
+    kinematics = body.engine(np.zeros((1, robot.n)))
+    turns = kinematics.jacobian[0, 3:, column]
+    axis = kinematics.rotation[0, joint] @ pose_joint_tool[:3, :3] @ AXIS
+    return column, float(np.sign(turns @ axis))
