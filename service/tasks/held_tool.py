@@ -18,6 +18,7 @@ from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, find_rotation_onto
 
 FOLLOW_STEPS = 12  # of Newton's method from one waypoint to the next
+NEAR = 0.01  # largest residual of a configuration that the optimiser had better begin with than the guess [m, rad]
 FOLLOWED = 1e-3  # largest residual of a waypoint that follows the tool [m, rad]
 
 
@@ -85,6 +86,24 @@ def aim_tool(robot: RobotModel, hand: HandMotion, waypoints: Int[np.ndarray, "S"
     return AxisDirection(robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)
 
 
+def bring_tool(
+    body: WholeBody, hand: HandMotion, guesses: Float[np.ndarray, "B n"], prescribed: Bool[np.ndarray, "n"]
+) -> Float[np.ndarray, "B n"]:
+    """Return the guesses with the tool where its motion begins, as far as they come near it; the others as they were.
+
+    Planted links are at their places and joints within their limits; obstacles and balance are left to the optimiser.
+
+    Args:
+        body: the robot, with the mechanism that the tool may move with.
+        hand: where the tool should be.
+        guesses: configurations.
+        prescribed: coordinates that keep their values.
+    """
+    holds = (*body.holds(), *_hold_at(body.robot, hand, hand.places(2)[:1]))
+    found, error = solve_holds(body, guesses, holds, prescribed)
+    return np.where((error < NEAR)[:, None], found, guesses)
+
+
 def follow_tool(
     body: WholeBody,
     hand: HandMotion,
@@ -112,7 +131,7 @@ def follow_tool(
         at, before = order[number], order[number - 1]
         step = path[before] - path[order[number - 2]] if number > 1 else guess[at] - guess[before]
         start = np.where(prescribed, guess[at], path[before] + step)
-        holds = (*body.holds(), *_hold_along(body.robot, hand, places[[at]]))
+        holds = (*body.holds(), *_hold_at(body.robot, hand, places[[at]]))
         found, error = solve_holds(body, start[None], holds, prescribed, FOLLOW_STEPS)
         if error[0] > FOLLOWED:
             return None
@@ -120,7 +139,7 @@ def follow_tool(
     return path
 
 
-def _hold_along(robot: RobotModel, hand: HandMotion, place: Float[np.ndarray, "1 3"]) -> tuple[Hold, Hold]:
+def _hold_at(robot: RobotModel, hand: HandMotion, place: Float[np.ndarray, "1 3"]) -> tuple[Hold, Hold]:
     """Return the holds of a tool at one place and of its axis."""
     return (lambda waypoints: place_tool(robot, hand, waypoints, place)), lambda waypoints: aim_tool(
         robot, hand, waypoints

@@ -31,7 +31,7 @@ from service.body.phases import (
 )
 from service.body.task_plan import PlannedPhase, Solved
 from service.demands.phase_spec import DEPTH_RESERVE, PhaseSpec
-from service.tasks.held_tool import aim_tool, follow_tool, make_hold, place_tool, slide_tool
+from service.tasks.held_tool import aim_tool, bring_tool, follow_tool, make_hold, place_tool, slide_tool
 from service.verify import HandLoad
 
 RESTORABLE = 20.0  # largest violation, relative to its tolerance, of a phase that is then solved for constraints alone
@@ -154,7 +154,20 @@ class PhaseCompiler:
                 return guess
             guesses = [guess.x[0], *guesses]
         touches = shrink(spec.touches, spec.depth_reserve_m)
+        guesses = self._bring_hand(spec, guesses, fixed)
         return self.solver.solve_pose(step, guesses, constraints, touches, fixed, regions, effort)
+
+    def _bring_hand(
+        self, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]], fixed: Mapping[int, float]
+    ) -> Sequence[Float[np.ndarray, "n"]]:
+        """Return guesses for the first pose with the hand at its place, as far as they come near it."""
+        if spec.hand is None:
+            return guesses
+        prescribed = np.zeros(self.robot.n, dtype=bool)
+        prescribed[list(fixed)] = True
+        placed = np.array(guesses)
+        placed[:, list(fixed)] = list(fixed.values())
+        return list(bring_tool(self.solver.body, spec.hand, placed, prescribed))
 
     def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
