@@ -193,7 +193,16 @@ def test_a_piece_in_the_way_of_the_leaf_is_named_with_the_angle() -> None:
     assert result.verdict is Verdict.INFEASIBLE
     # Its corner (1.1, 0.0) lies in the plane of the leaf's back at atan2(0.4, 0.45) = 41.6 deg.
     assert result.explanation[0] == "the leaf meets cabinet at 42 deg of the 80 asked for"
-    assert result.motion is None
+    assert result.motion is not None
+    assert result.certificate is not None and result.certificate.status is Status.CERTIFIED
+    assert 35.0 < result.figures["opening_deg"] < 41.6
+
+
+def test_the_time_limit_of_a_best_attempt_leaves_the_verdict() -> None:
+    request = parse_request(door_request(open_deg=80.0, obstacles=(CABINET,)))
+    result = plan(replace(request, options=replace(request.options, time_limit_s=0.25)))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert result.explanation[0] == "the leaf meets cabinet at 42 deg of the 80 asked for"
 
 
 def test_a_leaf_that_stops_before_the_piece_is_planned() -> None:
@@ -206,3 +215,5 @@ def test_a_leaf_that_opens_over_a_foot_is_not_planned() -> None:
     assert result.verdict is Verdict.NOT_FOUND
     assert result.explanation[0].startswith("the leaf meets l_foot at 3")
     assert "stand farther away" in result.explanation[0]
+    met_at = float(result.explanation[0].split(" at ")[1].split(" deg")[0])
+    assert 0.0 < met_at - result.figures["opening_deg"] < 10.0

@@ -8,6 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from costs.allowance import BodyRef
+from costs.static_region import StaticRegionError
+from costs.stopping import Stopped
+from service.body.monitor import Interrupted
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
@@ -18,13 +21,14 @@ from service.demands.phase_spec import REACH_WAYPOINTS
 from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.door import DoorOpening
-from service.tasks.door_sweep import find_blocked_opening
+from service.tasks.door import LEAST_FIRST, DoorOpening
+from service.tasks.door_sweep import BlockedOpening, find_blocked_opening
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 
 STANCE_ADVICE = "the door may open farther from elsewhere: `scopt stance REQUEST` searches for a place to stand"
+BEFORE_OBSTACLE = np.deg2rad(3.0)  # the leaf stops in a best attempt, of the angle at which it meets something
 HANDLE_MARGIN = 4e-3  # between a hand and the door that it holds [m]
 
 
@@ -71,12 +75,40 @@ def _begin(
     blocked = find_blocked_opening(solver.body, door, target)
     obstacles = [met for met in blocked if met.stands_still]
     if obstacles:
-        is_piece = any(met.is_piece for met in obstacles)
-        sentences = tuple(met.describe(target) for met in obstacles)
-        advice = () if is_piece else (STANCE_ADVICE,)
-        return [TaskPlan(solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)]
+        least = door.geometry.ajar + LEAST_FIRST
+        free = max(min(met.angle for met in obstacles) - BEFORE_OBSTACLE, least)
+        opening = DoorOpening(solver, door, hands, free, request.stays, waypoints)
+        return _open_up_to(opening, obstacles, target, note)
     notes = (note, *(met.describe(target) for met in blocked))
     return DoorOpening(solver, door, hands, target, request.stays, waypoints), notes
+
+
+def _open_up_to(
+    opening: DoorOpening, obstacles: Sequence[BlockedOpening], target: float, note: str
+) -> Iterator[TaskPlan]:
+    """Yield what is known without a search, then the best attempt: it goes as far as the leaf is free.
+
+    Args:
+        opening: to where the leaf is free.
+        obstacles: what the leaf meets.
+        target: requested angle [rad].
+        note: about the door.
+    """
+    is_piece = any(met.is_piece for met in obstacles)
+    sentences = tuple(met.describe(target) for met in obstacles)
+    advice = () if is_piece else (STANCE_ADVICE,)
+    known = TaskPlan(opening.solver.body, (), (*sentences, *advice), notes=(note,), is_impossible=is_piece)
+    yield known
+    if min(met.angle for met in obstacles) <= opening.target:
+        return
+    try:
+        attempt = opening.plan()
+    except StaticRegionError:
+        return
+    except (Interrupted, Stopped):
+        opening.solver.monitor.check_stop()
+        return  # the verdict needs no more time
+    yield replace(known, body=attempt.body, phases=attempt.phases, measure=attempt.measure, notes=(note, *attempt.notes))
 
 
 def find_shut(request: DoorRequest, door: Door) -> str | None:
