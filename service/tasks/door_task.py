@@ -108,7 +108,9 @@ def _open_up_to(
     except (Interrupted, Stopped):
         opening.solver.monitor.check_stop()
         return  # the verdict needs no more time
-    yield replace(known, body=attempt.body, phases=attempt.phases, measure=attempt.measure, notes=(note, *attempt.notes))
+    yield replace(
+        known, body=attempt.body, phases=attempt.phases, measure=attempt.measure, notes=(note, *attempt.notes)
+    )
 
 
 def find_shut(request: DoorRequest, door: Door) -> str | None:

@@ -1,0 +1,121 @@
+"""A tool brought to its place, and led along with a mechanism, before anything is optimised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from given_doors import door_request
+
+from costs.kinematics import locate_links
+from service.body.monitor import Monitor
+from service.demands.door import DoorChoice, make_door_phases
+from service.demands.door_demand import make_door, measure_peg, read_given_door
+from service.demands.hands import list_robot_hands
+from service.demands.phase_spec import PhaseSpec
+from service.planner import _make_solver
+from service.request.file import parse_request
+from service.setup.prepare import prepare
+from service.tasks.held_tool import bring_tool, follow_tool
+from service.tasks.phase_compiler import PhaseCompiler
+from service.tasks.sequence import add_mechanism
+
+ANGLE = np.deg2rad(30.0)
+
+
+@pytest.fixture(scope="module")
+def held() -> tuple[PhaseCompiler, PhaseSpec]:
+    """A robot at a pulled door, and the phase in which its peg opens the leaf by 30 degrees."""
+    request = parse_request(door_request("pull", "pull", x=0.75))
+    setup = prepare(request)
+    assert request.task is not None
+    assert request.task.door is not None
+    door = make_door(request.task.door, read_given_door(request.task.door, setup.start[:3]))
+    solver = add_mechanism(_make_solver(setup, Monitor(60.0), None), door.mechanism)
+    hand = next(hand for hand in list_robot_hands(solver.body.robot) if hand.side == "left")
+    choice = DoorChoice(hand, measure_peg(solver.body.robot, hand), 0.0, 1.0, ANGLE)
+    spec = next(spec for spec in make_door_phases(door, choice) if spec.is_anchor)
+    return PhaseCompiler(solver, door.mechanism, {}), spec
+
+
+def _list_prescribed(compiler: PhaseCompiler) -> np.ndarray:
+    prescribed = np.zeros(compiler.robot.n, dtype=bool)
+    prescribed[compiler.columns] = True
+    return prescribed
+
+
+def _measure_off(compiler: PhaseCompiler, spec: PhaseSpec, q: np.ndarray) -> tuple[float, float]:
+    """Return how far a tool is from its place [m], and its axis from its direction [rad]."""
+    hand = spec.hand
+    assert hand is not None
+    assert hand.link is not None
+    assert hand.turns_with is not None
+    poses = locate_links(compiler.solver.body.engine, q, [hand.tool, hand.link, hand.turns_with])
+    place = poses[hand.link] @ [*hand.place, 1.0]
+    axis = poses[hand.turns_with][:3, :3] @ hand.axis
+    off = poses[hand.tool][:3, 3] - place[:3]
+    if hand.slide is not None:
+        along = poses[hand.link][:3, :3] @ hand.slide / np.linalg.norm(hand.slide)
+        off = off - (off @ along) * along
+    return float(np.linalg.norm(off)), float(np.arccos(np.clip(poses[hand.tool][:3, 2] @ axis, -1.0, 1.0)))
+
+
+def test_a_tool_is_brought_to_its_place_from_far_away(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+    compiler, spec = held
+    body = compiler.solver.body
+    assert spec.hand is not None
+    guess = np.concatenate([body.nominal[: compiler.columns[0]], spec.first])
+    before, _ = _measure_off(compiler, spec, guess)
+    (found,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    off, lean = _measure_off(compiler, spec, found)
+    assert before > 0.15
+    assert off < 2e-4
+    assert lean < 2e-4
+    for foot in body.planted:
+        poses = [locate_links(body.engine, q, [foot.link])[foot.link] for q in (guess, found)]
+        np.testing.assert_allclose(poses[0], poses[1], atol=2e-4)
+    assert (found >= body.robot.lower).all()
+    assert (found <= body.robot.upper).all()
+    np.testing.assert_array_equal(found[compiler.columns], spec.first)
+
+
+def test_a_place_out_of_reach_leaves_the_guess(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+    compiler, spec = held
+    assert spec.hand is not None
+    far = np.array(compiler.solver.body.nominal)
+
+    beyond = replace(spec.hand, place=spec.hand.place + np.array([5.0, 0.0, 0.0]))
+    (found,) = bring_tool(compiler.solver.body, beyond, far[None], _list_prescribed(compiler))
+    np.testing.assert_array_equal(found, far)
+
+
+@pytest.mark.parametrize("is_backwards", [False, True])
+def test_a_path_follows_the_mechanism(held: tuple[PhaseCompiler, PhaseSpec], is_backwards: bool) -> None:
+    compiler, spec = held
+    body, count = compiler.solver.body, spec.n_waypoints
+    assert spec.hand is not None
+    end = -1 if is_backwards else 0
+    values = spec.values(count)
+    guess = np.concatenate([body.nominal[: compiler.columns[0]], values[end]])
+    (at,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    start = np.tile(at, (count, 1))
+    start[:, compiler.columns] = values
+    path = follow_tool(body, spec.hand, start, _list_prescribed(compiler), is_backwards=is_backwards)
+    assert path is not None
+    np.testing.assert_array_equal(path[end], at)
+    np.testing.assert_array_equal(path[:, compiler.columns], values)
+    assert max(_measure_off(compiler, spec, start[-1 - end])) > 0.1
+    for q in path:
+        assert max(_measure_off(compiler, spec, q)) < 1.5e-3
+    assert np.abs(np.diff(path, axis=0)).max() < 0.5
+
+
+def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+    compiler, spec = held
+
+    assert spec.hand is not None
+    line = replace(spec.hand, offset=np.array([0.0, 0.0, 4.0]), leaves=True)
+    guess = np.concatenate([compiler.solver.body.nominal[: compiler.columns[0]], spec.first])
+    (at,) = bring_tool(compiler.solver.body, spec.hand, guess[None], _list_prescribed(compiler))
+    assert follow_tool(compiler.solver.body, line, np.tile(at, (5, 1)), _list_prescribed(compiler)) is None
