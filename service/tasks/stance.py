@@ -56,6 +56,7 @@ MOST_TURN = np.deg2rad(80.0)  # from facing what is held
 COARSE, ENOUGH_GOOD = 8, 4  # most places of the grid that are checked by poses, and how many of them have to do
 COARSE_APART = 2.0  # between them, in steps of the grid
 FINE, FINE_ROUNDS, FINE_PARENTS = 2, 2, 2  # places that are checked about the best, and rounds
+EXCELLENT, FEW_GOOD = 0.95, 2  # score after which little is to be gained, once that many places are good
 IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is held
 MOST_REACH = 1.12  # the same at most: the trunk leans
 LEAST_REACH_M = 0.25
@@ -495,11 +496,16 @@ def _search(
     monitor = examiner.monitor
     total = ENOUGH_GOOD + FINE * FINE_ROUNDS
 
+    def best_score() -> float:
+        return max((candidate.score for candidate in candidates), default=0.0)
+
     def examine(poses: Float[np.ndarray, "N 3"], most: int, apart: float, enough: int) -> None:
         """Check places that are apart from those before, until enough of them do or most were checked by poses."""
         checked = good = 0
         for pose in poses:
             if checked >= most or good >= enough or (takes_first and _has_all_poses(candidates)):
+                return
+            if good >= FEW_GOOD and best_score() >= EXCELLENT:
                 return
             if any(_is_near(pose, known.base, apart if known.outcome is not None else 0.99) for known in candidates):
                 continue
@@ -517,7 +523,7 @@ def _search(
         examine(ranked, COARSE // 2, 0.99, 1)
     for level in range(1, FINE_ROUNDS + 1):
         good = sorted((c for c in candidates if c.score > 0.0), key=lambda c: -c.score)[:FINE_PARENTS]
-        if good:
+        if good and best_score() < EXCELLENT:
             examine(grid.refine([c.base for c in good], 0.5**level), FINE, 0.9 * 0.5**level, FINE)
 
 
