@@ -194,7 +194,8 @@ def test_a_piece_in_the_way_of_the_leaf_is_named_with_the_angle() -> None:
     # Its corner (1.1, 0.0) lies in the plane of the leaf's back at atan2(0.4, 0.45) = 41.6 deg.
     assert result.explanation[0] == "the leaf meets cabinet at 42 deg of the 80 asked for"
     assert result.motion is not None
-    assert result.certificate is not None and result.certificate.status is Status.CERTIFIED
+    assert result.certificate is not None
+    assert result.certificate.status is Status.CERTIFIED
     assert 35.0 < result.figures["opening_deg"] < 41.6
 
 
