@@ -19,14 +19,14 @@ from service.request.file import parse_request
 from service.setup.prepare import prepare
 from service.tasks.held_tool import bring_tool, follow_tool
 from service.tasks.phase_compiler import PhaseCompiler
-from service.tasks.sequence import add_mechanism
+from service.tasks.sequence import PhaseSequence, add_mechanism
 
 ANGLE = np.deg2rad(30.0)
 
 
 @pytest.fixture(scope="module")
-def held() -> tuple[PhaseCompiler, PhaseSpec]:
-    """A robot at a pulled door, and the phase in which its peg opens the leaf by 30 degrees."""
+def opening() -> tuple[PhaseCompiler, tuple[PhaseSpec, ...]]:
+    """A robot at a pulled door, and the phases in which its peg opens the leaf by 30 degrees."""
     request = parse_request(door_request("pull", "pull", x=0.75))
     setup = prepare(request)
     assert request.task is not None
@@ -35,8 +35,14 @@ def held() -> tuple[PhaseCompiler, PhaseSpec]:
     solver = add_mechanism(_make_solver(setup, Monitor(60.0), None), door.mechanism)
     hand = next(hand for hand in list_robot_hands(solver.body.robot) if hand.side == "left")
     choice = DoorChoice(hand, measure_peg(solver.body.robot, hand), 0.0, 1.0, ANGLE)
-    spec = next(spec for spec in make_door_phases(door, choice) if spec.is_anchor)
-    return PhaseCompiler(solver, door.mechanism, {}), spec
+    return PhaseCompiler(solver, door.mechanism, {}), make_door_phases(door, choice)
+
+
+@pytest.fixture(scope="module")
+def held(opening: tuple[PhaseCompiler, tuple[PhaseSpec, ...]]) -> tuple[PhaseCompiler, PhaseSpec]:
+    """The phase in which the leaf moves."""
+    compiler, specs = opening
+    return compiler, next(spec for spec in specs if spec.is_anchor)
 
 
 def _list_prescribed(compiler: PhaseCompiler) -> np.ndarray:
@@ -119,3 +125,26 @@ def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, PhaseSp
     guess = np.concatenate([compiler.solver.body.nominal[: compiler.columns[0]], spec.first])
     (at,) = bring_tool(compiler.solver.body, spec.hand, guess[None], _list_prescribed(compiler))
     assert follow_tool(compiler.solver.body, line, np.tile(at, (5, 1)), _list_prescribed(compiler)) is None
+
+
+def test_a_line_gets_more_waypoints_where_its_certificate_asks_for_them(
+    opening: tuple[PhaseCompiler, tuple[PhaseSpec, ...]],
+) -> None:
+    compiler, specs = opening
+    phases, stuck = PhaseSequence(compiler.solver, compiler.mechanism, specs).plan(compiler.solver.body.nominal)
+    assert stuck is None
+    line, last = specs[-1].hand, phases[-1]
+    assert line is not None
+    assert line.is_line
+    denser = np.insert(last.q, 3, 0.7 * last.q[2] + 0.3 * last.q[3], axis=0)
+    again = last.solve_again(denser)
+    assert again is not None
+    assert again.is_feasible
+    shares = []
+    for q in again.q:
+        poses = locate_links(compiler.solver.body.engine, q, [line.tool, str(line.link)])
+        place = np.linalg.inv(poses[str(line.link)]) @ poses[line.tool][:, 3]
+        shares.append((place[:3] - line.place) @ line.offset / (line.offset @ line.offset))
+        assert np.linalg.norm(place[:3] - line.place - shares[-1] * line.offset) < 1e-3
+    np.testing.assert_allclose(np.array(shares)[[0, 1, 2, 4, 5]], np.linspace(0.0, 1.0, 5), atol=0.02)
+    assert shares[3] == pytest.approx(0.575, abs=0.05)

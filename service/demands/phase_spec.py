@@ -37,6 +37,7 @@ class HandMotion:
         axis_link: by default ``link``.
         offset: (3,) from ``place``, in the link: the phase begins there (None: it stays at ``place``) [m].
         leaves: whether a line leads from ``place`` to the offset instead of back.
+        shares: (T,) of a line's way to the offset at its waypoints; None where they are equally spaced.
         slide: (3,) in the link: the tool may be anywhere on ``place`` +- ``slide``; None where it may not slide [m].
         rotation: (3, 3) rotation_link_tool of a hand that cannot turn about its own axis; None where it can.
         is_rigid: whether the hand keeps the turn about its axis that it has at the first pose (a grasp).
@@ -58,6 +59,7 @@ class HandMotion:
     tilt_rad: float = float(np.deg2rad(3.0))
     aim_rad: float = float(np.deg2rad(1.0))
     axis_link: str | None = None
+    shares: Float[np.ndarray, "T"] | None = None
 
     @property
     def turns_with(self) -> str | None:
@@ -70,11 +72,12 @@ class HandMotion:
         return self.offset is not None
 
     def places(self, n_waypoints: int) -> Float[np.ndarray, "T 3"]:
-        """Return the tool's places at equally spaced waypoints, in the link [m]."""
+        """Return the tool's places at the waypoints, in the link [m]."""
         if self.offset is None:
             return np.tile(self.place, (n_waypoints, 1))
-        share = np.linspace(0.0, 1.0, n_waypoints)[:, None]
-        return np.asarray(self.place + (share if self.leaves else 1.0 - share) * self.offset)
+        share = np.linspace(0.0, 1.0, n_waypoints)
+        out = self.shares if self.shares is not None else share if self.leaves else 1.0 - share
+        return np.asarray(self.place + out[:, None] * self.offset)
 
 
 @dataclass(frozen=True)

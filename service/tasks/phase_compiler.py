@@ -315,10 +315,19 @@ class PhaseCompiler:
 
     def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
-        is_line = spec.hand is not None and spec.hand.is_line
         phase = self.promise(spec, solved.x, spec.values(spec.n_waypoints))
-        resolve = None if is_line else lambda q: self.solve_between(spec, [q])
+        resolve = lambda q: self.solve_between(self._keep_shares(spec, q), [q])  # noqa: E731
         return replace(phase, is_feasible=solved.is_feasible, resolve=resolve)
+
+    def _keep_shares(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> PhaseSpec:
+        """Return a phase whose tool is as far along its line at each waypoint as it is in a path."""
+        hand = spec.hand
+        if hand is None or hand.offset is None:
+            return spec
+        line = replace(hand, slide=None, rotation=None)
+        off = place_tool(self.robot, line, np.arange(len(q)), hand.place[None])
+        places = off.value(MotionState(self.solver.body.engine(q), Contacts.none())).reshape(len(q), 3)
+        return replace(spec, hand=replace(hand, shares=places @ hand.offset / (hand.offset @ hand.offset)))
 
     def promise(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"], values: Float[np.ndarray, "S k"]) -> PlannedPhase:
         """Return waypoints with the promises of a phase; its regions are found for the mechanism at ``values``."""
