@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +18,9 @@ from service.cli.report import print_result
 from service.cli.run import cancellable, consoles, print_json, progress
 
 if TYPE_CHECKING:
+    from service.request.schema import PlanRequest
     from service.result.approval import Approval
+    from service.setup.world import Surroundings
 
 ResultPath = Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")]
 
@@ -83,14 +86,16 @@ def plan_command(
     earlier motion itself is certified for the displaced mechanism, with the arm displaced that holds it; --state may
     then be left out, for a robot that is where the plan begins the phase. Where that fails, the rest is planned again.
     """
-    if (from_phase is None) != (state is None) and not (compliant and from_phase is not None):
+    is_rest = from_phase is not None
+    if is_rest != (state is not None) and not (compliant and is_rest):
         raise typer.BadParameter("--from-phase and --state come together")
-    if (adjust or compliant) and from_phase is None:
+    if (adjust or compliant) and not is_rest:
         raise typer.BadParameter("--adjust and --compliant go with --from-phase")
-    name = request.stem if from_phase is None else f"{(request.parent if request.is_file() else request).name}-rest"
+    name = f"{(request.parent if request.is_file() else request).name}-rest" if is_rest else request.stem
     folder = out if out is not None else Path("out") / name
-    given = any(value is not None for value in (robot, srdf, package_root, floating, scene, start, time_limit))
-    if not trajopt and (given or untimed or no_torque):
+    paths = (robot, srdf, package_root, floating, scene, start)
+    is_given = any(value is not None for value in (*paths, time_limit))
+    if not trajopt and (is_given or untimed or no_torque):
         raise typer.BadParameter(
             "--robot, --srdf, --package-root, --floating-base, --scene, --start, --time-limit, --untimed and "
             "--no-torque go with --trajopt; a request holds all of them"
@@ -98,29 +103,19 @@ def plan_command(
     stdout, stderr = consoles()
     with progress(stderr, "read request") as report, cancellable(stderr) as should_stop:
         report("read request", 0.0)
-        from service.request.file import load_request, replace_cloud
-
         around = None
-
         if trajopt:
             from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
             limit_s = TrajoptFiles.time_limit_s if time_limit is None else time_limit
-            paths = (robot, srdf, package_root, floating, scene, start)
             files = TrajoptFiles(*paths, limit_s, is_timed=not untimed, checks_torque=not no_torque)
-            plan_request = load_trajopt_request(request, files)
+            plan_request = _see(load_trajopt_request(request, files), cloud)
         elif from_phase is not None:
-            from service.replay.adjust import adjust_request, read_adjustment
-            from service.replay.resume import make_rest_request, read_recorded_scan
-
-            plan_request = make_rest_request(request, from_phase, state, cloud, is_compliant=compliant)
-            around = read_recorded_scan(request, plan_request) if cloud is None else None
-            for target, offset in map(read_adjustment, adjust or []):
-                plan_request, around = adjust_request(plan_request, around, target, offset)
+            plan_request, around = _read_rest(request, from_phase, state, cloud, adjust or [], is_compliant=compliant)
         else:
-            plan_request = load_request(request)
-        if cloud is not None and from_phase is None:
-            plan_request = replace_cloud(plan_request, cloud)
+            from service.request.file import load_request
+
+            plan_request = _see(load_request(request), cloud)
         from service.planner import plan
         from service.result.folder import RESULT_NAME, check_folder
         from service.result.output import write_result
@@ -143,6 +138,27 @@ def plan_command(
         lines = {} if written is None else {"viewer": written.viewer, "trajectory": written.trajectory}
         print_result(stdout, summary, lines)
     return str(result.verdict.value)
+
+
+def _see(request: PlanRequest, cloud: Path | None) -> PlanRequest:
+    """Return a request with its cloud replaced, if another is given."""
+    from service.request.file import replace_cloud
+
+    return request if cloud is None else replace_cloud(request, cloud)
+
+
+def _read_rest(
+    result: Path, phase: str, state: Path | None, cloud: Path | None, adjustments: Sequence[str], *, is_compliant: bool
+) -> tuple[PlanRequest, Surroundings | None]:
+    """Return the request for the rest of an earlier plan, and what its scan showed unless there is a new one."""
+    from service.replay.adjust import adjust_request, read_adjustment
+    from service.replay.resume import make_rest_request, read_recorded_scan
+
+    request = make_rest_request(result, phase, state, cloud, is_compliant=is_compliant)
+    around = read_recorded_scan(result, request) if cloud is None else None
+    for target, offset in map(read_adjustment, adjustments):
+        request, around = adjust_request(request, around, target, offset)
+    return request, around
 
 
 @command(has_verdict=True)
