@@ -14,8 +14,8 @@ from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.static_region import StaticRegionError
 from costs.terms import FramePose, Joined, JointTarget, WithinTolerance
-from scopt import Constraint, Cost, Residual, Sense
-from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
+from scopt import Constraint, Cost, Residual, Sense, Settings
+from service.body.equilibrium_pose import EFFORT, EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import keep_facing
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import plan_contact_region
@@ -46,6 +46,7 @@ LEAST_JOINTS = 3  # of a limb that goes around something
 LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
+SAME_STATE = 2e-5  # of a configuration that counts as that of an earlier motion [rad, m]
 SIDE_RESERVE = 1e-3  # of the depth behind a contact's surface in poses, for the motion between them [m]
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
 POSE_RESERVE = 2.5e-3  # of an allowance in poses, for the motion between them [m]
@@ -111,6 +112,7 @@ class _Walker:
     noise: Float[np.ndarray, "n"]
     n_tries: int
     arrives_first: bool = False
+    keeps_poses: bool = True
 
     @property
     def start(self) -> WholeBody:
@@ -158,9 +160,9 @@ class _Walker:
             noise = np.zeros(len(at)) if k < 2 else SPREAD * rng.normal(size=len(at))
             noise[: len(BASE_NAMES)] = 0.0
             try:
-                return replace(self, noise=noise, arrives_first=is_known ^ (k % 2 == 1)).change(
-                    specs, before, after, at
-                )
+                arrives_first = is_known ^ (k % 2 == 1)
+                walker = replace(self, noise=noise, arrives_first=arrives_first, keeps_poses=k == 0)
+                return walker.change(specs, before, after, at)
             except StuckError as error:
                 first = first or error
         assert first is not None
@@ -176,9 +178,11 @@ class _Walker:
         """Return the phases from one stance to the next, which begin at a configuration."""
         by_kind = {spec.kind: spec for spec in specs}
         if "move" in by_kind:
-            step = f"{after.name}: pose"
-            with self.solver.monitor.step(step, 0.3):
-                pose = self._pose(step, after.contacts, (), at, self.guesses.there.get(after.name))
+            step, there = f"{after.name}: pose", self.guesses.there.get(after.name)
+            pose = self._take_pose(by_kind["move"].name, after.contacts, ())
+            if pose is None or there is None or np.abs(pose - there).max() > SAME_STATE:
+                with self.solver.monitor.step(step, 0.3):
+                    pose = self._pose(step, after.contacts, (), at, there)
             return [self._swing(by_kind["move"], at, pose)]
         left, made = self._find_poses(after.name, ContactChange.between(before, after), at)
         phases: list[PlannedPhase] = []
@@ -209,19 +213,21 @@ class _Walker:
         kept, leaving, arriving = change.kept, change.leaving, change.arriving
         known = self.guesses.leave.get(name), self.guesses.arrive.get(name)
         steps = f"{name}: pose on what stays", f"{name}: pose at the new places"
-        left = made = None
+        left = self._take_pose(f"{name}: shift", kept, leaving) if leaving else None
+        made = self._take_pose(f"{name}: land", kept, arriving) if arriving else None
         limbs = free_coordinates(self.stand_on(kept))
         if not self.arrives_first or not arriving or not self._are_moved_by(limbs, leaving):
-            if leaving:
+            if leaving and left is None:
                 with monitor.step(steps[0], 0.2):
                     left = self._pose(steps[0], kept, leaving, at, known[0])
-            if arriving:
+            if arriving and made is None:
                 with monitor.step(steps[1], 0.3):
                     made = self._pose(steps[1], kept, arriving, at if left is None else left, known[1])
             return left, made
-        with monitor.step(steps[1], 0.2):
-            made = self._pose(steps[1], kept, arriving, at, known[1])
-        if leaving:
+        if made is None:
+            with monitor.step(steps[1], 0.2):
+                made = self._pose(steps[1], kept, arriving, at, known[1])
+        if leaving and left is None:
             near = made.copy()
             near[limbs] = (at if known[0] is None else known[0])[limbs]
             with monitor.step(steps[0], 0.3):
@@ -272,27 +278,14 @@ class _Walker:
         if not kept:
             raise StuckError(step, (f"{step}: no contact stays where it is",), at)
         robot, one = self.start.robot, np.zeros(1, dtype=int)
-        body = replace(self.stand_on(kept, placed, POSE_RESERVE), nominal=at if known is None else known)
+        held = _HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed, fixed)
         guesses = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
         guesses = [np.clip(at + self.noise, robot.lower, robot.upper), *guesses]
         costs: list[Cost[MotionState]] = []
         if known is not None:
             guesses = [np.clip(known + self.noise, robot.lower, robot.upper), *guesses]
             costs.append(Cost("known pose", JointTarget(1, robot.n, one, np.arange(robot.n), known), KNOWN_WEIGHT))
-        constraints = [
-            Constraint(
-                f"place of {contact.patch}",
-                body.keep_planted(contact.planted, one),
-                Sense.EQUAL_ZERO,
-                FOOT_TOLERANCE,
-                unit="m or rad",
-            )
-            for contact in placed
-        ]
-        constraints += _keep_sides(body, (*kept, *placed), one, SIDE_RESERVE)
-        contacts = [_as_contact(contact) for contact in kept]
-        normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(kept)}
-        limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
+        near = at if known is None else known
         best: EquilibriumPose | None = None
         tries: list[tuple[Float[np.ndarray, "n"], list[Cost[MotionState]], tuple[Float[np.ndarray, "n"], ...]]]
         tries = [(guess, costs, ()) for guess in guesses[:4]]
@@ -301,24 +294,49 @@ class _Walker:
         tries += [(guess, [], (at,)) for guess in guesses[:2]]  # what is near at the start may stay as near
         for guess, wanted, ends in tries:
             self.solver.monitor.check()
-            pose = solve_equilibrium_pose(
-                body,
-                contacts,
-                guess,
-                limits,
-                wanted,
-                constraints,
-                ends=ends,
-                fixed=fixed,
-                should_stop=self.solver.monitor.should_stop,
-            )
+            pose = held.solve(guess, near, wanted, ends)
             if pose.is_feasible:
-                both = replace(body, planted=(*body.planted, *(contact.planted for contact in placed)))
-                return np.asarray(project_onto_holds(body.engine, pose.q[None], both.holds())[0])
+                return held.project(pose.q)
             if best is None or len(pose.violations) < len(best.violations):
                 best = pose
         assert best is not None
         raise StuckError(step, tuple(f"{step}: {line}" for line in best.violations), best.q)
+
+    def _take_pose(
+        self, phase: str, kept: tuple[StanceContact, ...], placed: tuple[StanceContact, ...]
+    ) -> Float[np.ndarray, "n"] | None:
+        """Return the configuration in which a phase of the earlier motion ends; None where it does not do any more."""
+        known = self.guesses.curves.get(phase)
+        if known is None or not self.keeps_poses or not kept:
+            return None
+        q = known.curve.positions[-1]
+        held = _HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed)
+        return q if held.holds_at(q) else None
+
+    def _take_phase(
+        self, spec: ContactPhase, body: WholeBody, ends: Mapping[int, Float[np.ndarray, "n"]]
+    ) -> PlannedPhase | None:
+        """Return a phase as the earlier motion has it; None where that does not lead through its ends any more.
+
+        Args:
+            spec: the phase.
+            body: on its contacts.
+            ends: configuration by index of the first or the last waypoint.
+        """
+        known = self.guesses.curves.get(spec.name)
+        if known is None:
+            return None
+        q = known.curve.positions.copy()
+        for k, end in ends.items():
+            if np.abs(q[k] - end).max() > SAME_STATE:
+                return None
+            q[k] = end
+        sides = _keep_sides(body, spec.contacts, np.arange(1, len(q) - 1))
+        if not replace(self.solver, body=body).is_feasible(q, sides):
+            return None
+        solve = self._solve_between(spec, body)
+        kept = replace(known, curve=replace(known.curve, positions=q))
+        return replace(_promise(spec, body, q, lambda q: solve([q])), kept=kept)
 
     def _line(
         self,
@@ -329,6 +347,9 @@ class _Walker:
     ) -> PlannedPhase:
         """Return the phase in which links leave their places, or arrive there, straight along their normals."""
         body = self.stand_on(spec.contacts, spec.moving)
+        taken = self._take_phase(spec, body, {0 if is_up else -1: pose})
+        if taken is not None:
+            return taken
         at = 0 if is_up else LINE_WAYPOINTS - 1
         shares = {k: abs(k - at) / (LINE_WAYPOINTS - 1) for k in range(LINE_WAYPOINTS) if k != at}
         constraints = [
@@ -356,9 +377,12 @@ class _Walker:
     ) -> PlannedPhase:
         """Return the free phase between two lines."""
         body = self.stand_on(spec.contacts)
+        taken = self._take_phase(spec, body, {0: first, -1: last})
+        if taken is not None:
+            return taken
         solve = self._solve_between(spec, body)
-        way = self.guesses.ways.get(spec.name.split(": ")[0])
-        led = None if way is None else lead_way(way, first, last)
+        known = self.guesses.curves.get(spec.name)
+        led = None if known is None else lead_way(known.curve.positions, first, last)
         if led is not None:
             with self.solver.monitor.step(spec.name, 0.5):
                 solved = solve([_keep_contacts(body, led)])
@@ -403,6 +427,9 @@ class _Walker:
     ) -> PlannedPhase:
         """Return a phase between two configurations on contacts that stay."""
         body = self.stand_on(spec.contacts)
+        taken = self._take_phase(spec, body, {0: first, -1: last})
+        if taken is not None:
+            return taken
         solve = self._solve_between(spec, body)
         with self.solver.monitor.step(spec.name, 0.4):
             solved = solve([_keep_contacts(body, straight_path(first, last, n_waypoints))])
@@ -471,15 +498,89 @@ def _finish(
     """
     if not solved.is_feasible:
         raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved))
-    robot = body.robot
+    return _promise(spec, body, solved.x, resolve)
+
+
+def _promise(
+    spec: ContactPhase,
+    body: WholeBody,
+    q: Float[np.ndarray, "T n"],
+    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None,
+) -> PlannedPhase:
+    """Return the waypoints of a phase with its promises."""
     return PlannedPhase(
         spec.name,
-        solved.x,
+        q,
         True,
         targets=lambda at: spec.list_targets(),
         resolve=resolve,
-        body=replace(body, touches=spec.list_allowances(robot)),
+        body=replace(body, touches=spec.list_allowances(body.robot)),
     )
+
+
+@dataclass(frozen=True)
+class _HeldPose:
+    """Poses with all contacts in place, held by those kept alone.
+
+    Attributes:
+        solver: with the settings of the plan.
+        body: on the kept contacts.
+        kept, placed: contacts that carry the robot, and those that touch.
+        fixed: value by coordinate index.
+    """
+
+    solver: PhaseSolver
+    body: WholeBody
+    kept: tuple[StanceContact, ...]
+    placed: tuple[StanceContact, ...]
+    fixed: Mapping[int, float] | None = None
+
+    def solve(
+        self,
+        guess: Float[np.ndarray, "n"],
+        near: Float[np.ndarray, "n"],
+        costs: Sequence[Cost[MotionState]] = (),
+        ends: Sequence[Float[np.ndarray, "n"]] = (),
+        effort: Settings = EFFORT,
+    ) -> EquilibriumPose:
+        """Solve from a guess for a pose near a configuration; ``ends`` limit the clearance that is required."""
+        normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(self.kept)}
+        return solve_equilibrium_pose(
+            replace(self.body, nominal=near),
+            [_as_contact(contact) for contact in self.kept],
+            guess,
+            ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals),
+            costs,
+            self._place(),
+            ends=ends,
+            fixed=self.fixed,
+            settings=effort,
+            should_stop=self.solver.monitor.should_stop,
+        )
+
+    def holds_at(self, q: Float[np.ndarray, "n"]) -> bool:
+        """Return whether a configuration is such a pose."""
+        pose = self.solve(q, q, ends=(q,), effort=replace(EFFORT, max_iterations=0))
+        return pose.is_feasible and bool(np.abs(self.project(q) - q).max() <= SAME_STATE)
+
+    def project(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return the nearest configuration with all contacts exactly in place."""
+        both = replace(self.body, planted=(*self.body.planted, *(contact.planted for contact in self.placed)))
+        return np.asarray(project_onto_holds(both.engine, q[None], both.holds())[0])
+
+    def _place(self) -> list[Constraint[MotionState]]:
+        one = np.zeros(1, dtype=int)
+        places = [
+            Constraint(
+                f"place of {contact.patch}",
+                self.body.keep_planted(contact.planted, one),
+                Sense.EQUAL_ZERO,
+                FOOT_TOLERANCE,
+                unit="m or rad",
+            )
+            for contact in self.placed
+        ]
+        return [*places, *_keep_sides(self.body, (*self.kept, *self.placed), one, SIDE_RESERVE)]
 
 
 def _as_contact(contact: StanceContact) -> Contact:

@@ -440,7 +440,7 @@ class Surface(_message.Message):
     def __init__(self, piece: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., corners: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., pieces: _Optional[_Iterable[str]] = ..., friction: _Optional[float] = ...) -> None: ...
 
 class ContactStance(_message.Message):
-    __slots__ = ("name", "make", "release", "poses")
+    __slots__ = ("name", "make", "release", "posture")
     class MakeEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -451,24 +451,12 @@ class ContactStance(_message.Message):
     NAME_FIELD_NUMBER: _ClassVar[int]
     MAKE_FIELD_NUMBER: _ClassVar[int]
     RELEASE_FIELD_NUMBER: _ClassVar[int]
-    POSES_FIELD_NUMBER: _ClassVar[int]
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
     name: str
     make: _containers.MessageMap[str, ContactPlace]
     release: _containers.RepeatedScalarFieldContainer[str]
-    poses: KnownPoses
-    def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ..., poses: _Optional[_Union[KnownPoses, _Mapping]] = ...) -> None: ...
-
-class KnownPoses(_message.Message):
-    __slots__ = ("leaving", "arriving", "standing", "way")
-    LEAVING_FIELD_NUMBER: _ClassVar[int]
-    ARRIVING_FIELD_NUMBER: _ClassVar[int]
-    STANDING_FIELD_NUMBER: _ClassVar[int]
-    WAY_FIELD_NUMBER: _ClassVar[int]
-    leaving: NominalPose
-    arriving: NominalPose
-    standing: NominalPose
-    way: _containers.RepeatedCompositeFieldContainer[NominalPose]
-    def __init__(self, leaving: _Optional[_Union[NominalPose, _Mapping]] = ..., arriving: _Optional[_Union[NominalPose, _Mapping]] = ..., standing: _Optional[_Union[NominalPose, _Mapping]] = ..., way: _Optional[_Iterable[_Union[NominalPose, _Mapping]]] = ...) -> None: ...
+    posture: NominalPose
+    def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ..., posture: _Optional[_Union[NominalPose, _Mapping]] = ...) -> None: ...
 
 class ContactPlace(_message.Message):
     __slots__ = ("surface", "at", "yaw_deg")
