@@ -105,8 +105,12 @@ class StanceRequest(Section):
     posture: PostureRequest | None = None
 
     def __post_init__(self) -> None:
-        if bool(self.make or self.release) == (self.posture is not None):
-            words = "expected contacts that are made or released, or a posture to move to on the contacts that stay"
+        changes = bool(self.make or self.release)
+        if not changes and self.posture is None:
+            words = "neither makes nor releases a contact; expected one of them, or a posture to move to"
+            raise PydanticCustomError("stance", words)
+        if changes and self.posture is not None:
+            words = "changes contacts and has a posture to move to; expected a stance for each"
             raise PydanticCustomError("stance", words)
         both = sorted(set(self.make) & set(self.release))
         if both:
