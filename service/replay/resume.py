@@ -13,6 +13,7 @@ import orjson
 
 from costs.robot import BASE_NAMES, RobotModel
 from service.demands import TaskDemand, has_scan
+from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ends_with_new_contacts
 from service.demands.door_demand import DoorDemand, keep_door_choice
 from service.demands.given_mechanism import GivenMechanismDemand
@@ -107,13 +108,14 @@ def _read_changed_contacts(
     demands = _rebuild(data, request, robot, motion)
     if demands.egress is None or task.egress is None:
         assert task.contacts is not None
-        return ChangedContacts(
-            demands.robot, demands.stances, task.contacts.finish is not None, motion, dict(task.contacts.surfaces)
-        )
-    stances, problems = demands.egress.read_stances(motion)
+        stances, problems = take_recorded_places(demands.stances, demands.scene, motion)
+        has_finish, surfaces = task.contacts.finish is not None, task.contacts.surfaces
+    else:
+        stances, problems = demands.egress.read_stances(motion)
+        has_finish, surfaces = ends_with_new_contacts(stances), task.egress.surfaces
     if problems:
         raise ResultError(f"{folder}: {problems[0]}; only the rest of a complete plan can be planned again")
-    return ChangedContacts(demands.robot, stances, ends_with_new_contacts(stances), motion, dict(task.egress.surfaces))
+    return ChangedContacts(demands.robot, stances, has_finish, motion, dict(surfaces))
 
 
 def _changes_contacts(request: PlanRequest) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -188,7 +188,7 @@ def _move_surface(surface: SurfaceRequest, offset: Float[np.ndarray, "3"]) -> Su
 
 def _move_places(stance: StanceRequest, patches: Sequence[str], offset: Float[np.ndarray, "3"]) -> StanceRequest:
     make = {
-        patch: PlaceRequest(place.surface, displace(place.at, offset), place.yaw_deg) if patch in patches else place
+        patch: replace(place, at=displace(place.at, offset)) if patch in patches else place
         for patch, place in stance.make.items()
     }
     return StanceRequest(stance.name, make, stance.release, stance.posture)
@@ -208,7 +208,7 @@ def _make_place(robot: RobotModel, contact: StanceContact) -> PlaceRequest:
     """Return the place of a contact as a request has it."""
     yaw = find_link_yaw(robot.contacts[contact.patch], contact)
     x, y, z = contact.points.mean(axis=0).tolist()
-    return PlaceRequest(contact.surface.name, (x, y, z), float(np.rad2deg(yaw)))
+    return PlaceRequest(contact.surface.name, (x, y, z), float(np.rad2deg(yaw)), contact.slack_m)
 
 
 def _is_in_place(robot: RobotModel, contact: StanceContact, q: Float[np.ndarray, "n"]) -> bool:

@@ -24,6 +24,7 @@ from service.request.fields import (
     find_repeated,
 )
 
+Slack = Annotated[Number, Field(ge=0.0, le=0.5)]
 BasePose = tuple[Coordinate, Coordinate, Coordinate, Number, Number, Number]
 MAX_SURFACES, MAX_STANCES, MAX_CORNERS = 64, 64, 32
 
@@ -64,11 +65,14 @@ class PlaceRequest(Section):
         at: the middle of the patch, moved along the normal onto the surface [m].
         yaw_deg: turn of the patch's link about the surface's normal; 0 points its x axis along the world's x axis (on a
             surface across it, along the z axis).
+        slack_m: by which the place may be moved along the longest edge of its surface, either way, where poses on the
+            way do not hold with it. Only a place that a later phase stands on is moved.
     """
 
     surface: Name
     at: Point
     yaw_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = 0.0
+    slack_m: Slack = 0.0
 
 
 @dataclass(config=SECTION)

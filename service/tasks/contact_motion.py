@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.contact import Contact
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.static_region import StaticRegionError
 from costs.terms import FramePose, Joined, JointTarget, WithinTolerance
-from scopt import Constraint, Cost, Residual, Sense, Settings
-from service.body.equilibrium_pose import EFFORT, EquilibriumPose, ForceLimits, solve_equilibrium_pose
-from service.body.facing import keep_facing
+from scopt import Constraint, Cost, Residual
+from service.body.equilibrium_pose import EquilibriumPose
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import plan_contact_region
 from service.body.phases import PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.sampling import Tree, free_coordinates
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
-from service.body.whole_body import FOOT_TOLERANCE, WholeBody
+from service.body.whole_body import WholeBody
+from service.demands.contacts.moved_places import list_movable, move_place
 from service.demands.contacts.stances import (
     LINE_M,
     ContactChange,
@@ -31,35 +29,51 @@ from service.demands.contacts.stances import (
     StanceContact,
     list_contact_phases,
 )
+from service.tasks.held_pose import KNOWN_WEIGHT, SAME_STATE, HeldPose, keep_sides
 from service.tasks.known_motion import KnownMotion, lead_way
 from service.tasks.sequence import shrink
-from service.verify.forces.loaded_balance import find_normals
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
-TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
 # Of a link on its line, at the waypoints: how far it may be off, and the tolerance of that [m, rad].
 LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))])
 LINE_TOLERANCE = 2e-4
-KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 LEAST_JOINTS = 3  # of a limb that goes around something
 LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
-SAME_STATE = 2e-5  # of a configuration that counts as that of an earlier motion [rad, m]
-SIDE_RESERVE = 1e-3  # of the depth behind a contact's surface in poses, for the motion between them [m]
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
+MOST_MOVES = 4  # of places, until a missing pose counts as impossible
+LEAST_MOVE_M = 1e-3  # by which a place is moved
 POSE_RESERVE = 2.5e-3  # of an allowance in poses, for the motion between them [m]
 
 
 class StuckError(Exception):
-    """A step has no solution; carries the sentences and the best attempt."""
+    """A step has no solution; carries the sentences, the best attempt, and the pose that is missing, if it is one."""
 
     def __init__(
-        self, step: str, reasons: Sequence[str], q: Float[np.ndarray, "n"], stuck: Stuck | None = None
+        self,
+        step: str,
+        reasons: Sequence[str],
+        q: Float[np.ndarray, "n"],
+        stuck: Stuck | None = None,
+        missing: MissingPose | None = None,
     ) -> None:
         super().__init__("; ".join(reasons))
-        self.step, self.reasons, self.q, self.stuck = step, tuple(reasons), q, stuck
+        self.step, self.reasons, self.q, self.stuck, self.missing = step, tuple(reasons), q, stuck, missing
+
+
+@dataclass(frozen=True)
+class MissingPose:
+    """A pose that a change of contacts needs and that does not exist with its contacts where they are.
+
+    Attributes:
+        held: the pose.
+        near: (n,) configuration that it should be near.
+    """
+
+    held: HeldPose
+    near: Float[np.ndarray, "n"]
 
 
 def plan_contact_motion(
@@ -81,26 +95,95 @@ def plan_contact_motion(
     if guesses is not None:
         solver = replace(solver, body=replace(solver.body, is_comfortable=False))
     walker = _Walker(solver, guesses or KnownMotion(), np.zeros(solver.body.robot.n), n_tries)
-    specs = list_contact_phases(stances, has_finish=finish is not None)
-    order = tuple(spec.name for spec in specs)
-    phases: list[PlannedPhase] = []
-    at = solver.body.nominal
+    course = _Course(walker, tuple(stances), finish is not None)
     first = walker.stand_on(stances[0].contacts) if stances else None
     try:
-        for before, after in pairwise(stances):
-            own = [spec for spec in specs if spec.name.startswith(f"{after.name}: ")]
-            for phase in walker.try_change(own, before, after, at):
-                phases.append(phase)
-                at = phase.q[-1]
+        course.go_through()
         if finish is not None:
-            phases.append(walker.end_in(specs[-1], at, finish))
+            course.add(walker.end_in(course.specs[-1], course.at, finish))
     except StuckError as error:
+        order = tuple(spec.name for spec in course.specs)
         stuck = None if error.stuck is None else replace(error.stuck, order=order)
-        body = phases[-1].body if phases else first
-        attempt = PlannedPhase(error.step, np.stack([at, error.q]), False, body=body)
+        body = course.phases[-1].body if course.phases else first
+        attempt = PlannedPhase(error.step, np.stack([course.at, error.q]), False, body=body)
         obstacle = () if stuck is not None else error.reasons
-        return TaskPlan(solver.body, (*phases, attempt), obstacle, stuck)
-    return TaskPlan(solver.body, tuple(phases))
+        return TaskPlan(solver.body, (*course.phases, attempt), obstacle, stuck, notes=tuple(course.notes))
+    return TaskPlan(solver.body, tuple(course.phases), notes=tuple(course.notes))
+
+
+class _Course:
+    """Plans one change of contacts after the other.
+
+    Where a pose is missing that would exist with a contact elsewhere within its slack, the contact is moved, and the
+    changes from the one on that makes it are planned again.
+
+    Attributes:
+        stances: with the places that are chosen so far.
+        notes: about places that were moved.
+    """
+
+    def __init__(self, walker: _Walker, stances: tuple[ContactStance, ...], has_finish: bool) -> None:
+        self._walker, self.stances, self._has_finish = walker, stances, has_finish
+        self._changes: list[Sequence[PlannedPhase]] = []
+        self._n_moves = 0
+        self.notes: list[str] = []
+
+    @property
+    def specs(self) -> tuple[ContactPhase, ...]:
+        """All phases in their order."""
+        return list_contact_phases(self.stances, has_finish=self._has_finish)
+
+    @property
+    def phases(self) -> list[PlannedPhase]:
+        """Those that are planned."""
+        return [phase for change in self._changes for phase in change]
+
+    @property
+    def at(self) -> Float[np.ndarray, "n"]:
+        """(n,) configuration in which they end."""
+        phases = self.phases
+        return phases[-1].q[-1] if phases else self._walker.start.nominal
+
+    def add(self, phase: PlannedPhase) -> None:
+        """Append a planned phase."""
+        self._changes.append((phase,))
+
+    def go_through(self) -> None:
+        """Plan all changes of contacts.
+
+        Raises:
+            StuckError: one of them cannot be made.
+        """
+        while (k := len(self._changes) + 1) < len(self.stances):
+            before, after = self.stances[k - 1 : k + 1]
+            own = [spec for spec in self.specs if spec.name.startswith(f"{after.name}: ")]
+            try:
+                self._changes.append(self._walker.try_change(own, before, after, self.at))
+            except StuckError as error:
+                made = self._move_places(k, error.missing)
+                if made is None:
+                    raise
+                del self._changes[made - 1 :]
+
+    def _move_places(self, k: int, missing: MissingPose | None) -> int | None:
+        """Move contacts so that a missing pose exists; return the first stance that makes one of them, or None.
+
+        Args:
+            k: stance that was not reached.
+            missing: on the way there.
+        """
+        if missing is None or self._n_moves == MOST_MOVES:
+            return None
+        movable = {patch: made for made, patch in list_movable(self.stances) if made <= k}
+        slides = missing.held.only_sliding(movable).find_slides([self.at, missing.near], missing.near) or {}
+        slides = {patch: by for patch, by in slides.items() if abs(by) > LEAST_MOVE_M}
+        if not slides:
+            return None
+        self._n_moves += 1
+        for patch, by in slides.items():
+            self.stances = move_place(self.stances, movable[patch], patch, by, self._walker.start.scene)
+            self.notes.append(f"{patch} is moved by {1e3 * by:.0f} mm in '{self.stances[movable[patch]].name}'")
+        return min(movable[patch] for patch in slides)
 
 
 @dataclass(frozen=True)
@@ -278,7 +361,7 @@ class _Walker:
         if not kept:
             raise StuckError(step, (f"{step}: no contact stays where it is",), at)
         robot, one = self.start.robot, np.zeros(1, dtype=int)
-        held = _HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed, fixed)
+        held = HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed, fixed)
         guesses = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
         guesses = [np.clip(at + self.noise, robot.lower, robot.upper), *guesses]
         costs: list[Cost[MotionState]] = []
@@ -300,7 +383,8 @@ class _Walker:
             if best is None or len(pose.violations) < len(best.violations):
                 best = pose
         assert best is not None
-        raise StuckError(step, tuple(f"{step}: {line}" for line in best.violations), best.q)
+        reasons = tuple(f"{step}: {line}" for line in best.violations)
+        raise StuckError(step, reasons, best.q, missing=MissingPose(held, near))
 
     def _take_pose(
         self, phase: str, kept: tuple[StanceContact, ...], placed: tuple[StanceContact, ...]
@@ -310,7 +394,7 @@ class _Walker:
         if known is None or not self.keeps_poses or not kept:
             return None
         q = known.curve.positions[-1]
-        held = _HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed)
+        held = HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed)
         return q if held.holds_at(q) else None
 
     def _take_phase(
@@ -331,7 +415,7 @@ class _Walker:
             if np.abs(q[k] - end).max() > SAME_STATE:
                 return None
             q[k] = end
-        sides = _keep_sides(body, spec.contacts, np.arange(1, len(q) - 1))
+        sides = keep_sides(body, spec.contacts, np.arange(1, len(q) - 1))
         if not replace(self.solver, body=body).is_feasible(q, sides):
             return None
         solve = self._solve_between(spec, body)
@@ -365,8 +449,12 @@ class _Walker:
         solver = replace(self.solver, body=body)
         with solver.monitor.step(spec.name, 0.4):
             inner = np.array(sorted(shares))
-            constraints += _keep_sides(body, spec.contacts, inner)
+            constraints += keep_sides(body, spec.contacts, inner)
             solved = solver.solve_trajectory(spec.name, [start], {at: pose}, constraints=constraints)
+        if not solved.is_feasible:
+            away = tuple(contact.move(LINE_M * contact.surface.normal) for contact in spec.moving)
+            held = HeldPose(self.solver, self.stand_on(spec.contacts, spec.moving, POSE_RESERVE), spec.contacts, away)
+            raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved), MissingPose(held, pose))
         return _finish(spec, body, solved)
 
     def _swing(
@@ -443,7 +531,7 @@ class _Walker:
 
         def solve(starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
             last = len(starts[0]) - 1
-            sides = _keep_sides(body, spec.contacts, np.arange(1, last))
+            sides = keep_sides(body, spec.contacts, np.arange(1, last))
             return solver.solve_trajectory(spec.name, starts, {0: starts[0][0], last: starts[0][-1]}, constraints=sides)
 
         return solve
@@ -458,24 +546,6 @@ def _keep_on_line(body: WholeBody, contact: StanceContact, waypoint: int, height
     axes = (True, True, True, *(len(planted.sole) >= 3,) * 3)
     pose = FramePose(body.robot, planted.link, [waypoint], target, axes, offset=offset)
     return WithinTolerance(pose, LINE_ROOM[: sum(axes)])
-
-
-def _keep_sides(
-    body: WholeBody, contacts: Sequence[StanceContact], waypoints: Int[np.ndarray, "S"], reserve_m: float = 0.0
-) -> list[Constraint[MotionState]]:
-    """Return constraints that links which may turn about their contact points stay in front of what they touch."""
-    return [
-        constraint
-        for contact in contacts
-        for constraint in keep_facing(
-            body.robot,
-            contact.patch,
-            find_normals((contact.planted,)).mean(axis=0),
-            contact.points.mean(axis=0),
-            waypoints,
-            reserve_m,
-        )
-    ]
 
 
 def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
@@ -515,78 +585,4 @@ def _promise(
         targets=lambda at: spec.list_targets(),
         resolve=resolve,
         body=replace(body, touches=spec.list_allowances(body.robot)),
-    )
-
-
-@dataclass(frozen=True)
-class _HeldPose:
-    """Poses with all contacts in place, held by those kept alone.
-
-    Attributes:
-        solver: with the settings of the plan.
-        body: on the kept contacts.
-        kept, placed: contacts that carry the robot, and those that touch.
-        fixed: value by coordinate index.
-    """
-
-    solver: PhaseSolver
-    body: WholeBody
-    kept: tuple[StanceContact, ...]
-    placed: tuple[StanceContact, ...]
-    fixed: Mapping[int, float] | None = None
-
-    def solve(
-        self,
-        guess: Float[np.ndarray, "n"],
-        near: Float[np.ndarray, "n"],
-        costs: Sequence[Cost[MotionState]] = (),
-        ends: Sequence[Float[np.ndarray, "n"]] = (),
-        effort: Settings = EFFORT,
-    ) -> EquilibriumPose:
-        """Solve from a guess for a pose near a configuration; ``ends`` limit the clearance that is required."""
-        normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(self.kept)}
-        return solve_equilibrium_pose(
-            replace(self.body, nominal=near),
-            [_as_contact(contact) for contact in self.kept],
-            guess,
-            ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals),
-            costs,
-            self._place(),
-            ends=ends,
-            fixed=self.fixed,
-            settings=effort,
-            should_stop=self.solver.monitor.should_stop,
-        )
-
-    def holds_at(self, q: Float[np.ndarray, "n"]) -> bool:
-        """Return whether a configuration is such a pose."""
-        pose = self.solve(q, q, ends=(q,), effort=replace(EFFORT, max_iterations=0))
-        return pose.is_feasible and bool(np.abs(self.project(q) - q).max() <= SAME_STATE)
-
-    def project(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the nearest configuration with all contacts exactly in place."""
-        both = replace(self.body, planted=(*self.body.planted, *(contact.planted for contact in self.placed)))
-        return np.asarray(project_onto_holds(both.engine, q[None], both.holds())[0])
-
-    def _place(self) -> list[Constraint[MotionState]]:
-        one = np.zeros(1, dtype=int)
-        places = [
-            Constraint(
-                f"place of {contact.patch}",
-                self.body.keep_planted(contact.planted, one),
-                Sense.EQUAL_ZERO,
-                FOOT_TOLERANCE,
-                unit="m or rad",
-            )
-            for contact in self.placed
-        ]
-        return [*places, *_keep_sides(self.body, (*self.kept, *self.placed), one, SIDE_RESERVE)]
-
-
-def _as_contact(contact: StanceContact) -> Contact:
-    """Return a planted contact as one whose forces a pose has as variables."""
-    planted = contact.planted
-    normal = find_normals((planted,)).mean(axis=0) @ planted.pose_world_link[:3, :3]
-    return Contact(
-        planted.link, planted.sole, np.tile(normal, (len(planted.sole), 1)), planted.friction, planted.force_cap_n
     )

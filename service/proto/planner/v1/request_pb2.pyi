@@ -459,14 +459,16 @@ class ContactStance(_message.Message):
     def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ..., posture: _Optional[_Union[NominalPose, _Mapping]] = ...) -> None: ...
 
 class ContactPlace(_message.Message):
-    __slots__ = ("surface", "at", "yaw_deg")
+    __slots__ = ("surface", "at", "yaw_deg", "slack_m")
     SURFACE_FIELD_NUMBER: _ClassVar[int]
     AT_FIELD_NUMBER: _ClassVar[int]
     YAW_DEG_FIELD_NUMBER: _ClassVar[int]
+    SLACK_M_FIELD_NUMBER: _ClassVar[int]
     surface: str
     at: _containers.RepeatedScalarFieldContainer[float]
     yaw_deg: float
-    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
+    slack_m: float
+    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., slack_m: _Optional[float] = ...) -> None: ...
 
 class Valve(_message.Message):
     __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m", "lever", "stops_deg")
@@ -721,18 +723,20 @@ class EgressPhase(_message.Message):
     def __init__(self, name: _Optional[str] = ..., contacts: _Optional[_Mapping[str, EgressContact]] = ..., postures: _Optional[_Iterable[_Union[NominalPose, _Mapping]]] = ..., weights: _Optional[_Union[ShapeWeights, _Mapping]] = ..., sides: _Optional[_Iterable[_Union[PlaneSide, _Mapping]]] = ..., sampled: bool = ...) -> None: ...
 
 class EgressContact(_message.Message):
-    __slots__ = ("surface", "at", "toe", "yaw_deg", "region")
+    __slots__ = ("surface", "at", "toe", "yaw_deg", "region", "slack_m")
     SURFACE_FIELD_NUMBER: _ClassVar[int]
     AT_FIELD_NUMBER: _ClassVar[int]
     TOE_FIELD_NUMBER: _ClassVar[int]
     YAW_DEG_FIELD_NUMBER: _ClassVar[int]
     REGION_FIELD_NUMBER: _ClassVar[int]
+    SLACK_M_FIELD_NUMBER: _ClassVar[int]
     surface: str
     at: _containers.RepeatedScalarFieldContainer[float]
     toe: _containers.RepeatedScalarFieldContainer[float]
     yaw_deg: float
     region: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., toe: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., region: _Optional[_Iterable[float]] = ...) -> None: ...
+    slack_m: float
+    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., toe: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., region: _Optional[_Iterable[float]] = ..., slack_m: _Optional[float] = ...) -> None: ...
 
 class NominalPose(_message.Message):
     __slots__ = ("base", "joints", "posture")
