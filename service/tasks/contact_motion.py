@@ -40,6 +40,7 @@ LINE_TOLERANCE = 2e-4
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 LEAST_JOINTS = 3  # of a limb that goes around something
 LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
+PLAIN_TRIES = 2  # of a change of contacts, without random guesses
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
@@ -158,12 +159,16 @@ class _Course:
             before, after = self.stances[k - 1 : k + 1]
             own = [spec for spec in self.specs if spec.name.startswith(f"{after.name}: ")]
             try:
-                self._changes.append(self._walker.try_change(own, before, after, self.at))
+                self._changes.append(self._walker.try_change(own, before, after, self.at, range(PLAIN_TRIES)))
             except StuckError as error:
                 made = self._move_places(k, error.missing)
-                if made is None:
+                if made is not None:
+                    del self._changes[made - 1 :]
+                    continue
+                further = range(PLAIN_TRIES, self._walker.most_tries)
+                if not further:
                     raise
-                del self._changes[made - 1 :]
+                self._changes.append(self._walker.try_change(own, before, after, self.at, further, error))
 
     def _move_places(self, k: int, missing: MissingPose | None) -> int | None:
         """Move contacts so that a missing pose exists; return the first stance that makes one of them, or None.
@@ -201,6 +206,10 @@ class _Walker:
     def start(self) -> WholeBody:
         return self.solver.body
 
+    @property
+    def most_tries(self) -> int:
+        return min(self.n_tries, self.solver.most_starts)
+
     def stand_on(
         self,
         contacts: Sequence[StanceContact],
@@ -230,17 +239,25 @@ class _Walker:
         before: ContactStance,
         after: ContactStance,
         at: Float[np.ndarray, "n"],
+        tries: range,
+        first: StuckError | None = None,
     ) -> Sequence[PlannedPhase]:
         """Return the phases from one stance to the next, perhaps from random guesses of the poses.
+
+        Args:
+            specs: the phases.
+            before, after: the stances.
+            at: (n,) configuration at their beginning.
+            tries: numbers of the tries; the first ones have no random guesses.
+            first: error of the very first try, if that was made before.
 
         Raises:
             StuckError: of the first try, where none succeeds.
         """
-        first: StuckError | None = None
         rng = np.random.default_rng(self.solver.seed)
         is_known = after.name in self.guesses.arrive
-        for k in range(min(self.n_tries, self.solver.most_starts)):
-            noise = np.zeros(len(at)) if k < 2 else SPREAD * rng.normal(size=len(at))
+        for k in tries[: self.most_tries]:
+            noise = np.zeros(len(at)) if k < PLAIN_TRIES else SPREAD * rng.normal(size=len(at))
             noise[: len(BASE_NAMES)] = 0.0
             try:
                 arrives_first = is_known ^ (k % 2 == 1)
