@@ -57,6 +57,10 @@ class Curve:
         begin, end = np.searchsorted(self.knots, (first - SAME_KNOT, last + SAME_KNOT)).tolist()
         return slice(begin, end)
 
+    def cut(self, knots: slice) -> Curve:
+        """Return the part of a spline through some of its knots."""
+        return Curve(self.knots[knots], self.positions[knots], self.tangents[knots])
+
 
 @dataclass(frozen=True)
 class PolynomialCurve(Curve):
@@ -128,6 +132,16 @@ class TimeLaw:
         """Return the law from time 0 on that passes increasing path parameters at the given speeds."""
         durations = 2.0 * np.diff(path) / (speed[:-1] + speed[1:])
         return TimeLaw(np.concatenate([[0.0], np.cumsum(durations)]), path, speed)
+
+    def cut(self, first: float, last: float) -> TimeLaw | None:
+        """Return the part between two of its path parameters, from time 0 on; None unless it rests at both."""
+        begin, end = np.searchsorted(self.path, (first, last)).tolist()
+        if end >= len(self.path) or (self.path[begin], self.path[end]) != (first, last):
+            return None
+        if self.speed[begin] > 0.0 or self.speed[end] > 0.0:
+            return None
+        part = slice(begin, end + 1)
+        return TimeLaw(self.times[part] - self.times[begin], self.path[part], self.speed[part])
 
     @cached_property
     def shares(self) -> Float[np.ndarray, "M-1"]:

@@ -92,3 +92,22 @@ def test_time_law_by_hand():
     np.testing.assert_allclose(path, [0.0, 0.0, 0.25, 1.0, 3.0, 5.75, 6.0, 6.0])
     np.testing.assert_allclose(speed, [0.0, 0.0, 1.0, 2.0, 2.0, 1.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(acceleration, [2.0, 2.0, 2.0, 0.0, 0.0, -2.0, -2.0, -2.0])
+
+
+def test_a_part_of_a_curve_is_the_curve_there():
+    curve = random_curve(3)
+    part = curve.cut(slice(1, len(curve.knots) - 1))
+    s = np.linspace(part.knots[0], part.knots[-1], 40)
+    np.testing.assert_allclose(part(s), curve(s))
+    np.testing.assert_allclose(part(s, 1), curve(s, 1))
+
+
+def test_a_part_of_a_law_from_rest_to_rest_takes_as_long_as_in_the_whole():
+    path, speed = np.array([0.0, 1.0, 2.0, 4.0, 5.0]), np.array([0.0, 1.0, 0.0, 2.0, 0.0])
+    law = TimeLaw.accelerated(path, speed)
+    part = law.cut(2.0, 5.0)
+    np.testing.assert_allclose(part.times, law.times[2:] - law.times[2])
+    np.testing.assert_allclose(part.at(part.times)[0], [2.0, 4.0, 5.0])
+    assert law.cut(1.0, 5.0) is None  # it moves there
+    assert law.cut(0.0, 4.5) is None  # no point of its grid
+    assert law.cut(2.0, 6.0) is None

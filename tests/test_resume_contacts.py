@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from costs.contact import Contact
 from costs.rotation import make_quaternions
 from service.demands.contacts.stances import Surface, find_link_pose, find_link_yaw, place_patch
-from service.errors import RequestError
+from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.adjust import adjust_request, read_adjustment
 from service.replay.replay import read_record, verify_result
@@ -24,6 +24,7 @@ from service.replay.resume import hash_plan, make_rest_request
 from service.request.file import parse_request
 from service.result.folder import read_result
 from service.result.output import write_result
+from service.verify.timeline import find_times
 
 FIRST, SECOND = "right foot forward", "left foot forward"
 REQUEST = {
@@ -81,7 +82,7 @@ def test_the_rest_from_a_swing_ends_where_the_displaced_plank_is(folder, tmp_pat
     phase = f"{SECOND}: swing"
     state = _write_state(folder, phase, tmp_path / "state.json")
     request = make_rest_request(folder, phase, state)
-    assert len(request.task.contacts.stances[0].poses.way) >= 20
+    assert len(request.resume.nominal.phases[phase].knots) >= 20
     moved, _ = adjust_request(request, None, "plank", np.array([0.02, -0.01, 0.01]))
     result = plan(moved)
     assert result.verdict.value == "CERTIFIED", result.explanation
@@ -108,10 +109,65 @@ def test_the_rest_from_a_swing_ends_where_the_displaced_plank_is(folder, tmp_pat
     ],
 )
 def test_the_rest_begins_on_what_carries_the_robot_then(folder, tmp_path, phase, start, stances):
-    task = make_rest_request(folder, phase, _write_state(folder, phase, tmp_path / "state.json")).task.contacts
+    request = make_rest_request(folder, phase, _write_state(folder, phase, tmp_path / "state.json"))
+    task = request.task.contacts
     assert set(task.start) == start
     assert [stance.name for stance in task.stances] == stances
-    assert all(stance.poses.arriving is not None for stance in task.stances)
+    assert all(f"{stance.name}: land" in request.resume.nominal.phases for stance in task.stances)
+
+
+def _read_phase(motion, name):
+    """Waypoints, and the time since its beginning at each of them, of a phase."""
+    entry = next(entry for entry in motion.phases if entry.name == name)
+    curve = motion.curve.cut(motion.curve.find_knots(entry.first, entry.last))
+    times = find_times(motion.law, curve.knots)
+    return curve.positions, times - times[0]
+
+
+def test_phases_that_an_adjustment_does_not_touch_stay_as_they_were(folder, tmp_path):
+    phase = f"{FIRST}: swing"
+    request = make_rest_request(folder, phase, _write_state(folder, phase, tmp_path / "state.json"))
+    moved, _ = adjust_request(request, None, "plank", np.array([0.02, -0.01, 0.01]))
+    result = plan(moved)
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    _, before = read_record(read_result(folder), folder)
+    for name in (phase, f"{FIRST}: land", f"{SECOND}: shift", f"{SECOND}: lift", f"{SECOND}: swing"):
+        known, made = _read_phase(before, name), _read_phase(result.motion, name)
+        is_same = known[0].shape == made[0].shape and np.abs(known[0] - made[0]).max() < 1e-6
+        assert is_same == (name != f"{SECOND}: swing"), name
+        if is_same:
+            np.testing.assert_allclose(made[1], known[1], rtol=1e-4)
+
+
+def test_an_earlier_motion_that_is_wrong_is_not_kept(folder, tmp_path):
+    phase = f"{SECOND}: swing"
+    request = make_rest_request(folder, phase, _write_state(folder, phase, tmp_path / "state.json"))
+    nominal = request.resume.nominal
+    names = list(nominal.joint_names)
+    wrong = {}
+    for name, entry in nominal.phases.items():
+        positions = np.reshape(entry.positions, (-1, len(names)))
+        positions[1:-1, names.index("base_x" if "base_x" in names else names[0])] += 0.05
+        wrong[name] = replace(entry, positions=tuple(positions.ravel().tolist()))
+    bad = replace(request, resume=replace(request.resume, nominal=replace(nominal, phases=wrong)))
+    result = plan(bad)
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    off = np.abs(_read_phase(result.motion, phase)[0][5] - np.reshape(wrong[phase].positions, (-1, len(names)))[5])
+    assert off.max() > 1e-3
+
+
+def test_a_stance_that_changes_contacts_has_no_posture():
+    posture = {"base": [0.0, 0.0, 0.9, 0.0, 0.0, 0.0]}
+    stance = {"name": "a", "release": ["left_foot"], "posture": posture}
+    with pytest.raises(RequestError, match="changes contacts and has a posture to move to"):
+        parse_request({**REQUEST, "task": {"contacts": {"stances": [stance]}}})
+
+
+def test_contacts_yield_to_nothing(folder, tmp_path):
+    phase = f"{SECOND}: swing"
+    state = _write_state(folder, phase, tmp_path / "state.json")
+    with pytest.raises(ResultError, match="no hand holds a mechanism"):
+        make_rest_request(folder, phase, state, is_compliant=True)
 
 
 def test_places_and_surfaces_of_the_rest_are_those_of_the_plan(folder, tmp_path):

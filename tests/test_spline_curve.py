@@ -8,6 +8,7 @@ from tiny_robots import PLANAR, atlas, chain, contact_free_state
 
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.terms import FramePose, PointHalfSpace
+from service.body.task_plan import KeptCurve
 from service.motion.spline import PhasePath, make_spline
 
 FREE = np.full(2, 3.0)
@@ -169,3 +170,18 @@ def test_the_shortest_paths_make_a_curve(n_waypoints):
     q = np.linspace([0.0, 0.0], [1.0, 1.0], n_waypoints)
     spline = make_spline(KinematicsEngine(robot), [PhasePath("q", q, ())], -FREE, FREE, np.ones(2))
     np.testing.assert_allclose(spline.curve(spline.curve.knots), q)
+
+
+def test_a_curve_that_is_kept_is_taken_as_it_is():
+    robot = chain(PLANAR)
+    hold = tip_height_hold(robot)
+    path = PhasePath("slide", sliding_arm(), (hold,), drift=5e-4)
+    made = make_spline(KinematicsEngine(robot), [path], -FREE, FREE, np.ones(2)).curve
+    before = PhasePath("reach", np.array([[0.0, 0.5], made.positions[0]]), ())
+    kept = PhasePath("slide", made.positions, (), kept=KeptCurve(made))
+    spline = make_spline(KinematicsEngine(robot), [before, kept], -FREE, FREE, np.ones(2))
+    own = spline.curve.cut(slice(spline.ends[1], None))
+    np.testing.assert_array_equal(own.positions, made.positions)
+    np.testing.assert_array_equal(own.tangents, made.tangents)
+    np.testing.assert_allclose(own.knots - own.knots[0], made.knots - made.knots[0])
+    assert spline.is_waypoint.all()

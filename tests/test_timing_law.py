@@ -264,3 +264,25 @@ def test_torques_and_accelerations_hold_at_once_on_a_curved_path() -> None:
     assert 0.95 < check.value < 1.005
     free = time_curve(robot, curve, settings=TimingSettings(use_torques=False))
     assert free.times[-1] < 0.99 * law.times[-1]
+
+
+def test_a_known_law_between_two_rests_is_kept_and_the_rest_is_timed() -> None:
+    robot = chain(np.array([1.0]), np.array([2.0]))
+    curve = Curve(np.array([0.0, 1.0, 2.0]), np.array([[0.0], [1.0], [2.0]]), np.zeros((3, 1)))
+    fast = time_curve(robot, curve, [1.0])
+    first = fast.cut(0.0, 1.0)
+    assert first is not None
+    slow = TimeLaw(3.0 * first.times, first.path, first.speed / 3.0)
+    law = time_curve(robot, curve, [1.0], known=[slow])
+    kept = law.cut(0.0, 1.0)
+    assert kept is not None
+    np.testing.assert_allclose(kept.times, slow.times)
+    assert law.times[-1] - slow.times[-1] == pytest.approx(fast.times[-1] - first.times[-1])
+
+
+def test_a_known_law_that_is_too_fast_is_slowed_to_the_limits() -> None:
+    robot = chain(np.array([1.0]), np.array([2.0]))
+    curve = Curve(np.array([0.0, 1.0]), np.array([[0.0], [1.0]]), np.zeros((2, 1)))
+    law = time_curve(robot, curve)
+    fast = TimeLaw(0.5 * law.times, law.path, 2.0 * law.speed)
+    assert time_curve(robot, curve, known=[fast]).times[-1] >= law.times[-1] - 1e-6

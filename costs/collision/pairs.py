@@ -60,17 +60,21 @@ class PairMargins:
         world[[body.link in exempt for body in robot.bodies]] = -np.inf
         return PairMargins(world, self_pairs, own)
 
-    def relax_to(self, contacts: Contacts, reserve: float, touching_reserve: float | None = None) -> PairMargins:
+    def relax_to(
+        self, contacts: Contacts, reserve: float, touching_reserve: float | None = None, kept: float = 0.0
+    ) -> PairMargins:
         """Return margins no larger than the distances of the given contacts less a reserve.
 
         Args:
             contacts: at a configuration.
             reserve: of pairs that keep clear [m].
             touching_reserve: of pairs that may touch, whose margin is negative; the same if None [m].
+            kept: distance within which a pair that keeps clear has no reserve [m].
         """
         world, own = self.world.copy(), self.own.copy()
         touching = reserve if touching_reserve is None else touching_reserve
-        reach = contacts.distance - np.where(contacts.margin < 0.0, touching, reserve)
+        clear = np.maximum(contacts.distance - reserve, np.minimum(contacts.distance, kept))
+        reach = np.where(contacts.margin < 0.0, contacts.distance - touching, clear)
         rows = ~contacts.is_self
         np.minimum.at(world, (contacts.body[rows], contacts.other[rows]), reach[rows])
         index = {(int(a), int(b)): k for k, (a, b) in enumerate(self.self_pairs)}

@@ -18,7 +18,7 @@ from service.body.holds import project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
 from service.body.sampling import SamplingProblem, Tree, free_coordinates, sample_path, shorten_polyline
-from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan
+from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan, keeps_constraints
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 CARRIER_POINTS = 17  # of the way of the limbs that carry the robot
@@ -126,6 +126,12 @@ class PhaseSolver:
         terms = self._add_own_terms(name, len(lower), costs, constraints)
         problem = self.body.make_problem(lower, upper, checker, *terms, balanced, regions)
         return self._solve_in_turn(name, problem, starts)
+
+    def is_feasible(self, q: Float[np.ndarray, "T n"], constraints: Sequence[Constraint[MotionState]] = ()) -> bool:
+        """Return whether a trajectory keeps all constraints between its ends as it is."""
+        lower, upper = self.body.bounds(len(q), {0: q[0], len(q) - 1: q[-1]})
+        problem = self.body.make_problem(lower, upper, self.body.make_checker((), [q[0], q[-1]]), (), constraints)
+        return keeps_constraints(problem, q)
 
     def move_clear(self, name: str, q: Float[np.ndarray, "n"], margin: float) -> Float[np.ndarray, "n"] | None:
         """Return a configuration near ``q`` with more clearance; None where none is found.

@@ -31,6 +31,21 @@ WaypointTargets = Callable[[Float[np.ndarray, "T"]], tuple[Target, ...]]
 
 
 @dataclass(frozen=True)
+class KeptCurve:
+    """Curve of a phase that is known already and kept as it is, at rest at both ends.
+
+    Attributes:
+        curve: through the phase's waypoints, from any path parameter on.
+        law: its time law; None for one that is still to be found.
+        is_settled: whether this law keeps the limits of forces on this curve.
+    """
+
+    curve: Curve
+    law: TimeLaw | None = None
+    is_settled: bool = False
+
+
+@dataclass(frozen=True)
 class PlannedPhase:
     """A solved phase of the motion, with the verifier's targets.
 
@@ -41,7 +56,7 @@ class PlannedPhase:
         holds: residuals kept at zero between the waypoints besides the planted links'.
         allowances: pairs that may touch besides planted links and floor.
         targets: made from the path parameter of the phase's end.
-        at_waypoints: targets made from the path parameters of all its waypoints.
+        at_waypoints: targets made from the path parameters of all its waypoints, or None.
         is_settling: whether it begins outside the balance margin.
         is_tight: whether the robot nearly touches at one of its ends, so that the samples are close together.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
@@ -49,6 +64,7 @@ class PlannedPhase:
         regions: where the loaded feet hold the robot, by stretches of the waypoints that it was solved with.
         values: (T, k) of the mechanism's joints at those waypoints, its last coordinates.
         body: the robot on this phase's contacts, where they are not those of the whole motion.
+        kept: its curve, if that is known already: its knots are the waypoints.
     """
 
     name: str
@@ -57,7 +73,7 @@ class PlannedPhase:
     holds: tuple[Hold, ...] = ()
     allowances: tuple[Allowance, ...] = ()
     targets: Targets = lambda s_last: ()
-    at_waypoints: WaypointTargets = lambda s: ()
+    at_waypoints: WaypointTargets | None = None
     is_settling: bool = False
     is_tight: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
@@ -65,32 +81,20 @@ class PlannedPhase:
     regions: tuple[PlannedRegion, ...] = ()
     values: Float[np.ndarray, "T k"] | None = None
     body: WholeBody | None = None
+    kept: KeptCurve | None = None
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """Solve the phase from a denser trajectory between the same ends; None if it cannot be solved again."""
         if self.resolve is None:
             return None
         solved = self.resolve(q)
-        return replace(self, q=solved.x, is_feasible=solved.is_feasible)
+        return replace(self, q=solved.x, is_feasible=solved.is_feasible, kept=None)
 
     def for_body(self, body: WholeBody) -> PlannedPhase:
         """Return the phase for a body with further coordinates, which stay at their nominal values."""
         q = np.tile(body.nominal, (len(self.q), 1))
         q[:, : self.q.shape[1]] = self.q
-        return replace(self, q=q)
-
-
-@dataclass(frozen=True)
-class KeptCurve:
-    """Curve and time law of an earlier motion that are kept.
-
-    Attributes:
-        curve: through the waypoints of all phases; neighbouring phases share their border knot.
-        law: its time law; None where it has none.
-    """
-
-    curve: Curve
-    law: TimeLaw | None
+        return replace(self, q=q, kept=None)
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,6 @@ class TaskPlan:
         notes: choices that were made.
         is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
         pose_graph: poses from which the sequence was chosen (JSON-ready), or None.
-        kept: curve and time law through all waypoints where they are known already, or None.
     """
 
     body: WholeBody
@@ -119,7 +122,6 @@ class TaskPlan:
     notes: tuple[str, ...] = ()
     is_impossible: bool = False
     pose_graph: Mapping[str, Any] | None = None
-    kept: KeptCurve | None = None
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -130,6 +132,18 @@ class TaskPlan:
     def is_feasible(self) -> bool:
         """Whether every phase was solved."""
         return not self.reasons and bool(self.phases) and all(phase.is_feasible for phase in self.phases)
+
+
+def keeps_constraints(problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> bool:
+    """Return whether waypoints keep every constraint; of the clearance margin only ``LEAST_CLEARANCE``."""
+    state = problem.state(x)
+    contacts = state.contacts
+    required = np.minimum(contacts.margin - CLEARANCE_TOLERANCE, LEAST_CLEARANCE)
+    return bool(np.all(contacts.distance >= required)) and all(
+        float(term.measure_violation(term.residual.value(state)).max(initial=0.0)) <= term.tolerance
+        for term in problem.constraints
+        if term.name not in CLEARANCE_TERMS
+    )
 
 
 @dataclass(frozen=True)
@@ -148,16 +162,7 @@ class Solved:
     @cached_property
     def is_feasible(self) -> bool:
         """Whether every constraint is kept; of the clearance margin only ``LEAST_CLEARANCE`` is required."""
-        if self.result.is_feasible:
-            return True
-        state = self.problem.state(self.x)
-        contacts = state.contacts
-        required = np.minimum(contacts.margin - CLEARANCE_TOLERANCE, LEAST_CLEARANCE)
-        return bool(np.all(contacts.distance >= required)) and all(
-            float(term.measure_violation(term.residual.value(state)).max(initial=0.0)) <= term.tolerance
-            for term in self.problem.constraints
-            if term.name not in CLEARANCE_TERMS
-        )
+        return self.result.is_feasible or keeps_constraints(self.problem, self.x)
 
     @property
     def shortfall(self) -> float:

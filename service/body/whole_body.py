@@ -40,6 +40,7 @@ FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
 SELF_SHARE = 0.5  # of the margin between the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the clearance margin [m]
+LEAST_APART = 5e-4  # between waypoints of pairs that are farther apart than the tolerance at an end [m]
 TOUCHING_SHARE = 0.9  # of that tolerance by which an end may be deeper than a pair that may touch is aimed at
 ACCEPTABLE_SHARE = 0.3  # of the margin that may be missing when a solve takes long
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
@@ -158,7 +159,8 @@ class WholeBody:
         is_plain = not allowances and not overrides
         checker = self._plain_checker if is_plain else self._make_checker(allowances, overrides)
         # A pair that may touch is not allowed more than its depth because it has it at an end.
-        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, -TOUCHING_SHARE * CLEARANCE_TOLERANCE)
+        touching = -TOUCHING_SHARE * CLEARANCE_TOLERANCE
+        return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, touching, CLEARANCE_TOLERANCE + LEAST_APART)
 
     @cached_property
     def _plain_checker(self) -> SweptCollisionChecker:
@@ -192,11 +194,12 @@ class WholeBody:
         ends: Sequence[Float[np.ndarray, "n"]],
         reserve: float,
         touching_reserve: float | None = None,
+        kept: float = 0.0,
     ) -> SweptCollisionChecker:
-        """Limit the margin of every pair to its distance at the given ends less a reserve, others for touching [m]."""
+        """Limit every margin to the distance at the given ends less a reserve: see ``PairMargins.relax_to``."""
         margins = checker.margins
         for q in ends:
-            margins = margins.relax_to(checker(self.engine(q[None])), reserve, touching_reserve)
+            margins = margins.relax_to(checker(self.engine(q[None])), reserve, touching_reserve, kept)
         return checker.with_margins(margins)
 
     def measure_nearest(self, q: Float[np.ndarray, "n"]) -> float:

@@ -17,6 +17,7 @@ from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis, with_mechanism
 from costs.scene import Scene
 from service.demands.contacts.egress_demand import EgressDemand
+from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ContactPhase, ContactStance, ends_with_new_contacts, list_contact_phases
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
@@ -181,6 +182,7 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         stances, forbidden = demands.egress.read_stances(recorded)
         has_finish = ends_with_new_contacts(stances)
     elif request.task is not None and request.task.contacts is not None:
+        stances, forbidden = take_recorded_places(stances, demands.scene, recorded)
         has_finish = request.task.contacts.finish is not None
     if stances:
         changes = list_contact_phases(stances, has_finish=has_finish)

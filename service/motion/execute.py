@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +17,7 @@ from service.body.task_plan import KeptCurve, PlannedPhase, TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
-from service.motion.timing import TimingSettings, slow_to_limits, slow_until_zmp_inside, time_curve
+from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.start.standing import FEET_GROUP
 from service.verify import Basis, Certificate, LoadedRegion, Motion, Phase, SupportPolygon
 from service.verify.coverage.required import list_waived_checks
@@ -38,7 +39,7 @@ BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s,
 def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     """Make the sampled motion of a task's phases (at least one), without a time law if ``timing`` is None."""
     body = plan.body
-    spline = _fit_spline(plan) if plan.kept is None else _keep_spline(plan, plan.kept)
+    spline = _fit_spline(plan)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
     neighbours = make_neighbour_allowances(body.robot, body.scene, body.nominal)
@@ -64,11 +65,13 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         return replace(motion, samples=_sample_path(spline.curve, _limit_chords(plan, spline, chord)))
     planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
-    if plan.kept is None or plan.kept.law is None:
-        motion = replace(motion, law=time_curve(body.robot, spline.curve, borders, timing, phases))
-    else:
-        motion = replace(motion, law=slow_to_limits(body.robot, spline.curve, plan.kept.law, timing))
-    law = slow_until_zmp_inside(motion, reserve_m=ZMP_RESERVE)
+    law = time_curve(body.robot, spline.curve, borders, timing, phases, list(_place_laws(plan, borders)))
+    settled = [
+        border
+        for phase, border in zip(plan.phases, pairwise(borders), strict=True)
+        if phase.kept is not None and phase.kept.is_settled
+    ]
+    law = slow_until_zmp_inside(replace(motion, law=law), reserve_m=ZMP_RESERVE, settled=settled)
     # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
     is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
     chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf
@@ -85,18 +88,19 @@ def _fit_spline(plan: TaskPlan) -> Spline:
     body, robot = plan.body, plan.body.robot
     standing = [_find_body(plan, phase) for phase in plan.phases]
     paths = [
-        PhasePath(phase.name, phase.q, (*own.holds(), *phase.holds), own.drift())
+        PhasePath(phase.name, phase.q, (*own.holds(), *phase.holds), own.drift(), phase.kept)
         for phase, own in zip(plan.phases, standing, strict=True)
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
 
 
-def _keep_spline(plan: TaskPlan, kept: KeptCurve) -> Spline:
-    """Return the curve that a plan keeps, with all of its knots as waypoints."""
-    counts = [len(phase.q) - 1 for phase in plan.phases]
-    ends = (0, *np.cumsum(counts).tolist())
-    return Spline(kept.curve, ends, np.ones(len(kept.curve.knots), dtype=bool))
+def _place_laws(plan: TaskPlan, borders: Sequence[float]) -> Iterator[TimeLaw]:
+    """Yield the time laws that phases keep, with the path parameters of the whole curve."""
+    for phase, first in zip(plan.phases, borders, strict=False):
+        if phase.kept is not None and phase.kept.law is not None:
+            law = phase.kept.law
+            yield replace(law, path=(law.path - law.path[0]) + first)
 
 
 def _make_phase(
@@ -109,13 +113,14 @@ def _make_phase(
     if body.polygon is not None:
         height = float(np.mean([foot.points[:, 2].mean() for foot in body.planted]))
         support = SupportPolygon(body.polygon.vertices, margin, height)
+    at_waypoints = () if phase.at_waypoints is None else phase.at_waypoints(s)
     return Phase(
         name=phase.name,
         first=first,
         last=last,
         contacts=body.planted,
         allowances=(*body.standing_allowances(), *phase.allowances, *neighbours),
-        targets=(*phase.targets(last), *phase.at_waypoints(s), *(kept.target() for kept in body.kept)),
+        targets=(*phase.targets(last), *at_waypoints, *(kept.target() for kept in body.kept)),
         support=support,
         loads=phase.loads,
         regions=_place_regions(phase, body, s),
@@ -199,7 +204,10 @@ def _sample_law(
 
 
 def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monitor: Monitor) -> TaskPlan | None:
-    """Solve phases again with waypoints added where the motion's checks fail; None when no failing phase can be."""
+    """Solve phases again with waypoints added where the motion's checks fail; None when no failing phase can be.
+
+    The other phases keep their curves and time laws.
+    """
     failures = [
         check.where.s
         for check in certificate.checks
@@ -212,6 +220,7 @@ def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monito
     for index, (phase, promise) in enumerate(zip(plan.phases, motion.phases, strict=True)):
         inside = [s for s in failures if promise.first < s < promise.last]
         if not inside:
+            phases[index] = phase if phase.at_waypoints is not None else _keep(phase, motion, promise)
             continue
         with monitor.step(f"repair {phase.name}", 0.9):
             repaired = phase.solve_again(_add_waypoints(motion, promise.first, promise.last, inside))
@@ -219,6 +228,13 @@ def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monito
             phases[index] = repaired
             is_changed = True
     return replace(plan, phases=tuple(phases)) if is_changed else None
+
+
+def _keep(phase: PlannedPhase, motion: Motion, promise: Phase) -> PlannedPhase:
+    """Return a phase with the curve and time law that it has in a motion."""
+    curve = motion.curve.cut(motion.curve.find_knots(promise.first, promise.last))
+    law = None if motion.law is None else motion.law.cut(float(curve.knots[0]), float(curve.knots[-1]))
+    return replace(phase, q=curve.positions, kept=KeptCurve(curve, law, is_settled=law is not None))
 
 
 def _add_waypoints(motion: Motion, first: float, last: float, failures: Sequence[float]) -> Float[np.ndarray, "T n"]:

@@ -20,6 +20,7 @@ from service.body.holds import (
     linearize_holds,
     project_onto_holds,
 )
+from service.body.task_plan import KeptCurve
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
 SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
@@ -37,12 +38,14 @@ class PhasePath:
         q: (T, n) waypoints; the first is the last of the phase before.
         holds: residuals kept at zero (planted feet, a hand on a wheel).
         drift: largest residual of a hold between waypoints [m, rad].
+        kept: curve through the waypoints that is taken as it is, or None.
     """
 
     name: str
     q: Float[np.ndarray, "T n"]
     holds: tuple[Hold, ...]
     drift: float = DRIFT
+    kept: KeptCurve | None = None
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,8 @@ def make_spline(
 ) -> Spline:
     """Make a C1 cubic spline through all phases, with waypoints inserted where a hold would drift.
 
+    Curves that are kept are taken as they are.
+
     Args:
         engine: kinematics.
         paths: phases in order; each begins where the one before ends.
@@ -80,9 +85,16 @@ def make_spline(
     tangents: list[np.ndarray] = []
     knots: list[np.ndarray] = []
     for index, path in enumerate(paths):
+        first = refined[-1].q[-1] if index else path.q[0]
+        if path.kept is not None:
+            own = path.kept.curve
+            refined.append(replace(path, q=np.concatenate([first[None], own.positions[1:]])))
+            tangents.append(own.tangents)
+            knots.append(own.knots - own.knots[0])
+            originals.append(np.ones(len(own.knots), dtype=bool))
+            continue
         q = np.array(path.q)
-        if index:
-            q[0] = refined[-1].q[-1]
+        q[0] = first
         is_original = np.ones(len(q), dtype=bool)
         q[1:] = project_onto_holds(engine, q[1:], path.holds)
         for _ in range(MAX_INSERTIONS):

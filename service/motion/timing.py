@@ -76,8 +76,12 @@ def time_curve(
     rest_at: Sequence[float] = (),
     settings: TimingSettings | None = None,
     phases: Sequence[Phase] = (),
+    known: Sequence[TimeLaw] = (),
 ) -> TimeLaw:
     """Make the fastest time law within the limits, at rest at both ends and at ``rest_at`` (path parameters).
+
+    Where a law from one rest to the next is known already, it is kept, slower if it would pass a limit of speed or
+    acceleration.
 
     TOPP-RA (Pham & Pham, T-RO 2018) on a grid that holds every knot, with the curve's second derivative taken from
     both sides, since it jumps there, and limits kept at points within the cells as well.  Speed and acceleration limits
@@ -96,21 +100,26 @@ def time_curve(
     grid = _make_grid(curve, rests, settings.cells_per_interval)
     ends = np.concatenate([[0], np.searchsorted(grid, np.unique(rests)), [len(grid) - 1]]).astype(int)
     torque_rows = _find_free_torques(robot, settings) if settings.use_torques else np.zeros(robot.n, dtype=bool)
-    speed = np.zeros(len(grid))
+    laws = {(float(law.path[0]), float(law.path[-1])): law for law in known}
+    path, speed = [grid[:1]], [np.zeros(1)]
     for a, b in pairwise(ends):
         cells = grid[a : b + 1]
-        support = _find_support(phases, float(cells[0]), float(cells[-1]))
-        speed[a : b + 1] = _time_segment(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)
-    law = TimeLaw.accelerated(grid, speed)
+        first, last = float(cells[0]), float(cells[-1])
+        if (first, last) in laws:
+            kept = laws[first, last]
+            path.append(kept.path[1:])
+            speed.append(kept.speed[1:])
+            continue
+        support = _find_support(phases, first, last)
+        path.append(cells[1:])
+        speed.append(_time_segment(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)[1:])
+    law = TimeLaw.accelerated(np.concatenate(path), np.concatenate(speed))
     return _slow_to_limits(limited, curve, law)
 
 
-def slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw, settings: TimingSettings) -> TimeLaw:
-    """Return a law, slower between two rests where speed or acceleration would pass a limit."""
-    return _slow_to_limits(_scale_limits(robot, settings), curve, law)
-
-
-def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: float = 0.0) -> TimeLaw:
+def slow_until_zmp_inside(
+    motion: Motion, time_step_s: float = 0.01, reserve_m: float = 0.0, settled: Sequence[tuple[float, float]] = ()
+) -> TimeLaw:
     """Slow the motion's law between rests until ZMP and torques hold at all samples, if that is possible.
 
     With all speeds divided by c the ZMP approaches that of the resting robot as 1/c^2 (except for the vertical
@@ -121,6 +130,7 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: 
         motion: with a time law.
         time_step_s: between samples.
         reserve_m: of the ZMP inside the polygon, at most half of that at rest.
+        settled: path parameters of two rests between which ZMP and torques are known to hold.
 
     Raises:
         TimingError: when the motion has no time law.
@@ -129,7 +139,7 @@ def slow_until_zmp_inside(motion: Motion, time_step_s: float = 0.01, reserve_m: 
         raise TimingError("an untimed motion cannot be slowed")
     law = motion.law
     rests = np.flatnonzero(law.speed <= 1e-12)
-    stretches = list(pairwise(rests))
+    stretches = [(a, b) for a, b in pairwise(rests) if (law.path[a], law.path[b]) not in settled]
     for _ in range(4):
         poll()
         factor = np.ones(len(law.times) - 1)

@@ -13,6 +13,7 @@ import orjson
 
 from costs.robot import BASE_NAMES, RobotModel
 from service.demands import TaskDemand, has_scan
+from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ends_with_new_contacts
 from service.demands.door_demand import DoorDemand, keep_door_choice
 from service.demands.given_mechanism import GivenMechanismDemand
@@ -32,7 +33,7 @@ from service.setup.world import Surroundings
 from service.start.configuration import make_start_configuration
 from service.verify import Motion
 
-NOMINAL_DIGITS = 5  # of the positions of an earlier motion
+NOMINAL_DIGITS = 7  # of the positions of an earlier motion
 
 
 def hash_plan(data: Mapping[str, Any]) -> str:
@@ -76,7 +77,7 @@ def make_rest_request(
     resume = _make_resume(data, folder, request, robot, motion)
     resume = replace(resume, phase=phase, plan=plan, mechanism=state.mechanism, is_rescanned=cloud is not None)
     if is_compliant:
-        if resume.nominal is None:
+        if resume.nominal is None or _changes_contacts(request):
             raise ResultError(f"{folder}: no hand holds a mechanism in this plan; there is nothing to yield to")
         resume = replace(resume, is_compliant=True)
     names = [*(entry["name"] for entry in data["phases"]), *data["not_planned"]]
@@ -102,18 +103,23 @@ def _read_changed_contacts(
         ResultError: the plan is not complete.
     """
     task = request.task
-    if task is None or (task.contacts is None and task.egress is None):
+    if task is None or not _changes_contacts(request):
         return None
     demands = _rebuild(data, request, robot, motion)
     if demands.egress is None or task.egress is None:
         assert task.contacts is not None
-        return ChangedContacts(
-            demands.robot, demands.stances, task.contacts.finish is not None, motion, dict(task.contacts.surfaces)
-        )
-    stances, problems = demands.egress.read_stances(motion)
+        stances, problems = take_recorded_places(demands.stances, demands.scene, motion)
+        has_finish, surfaces = task.contacts.finish is not None, task.contacts.surfaces
+    else:
+        stances, problems = demands.egress.read_stances(motion)
+        has_finish, surfaces = ends_with_new_contacts(stances), task.egress.surfaces
     if problems:
         raise ResultError(f"{folder}: {problems[0]}; only the rest of a complete plan can be planned again")
-    return ChangedContacts(demands.robot, stances, ends_with_new_contacts(stances), motion, dict(task.egress.surfaces))
+    return ChangedContacts(demands.robot, stances, has_finish, motion, dict(surfaces))
+
+
+def _changes_contacts(request: PlanRequest) -> bool:
+    return request.task is not None and (request.task.contacts is not None or request.task.egress is not None)
 
 
 def _rebuild(data: dict[str, Any], request: PlanRequest, robot: RobotModel, motion: Motion) -> Demands:
@@ -148,9 +154,10 @@ def _make_resume(
             request.resume if request.resume.nominal is None else replace(request.resume, nominal=_keep_motion(motion))
         )
     empty = ResumeRequest(phase="-", plan="sha256:" + 64 * "0")
-    task = request.task
-    if task is None or task.contacts is not None or task.egress is not None:
+    if request.task is None:
         return empty
+    if _changes_contacts(request):
+        return replace(empty, nominal=_keep_motion(motion))
     kept = _keep_choices(_rebuild(data, request, robot, motion).task, motion)
     if isinstance(kept, str):
         raise ResultError(f"{folder}: {kept}; only the rest of a complete plan can be planned again")

@@ -1,9 +1,9 @@
-"""The rest of a plan that changes contacts: stances with known poses, from one of its phases on."""
+"""The rest of a plan that changes contacts: its stances from one of its phases on."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +20,7 @@ from service.demands.contacts.stances import (
 )
 from service.errors import RequestError, shown, would_do
 from service.request.contacts import (
-    MAX_WAY,
     ContactsRequest,
-    KnownPosesRequest,
     PlaceRequest,
     PostureRequest,
     StanceRequest,
@@ -127,30 +125,12 @@ class ChangedContacts:
         released = tuple(c.patch for c in change.leaving if c.patch in before and c.planted.link not in links)
         if not made and not released:
             return None
-        poses = KnownPosesRequest(
-            self._take_pose(f"{stance.name}: shift"),
-            self._take_pose(f"{stance.name}: land"),
-            way=self._take_way(f"{stance.name}: swing"),
-        )
-        return StanceRequest(stance.name, made, released, poses)
+        return StanceRequest(stance.name, made, released)
 
     def _stand(self, name: str, phase: str) -> StanceRequest:
         """Return the move to the pose at the end of a phase."""
-        return StanceRequest(name, poses=KnownPosesRequest(standing=self._take_pose(phase), way=self._take_way(phase)))
-
-    def _take_pose(self, name: str) -> PostureRequest | None:
-        """Return the configuration at the end of a phase; None without that phase."""
-        way = self._take_way(name)
-        return way[-1] if way else None
-
-    def _take_way(self, name: str) -> tuple[PostureRequest, ...]:
-        """Return the waypoints of a phase, at most as many as a request may have; none without that phase."""
-        for phase in self.motion.phases:
-            if phase.name == name:
-                waypoints = self.motion.curve.positions[self.motion.curve.find_knots(phase.first, phase.last)]
-                chosen = np.unique(np.linspace(0, len(waypoints) - 1, MAX_WAY).astype(int))
-                return tuple(self._describe(q) for q in waypoints[chosen])
-        return ()
+        last = next(own.last for own in self.motion.phases if own.name == phase)
+        return StanceRequest(name, posture=self._describe(self.motion.curve(np.array([last]))[0]))
 
     def _describe(self, q: Float[np.ndarray, "n"]) -> PostureRequest:
         """Return a configuration as a request has it."""
@@ -208,10 +188,10 @@ def _move_surface(surface: SurfaceRequest, offset: Float[np.ndarray, "3"]) -> Su
 
 def _move_places(stance: StanceRequest, patches: Sequence[str], offset: Float[np.ndarray, "3"]) -> StanceRequest:
     make = {
-        patch: PlaceRequest(place.surface, displace(place.at, offset), place.yaw_deg) if patch in patches else place
+        patch: replace(place, at=displace(place.at, offset)) if patch in patches else place
         for patch, place in stance.make.items()
     }
-    return StanceRequest(stance.name, make, stance.release, stance.poses)
+    return StanceRequest(stance.name, make, stance.release, stance.posture)
 
 
 def displace(place: tuple[float, float, float], offset: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
@@ -228,7 +208,7 @@ def _make_place(robot: RobotModel, contact: StanceContact) -> PlaceRequest:
     """Return the place of a contact as a request has it."""
     yaw = find_link_yaw(robot.contacts[contact.patch], contact)
     x, y, z = contact.points.mean(axis=0).tolist()
-    return PlaceRequest(contact.surface.name, (x, y, z), float(np.rad2deg(yaw)))
+    return PlaceRequest(contact.surface.name, (x, y, z), float(np.rad2deg(yaw)), contact.slack_m)
 
 
 def _is_in_place(robot: RobotModel, contact: StanceContact, q: Float[np.ndarray, "n"]) -> bool:

@@ -24,8 +24,9 @@ from service.request.fields import (
     find_repeated,
 )
 
+Slack = Annotated[Number, Field(ge=0.0, le=0.5)]
 BasePose = tuple[Coordinate, Coordinate, Coordinate, Number, Number, Number]
-MAX_SURFACES, MAX_STANCES, MAX_CORNERS, MAX_WAY = 64, 64, 32, 64
+MAX_SURFACES, MAX_STANCES, MAX_CORNERS = 64, 64, 32
 
 
 @dataclass(config=SECTION)
@@ -64,11 +65,14 @@ class PlaceRequest(Section):
         at: the middle of the patch, moved along the normal onto the surface [m].
         yaw_deg: turn of the patch's link about the surface's normal; 0 points its x axis along the world's x axis (on a
             surface across it, along the z axis).
+        slack_m: by which the place may be moved along the longest edge of its surface, either way, where poses on the
+            way do not hold with it. Only a place that a later phase stands on is moved.
     """
 
     surface: Name
     at: Point
     yaw_deg: Annotated[Number, Field(ge=-360.0, le=360.0)] = 0.0
+    slack_m: Slack = 0.0
 
 
 @dataclass(config=SECTION)
@@ -87,43 +91,30 @@ class PostureRequest(Section):
 
 
 @dataclass(config=SECTION)
-class KnownPosesRequest(Section):
-    """Poses to start from, of a plan that did the same before.
-
-    Attributes:
-        leaving: in which the contacts that stay hold the robot alone, before the others leave.
-        arriving: the same when the new contacts are in their places.
-        standing: to end in, on the new contacts.
-        way: configurations one after the other on the way there: of the swing, or of the move to ``standing``.
-    """
-
-    leaving: PostureRequest | None = None
-    arriving: PostureRequest | None = None
-    standing: PostureRequest | None = None
-    way: Annotated[tuple[PostureRequest, ...], at_most(MAX_WAY)] = ()
-
-
-@dataclass(config=SECTION)
 class StanceRequest(Section):
     """Change of contacts: what is made at a new place, and what is released; all others stay where they are.
 
-    Without either, the robot moves to the pose ``poses.standing`` on the contacts that it has.
+    Without either, the robot moves to ``posture`` on the contacts that it has.
 
     Attributes:
         name: as messages and phases have it.
         make: place by name of the robot's contact patch.
         release: patches that let go.
-        poses: known ones to start from.
+        posture: to move to where no contact changes, as far as the contacts allow.
     """
 
     name: Label
     make: Annotated[dict[Name, PlaceRequest], at_most(MAX_SURFACES)] = field(default_factory=dict)
     release: Annotated[tuple[Name, ...], at_most(MAX_SURFACES)] = ()
-    poses: KnownPosesRequest = field(default_factory=KnownPosesRequest)
+    posture: PostureRequest | None = None
 
     def __post_init__(self) -> None:
-        if not self.make and not self.release and self.poses.standing is None:
-            words = "neither makes nor releases a contact; expected one of them, or poses.standing to move to"
+        changes = bool(self.make or self.release)
+        if not changes and self.posture is None:
+            words = "neither makes nor releases a contact; expected one of them, or a posture to move to"
+            raise PydanticCustomError("stance", words)
+        if changes and self.posture is not None:
+            words = "changes contacts and has a posture to move to; expected a stance for each"
             raise PydanticCustomError("stance", words)
         both = sorted(set(self.make) & set(self.release))
         if both:

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
-from service.request.contacts import PostureRequest, SurfaceRequest
+from service.request.contacts import PostureRequest, Slack, SurfaceRequest
 from service.request.fields import (
     SECTION,
     Coordinate,
@@ -43,6 +43,7 @@ class ContactRequest(Section):
         toe: the same of the middle of the patch's points that are farthest along its link's x axis.
         yaw_deg: turn of the link's x axis about the surface's normal.
         region: lengths in x and y of the region about the place in which places are drawn [m].
+        slack_m: by which the place may be moved along the longest edge of its surface where poses do not hold with it.
     """
 
     surface: Label
@@ -50,12 +51,15 @@ class ContactRequest(Section):
     toe: Point | None = None
     yaw_deg: Angle | None = None
     region: tuple[RegionLength, RegionLength] | None = None
+    slack_m: Slack = 0.0
 
     def __post_init__(self) -> None:
         if self.at is not None and self.toe is not None:
             raise PydanticCustomError("contact", "at and toe exclude each other; give one")
         if self.region is not None and self.at is None and self.toe is None:
             raise PydanticCustomError("contact", "region needs a place in its middle; give at or toe")
+        if self.slack_m and self.at is None and self.toe is None:
+            raise PydanticCustomError("contact", "slack_m needs a place that may be moved; give at or toe")
 
 
 @dataclass(config=SECTION)

@@ -39,7 +39,8 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         from service.tasks.known_motion import read_known_motion
 
         contacts = request.task.contacts
-        guesses = read_known_motion(setup.robot, contacts)
+        earlier = None if request.resume is None else request.resume.nominal
+        guesses = read_known_motion(setup.robot, contacts, earlier)
         yield plan_contact_motion(solver, setup.stances, _find_finish(setup, contacts.finish), guesses)
         return
     if request.task is not None and request.task.egress is not None:

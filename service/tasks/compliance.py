@@ -116,8 +116,11 @@ def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[TaskP
         curve.tangents + np.concatenate([tangents, np.zeros((1, body.robot.n))]),
     )
     largest = _measure(engine, sequence.specs, borders, curve, displaced)
-    phases = sequence.take([displaced.positions[a : b + 1] for a, b in borders])
-    return TaskPlan(body, phases, kept=KeptCurve(displaced, _read_law(earlier, curve))), largest
+    law, phases = _read_law(earlier), []
+    for phase, (a, b) in zip(sequence.take([displaced.positions[a : b + 1] for a, b in borders]), borders, strict=True):
+        own = displaced.cut(slice(a, b + 1))
+        phases.append(replace(phase, kept=KeptCurve(own, None if law is None else _cut_law(law, own, phase.name))))
+    return TaskPlan(body, tuple(phases)), largest
 
 
 def _read_curve(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[Curve, list[tuple[int, int]]]:
@@ -158,15 +161,19 @@ def _check_start(sequence: PhaseSequence, curve: Curve, borders: Sequence[tuple[
             curve.positions[knot, -count:] = values
 
 
-def _read_law(earlier: NominalRequest, curve: Curve) -> TimeLaw | None:
-    """Return the earlier time law of a curve's part; None for an untimed plan."""
-    path, speed = np.array(earlier.law_path), np.array(earlier.law_speed)
-    if not len(path):
+def _read_law(earlier: NominalRequest) -> TimeLaw | None:
+    """Return the earlier time law; None for an untimed plan."""
+    if not earlier.law_path:
         return None
-    inside = (path >= curve.knots[0]) & (path <= curve.knots[-1])
-    if inside.sum() < 2 or path[inside][0] != curve.knots[0] or path[inside][-1] != curve.knots[-1]:
-        raise CannotFollowError("the earlier time law does not cover the earlier curve")
-    return TimeLaw.accelerated(path[inside], speed[inside])
+    return TimeLaw.accelerated(np.array(earlier.law_path), np.array(earlier.law_speed))
+
+
+def _cut_law(law: TimeLaw, curve: Curve, phase: str) -> TimeLaw:
+    """Return the part of a time law on a phase's curve."""
+    part = law.cut(float(curve.knots[0]), float(curve.knots[-1]))
+    if part is None:
+        raise CannotFollowError(f"the earlier time law does not lead from rest to rest through '{phase}'")
+    return part
 
 
 def _yield_arm(

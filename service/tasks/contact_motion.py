@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.contact import Contact
 from costs.robot import BASE_NAMES
 from costs.state import MotionState
 from costs.static_region import StaticRegionError
 from costs.terms import FramePose, Joined, JointTarget, WithinTolerance
-from scopt import Constraint, Cost, Residual, Sense
-from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
-from service.body.facing import keep_facing
+from scopt import Constraint, Cost, Residual
+from service.body.equilibrium_pose import EquilibriumPose
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import plan_contact_region
 from service.body.phases import PhaseSolver, path_via, posture_guesses, straight_path
 from service.body.sampling import Tree, free_coordinates
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
-from service.body.whole_body import FOOT_TOLERANCE, WholeBody
+from service.body.whole_body import WholeBody
+from service.demands.contacts.moved_places import list_movable, move_place
 from service.demands.contacts.stances import (
     LINE_M,
     ContactChange,
@@ -31,34 +29,52 @@ from service.demands.contacts.stances import (
     StanceContact,
     list_contact_phases,
 )
+from service.tasks.held_pose import KNOWN_WEIGHT, SAME_STATE, HeldPose, keep_sides
 from service.tasks.known_motion import KnownMotion, lead_way
 from service.tasks.phase_compiler import shrink
-from service.verify.forces.loaded_balance import find_normals
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
-TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
 # Of a link on its line, at the waypoints: how far it may be off, and the tolerance of that [m, rad].
 LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))])
 LINE_TOLERANCE = 2e-4
-KNOWN_WEIGHT = 1.0  # of a known pose [cost/rad^2, cost/m^2]
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 LEAST_JOINTS = 3  # of a limb that goes around something
 LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
+PLAIN_TRIES = 2  # of a change of contacts, without random guesses
 N_TRIES = 4  # of a change of contacts, from other guesses
 SPREAD = 0.15  # of the joints of these guesses, standard deviation [rad]
-SIDE_RESERVE = 1e-3  # of the depth behind a contact's surface in poses, for the motion between them [m]
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
+MOST_MOVES = 4  # of places, until a missing pose counts as impossible
+LEAST_MOVE_M = 1e-3  # by which a place is moved
 POSE_RESERVE = 2.5e-3  # of an allowance in poses, for the motion between them [m]
 
 
 class StuckError(Exception):
-    """A step has no solution; carries the sentences and the best attempt."""
+    """A step has no solution; carries the sentences, the best attempt, and the pose that is missing, if it is one."""
 
     def __init__(
-        self, step: str, reasons: Sequence[str], q: Float[np.ndarray, "n"], stuck: Stuck | None = None
+        self,
+        step: str,
+        reasons: Sequence[str],
+        q: Float[np.ndarray, "n"],
+        stuck: Stuck | None = None,
+        missing: MissingPose | None = None,
     ) -> None:
         super().__init__("; ".join(reasons))
-        self.step, self.reasons, self.q, self.stuck = step, tuple(reasons), q, stuck
+        self.step, self.reasons, self.q, self.stuck, self.missing = step, tuple(reasons), q, stuck, missing
+
+
+@dataclass(frozen=True)
+class MissingPose:
+    """A pose that a change of contacts needs and that does not exist with its contacts where they are.
+
+    Attributes:
+        held: the pose.
+        near: (n,) configuration that it should be near.
+    """
+
+    held: HeldPose
+    near: Float[np.ndarray, "n"]
 
 
 def plan_contact_motion(
@@ -80,26 +96,99 @@ def plan_contact_motion(
     if guesses is not None:
         solver = replace(solver, body=replace(solver.body, is_comfortable=False))
     walker = _Walker(solver, guesses or KnownMotion(), np.zeros(solver.body.robot.n), n_tries)
-    specs = list_contact_phases(stances, has_finish=finish is not None)
-    order = tuple(spec.name for spec in specs)
-    phases: list[PlannedPhase] = []
-    at = solver.body.nominal
+    course = _Course(walker, tuple(stances), finish is not None)
     first = walker.stand_on(stances[0].contacts) if stances else None
     try:
-        for before, after in pairwise(stances):
-            own = [spec for spec in specs if spec.name.startswith(f"{after.name}: ")]
-            for phase in walker.try_change(own, before, after, at):
-                phases.append(phase)
-                at = phase.q[-1]
+        course.go_through()
         if finish is not None:
-            phases.append(walker.end_in(specs[-1], at, finish))
+            course.add(walker.end_in(course.specs[-1], course.at, finish))
     except StuckError as error:
+        order = tuple(spec.name for spec in course.specs)
         stuck = None if error.stuck is None else replace(error.stuck, order=order)
-        body = phases[-1].body if phases else first
-        attempt = PlannedPhase(error.step, np.stack([at, error.q]), False, body=body)
+        body = course.phases[-1].body if course.phases else first
+        attempt = PlannedPhase(error.step, np.stack([course.at, error.q]), False, body=body)
         obstacle = () if stuck is not None else error.reasons
-        return TaskPlan(solver.body, (*phases, attempt), obstacle, stuck)
-    return TaskPlan(solver.body, tuple(phases))
+        return TaskPlan(solver.body, (*course.phases, attempt), obstacle, stuck, notes=tuple(course.notes))
+    return TaskPlan(solver.body, tuple(course.phases), notes=tuple(course.notes))
+
+
+class _Course:
+    """Plans one change of contacts after the other.
+
+    Where a pose is missing that would exist with a contact elsewhere within its slack, the contact is moved, and the
+    changes from the one on that makes it are planned again.
+
+    Attributes:
+        stances: with the places that are chosen so far.
+        notes: about places that were moved.
+    """
+
+    def __init__(self, walker: _Walker, stances: tuple[ContactStance, ...], has_finish: bool) -> None:
+        self._walker, self.stances, self._has_finish = walker, stances, has_finish
+        self._changes: list[Sequence[PlannedPhase]] = []
+        self._n_moves = 0
+        self.notes: list[str] = []
+
+    @property
+    def specs(self) -> tuple[ContactPhase, ...]:
+        """All phases in their order."""
+        return list_contact_phases(self.stances, has_finish=self._has_finish)
+
+    @property
+    def phases(self) -> list[PlannedPhase]:
+        """Those that are planned."""
+        return [phase for change in self._changes for phase in change]
+
+    @property
+    def at(self) -> Float[np.ndarray, "n"]:
+        """(n,) configuration in which they end."""
+        phases = self.phases
+        return phases[-1].q[-1] if phases else self._walker.start.nominal
+
+    def add(self, phase: PlannedPhase) -> None:
+        """Append a planned phase."""
+        self._changes.append((phase,))
+
+    def go_through(self) -> None:
+        """Plan all changes of contacts.
+
+        Raises:
+            StuckError: one of them cannot be made.
+        """
+        while (k := len(self._changes) + 1) < len(self.stances):
+            before, after = self.stances[k - 1 : k + 1]
+            own = [spec for spec in self.specs if spec.name.startswith(f"{after.name}: ")]
+            try:
+                self._changes.append(self._walker.try_change(own, before, after, self.at, range(PLAIN_TRIES)))
+            except StuckError as error:
+                made = self._move_places(k, error.missing)
+                if made is not None:
+                    del self._changes[made - 1 :]
+                    continue
+                further = range(PLAIN_TRIES, self._walker.most_tries)
+                if not further:
+                    raise
+                self._changes.append(self._walker.try_change(own, before, after, self.at, further, error))
+
+    def _move_places(self, k: int, missing: MissingPose | None) -> int | None:
+        """Move contacts so that a missing pose exists; return the first stance that makes one of them, or None.
+
+        Args:
+            k: stance that was not reached.
+            missing: on the way there.
+        """
+        if missing is None or self._n_moves == MOST_MOVES:
+            return None
+        movable = {patch: made for made, patch in list_movable(self.stances) if made <= k}
+        slides = missing.held.only_sliding(movable).find_slides([self.at, missing.near], missing.near) or {}
+        slides = {patch: by for patch, by in slides.items() if abs(by) > LEAST_MOVE_M}
+        if not slides:
+            return None
+        self._n_moves += 1
+        for patch, by in slides.items():
+            self.stances = move_place(self.stances, movable[patch], patch, by, self._walker.start.scene)
+            self.notes.append(f"{patch} is moved by {1e3 * by:.0f} mm in '{self.stances[movable[patch]].name}'")
+        return min(movable[patch] for patch in slides)
 
 
 @dataclass(frozen=True)
@@ -111,10 +200,15 @@ class _Walker:
     noise: Float[np.ndarray, "n"]
     n_tries: int
     arrives_first: bool = False
+    keeps_poses: bool = True
 
     @property
     def start(self) -> WholeBody:
         return self.solver.body
+
+    @property
+    def most_tries(self) -> int:
+        return min(self.n_tries, self.solver.most_starts)
 
     def stand_on(
         self,
@@ -145,22 +239,30 @@ class _Walker:
         before: ContactStance,
         after: ContactStance,
         at: Float[np.ndarray, "n"],
+        tries: range,
+        first: StuckError | None = None,
     ) -> Sequence[PlannedPhase]:
         """Return the phases from one stance to the next, perhaps from random guesses of the poses.
+
+        Args:
+            specs: the phases.
+            before, after: the stances.
+            at: (n,) configuration at their beginning.
+            tries: numbers of the tries; the first ones have no random guesses.
+            first: error of the very first try, if that was made before.
 
         Raises:
             StuckError: of the first try, where none succeeds.
         """
-        first: StuckError | None = None
         rng = np.random.default_rng(self.solver.seed)
         is_known = after.name in self.guesses.arrive
-        for k in range(min(self.n_tries, self.solver.most_starts)):
-            noise = np.zeros(len(at)) if k < 2 else SPREAD * rng.normal(size=len(at))
+        for k in tries[: self.most_tries]:
+            noise = np.zeros(len(at)) if k < PLAIN_TRIES else SPREAD * rng.normal(size=len(at))
             noise[: len(BASE_NAMES)] = 0.0
             try:
-                return replace(self, noise=noise, arrives_first=is_known ^ (k % 2 == 1)).change(
-                    specs, before, after, at
-                )
+                arrives_first = is_known ^ (k % 2 == 1)
+                walker = replace(self, noise=noise, arrives_first=arrives_first, keeps_poses=k == 0)
+                return walker.change(specs, before, after, at)
             except StuckError as error:
                 first = first or error
         assert first is not None
@@ -176,9 +278,11 @@ class _Walker:
         """Return the phases from one stance to the next, which begin at a configuration."""
         by_kind = {spec.kind: spec for spec in specs}
         if "move" in by_kind:
-            step = f"{after.name}: pose"
-            with self.solver.monitor.step(step, 0.3):
-                pose = self._pose(step, after.contacts, (), at, self.guesses.there.get(after.name))
+            step, there = f"{after.name}: pose", self.guesses.there.get(after.name)
+            pose = self._take_pose(by_kind["move"].name, after.contacts, ())
+            if pose is None or there is None or np.abs(pose - there).max() > SAME_STATE:
+                with self.solver.monitor.step(step, 0.3):
+                    pose = self._pose(step, after.contacts, (), at, there)
             return [self._swing(by_kind["move"], at, pose)]
         left, made = self._find_poses(after.name, ContactChange.between(before, after), at)
         phases: list[PlannedPhase] = []
@@ -209,19 +313,21 @@ class _Walker:
         kept, leaving, arriving = change.kept, change.leaving, change.arriving
         known = self.guesses.leave.get(name), self.guesses.arrive.get(name)
         steps = f"{name}: pose on what stays", f"{name}: pose at the new places"
-        left = made = None
+        left = self._take_pose(f"{name}: shift", kept, leaving) if leaving else None
+        made = self._take_pose(f"{name}: land", kept, arriving) if arriving else None
         limbs = free_coordinates(self.stand_on(kept))
         if not self.arrives_first or not arriving or not self._are_moved_by(limbs, leaving):
-            if leaving:
+            if leaving and left is None:
                 with monitor.step(steps[0], 0.2):
                     left = self._pose(steps[0], kept, leaving, at, known[0])
-            if arriving:
+            if arriving and made is None:
                 with monitor.step(steps[1], 0.3):
                     made = self._pose(steps[1], kept, arriving, at if left is None else left, known[1])
             return left, made
-        with monitor.step(steps[1], 0.2):
-            made = self._pose(steps[1], kept, arriving, at, known[1])
-        if leaving:
+        if made is None:
+            with monitor.step(steps[1], 0.2):
+                made = self._pose(steps[1], kept, arriving, at, known[1])
+        if leaving and left is None:
             near = made.copy()
             near[limbs] = (at if known[0] is None else known[0])[limbs]
             with monitor.step(steps[0], 0.3):
@@ -272,27 +378,14 @@ class _Walker:
         if not kept:
             raise StuckError(step, (f"{step}: no contact stays where it is",), at)
         robot, one = self.start.robot, np.zeros(1, dtype=int)
-        body = replace(self.stand_on(kept, placed, POSE_RESERVE), nominal=at if known is None else known)
+        held = HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed, fixed)
         guesses = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
         guesses = [np.clip(at + self.noise, robot.lower, robot.upper), *guesses]
         costs: list[Cost[MotionState]] = []
         if known is not None:
             guesses = [np.clip(known + self.noise, robot.lower, robot.upper), *guesses]
             costs.append(Cost("known pose", JointTarget(1, robot.n, one, np.arange(robot.n), known), KNOWN_WEIGHT))
-        constraints = [
-            Constraint(
-                f"place of {contact.patch}",
-                body.keep_planted(contact.planted, one),
-                Sense.EQUAL_ZERO,
-                FOOT_TOLERANCE,
-                unit="m or rad",
-            )
-            for contact in placed
-        ]
-        constraints += _keep_sides(body, (*kept, *placed), one, SIDE_RESERVE)
-        contacts = [_as_contact(contact) for contact in kept]
-        normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(kept)}
-        limits = ForceLimits(torque_share=TORQUE_SHARE, world_normals=normals)
+        near = at if known is None else known
         best: EquilibriumPose | None = None
         tries: list[tuple[Float[np.ndarray, "n"], list[Cost[MotionState]], tuple[Float[np.ndarray, "n"], ...]]]
         tries = [(guess, costs, ()) for guess in guesses[:4]]
@@ -301,24 +394,50 @@ class _Walker:
         tries += [(guess, [], (at,)) for guess in guesses[:2]]  # what is near at the start may stay as near
         for guess, wanted, ends in tries:
             self.solver.monitor.check()
-            pose = solve_equilibrium_pose(
-                body,
-                contacts,
-                guess,
-                limits,
-                wanted,
-                constraints,
-                ends=ends,
-                fixed=fixed,
-                should_stop=self.solver.monitor.should_stop,
-            )
+            pose = held.solve(guess, near, wanted, ends)
             if pose.is_feasible:
-                both = replace(body, planted=(*body.planted, *(contact.planted for contact in placed)))
-                return np.asarray(project_onto_holds(body.engine, pose.q[None], both.holds())[0])
+                return held.project(pose.q)
             if best is None or len(pose.violations) < len(best.violations):
                 best = pose
         assert best is not None
-        raise StuckError(step, tuple(f"{step}: {line}" for line in best.violations), best.q)
+        reasons = tuple(f"{step}: {line}" for line in best.violations)
+        raise StuckError(step, reasons, best.q, missing=MissingPose(held, near))
+
+    def _take_pose(
+        self, phase: str, kept: tuple[StanceContact, ...], placed: tuple[StanceContact, ...]
+    ) -> Float[np.ndarray, "n"] | None:
+        """Return the configuration in which a phase of the earlier motion ends; None where it does not do any more."""
+        known = self.guesses.curves.get(phase)
+        if known is None or not self.keeps_poses or not kept:
+            return None
+        q = known.curve.positions[-1]
+        held = HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed)
+        return q if held.holds_at(q) else None
+
+    def _take_phase(
+        self, spec: ContactPhase, body: WholeBody, ends: Mapping[int, Float[np.ndarray, "n"]]
+    ) -> PlannedPhase | None:
+        """Return a phase as the earlier motion has it; None where that does not lead through its ends any more.
+
+        Args:
+            spec: the phase.
+            body: on its contacts.
+            ends: configuration by index of the first or the last waypoint.
+        """
+        known = self.guesses.curves.get(spec.name)
+        if known is None:
+            return None
+        q = known.curve.positions.copy()
+        for k, end in ends.items():
+            if np.abs(q[k] - end).max() > SAME_STATE:
+                return None
+            q[k] = end
+        sides = keep_sides(body, spec.contacts, np.arange(1, len(q) - 1))
+        if not replace(self.solver, body=body).is_feasible(q, sides):
+            return None
+        solve = self._solve_between(spec, body)
+        kept = replace(known, curve=replace(known.curve, positions=q))
+        return replace(_promise(spec, body, q, lambda q: solve([q])), kept=kept)
 
     def _line(
         self,
@@ -329,6 +448,9 @@ class _Walker:
     ) -> PlannedPhase:
         """Return the phase in which links leave their places, or arrive there, straight along their normals."""
         body = self.stand_on(spec.contacts, spec.moving)
+        taken = self._take_phase(spec, body, {0 if is_up else -1: pose})
+        if taken is not None:
+            return taken
         at = 0 if is_up else LINE_WAYPOINTS - 1
         shares = {k: abs(k - at) / (LINE_WAYPOINTS - 1) for k in range(LINE_WAYPOINTS) if k != at}
         constraints = [
@@ -344,8 +466,12 @@ class _Walker:
         solver = replace(self.solver, body=body)
         with solver.monitor.step(spec.name, 0.4):
             inner = np.array(sorted(shares))
-            constraints += _keep_sides(body, spec.contacts, inner)
+            constraints += keep_sides(body, spec.contacts, inner)
             solved = solver.solve_trajectory(spec.name, [start], {at: pose}, constraints=constraints)
+        if not solved.is_feasible:
+            away = tuple(contact.move(LINE_M * contact.surface.normal) for contact in spec.moving)
+            held = HeldPose(self.solver, self.stand_on(spec.contacts, spec.moving, POSE_RESERVE), spec.contacts, away)
+            raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved), MissingPose(held, pose))
         return _finish(spec, body, solved)
 
     def _swing(
@@ -356,9 +482,12 @@ class _Walker:
     ) -> PlannedPhase:
         """Return the free phase between two lines."""
         body = self.stand_on(spec.contacts)
+        taken = self._take_phase(spec, body, {0: first, -1: last})
+        if taken is not None:
+            return taken
         solve = self._solve_between(spec, body)
-        way = self.guesses.ways.get(spec.name.split(": ")[0])
-        led = None if way is None else lead_way(way, first, last)
+        known = self.guesses.curves.get(spec.name)
+        led = None if known is None else lead_way(known.curve.positions, first, last)
         if led is not None:
             with self.solver.monitor.step(spec.name, 0.5):
                 solved = solve([_keep_contacts(body, led)])
@@ -403,6 +532,9 @@ class _Walker:
     ) -> PlannedPhase:
         """Return a phase between two configurations on contacts that stay."""
         body = self.stand_on(spec.contacts)
+        taken = self._take_phase(spec, body, {0: first, -1: last})
+        if taken is not None:
+            return taken
         solve = self._solve_between(spec, body)
         with self.solver.monitor.step(spec.name, 0.4):
             solved = solve([_keep_contacts(body, straight_path(first, last, n_waypoints))])
@@ -416,7 +548,7 @@ class _Walker:
 
         def solve(starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
             last = len(starts[0]) - 1
-            sides = _keep_sides(body, spec.contacts, np.arange(1, last))
+            sides = keep_sides(body, spec.contacts, np.arange(1, last))
             return solver.solve_trajectory(spec.name, starts, {0: starts[0][0], last: starts[0][-1]}, constraints=sides)
 
         return solve
@@ -431,24 +563,6 @@ def _keep_on_line(body: WholeBody, contact: StanceContact, waypoint: int, height
     axes = (True, True, True, *(len(planted.sole) >= 3,) * 3)
     pose = FramePose(body.robot, planted.link, [waypoint], target, axes, offset=offset)
     return WithinTolerance(pose, LINE_ROOM[: sum(axes)])
-
-
-def _keep_sides(
-    body: WholeBody, contacts: Sequence[StanceContact], waypoints: Int[np.ndarray, "S"], reserve_m: float = 0.0
-) -> list[Constraint[MotionState]]:
-    """Return constraints that links which may turn about their contact points stay in front of what they touch."""
-    return [
-        constraint
-        for contact in contacts
-        for constraint in keep_facing(
-            body.robot,
-            contact.patch,
-            find_normals((contact.planted,)).mean(axis=0),
-            contact.points.mean(axis=0),
-            waypoints,
-            reserve_m,
-        )
-    ]
 
 
 def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
@@ -471,21 +585,21 @@ def _finish(
     """
     if not solved.is_feasible:
         raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved))
-    robot = body.robot
+    return _promise(spec, body, solved.x, resolve)
+
+
+def _promise(
+    spec: ContactPhase,
+    body: WholeBody,
+    q: Float[np.ndarray, "T n"],
+    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None,
+) -> PlannedPhase:
+    """Return the waypoints of a phase with its promises."""
     return PlannedPhase(
         spec.name,
-        solved.x,
+        q,
         True,
         targets=lambda at: spec.list_targets(),
         resolve=resolve,
-        body=replace(body, touches=spec.list_allowances(robot)),
-    )
-
-
-def _as_contact(contact: StanceContact) -> Contact:
-    """Return a planted contact as one whose forces a pose has as variables."""
-    planted = contact.planted
-    normal = find_normals((planted,)).mean(axis=0) @ planted.pose_world_link[:3, :3]
-    return Contact(
-        planted.link, planted.sole, np.tile(normal, (len(planted.sole), 1)), planted.friction, planted.force_cap_n
+        body=replace(body, touches=spec.list_allowances(body.robot)),
     )

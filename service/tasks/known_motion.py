@@ -1,4 +1,4 @@
-"""Poses and ways of an earlier plan that did the same, from which a motion that changes contacts begins."""
+"""Poses and motions of an earlier plan that did the same, from which a motion that changes contacts begins."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel
+from service.body.task_plan import KeptCurve
 from service.request.contacts import ContactsRequest
+from service.request.resume import NominalRequest
 from service.start.configuration import make_posture
 
 LEAST_WAYPOINTS = 4  # of the rest of a way, so that something between its ends is left
@@ -17,41 +20,68 @@ LEAST_WAYPOINTS = 4  # of the rest of a way, so that something between its ends 
 
 @dataclass(frozen=True)
 class KnownMotion:
-    """Configurations that are known already, by name of the stance they lead to.
+    """Configurations and motions that are known already.
 
     Attributes:
-        leave: in which the contacts that stay hold the robot alone, before the others leave.
+        leave: by stance that they lead to: in which the contacts that stay hold the robot alone, before others leave.
         arrive: the same when the new contacts are in their places.
         there: in which the stance holds the robot.
-        ways: (K, n) waypoints of the swing or move, both ends included.
+        curves: of an earlier motion, by name of the phase.
     """
 
     leave: Mapping[str, Float[np.ndarray, "n"]] = field(default_factory=dict)
     arrive: Mapping[str, Float[np.ndarray, "n"]] = field(default_factory=dict)
     there: Mapping[str, Float[np.ndarray, "n"]] = field(default_factory=dict)
-    ways: Mapping[str, Float[np.ndarray, "K n"]] = field(default_factory=dict)
+    curves: Mapping[str, KeptCurve] = field(default_factory=dict)
 
 
-def read_known_motion(robot: RobotModel, request: ContactsRequest) -> KnownMotion | None:
-    """Return the poses and ways that a request knows already; None without any.
+def read_known_motion(
+    robot: RobotModel, request: ContactsRequest, earlier: NominalRequest | None
+) -> KnownMotion | None:
+    """Return the postures that a request moves to and what the earlier motion did before them; None without any.
+
+    An earlier motion of other joints, or without knots, says nothing.
 
     Raises:
         RequestError: an unknown posture or joint.
     """
-    known: dict[str, dict[str, Float[np.ndarray, "n"]]] = {"leaving": {}, "arriving": {}, "standing": {}}
-    ways: dict[str, Float[np.ndarray, "K n"]] = {}
-    for k, stance in enumerate(request.stances):
-        field_name = f"task.contacts.stances[{k}].poses"
-        for kind, poses in known.items():
-            posture = getattr(stance.poses, kind)
-            if posture is not None:
-                poses[stance.name] = make_posture(robot, posture, f"{field_name}.{kind}")
-        if stance.poses.way:
-            rows = [make_posture(robot, row, f"{field_name}.way[{i}]") for i, row in enumerate(stance.poses.way)]
-            ways[stance.name] = np.array(rows)
-    if not ways and not any(known.values()):
+    curves = {} if earlier is None else _read_curves(robot, earlier)
+    there = {
+        stance.name: make_posture(robot, stance.posture, f"task.contacts.stances[{k}].posture")
+        for k, stance in enumerate(request.stances)
+        if stance.posture is not None
+    }
+    for name in there:  # a last phase that led to a posture by name leads to it as a stance
+        if name in curves:
+            curves[f"{name}: move"] = curves[name]
+    if not curves and not there:
         return None
-    return KnownMotion(known["leaving"], known["arriving"], known["standing"], ways)
+    ends = {name: kept.curve.positions[-1] for name, kept in curves.items()}
+    leave, arrive = (
+        {stance.name: ends[name] for stance in request.stances if (name := f"{stance.name}: {kind}") in ends}
+        for kind in ("shift", "land")
+    )
+    return KnownMotion(leave, arrive, there, curves)
+
+
+def _read_curves(robot: RobotModel, earlier: NominalRequest) -> dict[str, KeptCurve]:
+    """Return the curve of each phase of an earlier motion, with its time law where it has one."""
+    if sorted(earlier.joint_names) != sorted(robot.joint_names) or not earlier.has_curve:
+        return {}
+    columns = [earlier.joint_names.index(name) for name in robot.joint_names]
+    whole = None
+    if earlier.law_path:
+        whole = TimeLaw.accelerated(np.array(earlier.law_path), np.array(earlier.law_speed))
+    curves = {}
+    for name, phase in earlier.phases.items():
+        positions, tangents = (
+            np.reshape(values, (-1, len(columns)))[:, columns] for values in (phase.positions, phase.tangents)
+        )
+        if len(phase.knots) > 1:
+            law = None if whole is None else whole.cut(phase.knots[0], phase.knots[-1])
+            curve = Curve(np.array(phase.knots), positions, tangents)
+            curves[name] = KeptCurve(curve, law, is_settled=law is not None)
+    return curves
 
 
 def lead_way(

@@ -96,7 +96,7 @@ def _start_contacts(
 def _place(robot: RobotModel, scene: Scene, surface: Surface, patch: str, place: PlaceRequest) -> StanceContact:
     own = robot.contacts[patch]
     pose = find_link_pose(own, surface, np.array(place.at), float(np.deg2rad(place.yaw_deg)))
-    return face_pieces(place_patch(own, patch, surface, pose), scene)
+    return replace(face_pieces(place_patch(own, patch, surface, pose), scene), slack_m=place.slack_m)
 
 
 def face_pieces(contact: StanceContact, scene: Scene) -> StanceContact:

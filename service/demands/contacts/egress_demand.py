@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from costs.names import would_do
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.contacts.contact_task import face_pieces, find_off
+from service.demands.contacts.moved_places import FINISH, find_recorded
 from service.demands.contacts.stances import (
     ContactStance,
     StanceContact,
@@ -25,7 +26,7 @@ from service.demands.contacts.surfaces import find_unknown, make_surfaces
 from service.errors import RequestError, shown
 from service.request.egress import ContactRequest, EgressRequest, PhaseRequest, PhasesFile
 from service.request.file import load_section
-from service.verify import Motion, PlantedContact
+from service.verify import Motion
 
 SHIPPED_PHASES = Path(__file__).with_name("egress_phases.yaml")
 SHIPPED_SIDE = "right"
@@ -127,24 +128,16 @@ class EgressDemand:
                 if not is_placed and patch in before and before[patch].surface.name == surface.name:
                     contacts.append(before[patch])
                     continue
-                planted = self._find_planted(recorded, k, patch)
+                later = {phase.name for phase in self.phases[k + 1 :]} | {FINISH}
+                planted = find_recorded(recorded, self.robot.contacts[patch].link, later)
                 if planted is None:
                     problems.append(f"no phase of the record stands on {patch} after '{phase.name}'")
                     continue
                 placed = place_patch(self.robot.contacts[patch], patch, surface, planted.pose_world_link)
-                contacts.append(face_pieces(placed, self.scene))
+                contacts.append(replace(face_pieces(placed, self.scene), slack_m=contact.slack_m))
                 problems += self._find_forbidden(contacts[-1], contact, phase.name)
             stances.append(ContactStance(phase.name, tuple(contacts)))
         return tuple(stances), tuple(problems)
-
-    def _find_planted(self, recorded: Motion, k: int, patch: str) -> PlantedContact | None:
-        """Return a link's contact as the first recorded phase after stage ``k`` has it; None if none has."""
-        link = self.robot.contacts[patch].link
-        later = {phase.name for phase in self.phases[k + 1 :]} | {"finish"}
-        for phase in recorded.phases:
-            if phase.name.split(": ")[0] in later:
-                return next((contact for contact in phase.contacts if contact.link == link), None)
-        return None
 
     def _find_forbidden(self, contact: StanceContact, request: ContactRequest, phase: str) -> Iterator[str]:
         """Yield a sentence where a contact is off its surface, or not where the phases have it."""
@@ -161,6 +154,7 @@ class EgressDemand:
             room = np.full(3, GIVEN_M) if request.region is None else np.array([*request.region, 0.0]) / 2.0 + GIVEN_M
             if request.region is not None:  # a drawn place is brought onto the surface as well
                 room += np.abs(wanted - np.array(given))
+            room += request.slack_m * np.abs(contact.surface.along)
             if np.any(away > room):
                 yield f"{words} is {away.max():.3f} m from the place that the phases give"
         if request.yaw_deg is not None and len(patch.points) >= 3:

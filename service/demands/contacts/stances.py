@@ -7,7 +7,7 @@ stands on the contacts that both have at the same place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -28,6 +28,7 @@ LEAST_FACING = 0.5  # cosine between a surface's normal and that of the round sh
 INSIDE_M = 5e-4  # from the edges of a place that was brought onto a surface
 SAME_PLACE_M = 1e-9  # of contact points that are kept
 KEPT_TOLERANCE_M = 1e-4  # of a contact point that stays where it is
+SAME_EDGE_M = 1e-6  # difference of edges of equal length
 LINE_M = 0.02  # of a link that leaves a surface or arrives there, straight along the surface's normal
 
 
@@ -75,6 +76,14 @@ class Surface:
         """(3,) mean of its corners [m]."""
         return np.asarray(self.corners.mean(axis=0))
 
+    @property
+    def along(self) -> Float[np.ndarray, "3"]:
+        """(3,) unit, along its longest edge, the first of equal ones."""
+        edges = np.roll(self.corners, -1, axis=0) - self.corners
+        lengths = np.linalg.norm(edges, axis=1)
+        longest = int(np.argmax(lengths > lengths.max() - SAME_EDGE_M))
+        return np.asarray(edges[longest] / lengths[longest])
+
     def list_edges(self) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V"]]:
         """Return outward unit normals (V, 3) and offsets (V,) of the edges: inside is ``normal . p <= offset`` [m]."""
         along = np.roll(self.corners, -1, axis=0) - self.corners
@@ -112,16 +121,24 @@ class StanceContact:
         patch: name among the robot's contacts.
         surface: that carries it.
         planted: its points in the world, with friction and cap.
+        slack_m: by which it may be moved along the longest edge of the surface, either way.
     """
 
     patch: str
     surface: Surface
     planted: PlantedContact
+    slack_m: float = 0.0
 
     @property
     def points(self) -> Float[np.ndarray, "C 3"]:
         """(C, 3) contact points in the world [m]."""
         return self.planted.points
+
+    def move(self, by: Float[np.ndarray, "3"]) -> StanceContact:
+        """Return the contact moved by an offset in the world [m]."""
+        pose = self.planted.pose_world_link.copy()
+        pose[:3, 3] += by
+        return replace(self, planted=replace(self.planted, pose_world_link=pose))
 
     def is_kept_in(self, stance: ContactStance) -> bool:
         """Return whether a stance has this patch at the same place."""

@@ -31,6 +31,7 @@ class ContactAim:
         mark: (3,) the point of the link that has to be there, in the link's frame; the patch's middle by default [m].
         yaw_rad: turn of the link's x axis about the normal; None for any.
         fixed: exact place, instead of all these.
+        slack_m: by which the place may be moved along the surface when motions are planned.
     """
 
     patch: str
@@ -39,11 +40,12 @@ class ContactAim:
     mark: Float[np.ndarray, "3"] | None = None
     yaw_rad: float | None = None
     fixed: StanceContact | None = None
+    slack_m: float = 0.0
 
     @staticmethod
     def at(contact: StanceContact) -> ContactAim:
         """Return the aim to be where a contact is."""
-        return ContactAim(contact.patch, contact.surface, fixed=contact)
+        return ContactAim(contact.patch, contact.surface, fixed=contact, slack_m=contact.slack_m)
 
     def make_constraints(self, robot: RobotModel) -> list[Constraint[MotionState]]:
         """Return the constraints that put the patch in its place, at waypoint 0.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -192,7 +192,12 @@ class _Linker:
         """Return contacts where a pose has them, flat on their surfaces."""
         robot, stage = self.solver.body.robot, self.stages[self.k]
         by_patch = {aim.patch: aim for aim in stage.aims}
-        return {patch: place_patch_as_it_is(robot, pose.q, patch, by_patch[patch].surface) for patch in patches}
+        return {
+            patch: replace(
+                place_patch_as_it_is(robot, pose.q, patch, by_patch[patch].surface), slack_m=by_patch[patch].slack_m
+            )
+            for patch in patches
+        }
 
     def _aim(self, stage: Stage, fixed: Mapping[str, StanceContact]) -> list[ContactAim]:
         return [ContactAim.at(fixed[aim.patch]) if aim.patch in fixed else aim for aim in stage.aims]

@@ -17,9 +17,8 @@ _EDGES = 8  # of the pyramid inside a friction cone, for the programs
 _EXACT = 1e3  # weight of the wrench against torques in a least-squares program
 _SMALL = 1e-2  # weight of the size of forces in it
 _FILLED = 0.98  # of caps and friction, in it
-_NEIGHBOURS = 200  # samples on either side for which forces found at one are tried
+_NEIGHBOURS = 60  # samples on either side for which the edges used at one are tried
 _WANTED_SHARE = 0.95  # of torque limits: forces that need more are improved where possible
-_BEARS_N = 1.0  # force from which on a contact point takes a part in corrections
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,8 @@ class ContactShare:
         scaled = self.grasp * self.scale
         self._least = self.scale[:, None] * np.linalg.pinv(scaled)
         self.edges = self._list_edges()
-        self._inner_edges = self._list_edges(_FILLED)
+        self._spread_edges = self._list_edges(_FILLED) * np.repeat(self.scale[::3], _EDGES)
+        self._spread_rows = self._make_spread_rows()
 
     def _list_edges(self, share: float = 1.0) -> Float[np.ndarray, "3C E"]:
         """Return the edges of all pyramids as columns, each of unit normal force, for a share of the friction."""
@@ -122,15 +122,15 @@ class ContactShare:
             taken = now < was
             forces[rows[taken]], missing[rows[taken]], shares[rows[taken]] = better[taken], miss[taken], share[taken]
 
-        # Wrenches change little from sample to sample: forces found for one of them, corrected, hold its neighbours.
+        # Wrenches change little from sample to sample: the edges that are used at one of them do at its neighbours.
         tried = np.zeros(len(wanted), dtype=bool)
         while len(rows := np.flatnonzero(is_open() & ~tried)):
             poll()
             row = int(rows[len(rows) // 2])
             tried[row] = True
-            force = self._spread(wanted[row], None if joints is None else joints.take(np.array([row])))
+            used = self._choose_edges(wanted[row], None if joints is None else joints.take(np.array([row])))
             near = rows[np.abs(rows - row) <= _NEIGHBOURS]
-            keep_better(near, force + (wanted[near] - wanted[row]) @ self._correct(force).T)
+            keep_better(near, self._spread(wanted[near], None if joints is None else joints.take(near), used))
         for row in np.flatnonzero(is_open()).tolist():
             poll()
             one = np.array([row])
@@ -185,40 +185,63 @@ class ContactShare:
         shares = np.zeros((len(forces), 0)) if joints is None else np.abs(joints.measure_shares(forces))
         return missing, shares
 
-    def _spread(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"]:
-        """Return forces on the pyramids that make a wrench, small and with small torques, by least squares.
+    def _choose_edges(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Int[np.ndarray, "U"]:
+        """Return the unknowns that are not zero where forces on the pyramids make one wrench, by least squares."""
+        fixed, target = self._spread_rows
+        rows, aims = [fixed], [self._aim_at(wanted[None])[0], target]
+        if joints is not None:
+            rows.append(self._lever_rows(joints, np.arange(fixed.shape[1]))[0])
+            aims.append(joints.torque[0] / joints.effort)
+        try:
+            return np.flatnonzero(nnls(np.concatenate(rows), np.concatenate(aims))[0] > 0.0)
+        except RuntimeError:  # too many steps
+            return np.arange(fixed.shape[1])
 
-        What each contact point could still bear up to its cap is an unknown too, and not negative.
+    def _spread(
+        self, wanted: Float[np.ndarray, "R 6"], joints: Joints | None, used: Int[np.ndarray, "U"]
+    ) -> Float[np.ndarray, "R 3C"]:
+        """Return forces on some edges of the pyramids that make wrenches, small and with small torques.
+
+        Least squares without signs: whether forces are inside the pyramids is for the caller to see.
         """
-        count = len(self.scale) // 3
-        per_edge = np.repeat(self.scale[::3], _EDGES)
-        edges = self._inner_edges * per_edge
-        n_edges = edges.shape[1]
-        used = np.repeat(np.eye(count), _EDGES, axis=1) * per_edge
+        fixed, target = self._spread_rows
+        own = fixed[:, used]
+        gram = np.tile(own.T @ own, (len(wanted), 1, 1))
+        right = self._aim_at(wanted) @ own[:6] + target @ own[6:]
+        if joints is not None:
+            levers = self._lever_rows(joints, used)
+            gram += levers.transpose(0, 2, 1) @ levers
+            right += np.einsum("rku,rk->ru", levers, joints.torque / joints.effort)
+        amounts = np.zeros((len(wanted), fixed.shape[1]))
+        amounts[:, used] = np.linalg.solve(gram, right[..., None])[..., 0]
+        forces = self.weight * amounts[:, : self._spread_edges.shape[1]] @ self._spread_edges.T
+        return np.asarray(forces + (wanted - forces @ self.grasp.T) @ self._least.T)
+
+    def _make_spread_rows(self) -> tuple[Float[np.ndarray, "G V"], Float[np.ndarray, "H"]]:
+        """Return the rows of the least-squares program that all samples have, and the aims of all but the first six.
+
+        Unknowns are the amounts of all edges, and what each contact point could still bear up to its cap.
+        """
+        count, n_edges = len(self.ground.points), self._spread_edges.shape[1]
+        used = np.repeat(np.eye(count), _EDGES, axis=1) * np.repeat(self.scale[::3], _EDGES)
         used *= (self.weight / (_FILLED * self.ground.caps))[:, None]
-        parts = [
-            np.hstack([_EXACT * self.grasp @ edges, np.zeros((6, count))]),
+        rows = [
+            np.hstack([_EXACT * self.grasp @ self._spread_edges, np.zeros((6, count))]),
             np.hstack([_EXACT * used, _EXACT * np.eye(count)]),
             np.hstack([_SMALL * np.eye(n_edges), np.zeros((n_edges, count))]),
         ]
-        target = [_EXACT * wanted / self.weight, np.full(count, _EXACT), np.zeros(n_edges)]
-        if joints is not None:
-            lever = joints.lever[0] @ edges * self.weight / joints.effort[:, None]
-            parts.append(np.hstack([lever, np.zeros((len(lever), count))]))
-            target.append(joints.torque[0] / joints.effort)
-        try:
-            amount = np.asarray(nnls(np.concatenate(parts), np.concatenate(target))[0])[:n_edges]
-        except RuntimeError:  # too many steps
-            return np.asarray(self._least @ wanted)
-        force = self.weight * edges @ amount
-        return np.asarray(force + self._least @ (wanted - self.grasp @ force))
+        return np.concatenate(rows), np.concatenate([np.full(count, _EXACT), np.zeros(n_edges)])
 
-    def _correct(self, force: Float[np.ndarray, "3C"]) -> Float[np.ndarray, "3C 6"]:
-        """Return the least change of forces per change of the wrench, at the points that bear something."""
-        normal = np.einsum("ck,ck->c", force.reshape(-1, 3), self.ground.normals)
-        bears = np.repeat(normal > _BEARS_N, 3)
-        scale = np.where(bears, self.scale, 0.0)
-        return np.asarray(scale[:, None] * np.linalg.pinv(self.grasp * scale, rcond=1e-6))
+    def _aim_at(self, wanted: Float[np.ndarray, "R 6"]) -> Float[np.ndarray, "R 6"]:
+        return _EXACT * wanted / self.weight
+
+    def _lever_rows(self, joints: Joints, used: Int[np.ndarray, "U"]) -> Float[np.ndarray, "R k U"]:
+        """Return torques relative to their limits per unit of some unknowns of the least-squares program."""
+        n_edges = self._spread_edges.shape[1]
+        rows = np.zeros((len(joints.torque), len(joints.effort), len(used)))
+        is_edge = used < n_edges
+        rows[:, :, is_edge] = joints.lever @ self._spread_edges[:, used[is_edge]]
+        return np.asarray(rows * (self.weight / joints.effort[:, None]))
 
     def _program(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"] | None:
         """Return forces with the least largest share of torque, by a linear program; None where there are none."""

@@ -440,7 +440,7 @@ class Surface(_message.Message):
     def __init__(self, piece: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., corners: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., pieces: _Optional[_Iterable[str]] = ..., friction: _Optional[float] = ...) -> None: ...
 
 class ContactStance(_message.Message):
-    __slots__ = ("name", "make", "release", "poses")
+    __slots__ = ("name", "make", "release", "posture")
     class MakeEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -451,34 +451,24 @@ class ContactStance(_message.Message):
     NAME_FIELD_NUMBER: _ClassVar[int]
     MAKE_FIELD_NUMBER: _ClassVar[int]
     RELEASE_FIELD_NUMBER: _ClassVar[int]
-    POSES_FIELD_NUMBER: _ClassVar[int]
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
     name: str
     make: _containers.MessageMap[str, ContactPlace]
     release: _containers.RepeatedScalarFieldContainer[str]
-    poses: KnownPoses
-    def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ..., poses: _Optional[_Union[KnownPoses, _Mapping]] = ...) -> None: ...
-
-class KnownPoses(_message.Message):
-    __slots__ = ("leaving", "arriving", "standing", "way")
-    LEAVING_FIELD_NUMBER: _ClassVar[int]
-    ARRIVING_FIELD_NUMBER: _ClassVar[int]
-    STANDING_FIELD_NUMBER: _ClassVar[int]
-    WAY_FIELD_NUMBER: _ClassVar[int]
-    leaving: NominalPose
-    arriving: NominalPose
-    standing: NominalPose
-    way: _containers.RepeatedCompositeFieldContainer[NominalPose]
-    def __init__(self, leaving: _Optional[_Union[NominalPose, _Mapping]] = ..., arriving: _Optional[_Union[NominalPose, _Mapping]] = ..., standing: _Optional[_Union[NominalPose, _Mapping]] = ..., way: _Optional[_Iterable[_Union[NominalPose, _Mapping]]] = ...) -> None: ...
+    posture: NominalPose
+    def __init__(self, name: _Optional[str] = ..., make: _Optional[_Mapping[str, ContactPlace]] = ..., release: _Optional[_Iterable[str]] = ..., posture: _Optional[_Union[NominalPose, _Mapping]] = ...) -> None: ...
 
 class ContactPlace(_message.Message):
-    __slots__ = ("surface", "at", "yaw_deg")
+    __slots__ = ("surface", "at", "yaw_deg", "slack_m")
     SURFACE_FIELD_NUMBER: _ClassVar[int]
     AT_FIELD_NUMBER: _ClassVar[int]
     YAW_DEG_FIELD_NUMBER: _ClassVar[int]
+    SLACK_M_FIELD_NUMBER: _ClassVar[int]
     surface: str
     at: _containers.RepeatedScalarFieldContainer[float]
     yaw_deg: float
-    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
+    slack_m: float
+    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., slack_m: _Optional[float] = ...) -> None: ...
 
 class Valve(_message.Message):
     __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m", "lever", "stops_deg")
@@ -733,18 +723,20 @@ class EgressPhase(_message.Message):
     def __init__(self, name: _Optional[str] = ..., contacts: _Optional[_Mapping[str, EgressContact]] = ..., postures: _Optional[_Iterable[_Union[NominalPose, _Mapping]]] = ..., weights: _Optional[_Union[ShapeWeights, _Mapping]] = ..., sides: _Optional[_Iterable[_Union[PlaneSide, _Mapping]]] = ..., sampled: bool = ...) -> None: ...
 
 class EgressContact(_message.Message):
-    __slots__ = ("surface", "at", "toe", "yaw_deg", "region")
+    __slots__ = ("surface", "at", "toe", "yaw_deg", "region", "slack_m")
     SURFACE_FIELD_NUMBER: _ClassVar[int]
     AT_FIELD_NUMBER: _ClassVar[int]
     TOE_FIELD_NUMBER: _ClassVar[int]
     YAW_DEG_FIELD_NUMBER: _ClassVar[int]
     REGION_FIELD_NUMBER: _ClassVar[int]
+    SLACK_M_FIELD_NUMBER: _ClassVar[int]
     surface: str
     at: _containers.RepeatedScalarFieldContainer[float]
     toe: _containers.RepeatedScalarFieldContainer[float]
     yaw_deg: float
     region: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., toe: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., region: _Optional[_Iterable[float]] = ...) -> None: ...
+    slack_m: float
+    def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., toe: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., region: _Optional[_Iterable[float]] = ..., slack_m: _Optional[float] = ...) -> None: ...
 
 class NominalPose(_message.Message):
     __slots__ = ("base", "joints", "posture")
