@@ -14,7 +14,8 @@ from service.demands.door_demand import make_door, read_given_door
 from service.demands.hands import HANDS
 from service.demands.phase_spec import HandMotion, PhaseSpec, check_moves, make_hand_targets
 from service.request.file import parse_request
-from service.tasks.sequence import shrink, split_groups
+from service.tasks.phase_compiler import shrink
+from service.tasks.sequence import split_groups
 from service.verify import JointTarget
 
 SHUT, OPEN = np.array([0.0]), np.array([0.5])

@@ -22,7 +22,8 @@ from service.body.task_plan import KeptCurve, TaskPlan
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
 from service.request.resume import NominalRequest
 from service.tasks.handling import list_arm_joints
-from service.tasks.sequence import PhaseSequence, place_tool, slide_tool
+from service.tasks.phase_compiler import place_tool, slide_tool
+from service.tasks.sequence import PhaseSequence
 
 MOST_M, MOST_RAD = 0.015, np.deg2rad(5.0)  # by which a hand yields [m, rad]
 SAME_STATE = 2e-5  # of the robot where the rest begins: the earlier motion is written with five digits [rad, m]

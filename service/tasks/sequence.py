@@ -1,4 +1,4 @@
-"""Compile a task's phase specifications to problems of the optimiser, and solve them in the order that they state.
+"""Phases of a task solved in the order that they state.
 
 Phases come in groups: a free phase that carries the hand to the next contact, then phases in which the hand moves with
 the mechanism or on lines. Of these the anchor is solved first, from a pose at its beginning; the ones before it are
@@ -10,43 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from costs.allowance import Allowance
-from costs.collision import Contacts
-from costs.kinematics import locate_frame, locate_links
-from costs.robot import Mechanism, RobotModel, with_mechanism
-from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose, HeldTorque, NormWithin, WithinTolerance
-from scopt import Constraint, Residual, Sense
-from service.body.holds import Hold
-from service.body.loaded_regions import PlannedRegion, plan_regions
+from costs.robot import Mechanism, with_mechanism
 from service.body.phases import (
-    POSE_EFFORT,
-    REPAIR_EFFORT,
     PhaseSolver,
-    path_via,
-    posture_guesses,
-    random_guesses,
-    straight_path,
 )
 from service.body.task_plan import PlannedPhase, Solved, Stuck
-from service.body.whole_body import WholeBody
-from service.demands.phase_spec import AXIS, DEPTH_RESERVE, HandMotion, PhaseSpec, check_moves, find_rotation_onto
-from service.verify import HandLoad
+from service.demands.phase_spec import PhaseSpec, check_moves
+from service.tasks.phase_compiler import QUICK_EFFORT, PhaseCompiler
 
-RESTORABLE = 20.0  # largest violation, relative to its tolerance, of a phase that is then solved for constraints alone
 QUICK_GUESSES = 2
-QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
-OTHER_POSE = 0.3  # least difference of a joint between two poses that are tried [rad]
-POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
-TORQUE_TOLERANCE = 0.01  # share of a joint's limit
-AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
 
 def add_mechanism(solver: PhaseSolver, mechanism: Mechanism) -> PhaseSolver:
@@ -83,8 +59,8 @@ class PhaseSequence:
         check_moves(self.specs)
 
     @property
-    def _compiler(self) -> _Compiler:
-        return _Compiler(self.solver, self.mechanism, self.nominal)
+    def _compiler(self) -> PhaseCompiler:
+        return PhaseCompiler(self.solver, self.mechanism, self.nominal)
 
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan all phases from configuration ``at``; return those that were solved, and the step that was not.
@@ -229,22 +205,6 @@ class PhaseSequence:
         return solved, None
 
 
-def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:
-    """Return allowances with depths for the waypoints, which leave a reserve for the curve between them [m]."""
-    return tuple(replace(touch, depth=max(touch.depth - reserve_m, 0.0)) for touch in touches)
-
-
-def list_together(loads: Sequence[HandLoad]) -> Iterator[tuple[HandLoad, ...]]:
-    """Yield the loads that one tool may carry at the same time: each alone, then several.
-
-    Torques are affine in the size of each load, so that these and no load at all bound every combination.
-    """
-    for count in range(1, len(loads) + 1):
-        for together in combinations(loads, count):
-            if len({load.tool for load in together}) == 1:
-                yield together
-
-
 def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
     """Yield the groups of phases, each with its free phase first.
 
@@ -261,386 +221,8 @@ def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
         yield group
 
 
-@dataclass(frozen=True)
-class _Compiler:
-    """Turns single specifications into problems of one body."""
-
-    solver: PhaseSolver
-    mechanism: Mechanism
-    nominal: Mapping[str, Float[np.ndarray, "T n"]]
-
-    @property
-    def robot(self) -> RobotModel:
-        return self.solver.body.robot
-
-    @property
-    def columns(self) -> Int[np.ndarray, "k"]:
-        """(k,) coordinates of the mechanism."""
-        return np.arange(self.robot.n - len(self.mechanism.joints), self.robot.n)
-
-    @property
-    def _repairer(self) -> _Compiler:
-        """Solves with the effort that a nominal motion needs."""
-        return replace(self, solver=self.solver.with_settings(**REPAIR_EFFORT))
-
-    def solve_anchor(self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> Solved:
-        """Solve for the first pose of an anchor: from the nominal one if there is one, from ``at``, from postures."""
-        nominal = self.resample_nominal(spec)
-        if nominal is not None:
-            repaired = self.solve_pose(step, replace(spec, guess_touches=()), [nominal[0]])
-            if repaired.is_feasible:
-                return repaired
-        return self.solve_pose(step, spec, self.list_guesses(at))
-
-    def list_anchor_poses(
-        self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"], n_random: int
-    ) -> Iterator[Solved]:
-        """Yield poses to begin an anchor with: that of :meth:`solve_anchor`, then different ones from random guesses.
-
-        Where none is found, the one that missed least is yielded.
-        """
-        monitor, found = self.solver.monitor, list[Float[np.ndarray, "n"]]()
-        best: Solved | None = None
-        for guess in (None, *random_guesses(self.solver.body, n_random, self.solver.seed)):
-            with monitor.step(step, 0.1):
-                pose = self.solve_anchor(step, spec, at) if guess is None else self.solve_pose(step, spec, [guess])
-            if not pose.is_feasible:
-                best = pose if best is None or pose.shortfall < best.shortfall else best
-            elif all(np.abs(pose.x[0] - other).max() > OTHER_POSE for other in found):
-                found.append(pose.x[0])
-                yield pose
-        if not found and best is not None:
-            yield best
-
-    def list_guesses(self, at: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "n"]]:
-        """Return configurations from which a pose is solved: ``at``, then the robot's postures."""
-        return [at, *(guess for _, guess in posture_guesses(self.solver.body)[1:])]
-
-    def resample_nominal(
-        self, spec: PhaseSpec, ends: Mapping[int, Float[np.ndarray, "n"]] = MappingProxyType({})
-    ) -> Float[np.ndarray, "T n"] | None:
-        """Return the nominal waypoints of a phase, as many as it has now, or None.
-
-        Where the phase moves the mechanism they are where the mechanism is now; what they are off at the given ``ends``
-        (configuration by waypoint) is taken back along the phase.
-        """
-        known = self.nominal.get(spec.name)
-        if known is None:
-            return None
-        count = spec.n_waypoints
-        values, shares = spec.values(count), np.linspace(0.0, 1.0, count)
-        at, wanted = np.linspace(0.0, 1.0, len(known)), shares
-        if len(spec.moving):
-            column = int(spec.moving[0])
-            at, wanted = known[:, self.columns[column]], values[:, column]
-            if at[-1] < at[0]:
-                at, wanted = -at, -wanted
-        q = np.stack([np.interp(wanted, at, known[:, column]) for column in range(known.shape[1])], axis=1)
-        q[:, self.columns] = values
-        for name, joint_ends in spec.joints.items():
-            q[:, self.robot.joint_names.index(name)] = np.linspace(*joint_ends, count)
-        first, last = (ends[k] - q[k] if k in ends else np.zeros(q.shape[1]) for k in (0, count - 1))
-        if len(ends) == 1:  # the other end is free, and goes along
-            first, last = first + last, first + last
-        return np.asarray(q + (1.0 - shares)[:, None] * first + shares[:, None] * last)
-
-    def solve_pose(
-        self,
-        step: str,
-        spec: PhaseSpec,
-        guesses: Sequence[Float[np.ndarray, "n"]],
-        effort: Mapping[str, Any] = POSE_EFFORT,
-    ) -> Solved:
-        """Solve for the first pose of an anchor."""
-        names = self.robot.joint_names
-        fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
-        fixed |= {names.index(name): value for name, value in spec.fixed.items()}
-        fixed |= {names.index(name): ends[0] for name, ends in spec.joints.items()}
-        first = np.zeros(1, dtype=int)
-        constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
-        regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
-        if spec.guess_touches:
-            loose = replace(spec, touches=(*spec.touches, *spec.guess_touches), guess_touches=(), torque_share=None)
-            guess = self.solve_pose(step, loose, guesses, effort)
-            if not guess.is_feasible:
-                return guess
-            guesses = [guess.x[0], *guesses]
-        touches = shrink(spec.touches, spec.depth_reserve_m)
-        return self.solver.solve_pose(step, guesses, constraints, touches, fixed, regions, effort)
-
-    def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
-        """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
-        body = self.solver.body
-        if not spec.loads or body.polygon is None:
-            return ()
-        contacts = list(body.planted)
-        return plan_regions(body.engine, contacts, spec.loads, values, body.nominal)
-
-    def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
-        """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""
-        hand = spec.hand
-        if hand is None or not hand.is_rigid:
-            return None
-        links = [hand.tool] if hand.link is None else [hand.tool, hand.link]
-        poses = locate_links(self.solver.body.engine, pose, links)
-        tool = poses[hand.tool][:3, :3]
-        link = np.eye(3) if hand.link is None else poses[hand.link][:3, :3]
-        z = link @ hand.axis
-        x = tool[:, 0] - (tool[:, 0] @ z) * z
-        x /= np.linalg.norm(x)
-        return np.asarray(link.T @ np.stack([x, np.cross(z, x), z], axis=1))
-
-    def solve_held(
-        self, spec: PhaseSpec, q: Float[np.ndarray, "n"], *, is_anchor: bool = False, is_backwards: bool = False
-    ) -> Solved:
-        """Solve a phase with a held hand from its first configuration, or backwards from its last.
-
-        The first configuration of an anchor is free up to the joints that its specification fixes.
-        """
-        count = spec.n_waypoints
-        values = spec.values(count)
-        fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
-        pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
-        nominal = self.resample_nominal(spec, fixed or {0: q})
-        if nominal is not None:
-            repaired = self._repairer._solve(spec, [nominal], fixed, values, self.find_regions(spec, values), pinned)
-            if repaired.is_feasible:
-                return repaired
-        start = np.tile(q, (count, 1))
-        start[:, self.columns] = values
-        for name, rate in spec.guess_rates.items():
-            (moving,) = spec.moving
-            start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
-        for name, (first, last) in spec.joints.items():
-            column = self.robot.joint_names.index(name)
-            start[:, column] = np.linspace(first if is_anchor or is_backwards else q[column], last, count)
-        starts = [start]
-        if spec.aims_at_end and not is_backwards:
-            guesses = [np.concatenate([q[: self.columns[0]], spec.last])]
-            end = self.solve_pose(spec.name, replace(spec, first=spec.last), guesses, QUICK_EFFORT)
-            if end.is_feasible:
-                straight = straight_path(q, end.x[0], count)
-                straight[:, self.columns] = values
-                starts = [straight, start]
-        light = replace(spec, torque_share=None)
-        if spec.guess_touches:  # what the hand passes between would push it to the wrong side of a poor guess
-            loose = replace(light, touches=(*spec.touches, *spec.guess_touches))
-            guess = self._solve(loose, starts, fixed, values, (), pinned)
-            if not guess.is_feasible:
-                return guess
-            starts = [guess.x]
-        regions = self.find_regions(spec, values)
-        if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
-            unloaded = self._solve(light, starts, fixed, values, (), pinned)
-            if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
-                return unloaded
-            starts = [unloaded.x, *starts]
-        solved = self._solve(light, starts, fixed, values, regions, pinned)
-        if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
-            return solved
-        return self._solve(spec, [solved.x], fixed, values, regions, pinned)
-
-    def is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
-        """Return whether a phase's loads cost no more torque at its waypoints than it may use."""
-        state = MotionState(self.solver.body.engine(q), Contacts.none())
-        limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
-        return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
-
-    def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
-        """Solve a phase without demands on the hand between two configurations."""
-        count = spec.n_waypoints
-        nominal = self.resample_nominal(spec, {0: first, count - 1: last})
-        if nominal is not None:
-            repaired = self._repairer.solve_between(spec, [nominal])
-            if repaired.is_feasible:
-                return repaired
-        starts = [straight_path(first, last, count)]
-        for _, guess in posture_guesses(self.solver.body)[1:]:
-            guess[self.columns] = first[self.columns]
-            starts.append(path_via(first, guess, last, count))
-        return self.solve_between(spec, starts)
-
-    def solve_between(self, spec: PhaseSpec, starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
-        """Solve a phase between the ends of its starting trajectories, which may be denser than its specification."""
-        values, last = starts[0][:, self.columns], len(starts[0]) - 1
-        fixed = {0: starts[0][0], last: starts[0][last]}
-        return self._solve(spec, starts, fixed, values, self.find_regions(spec, values))
-
-    def _solve(
-        self,
-        spec: PhaseSpec,
-        starts: Sequence[Float[np.ndarray, "T n"]],
-        fixed: Mapping[int, Float[np.ndarray, "n"]],
-        values: Float[np.ndarray, "T k"],
-        regions: tuple[PlannedRegion, ...],
-        pinned: Mapping[int, float] = MappingProxyType({}),
-    ) -> Solved:
-        """Solve a phase with the mechanism's joints prescribed, and some coordinates pinned at the first waypoint."""
-        count = len(values)
-        free = np.setdiff1d(np.arange(count), list(fixed))
-
-        def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
-            lower[:, self.columns] = upper[:, self.columns] = values
-            for name in spec.joints:
-                column = self.robot.joint_names.index(name)
-                lower[:, column] = upper[:, column] = starts[0][:, column]
-            for column, value in pinned.items():
-                lower[0, column] = upper[0, column] = value
-
-        solved = self.solver.solve_trajectory(
-            spec.name,
-            starts,
-            fixed,
-            constraints=(*self._constraints(spec, free, count), *self._limit_torques(spec, free, values)),
-            allowances=shrink(spec.touches, spec.depth_reserve_m),
-            bounds=narrow,
-            regions=regions,
-        )
-        if solved.is_feasible or solved.shortfall >= RESTORABLE:
-            return solved
-        return self.solver.restore_feasibility(spec.name, solved)
-
-    def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
-        """Return the solved phase with its promises."""
-        is_line = spec.hand is not None and spec.hand.is_line
-        phase = self.promise(spec, solved.x, spec.values(spec.n_waypoints))
-        resolve = None if is_line else lambda q: self.solve_between(spec, [q])
-        return replace(phase, is_feasible=solved.is_feasible, resolve=resolve)
-
-    def promise(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"], values: Float[np.ndarray, "S k"]) -> PlannedPhase:
-        """Return waypoints with the promises of a phase; its regions are found for the mechanism at ``values``."""
-        holds: tuple[Hold, ...] = ()
-        if spec.hand is not None and not spec.hand.is_line:
-            holds = (make_hold(self.robot, spec.hand),)
-        return PlannedPhase(
-            spec.name,
-            q,
-            is_feasible=True,
-            holds=holds,
-            allowances=spec.touches,
-            targets=lambda at: spec.targets(self.mechanism, at),
-            loads=spec.loads,
-            regions=self.find_regions(spec, values),
-            values=values if spec.loads else None,
-        )
-
-    def _constraints(
-        self, spec: PhaseSpec, waypoints: Int[np.ndarray, "S"], count: int
-    ) -> tuple[Constraint[MotionState], ...]:
-        """Return the hand's constraints at waypoints of a phase with ``count`` of them."""
-        hand = spec.hand
-        if hand is None or not len(waypoints):
-            return ()
-        places = hand.places(count)[waypoints]
-        name = "tool on its line" if hand.is_line else "tool at its place"
-        residual = place_tool(self.robot, hand, waypoints, places)
-        constraints = [Constraint(name, residual, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m")]
-        if hand.slide is not None:
-            along = slide_tool(self.robot, hand, waypoints, places)
-            room = float(np.linalg.norm(hand.slide)) - POSITION_TOLERANCE
-            constraints.append(
-                Constraint(
-                    "tool within its slide", WithinTolerance(along, room), tolerance=POSITION_TOLERANCE, unit="m"
-                )
-            )
-        direction = AxisDirection(self.robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)
-        axis = NormWithin(direction, 2, hand.aim_rad)
-        tolerance = min(0.2 * hand.aim_rad, AXIS_TOLERANCE)
-        constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))
-        return tuple(constraints)
-
-    def _limit_torques(
-        self, spec: PhaseSpec, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
-    ) -> Iterator[Constraint[MotionState]]:
-        """Yield the limits of the torques that a phase's loads cost, if it has any."""
-        if spec.torque_share is None or not len(waypoints):
-            return
-        body = self.solver.body
-        q = np.tile(body.nominal, (len(values), 1))
-        q[:, self.columns] = values
-        kinematics = body.engine(q)
-        for number, loads in enumerate(list_together(spec.loads), start=1):
-            name = "torque under the load" if number == 1 else f"torque under the load {number}"
-            forces = np.zeros((len(waypoints), 3))
-            for load in loads:
-                joint, _ = locate_frame(self.robot, load.link)
-                forces -= kinematics.rotation[waypoints, joint] @ load.force
-            torque = HeldTorque(self.robot, loads[0].tool, waypoints, forces, spec.torque_share)
-            yield Constraint(name, torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
-
-
-def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
-    """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
-    return lambda waypoints: place_tool(robot, hand, waypoints, hand.place[None])
-
-
-def place_tool(
-    robot: RobotModel,
-    hand: HandMotion,
-    waypoints: Int[np.ndarray, "S"] | Sequence[int],
-    places: Float[np.ndarray, "#S 3"],
-) -> Residual[MotionState]:
-    """Return a tool's distance from its places, but for its slide; of a rigid hand also its turn about its axis."""
-    if hand.rotation is not None:
-        return _rigid_residual(robot, hand, waypoints, places)
-    return _place_residual(robot, hand, waypoints, places, is_along=False)
-
-
-def slide_tool(
-    robot: RobotModel,
-    hand: HandMotion,
-    waypoints: Int[np.ndarray, "S"] | Sequence[int],
-    places: Float[np.ndarray, "#S 3"],
-) -> Residual[MotionState]:
-    """Return how far a tool is along its slide from its places [m]."""
-    return _place_residual(robot, hand, waypoints, places, is_along=True)
-
-
-def _rigid_residual(
-    robot: RobotModel,
-    hand: HandMotion,
-    waypoints: Int[np.ndarray, "S"] | Sequence[int],
-    places: Float[np.ndarray, "#S 3"],
-) -> FramePose:
-    """Return the tool's distance from its places, and its turn about its axis."""
-    targets = np.tile(np.eye(4), (len(places), 1, 1))
-    targets[:, :3, :3], targets[:, :3, 3] = hand.rotation, places
-    axes = (True, True, True, False, False, True)
-    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
-
-
-def _place_residual(
-    robot: RobotModel,
-    hand: HandMotion,
-    waypoints: Int[np.ndarray, "S"] | Sequence[int],
-    places: Float[np.ndarray, "#S 3"],
-    *,
-    is_along: bool,
-) -> FramePose:
-    """Return the tool's distance from its places: along its slide, or across it (in all directions without one)."""
-    targets = np.tile(np.eye(4), (len(places), 1, 1))
-    targets[:, :3, 3] = places
-    axes = (True, True, True, False, False, False)
-    if hand.slide is not None:
-        direction = hand.slide / np.linalg.norm(hand.slide)
-        targets[:, :3, :3] = find_rotation_onto(AXIS, direction)
-        axes = (not is_along, not is_along, is_along, False, False, False)
-    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
-
-
 def _stop_at(
     name: str, step: str, result: Solved, q: Float[np.ndarray, "T n"]
 ) -> tuple[tuple[PlannedPhase, ...], Stuck]:
     """Return the best attempt as a single phase, and the step it is stuck at."""
     return (PlannedPhase(name, q, False),), Stuck(step, result)
-
-
-def find_turn_joint(body: WholeBody, tool: str) -> tuple[int, float]:
-    """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
-    robot = body.robot
-    joint, pose_joint_tool = locate_frame(robot, tool)
-    column = int(robot.model.joints[joint].idx_vExtended)
-    kinematics = body.engine(np.zeros((1, robot.n)))
-    turns = kinematics.jacobian[0, 3:, column]
-    axis = kinematics.rotation[0, joint] @ pose_joint_tool[:3, :3] @ AXIS
-    return column, float(np.sign(turns @ axis))
