@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from tiny_robots import PLANAR, chain
@@ -51,7 +52,7 @@ def test_phases_that_hold_keep_curve_and_times_in_a_repair() -> None:
     robot = chain(PLANAR)
     body = WholeBody.standing(robot, Scene(()), np.zeros(2), (), Aims())
     corners = np.array([[0.0, 0.0], [0.5, 0.3], [0.2, 0.8], [0.6, 0.1]])
-    paths = [a + (b - a) * np.linspace(0.0, 1.0, 6)[:, None] for a, b in zip(corners, corners[1:], strict=False)]
+    paths = [a + (b - a) * np.linspace(0.0, 1.0, 6)[:, None] for a, b in pairwise(corners)]
     phases = tuple(PlannedPhase(f"p{k}", path, True, resolve=bend) for k, path in enumerate(paths))
     plan = TaskPlan(body, phases)
     timing = TimingSettings()
@@ -64,18 +65,15 @@ def test_phases_that_hold_keep_curve_and_times_in_a_repair() -> None:
     again = make_motion(repaired, timing)
     assert motion.law is not None
     assert again.law is not None
-    for k, (before, after) in enumerate(zip(motion.phases, again.phases, strict=True)):
-        u = np.linspace(0.0, 1.0, 30)
-        q, p = (
-            m.curve(phase.first + u * (phase.last - phase.first)) for m, phase in ((motion, before), (again, after))
-        )
-        times = [
-            np.diff(find_times(m.law, np.array([phase.first, phase.last])))[0]
-            for m, phase in ((motion, before), (again, after))
-            if m.law is not None
-        ]
+    u = np.linspace(0.0, 1.0, 30)
+    for k, pair in enumerate(zip(motion.phases, again.phases, strict=True)):
+        q, p = (m.curve(own.first + u * (own.last - own.first)) for m, own in zip((motion, again), pair, strict=True))
         if k == 1:
             assert np.abs(q - p).max() > 1e-3
-        else:
-            np.testing.assert_allclose(q, p, atol=1e-12)
-            np.testing.assert_allclose(times[0], times[1], rtol=1e-9)
+            continue
+        np.testing.assert_allclose(q, p, atol=1e-12)
+        before, after = (
+            np.diff(find_times(law, np.array([own.first, own.last])))
+            for law, own in zip((motion.law, again.law), pair, strict=True)
+        )
+        np.testing.assert_allclose(before, after, rtol=1e-9)
