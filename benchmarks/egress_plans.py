@@ -7,8 +7,8 @@
 - ``--cars``: vehicles with bar, platform, seat and pillars drawn around the shipped ones; the robot is seated anew.
 - ``--scanned``: a vehicle known only from a scan, of the folder ``SCOPT_DATA`` (default: ``../shared/data``): until the
   right foot is out, and as far as it goes.
-- ``--disturbed``: a certified plan, planned again on the same stances with chest plate, bar, platform and friction
-  drawn (``benchmarks.egress_cases``); ``--out`` gets a picture of these.
+- ``--disturbed``: a certified plan, planned again from its motion with chest plate, bar, platform and friction drawn
+  (``benchmarks.egress_cases``); ``--out`` gets a picture of these.
 
 Processor time is of this process.
 """
@@ -100,7 +100,7 @@ def list_scanned(limit_s: float) -> Iterator[tuple[str, PlanRequest]]:
 
 
 def run_disturbed(count: int, first: int, limit_s: float, out: Path) -> list[tuple[str, ...]]:
-    """Plan once, then again on the same stances for drawn disturbances; write a picture."""
+    """Plan once, then again from that motion for drawn disturbances; write a picture."""
     nominal = parse_request(load_model(), MODEL.parent)
     row, result = run("nominal", replace(nominal, options=replace(nominal.options, time_limit_s=limit_s)))
     rows = [row]

@@ -35,8 +35,8 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         yield from plan_program(solver, setup.program)
         return
     if request.task is not None and request.task.contacts is not None:
-        from service.tasks.contact_motion import plan_contact_motion
-        from service.tasks.known_motion import read_known_motion
+        from service.tasks.contacts.known_motion import read_known_motion
+        from service.tasks.contacts.motion import plan_contact_motion
 
         contacts = request.task.contacts
         earlier = None if request.resume is None else request.resume.nominal

@@ -12,6 +12,7 @@ from costs.kinematics import locate_frame, locate_links
 from costs.robot import RobotModel
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
+from service.demands.phase_spec import AXIS
 
 FARTHER = "; start farther away"  # what helps against a collision with the mechanism
 
@@ -62,3 +63,14 @@ def list_arm_joints(robot: RobotModel, tool: str) -> list[int]:
         chain.insert(0, joint)
         joint = int(model.parents[joint])
     return chain
+
+
+def find_turn_joint(body: WholeBody, tool: str) -> tuple[int, float]:
+    """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
+    robot = body.robot
+    joint, pose_joint_tool = locate_frame(robot, tool)
+    column = int(robot.model.joints[joint].idx_vExtended)
+    kinematics = body.engine(np.zeros((1, robot.n)))
+    turns = kinematics.jacobian[0, 3:, column]
+    axis = kinematics.rotation[0, joint] @ pose_joint_tool[:3, :3] @ AXIS
+    return column, float(np.sign(turns @ axis))

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from costs.kinematics import locate_frame
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose
@@ -144,14 +143,3 @@ def _hold_at(robot: RobotModel, hand: HandMotion, place: Float[np.ndarray, "1 3"
     return (lambda waypoints: place_tool(robot, hand, waypoints, place)), lambda waypoints: aim_tool(
         robot, hand, waypoints
     )
-
-
-def find_turn_joint(body: WholeBody, tool: str) -> tuple[int, float]:
-    """Return the coordinate that turns a hand about its axis, and its sense about the tool's z axis."""
-    robot = body.robot
-    joint, pose_joint_tool = locate_frame(robot, tool)
-    column = int(robot.model.joints[joint].idx_vExtended)
-    kinematics = body.engine(np.zeros((1, robot.n)))
-    turns = kinematics.jacobian[0, 3:, column]
-    axis = kinematics.rotation[0, joint] @ pose_joint_tool[:3, :3] @ AXIS
-    return column, float(np.sign(turns @ axis))

@@ -21,7 +21,7 @@ from service.demands.strokes import TURN, TurnChoice, make_turn_phases
 from service.demands.wheel import Wheel, make_wheel_mechanism
 from service.request.names import VALVE_LINK
 from service.request.schema import ValveRequest
-from service.tasks.held_tool import find_turn_joint
+from service.tasks.handling import find_turn_joint
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 

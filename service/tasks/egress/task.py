@@ -13,10 +13,10 @@ from service.demands.contacts.contact_task import face_pieces
 from service.demands.contacts.stances import ends_with_new_contacts
 from service.request.egress import EgressRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.contact_motion import plan_contact_motion
+from service.tasks.contacts.known_motion import KnownMotion
+from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.egress.chain import Chain
 from service.tasks.egress.plan import PosePlan, StageCount, describe_graph, plan_poses
-from service.tasks.known_motion import KnownMotion
 
 KNOWN_TRIES = 2  # of a change of contacts in one sequence; then the next sequence is planned
 POSES_FROM, POSES_TO = 0.05, 0.2  # of the whole plan, for its progress

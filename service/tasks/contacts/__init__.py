@@ -1,0 +1,1 @@
+"""Motions that change contacts: poses on what stays, and the phases between stances."""
