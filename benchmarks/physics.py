@@ -34,7 +34,7 @@ from service.result.result import Verdict
 from service.simulation.options import SimulationOptions
 from service.simulation.report import make_report
 from service.simulation.run import execute_motion
-from service.tasks.stance import find_stance
+from service.tasks.stances.search import find_stance
 
 REQUESTS = Path(__file__).parent.parent / "examples" / "requests"
 SLOW = ("egress",)  # plans for minutes

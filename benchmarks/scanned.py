@@ -42,7 +42,7 @@ from service.replay.resume import make_rest_request
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.result.output import write_result
-from service.tasks.stance import StanceCandidate, find_stance
+from service.tasks.stances.search import StanceCandidate, find_stance
 
 N_VALVES, N_DOORS, N_DISPLACED = 40, 16, 12
 STANCE_LIMIT_S, PLAN_LIMIT_S = 300.0, 900.0  # wall time, so that a busy machine does not decide

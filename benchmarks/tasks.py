@@ -30,7 +30,7 @@ from service.demands.phase_spec import ANYWHERE
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest, PoseRequest
-from service.tasks.stance import StanceSearch, find_stance
+from service.tasks.stances.search import StanceSearch, find_stance
 from service.verify import Certificate
 
 ANGLES = (30.0, 60.0)  # [deg]

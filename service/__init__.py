@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from service.simulation.options import SimulationOptions
     from service.simulation.simulate import simulate
     from service.tasks.queries import IkSolution, PoseClearance, SweepClearance, clearance, solve_ik, sweep_clearance
-    from service.tasks.stance import StanceSearch, find_stance
+    from service.tasks.stances.search import StanceSearch, find_stance
 
 __all__ = [
     "Action",
@@ -91,7 +91,7 @@ _MODULES = {
     "setup.prepare": ("PlanSetup", "prepare"),
     "simulation.options": ("SimulationOptions",),
     "simulation.simulate": ("simulate",),
-    "tasks.stance": ("StanceSearch", "find_stance"),
+    "tasks.stances.search": ("StanceSearch", "find_stance"),
 }
 
 

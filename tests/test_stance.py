@@ -18,7 +18,7 @@ from service.cli.app import app
 from service.planner import plan
 from service.result.result import Verdict
 from service.result.stance_output import describe_search, draw_search, write_request
-from service.tasks import stance
+from service.tasks.stances import search as stance_search
 
 DOOR = {
     "open_deg": 30,
@@ -39,9 +39,9 @@ REQUEST = {
 def search() -> StanceSearch:
     """Search with little effort."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stance, "ENOUGH_GOOD", 1)
-        patch.setattr(stance, "FINE", 1)
-        patch.setattr(stance, "FINE_ROUNDS", 1)
+        patch.setattr(stance_search, "ENOUGH_GOOD", 1)
+        patch.setattr(stance_search, "FINE", 1)
+        patch.setattr(stance_search, "FINE_ROUNDS", 1)
         return find_stance(parse_request(REQUEST), limit_s=300.0)
 
 

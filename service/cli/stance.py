@@ -46,7 +46,7 @@ def stance_command(
     with progress(stderr, "read request") as report, cancellable(stderr) as should_stop:
         from service.request.file import load_request
         from service.result.stance_output import describe_search, write_request, write_search
-        from service.tasks.stance import find_stance
+        from service.tasks.stances.search import find_stance
 
         search = find_stance(load_request(request), time_limit, radius, report, should_stop)
         folder = out if out is not None else Path("out") / f"{request.stem}-stance"

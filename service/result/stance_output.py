@@ -18,8 +18,8 @@ from scipy.spatial import ConvexHull, QhullError
 from service.errors import RequestError
 from service.request.file import parse_request, read_plain_request
 from service.start.standing import FLOOR_KIND
-from service.tasks.stance import StanceCandidate, StanceSearch
-from service.tasks.stance_checks import StanceTask
+from service.tasks.stances.poses import StanceTask
+from service.tasks.stances.search import StanceCandidate, StanceSearch
 
 SCALE = 200.0  # pixels per metre
 MARGIN_M = 0.7  # of the picture about places and mechanism

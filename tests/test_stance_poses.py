@@ -17,7 +17,7 @@ from service.demands.hands import HANDS
 from service.demands.phase_spec import PhaseSpec
 from service.demands.scene import make_floor
 from service.request.door import DoorRequest, HandleRequest, LeafRequest
-from service.tasks.stance_checks import (
+from service.tasks.stances.poses import (
     find_shoulder,
     list_arm_joints,
     measure_arm,

@@ -20,14 +20,13 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel, with_mechanism
-from costs.scene import ConvexPiece, Scene
+from costs.scene import Scene
 from costs.stopping import Stopped, stops_when
 from scopt import Settings
 from service.body.monitor import Interrupted, Monitor, OnProgress
 from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
 from service.demands.given_mechanism import read_given_mechanism
-from service.demands.hands import Hand
 from service.demands.wheel import make_wheel
 from service.errors import RequestError
 from service.request.schema import PlanRequest
@@ -36,33 +35,21 @@ from service.setup.prepare import PlanSetup, prepare
 from service.start.standing import FLOOR_KIND, place_bodies
 from service.tasks import door_task, mechanism_task, valve_task
 from service.tasks.handling import FARTHER, find_collisions
-from service.tasks.stance_checks import (
-    DoorStance,
-    MechanismStance,
-    Outcome,
-    StanceTask,
-    ValveStance,
-    find_shoulder,
-    measure_arm,
-)
+from service.tasks.stances.door_stance import DoorStance
+from service.tasks.stances.grid import Grid, is_near, make_rotation
+from service.tasks.stances.mechanism_stance import MechanismStance
+from service.tasks.stances.poses import Outcome, StanceTask
+from service.tasks.stances.valve_stance import ValveStance
 
 if TYPE_CHECKING:
     from perception import Perceived
 
 LIMIT_S = 20.0
 RADIUS_M = 1.0  # of the places searched about the start
-GRID_M, GRID_YAW = 0.12, np.deg2rad(20.0)  # of the coarse grid
-MOST_TURN = np.deg2rad(80.0)  # from facing what is held
 COARSE, ENOUGH_GOOD = 8, 4  # most places of the grid that are checked by poses, and how many of them have to do
 COARSE_APART = 2.0  # between them, in steps of the grid
 FINE, FINE_ROUNDS, FINE_PARENTS = 2, 2, 2  # places that are checked about the best, and rounds
 EXCELLENT, FEW_GOOD = 0.95, 2  # score after which little is to be gained, once that many places are good
-IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is held
-MOST_REACH = 1.12  # the same at most: the trunk leans
-LEAST_REACH_M = 0.25
-TURN_COST = 0.03  # per squared angle between facing and what is held [1/rad^2]
-ASIDE_COST, LEAST_SIDEWAYS = 0.15, 0.3  # of standing beside a wheel's axis [1/rad^2]; unless it points up
-BODY_RADIUS_M = 0.25  # about the base, clear of pieces and leaf before anything else is checked
 ENOUGH_BALANCE_M, ENOUGH_REACH_M, ENOUGH_CLEARANCE_M = 0.05, 0.2, 0.1  # reserves that count no further
 SCORE_SHARES = (0.7, 0.12, 0.1, 0.08)  # of angle, balance, reach and clearance
 
@@ -183,7 +170,7 @@ def find_stance(
     sought, notes = found
     try:
         with stops_when(monitor.is_over):
-            grid = _Grid(setup, sought, radius_m)
+            grid = Grid(setup, sought, radius_m)
             ranked = grid.rank(request.options.seed)
             n_ranked = len(ranked)
             _search(_Examiner(setup, sought, monitor), grid, ranked, candidates, takes_first)
@@ -236,129 +223,6 @@ def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
 
 
 @dataclass(frozen=True)
-class _Grid:
-    """Places about the start, ranked by geometry.
-
-    Attributes:
-        setup: the prepared request.
-        task: what is to be done.
-        radius_m: of the places about the start.
-    """
-
-    setup: PlanSetup
-    task: StanceTask
-    radius_m: float
-
-    def rank(self, seed: int) -> Float[np.ndarray, "N 3"]:
-        """Return the places of a grid, its origin drawn by the seed, the most promising first (x, y, yaw)."""
-        rng = np.random.default_rng(seed)
-        steps = np.arange(-self.radius_m, self.radius_m + 1e-9, GRID_M)
-        shift = rng.uniform(-0.5, 0.5, 2) * GRID_M
-        x, y = np.meshgrid(steps + shift[0], steps + shift[1], indexing="ij")
-        near = np.hypot(x, y) <= self.radius_m
-        places = np.stack([x[near], y[near]], axis=1) + self.setup.start[:2]
-        yaws = np.arange(-MOST_TURN, MOST_TURN + 1e-9, GRID_YAW)
-        held = np.concatenate([points for way in self.task.list_ways() for _, points in way])
-        facing = np.arctan2(*(held.mean(axis=0)[:2] - places).T[::-1])
-        poses = np.column_stack(
-            [np.repeat(places, len(yaws), axis=0), (facing[:, None] + yaws[None]).ravel()],
-        )
-        poses = np.concatenate([[self.setup.start[[0, 1, 3]]], poses])
-        cost = self.cost(poses)
-        order = np.argsort(cost, kind="stable")
-        return np.asarray(poses[order[: int(np.isfinite(cost).sum())]])
-
-    def refine(self, parents: Sequence[Float[np.ndarray, "3"]], share: float) -> Float[np.ndarray, "N 3"]:
-        """Return the neighbours of places at a share of the grid's steps."""
-        offsets = np.array([[dx, dy, 0.0] for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy])
-        offsets = np.concatenate([offsets, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]]) * [GRID_M, GRID_M, GRID_YAW] * share
-        poses = np.concatenate([parent + offsets for parent in parents])
-        cost = self.cost(poses)
-        order = np.argsort(cost, kind="stable")
-        return np.asarray(poses[order[: int(np.isfinite(cost).sum())]])
-
-    def cost(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
-        """Return how far the hands' places are from a comfortable distance; infinite where that cannot do."""
-        cost = np.full(len(poses), np.inf)
-        for way in self.task.list_ways():
-            cost = np.minimum(cost, sum(self._cost_of_hand(poses, hand, points) for hand, points in way))
-        if isinstance(self.task, ValveStance):
-            cost = cost + ASIDE_COST * self._aside(poses, self.task.wheel.centre, self.task.wheel.axis) ** 2
-        cost[self._is_in_the_way(poses)] = np.inf
-        return cost
-
-    def _aside(
-        self, poses: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "N"]:
-        """Return the angle, seen from above, between a wheel's axis and where the robot stands [rad]."""
-        if np.hypot(*axis[:2]) < LEAST_SIDEWAYS:
-            return np.zeros(len(poses))
-        away = np.arctan2(*(poses[:, :2] - centre[:2]).T[::-1]) - np.arctan2(axis[1], axis[0])
-        return np.asarray((away + np.pi) % (2.0 * np.pi) - np.pi)
-
-    def _cost_of_hand(
-        self, poses: Float[np.ndarray, "N 3"], hand: Hand, points: Float[np.ndarray, "P 3"]
-    ) -> Float[np.ndarray, "N"]:
-        """Return the cost of reaching for points with one hand."""
-        start = self.setup.start
-        robot = self.setup.robot
-        arm = measure_arm(robot, hand, hand.tool)
-        shoulder = _turn(find_shoulder(robot, start, hand) - start[:3] * [1.0, 1.0, 0.0], -start[3])
-        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        at = np.stack(
-            [
-                poses[:, 0] + cos * shoulder[0] - sin * shoulder[1],
-                poses[:, 1] + sin * shoulder[0] + cos * shoulder[1],
-                np.full(len(poses), shoulder[2]),
-            ],
-            axis=1,
-        )
-        offset = points[None] - at[:, None]
-        distance = np.linalg.norm(offset, axis=2)
-        ahead = offset[:, :, 0] * cos[:, None] + offset[:, :, 1] * sin[:, None]
-        cost = ((distance / arm - IDEAL_REACH) ** 2).mean(axis=1)
-        cost += 0.05 * np.clip(0.2 - ahead, 0.0, None).mean(axis=1) + TURN_COST * self._turn_from(poses, points) ** 2
-        cost[(distance > MOST_REACH * arm).any(axis=1) | (distance < LEAST_REACH_M).any(axis=1)] = np.inf
-        return np.asarray(cost)
-
-    def _turn_from(self, poses: Float[np.ndarray, "N 3"], points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "N"]:
-        """Return the angle between where the robot faces and the middle of points [rad]."""
-        towards = np.arctan2(*(points.mean(axis=0)[:2] - poses[:, :2]).T[::-1])
-        return np.asarray((poses[:, 2] - towards + np.pi) % (2.0 * np.pi) - np.pi)
-
-    def _is_in_the_way(self, poses: Float[np.ndarray, "N 3"]) -> np.ndarray:
-        """Return (N,) whether the robot stands in a piece, or where the leaf moves."""
-        start = self.setup.start
-        blocked = np.zeros(len(poses), dtype=bool)
-        for low, high in _list_boxes(self.setup.scene):
-            gap = np.maximum(np.maximum(low - poses[:, :2], poses[:, :2] - high), 0.0)
-            blocked |= np.hypot(*gap.T) < BODY_RADIUS_M - 0.1
-        if not isinstance(self.task, DoorStance):
-            return blocked
-        door = self.task.door.geometry
-        soles = np.concatenate(list(self.setup.soles.values()))[:, :2] - start[:2]
-        soles = soles @ _rotation(-start[3]).T
-        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-        corners = np.stack(
-            [
-                poses[:, :1] + cos * soles[None, :, 0] - sin * soles[None, :, 1],
-                poses[:, 1:2] + sin * soles[None, :, 0] + cos * soles[None, :, 1],
-            ],
-            axis=2,
-        )
-        offset = corners - door.hinge[:2]
-        out, along = offset @ door.normal[:2], offset @ door.along[:2]
-        base_out = (poses[:, :2] - door.hinge[:2]) @ door.normal[:2]
-        blocked |= base_out < door.face + BODY_RADIUS_M
-        blocked |= ((out < door.face + 0.02) & (np.abs(along) < door.width + 0.1)).any(axis=1)
-        if not self.task.door.is_push:
-            angle = np.arctan2(out, along)
-            swept = (np.hypot(out, along) < door.width + 0.03) & (angle > -0.1) & (angle < self.task.target + 0.1)
-            blocked |= swept.any(axis=1)
-        return blocked
-
-
-@dataclass(frozen=True)
 class _Examiner:
     """Checks of single places."""
 
@@ -376,7 +240,7 @@ class _Examiner:
         """Vertices of each link at rest that is not planted, as in the base's frame turned upright [m]."""
         start = self.setup.start
         placed = [(body.link, points) for body, points in place_bodies(self.setup.robot, start)]
-        turn = _rotation(-start[3])
+        turn = make_rotation(-start[3])
         return [
             (link, np.column_stack([(points[:, :2] - start[:2]) @ turn.T, points[:, 2]]))
             for link, points in placed
@@ -397,7 +261,7 @@ class _Examiner:
 
     def find_overlap(self, pose: Float[np.ndarray, "3"]) -> str | None:
         """Return a sentence where a vertex of the robot at rest is in a piece or in the mechanism; quickly."""
-        turn, margin = _rotation(pose[2]), self.setup.request.options.margin_m
+        turn, margin = make_rotation(pose[2]), self.setup.request.options.margin_m
         links = [
             (link, np.column_stack([points[:, :2] @ turn.T + pose[:2], points[:, 2]])) for link, points in self.at_rest
         ]
@@ -482,7 +346,7 @@ class _Examiner:
 
 def _search(
     examiner: _Examiner,
-    grid: _Grid,
+    grid: Grid,
     ranked: Float[np.ndarray, "N 3"],
     candidates: list[StanceCandidate],
     takes_first: bool,
@@ -507,7 +371,7 @@ def _search(
                 return
             if good >= FEW_GOOD and best_score() >= EXCELLENT:
                 return
-            if any(_is_near(pose, known.base, apart if known.outcome is not None else 0.99) for known in candidates):
+            if any(is_near(pose, known.base, apart if known.outcome is not None else 0.99) for known in candidates):
                 continue
             monitor.check()
             monitor.report("places to stand", min(sum(not c.refused for c in candidates) / total, 1.0))
@@ -531,31 +395,3 @@ def _has_all_poses(candidates: Sequence[StanceCandidate]) -> bool:
     """Return whether the task can be done from the last place, as far as single poses show."""
     outcome = candidates[-1].outcome if candidates else None
     return outcome is not None and not outcome.missing
-
-
-def _is_near(pose: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], share: float) -> bool:
-    """Return whether two places are less than a share of the grid's steps apart."""
-    turn = (pose[2] - other[2] + np.pi) % (2.0 * np.pi) - np.pi
-    return bool(np.hypot(*(pose - other)[:2]) < share * GRID_M and abs(turn) < share * GRID_YAW)
-
-
-def _list_boxes(scene: Scene) -> list[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]]:
-    """Return the outlines of the pieces at the height of a body, as boxes seen from above."""
-
-    def is_high(piece: ConvexPiece) -> bool:
-        heights = piece.vertices[:, 2]
-        return piece.kind != FLOOR_KIND and heights.max() > 0.2 and heights.min() < 1.6
-
-    return [
-        (piece.vertices[:, :2].min(axis=0), piece.vertices[:, :2].max(axis=0))
-        for piece in scene.pieces
-        if is_high(piece)
-    ]
-
-
-def _rotation(angle: float) -> Float[np.ndarray, "2 2"]:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
-def _turn(point: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
-    return np.array([*(_rotation(angle) @ point[:2]), point[2]])
