@@ -48,6 +48,17 @@ def test_a_lever_door_is_pushed_open_with_a_regrasp(pushed: tuple[PlanResult, Pa
     assert result.figures["free_width_m"] == pytest.approx(0.9 * (1.0 - np.cos(np.deg2rad(50.0))), abs=1e-3)
 
 
+@pytest.mark.parametrize(("open_deg", "last"), [(50.0, "push 2"), (20.0, "open")])
+def test_a_hand_stays_on_the_leaf_after_a_regrasp_or_at_the_handle(open_deg: float, last: str, tmp_path: Path) -> None:
+    result = _plan(open_deg=open_deg, x=0.75, stays=True)
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.motion.phases[-1].name == last
+    assert result.figures["opening_deg"] == pytest.approx(open_deg, abs=0.1)
+    write_result(result, tmp_path)
+    again = verify_result(tmp_path)
+    assert again["verdict"] == "CERTIFIED", again["explanation"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "first"),
     [

@@ -235,7 +235,8 @@ class DoorOpening:
             farthest = len(angles) - 1
         result: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
         for tried, angle in enumerate(angles[farthest:], start=1):
-            sequence = self._sequence(replace(choice, first=angle, push=None))
+            stays = choice.stays and angle >= self.target - 1e-6  # else the leaf is pushed from elsewhere afterwards
+            sequence = self._sequence(replace(choice, first=angle, push=None, stays=stays))
             result = sequence.plan(self.solver.body.nominal)
             if result[1] is None:
                 return *result, angle
@@ -290,7 +291,8 @@ class DoorOpening:
     def _plan_push(self, choice: DoorChoice, at: Float[np.ndarray, "n"]) -> tuple[PlannedPhase, ...] | None:
         """Plan the phases after the regrasp; None if they have no solution."""
         sequence = self._sequence(choice)
-        n_before = len(make_door_phases(self.door, replace(choice, push=None), self.reach_waypoints))
+        at_handle = replace(choice, push=None, stays=False)
+        n_before = len(make_door_phases(self.door, at_handle, self.reach_waypoints))
         phases, stuck = replace(sequence, specs=sequence.specs[n_before:]).plan(at)
         return None if stuck is not None else phases
 
