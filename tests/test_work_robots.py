@@ -11,7 +11,7 @@ from costs.robot import bundled_robots
 from service.errors import RequestError
 from service.request.file import parse_request
 from service.request.schema import GoalRequest, PlanRequest, RobotRequest
-from service.server.requests import RobotFolder
+from service.server.robots import RobotFolder
 from service.work.look import describe_robots
 from service.work.robots import RobotCache
 

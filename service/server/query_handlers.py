@@ -22,7 +22,7 @@ from service.server.jobs import JobRunner
 from service.server.plan_files import hash_files, read_files, stream_files
 from service.server.plan_handler import parse_result
 from service.server.refusals import refuse_invalid
-from service.server.requests import RobotFolder
+from service.server.robots import RobotFolder
 from service.server.running_plans import RunningPlans
 from service.server.settings import ServerSettings
 from service.store import Decision, PlanRecord, PlanState, Review, Store

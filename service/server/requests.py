@@ -2,85 +2,24 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from costs.robot import bundled_robots
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.file import parse_request
 from service.request.scene import MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest
+from service.request.schema import PlanRequest
 from service.server.refusals import refuse_invalid
+from service.server.robots import KnownRobots, RobotFolder
 from service.server.settings import ServerSettings
 from service.store import CloudStore, Scenes
 from service.trust import BUILT, UPLOADED, AllowedFolders
 from service.wire.plain import to_plain
 
-if TYPE_CHECKING:
-    from service.server.known_robots import KnownRobots
-
 WITHIN = "request"  # the field of the wire's PlanRequest that the validator's paths start from
-URDF_NAME, SRDF_NAME = "robot.urdf", "robot.srdf"
-UNKNOWN_ROBOT = re.compile(r"(\S*robot(\.name)?: )?unknown robot ")
-
-
-@dataclass(frozen=True)
-class RobotFolder:
-    """Robots of this server beside those of the package: subfolders named like their robot, read at every request.
-
-    A subfolder holds ``robot.urdf``, and may hold ``robot.srdf`` and meshes.
-
-    Attributes:
-        folder: parent of the subfolders; None without own robots.
-    """
-
-    folder: Path | None
-
-    def requests(self) -> Mapping[str, RobotRequest]:
-        """Return the request for each robot's files, by name."""
-        if self.folder is None or not self.folder.is_dir():
-            return {}
-        paths = sorted(path for path in self.folder.resolve().iterdir() if (path / URDF_NAME).is_file())
-        return {path.name: _robot_request(path) for path in paths}
-
-    @property
-    def overriding(self) -> tuple[str, ...]:
-        """Names of own robots that hide a robot of the package."""
-        return tuple(name for name in self.requests() if name in bundled_robots())
-
-    def hide_paths(self, problems: Iterable[str]) -> list[str]:
-        """Name own robots instead of their paths in messages, and list them where a robot is unknown."""
-        prefix = "" if self.folder is None else f"{self.folder.resolve()}{os.sep}"
-        names = ", ".join(self.requests())
-        return [
-            f"{problem}; this server also has {names}" if names and UNKNOWN_ROBOT.match(problem) else problem
-            for problem in (problem.replace(prefix, "") if prefix else problem for problem in problems)
-        ]
-
-    def insert_files(self, request: PlanRequest) -> PlanRequest:
-        """Replace the name of an own robot by its files."""
-        own = None if request.robot.name is None else self.get(request.robot.name)
-        return request if own is None else replace(request, robot=_take_parts(own, request.robot))
-
-    def get(self, name: str) -> RobotRequest | None:
-        """Return an own robot; None if there is none of that name."""
-        if self.folder is None or Path(name).name != name:
-            return None
-        path = self.folder.resolve() / name
-        return _robot_request(path) if (path / URDF_NAME).is_file() else None
-
-
-def _robot_request(folder: Path) -> RobotRequest:
-    srdf = folder / SRDF_NAME
-    return RobotRequest(
-        urdf=str(folder / URDF_NAME), srdf=str(srdf) if srdf.is_file() else None, package_dirs=(str(folder),)
-    )
 
 
 @dataclass(frozen=True)
@@ -177,8 +116,3 @@ def _insert_paths(scene: SceneRequest, files: Mapping[str, Path]) -> SceneReques
     elif cloud is not None:
         cloud = tuple(replace(part, file=path_of(part.file)) for part in cloud)
     return replace(scene, obstacles=obstacles, cloud=cloud, file=file)
-
-
-def _take_parts(own: RobotRequest, asked: RobotRequest) -> RobotRequest:
-    """Return a robot of the server with what a request says about it."""
-    return replace(own, root=asked.root, contacts=asked.contacts, hands=asked.hands)

@@ -24,13 +24,13 @@ from service.server.admission import Admission
 from service.server.cloud_handlers import CloudHandlers, UploadHandler
 from service.server.disk import DiskWatch
 from service.server.jobs import JobRunner
-from service.server.known_robots import KnownRobots
 from service.server.lifecycle import Health, OpenCalls
 from service.server.methods import SERVICE, Servicer, make_handlers
 from service.server.plan_handler import PlanHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import GOING_DOWN, STOPPING
-from service.server.requests import RequestReader, RobotFolder
+from service.server.requests import RequestReader
+from service.server.robots import KnownRobots, RobotFolder
 from service.server.settings import MAX_STREAMS, ServerSettings
 from service.store import CloudStore, Store
 from service.telemetry import Metrics, MetricsServer, PlanCounts, Spans, TelemetryInterceptor
