@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count, islice
+from itertools import chain, count, islice
 
 import numpy as np
 from jaxtyping import Float
@@ -97,13 +97,20 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
         yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
         return
     search = _ReachSearch(solver, goal, n_waypoints, reasons.notes)
-    solutions = islice(search.solutions(), solver.most_starts)
-    around = _leave_tight_ends(solver, goal, n_waypoints, reasons.notes)
-    if around is not None and solver.most_starts > 1:
-        yield from report_solutions(islice(solutions, 1), search.make_plan)
-        yield from report_solutions(islice(around.solutions(), solver.most_starts - 1), around.make_plan)
+    solutions: Iterator[tuple[str, Solved]] = islice(search.solutions(), solver.most_starts)
+    first = next(solutions)
+    if first[1].is_feasible:  # most requests end here
+        yield search.make_plan(*first)
+        solutions = (other for other in solutions if other[1].is_feasible)
+    else:
+        solutions = chain([first], solutions)
+    around = _leave_tight_ends(solver, goal, n_waypoints, reasons.notes) if solver.most_starts > 1 else None
+    if around is None:
+        yield from report_solutions(solutions, search.make_plan)
         return
-    yield from report_solutions(solutions, search.make_plan)
+    if not first[1].is_feasible:
+        yield search.make_plan(*first)
+    yield from report_solutions(islice(around.solutions(), solver.most_starts - 1), around.make_plan)
 
 
 def _leave_tight_ends(
