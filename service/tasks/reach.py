@@ -38,7 +38,7 @@ from service.verify import Target
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most, between waypoints [rad, m]
 # First attempts: another start is faster than more steps, or than waiting for progress.
-QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6}
+QUICK: dict[str, float] = {"max_iterations": 20, "patience": 6, "acceptable_steps": 2}
 POSE: dict[str, float] = {"patience": 12, "min_improvement_feasible": 0.3}
 SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is free of collisions already
 RANDOM: dict[str, float] = {"max_iterations": 40}  # among the last attempts
