@@ -22,7 +22,6 @@ _SIGMA_EDGE = 0.004
 _BEHIND = 0.04
 _BESIDE = 3.0
 _FEWEST = 8
-_MOST_RAYS = 1200
 # Seen from the front a rim's thickness cannot be distinguished from its distance; common handwheels are 3 cm thick.
 _USUAL_HALF_DEPTH = 0.015
 _SIGMA_HALF_DEPTH = 0.004
@@ -30,9 +29,7 @@ _SIGMA_HALF_DEPTH = 0.004
 _SCALE = np.array([0.005, 0.005, 0.005, 0.03, 0.03, 0.005, 0.005, 0.005])
 _LARGEST_STEP = np.array([0.03, 0.03, 0.03, 0.2, 0.2, 0.03, 0.02, 0.02])
 _SIZE_LIMITS = np.array([[0.03, 0.004, 0.004], [0.45, 0.06, 0.04]])
-_STEPS = 20
 _FIRST_DAMPING = 1e-2
-_STILL = 1e-4
 
 
 @dataclass(frozen=True)
@@ -119,11 +116,7 @@ class RingCrossing:
 
 def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
     """Return the intersection of each ray with the ring's section at the angle where it crosses the ring's plane."""
-    basis = ring.basis
-    start = (rays.start - ring.centre) @ basis.T
-    direction = rays.direction @ basis.T
-    slope = direction[:, 2]
-    slope = np.where(np.abs(slope) < _LEAST_SLOPE, np.copysign(_LEAST_SLOPE, slope), slope)
+    start, direction, slope = _in_basis(rays, ring.centre, ring.axis)
     crossing = -start[:, 2] / slope
     sideways = direction[:, :2]
     place = start[:, :2] + crossing[:, None] * sideways
@@ -137,6 +130,25 @@ def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
     nearest = across * outward / (a * a * alpha)
     level = np.abs(across * slope) / (a * b * np.sqrt(alpha))
     return RingCrossing(place, crossing, distance, unit, sideways, outward, along, slope, across, alpha, nearest, level)
+
+
+def cross_plane(
+    rays: Sightlines, centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, "N"]]:
+    """Return where each ray crosses a wheel's plane, in the wheel's basis, and the distance along the ray to it [m]."""
+    start, direction, slope = _in_basis(rays, centre, axis)
+    crossing = -start[:, 2] / slope
+    return start[:, :2] + crossing[:, None] * direction[:, :2], crossing
+
+
+def _in_basis(
+    rays: Sightlines, centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:
+    """Return starts and directions of rays in a wheel's basis, and their slopes to its plane, none of them flat."""
+    basis = wheel_basis(axis)
+    start, direction = (rays.start - centre) @ basis.T, rays.direction @ basis.T
+    slope = direction[:, 2]
+    return start, direction, np.where(np.abs(slope) < _LEAST_SLOPE, np.copysign(_LEAST_SLOPE, slope), slope)
 
 
 def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
@@ -204,29 +216,50 @@ def unevenness(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -
     return float(np.sqrt(max(0.0, beyond)))
 
 
-def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
-    """Return the refined ring; hits and misses are selected anew in each round."""
-    for _ in range(n_rounds):
+@dataclass(frozen=True)
+class RingFit:
+    """Effort of a ring's fit.
+
+    Attributes:
+        n_rounds: number of solves; each selects hits and misses anew.
+        most_rays: used in a solve.
+        most_steps: of a solve.
+        still: share of the cost by which the last step of a solve may still lower it.
+    """
+
+    n_rounds: int
+    most_rays: int
+    most_steps: int
+    still: float
+
+
+ROUGH = RingFit(1, 600, 15, 1e-3)
+FINE = RingFit(2, 2000, 20, 1e-4)
+
+
+def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, effort: RingFit) -> Ring:
+    """Return the ring fitted to the rays that end on it or pass it."""
+    for _ in range(effort.n_rounds):
         passage = pass_ring(rays, ring)
         hit = rim_hits(rays, ring, passage, gate)
         missed = (rays.length > passage.depth + _BEHIND) & (passage.level < _BESIDE)
         if hit.sum() < _FEWEST:
             return ring
         keep = np.flatnonzero(hit | missed)
-        keep = keep[:: max(1, len(keep) // _MOST_RAYS)]
-        ring = _solve(rays.select(keep), hit[keep], move_ring(ring, np.zeros(8)))
+        keep = keep[:: -(-len(keep) // effort.most_rays)]
+        ring = _solve(rays.select(keep), hit[keep], move_ring(ring, np.zeros(8)), effort)
     return ring
 
 
-def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
+def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring, effort: RingFit) -> Ring:
     """Return the ring of least robust (soft l1) cost, by Levenberg-Marquardt steps."""
     ring, trial, cost, damping = start, start, np.inf, _FIRST_DAMPING
-    for _ in range(_STEPS):
+    for _ in range(effort.most_steps):
         residuals, jacobian = linearize_ring(rays, hit, trial)
         root = np.sqrt(1.0 + residuals**2)
         now = 2.0 * float((root - 1.0).sum())
         if now < cost:
-            is_still = cost - now < _STILL * cost
+            is_still = cost - now < effort.still * cost
             ring, cost, damping = trial, now, 0.3 * damping
             if is_still:
                 break
