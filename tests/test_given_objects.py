@@ -14,7 +14,8 @@ from perception.simulate import Pose, Scanner, box, cylinder, scan
 from perception.solids.match import find_matches
 from perception.solids.shapes import make_lever, make_wheel, unite_meshes
 from service.errors import RequestError
-from service.scan.given_objects import is_object_text, make_object, parse_object, parse_object_text
+from service.request.object_file import is_object_text, parse_object, parse_object_text
+from service.scan.given_objects import make_object
 from service.scan.meshes import read_solid
 
 WHEEL = "wheel radius=0.15 rim_radius=0.015 spokes=3"
