@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from perception.convex.coarse import coarsen
@@ -28,6 +29,7 @@ _WIDE = 2.4  # width of a wide plane, by the object's radius
 _ANGLES = np.linspace(0.0, np.pi, 16, endpoint=False)
 _WAYS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _FEWEST_OF_PART = 15
+_BESIDE_IT = 0.05  # beyond two tolerances: how near a point that does not lie on the object is unexplained [m]
 _UNEXPLAINED = 1.0  # weight of a point near the object that does not lie on it
 _TOLERANCE = (0.012, 0.03)
 # Distances from an edge within which rays do not count [m], and least share of the rays that must be left.
@@ -248,7 +250,7 @@ class PoseJudge:
         close = distance[distance < _TOLERANCE[1]]
         tolerance = float(np.clip(3.0 * 1.48 * np.median(close), least, _TOLERANCE[1])) if len(close) else least
         # Only points in the 5 cm beyond two tolerances contradict the pose: objects stand on tables.
-        outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
+        outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + _BESIDE_IT)
         thinned = len(rays) * len(self.region.points) / max(1, len(self.rays) * len(region.points))
         # A ray that ends on a wide plane, such as a wall, is no evidence for an object beside that plane.
         agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
@@ -262,6 +264,23 @@ class PoseJudge:
             tolerance,
             distance[distance <= tolerance],
         )
+
+    def count_held(self, pose: MeshPose, tolerance: float, part: float) -> int:
+        """Return the number of unexplained points that are nearest to one part of the mesh, the most of any part.
+
+        What carries an object touches it at one place, such as the stem of a wheel at its hub.
+
+        Args:
+            tolerance: as in :class:`RayCounts` [m].
+            part: radius of the part [m].
+        """
+        points = pose.to_mesh(self.region.points)
+        place, _ = self.surface.nearest(points)
+        distance = np.linalg.norm(points - place, axis=1)
+        beside = place[(distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + _BESIDE_IT)]
+        if not len(beside):
+            return 0
+        return int(cKDTree(beside).query_ball_point(beside, part, return_length=True).max())
 
     def share_through(self, pose: MeshPose, part: float) -> tuple[float, float]:
         """Return the share of the rays towards the mesh that went on through it, and of its part where it is largest.

@@ -15,8 +15,9 @@ from jaxtyping import Float, Int
 from costs.scene import ConvexPiece
 from perception import CONFIDENT, PerceptionError, rigid_pose
 from perception.perceive import FRINGE
-from perception.solids.match import KnownMesh, MeshMatch
+from perception.solids.match import KnownMesh
 from perception.solids.mesh import Solid
+from perception.solids.rating import MeshMatch
 from service.errors import RequestError
 from service.json_data import to_json_data
 from service.request.object_file import is_object_text, parse_object_text

@@ -34,6 +34,8 @@ _TUBE = 0.1
 _BEHIND, _BEYOND = 0.015, 0.15
 _HIDDEN_STRETCH, _MOST_LOOKS = 0.6, 3
 _LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
+# Air beside the first bar fitted to a strip, and its misfit, with which no later fit was ever a beam.
+_SOME_AIR, _MISFIT = 0.15, 7.5
 _HALF_A_FACE, _WIDER = 0.06, 0.025
 _LEAST_SOLID, _KNOWN, _VISIBLE, _HITS = 0.55, (0.2, 0.5), (0.25, 0.6), (20.0, 80.0)
 _SHORT = 0.7
@@ -158,7 +160,7 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
     if not _stands_out(rays, strip):
         return None
     choice = choose_bar(rays, run, max(strip.half, 0.045) + 0.025, _TIMBER, floor, 6, 160)
-    if choice is None:
+    if choice is None or choice.misfit > _MISFIT or weigh_bar(rays, choice.fit.bar).air < _SOME_AIR:
         return None
     ends = likely_ends(rays, choice.fit.bar, floor)
     for _ in range(_MOST_LOOKS):

@@ -64,7 +64,7 @@ class Nearby:
             return
         poll()
         near = self.cells.query_ball_point(places, radii + _CORNER, return_sorted=True)
-        sizes = self.borders[1:] - self.borders[:-1]
+        sizes = np.diff(self.borders)
         n_cells = np.array([len(cells) for cells in near])
         cells = np.concatenate([np.asarray(these, dtype=np.int64) for these in near])
         ends = np.concatenate([[0], np.cumsum(n_cells)])
@@ -73,7 +73,21 @@ class Nearby:
         starts = np.flatnonzero(np.concatenate([[True], batch[1:] != batch[:-1]]))
         for first, last in zip(starts, np.append(starts[1:], len(places)), strict=True):
             poll()
-            these = cells[ends[first] : ends[last]]
-            before = np.cumsum(sizes[these]) - sizes[these]
-            at = np.repeat(self.borders[these] - before, sizes[these]) + np.arange(int(sizes[these].sum()))
-            yield Neighbours(int(first), int(last), counts[first:last], self.order[at])
+            yield Neighbours(
+                int(first), int(last), counts[first:last], self._points_of(cells[ends[first] : ends[last]])
+            )
+
+    def list_along(
+        self, place: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], radius: float
+    ) -> Int[np.ndarray, "M"]:
+        """Return all points within ``radius`` of a line through a place [m], and some just beyond, in order."""
+        poll()
+        offset = self.cells.data - place
+        apart = (offset**2).sum(axis=1) - (offset @ axis) ** 2
+        return np.sort(self._points_of(np.flatnonzero(apart < (radius + _CORNER) ** 2)))
+
+    def _points_of(self, cells: Int[np.ndarray, "S"]) -> Int[np.ndarray, "M"]:
+        """Return the points of some cells, cell by cell."""
+        sizes = np.diff(self.borders)[cells]
+        first = np.repeat(self.borders[cells] - (np.cumsum(sizes) - sizes), sizes)
+        return np.asarray(self.order[first + np.arange(len(first))])

@@ -7,10 +7,10 @@ Levenberg-Marquardt loop with derivatives by hand takes a tenth of the time of s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
 from perception.sightlines import Sightlines
@@ -112,6 +112,10 @@ class RingCrossing:
     alpha: Float[np.ndarray, "N"]
     nearest: Float[np.ndarray, "N"]
     level: Float[np.ndarray, "N"]
+
+    def select(self, keep: Int[np.ndarray, "K"]) -> RingCrossing:
+        """Return the intersections of the selected rays."""
+        return RingCrossing(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
 def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
@@ -233,7 +237,7 @@ class RingFit:
     still: float
 
 
-ROUGH = RingFit(1, 600, 15, 1e-3)
+ROUGH = RingFit(1, 500, 10, 2e-3)
 FINE = RingFit(2, 2000, 20, 1e-4)
 
 
@@ -302,9 +306,14 @@ def linearize_ring(
     poll()
     met = cross_ring(rays, ring)
     a, b = ring.half_width, ring.half_depth
+    is_wrong = np.where(hit, met.level > 1.0, met.level < 1.0)
+    # A ray that misses the rim as it should has no residual.
+    used = np.flatnonzero(hit | is_wrong)
+    n_hits, hit, is_wrong, length = int(hit.sum()), hit[used], is_wrong[used], rays.length[used]
+    met = met.select(used)
     far, steep, outward, along = met.across / a, met.slope / b, met.outward / a, met.along
     # Derivatives by the ring's motion: distance from the axis, radial and axial component, crossing.
-    n = len(rays)
+    n = len(used)
     distance, speed, slope, crossing = (np.zeros((8, n)) for _ in range(4))
     unit, lag = met.unit, along / met.distance
     for i, side in ((0, unit[:, 1]), (1, -unit[:, 0])):
@@ -329,15 +338,15 @@ def linearize_ring(
     outside = (met.level - 1.0) * a
     d_outside = a * d_level
     d_outside[6] += met.level - 1.0
-    wrong = np.flatnonzero(np.where(hit, outside > 0.0, outside < 0.0))
+    wrong = np.flatnonzero(is_wrong)
     edge_sign = np.where(hit[wrong], 1.0, -1.0) / _SIGMA_EDGE
     depth = met.crossing - met.nearest - chord
     # As strong as the mean depth of all hits; with a weaker prior, mixed pixels would deepen the rim.
-    prior = np.sqrt(max(int(hit.sum()), 1)) / _SIGMA_HALF_DEPTH
+    prior = np.sqrt(max(n_hits, 1)) / _SIGMA_HALF_DEPTH
     d_prior = np.zeros((8, 1))
     d_prior[6], d_prior[7] = -prior * (a < _USUAL_HALF_DEPTH), prior
     residuals = [
-        (depth - rays.length)[hit] / _SIGMA_DEPTH,
+        (depth - length)[hit] / _SIGMA_DEPTH,
         edge_sign * outside[wrong],
         [prior * (b - min(_USUAL_HALF_DEPTH, a))],
     ]
