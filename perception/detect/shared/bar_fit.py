@@ -31,7 +31,6 @@ from perception.sightlines import Sightlines
 _STEPS = 6  # of the solver in each round
 _STILL = 1e-3  # share of the costs by which the last step may still lower them
 _AROUND = 0.04
-_LOOKED_AT = 5  # times as many rays as are used
 SIGMA_USUAL = 0.004
 _SMALLEST, _LARGEST = 0.006, 0.12
 # Typical changes of: tilts [rad], offsets across [m], half sizes [m], turn [rad].
@@ -150,28 +149,14 @@ def _relevant(
     rays: SurroundingRays, bars: list[Bar], most: int
 ) -> tuple[Sightlines, Bool[np.ndarray, "B N"], Bool[np.ndarray, "B N"]]:
     """Return rays that hit or nearly hit any bar, and (B, N) masks of each bar's hits and of the rays it uses."""
-    some = rays
-    if len(rays) > _LOOKED_AT * most:
-        # A part of many rays is often enough.
-        some = rays.select(np.arange(0, len(rays), len(rays) // (_LOOKED_AT * most)))
-    hit, counts = _met_by(some, bars)
-    keep = np.flatnonzero(counts.any(axis=0))
-    if len(keep) < most and len(some) < len(rays):
-        some = rays
-        hit, counts = _met_by(some, bars)
-        keep = np.flatnonzero(counts.any(axis=0))
-    keep = keep[:: max(1, -(-len(keep) // most))]
-    return some.select(keep), hit[:, keep], counts[:, keep]
-
-
-def _met_by(rays: SurroundingRays, bars: list[Bar]) -> tuple[Bool[np.ndarray, "B N"], Bool[np.ndarray, "B N"]]:
-    """Return which rays hit each bar, and which hit or nearly hit it."""
     crossing = cross_bars(rays, bars)
     low, high = np.array([[bar.first, bar.last] for bar in bars]).T
     between = (crossing.along >= low[:, None]) & (crossing.along <= high[:, None])
     outcome = sort_rays(rays, crossing)
     counts = between & (outcome.hit | (outcome.passed & (crossing.outside < _AROUND)))
-    return outcome.hit & counts, counts
+    keep = np.flatnonzero(counts.any(axis=0))
+    keep = keep[:: max(1, -(-len(keep) // most))]
+    return rays.select(keep), (outcome.hit & counts)[:, keep], counts[:, keep]
 
 
 def _step(

@@ -26,7 +26,7 @@ from perception.detect.valve.circle_fit import (
 _RADII = (0.04, 0.42)
 # In a larger ball a rim has a smaller share of the points, but a larger rim has seeds in more cells.
 _BALLS = (
-    Ball(0.13, (0.04, 0.08), 150, 40, 0.15, (1, 1)),
+    Ball(0.13, (0.04, 0.08), 150, 40, 0.15, (2, 1)),
     Ball(0.2, (0.07, 0.12), 200, 50, 0.25, (2, 1)),
     Ball(0.36, (0.09, 0.22), 250, 80, 0.25, (1, 1)),
     Ball(0.6, (0.17, 0.36), 400, 110, 0.35, (1, 1)),
