@@ -9,16 +9,32 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from perception.errors import MeshError
-from perception.solids.fit import MIN_AGREEING, MeshPose, PoseJudge, Surface
+from perception.solids.fit import MeshPose, PoseJudge, Surface
 from perception.solids.mesh import Mesh, Solid
 
 CONFIDENT = 0.5
-_PART, _MISSING = 0.35, (0.5, 0.9)  # size of a part by the radius, and share of its rays that go on through it
+_MISSING = (0.5, 0.9)  # share of the rays to a part that go on through it: rated 1, and rated 0
 _BLURRED = (0.045, 0.08)  # distance of the points by the object's radius: rated 1, and rated 0
-# Points near the object that do not lie on it, by those on it: rated 1, and rated 0.  Near an expected pose neighbours
-# are no reason to doubt it; elsewhere bars that go on beyond the object's ends are.
-NEAR_EXPECTED, NEAR_FOUND = (0.2, 0.8), (0.2, 0.36)
-_ON_PLANES = (0.6, 0.8)  # share of the rays on a mesh that end on a wide plane: rated 1, and rated 0
+_ON_PLANES = (0.5, 0.7)  # share of the rays on a mesh that end on a wide plane: rated 1, and rated 0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a pose needs to be believed; of pairs, the first value is rated 1 and the second 0.
+
+    Attributes:
+        enough: rays on the object; with fewer the confidence is lower.
+        unexplained: points near the object that do not lie on it, by those on it.
+        stray: the same without those at the one place where something may carry it; None: no matter how many.
+    """
+
+    enough: float
+    unexplained: tuple[float, float]
+    stray: tuple[float, float] | None
+
+
+# Near an expected pose neighbours are no reason to doubt it; elsewhere what goes on beyond the object's ends is.
+NEAR_EXPECTED, NEAR_FOUND = Limits(60.0, (0.2, 0.8), None), Limits(150.0, (0.2, 0.36), (0.03, 0.1))
 
 
 @dataclass(frozen=True)
@@ -29,9 +45,10 @@ class MeshMatch:
         confidence: 0 to 1; 0.5 and more is reliable.
         residuals: ``rms`` and ``median`` distance of the points on the mesh [m]; ``seen_through``, share of the rays
             through the mesh that should have ended on it; ``missing``, the same of the part where it is largest;
-            ``hidden``, share that ended before it; ``unexplained``,
-            points close to its surface as a share of those on it; ``rival``, score of the best clearly different pose
-            over this one's (near 1: the scan does not distinguish them); ``n_points`` on the mesh.
+            ``hidden``, share that ended before it; ``unexplained``, points close to its surface as a share of those on
+            it; ``held``, the same of those at one part of it, where something may carry it; ``on_planes``, share of the
+            rays on it that end on a plane wider than it; ``rival``, score of the best clearly different pose over this
+            one's (near 1: the scan does not distinguish them); ``n_points`` on the mesh.
         solid: the mesh in its own frame.
         tolerance: largest distance of its points from its surface [m].
     """
@@ -74,16 +91,16 @@ def rate_pose(
     judge: PoseJudge,
     rival: float,
     solid: Solid,
-    unexplained_limits: tuple[float, float] = NEAR_EXPECTED,
+    limits: Limits = NEAR_EXPECTED,
 ) -> MeshMatch:
     verdict = judge.count(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
     _, _, radius = measure_solid(solid)
-    through, missing = judge.share_through(pose, _PART * radius)
+    through, missing = judge.share_through(pose)
     hidden = verdict.hidden / max(1, met + verdict.hidden)
     unexplained = verdict.unexplained / max(1, verdict.agreeing)
     on_planes = verdict.on_planes / max(1, verdict.agreeing + verdict.on_planes)
-    held = judge.count_held(pose, verdict.tolerance, _PART * radius) / max(1, verdict.agreeing)
+    held = verdict.held / max(1, verdict.agreeing)
     rms = float(np.sqrt(np.mean(verdict.distance**2))) if len(verdict.distance) else float("inf")
     residuals = {
         "rms": rms,
@@ -93,16 +110,17 @@ def rate_pose(
         "hidden": hidden,
         "unexplained": unexplained,
         "held": held,
+        "on_planes": on_planes,
         "rival": rival,
         "n_points": float(len(verdict.distance)),
     }
-    enough = min(1.0, verdict.agreeing / (2.0 * MIN_AGREEING))
     confidence = (
-        enough
+        min(1.0, verdict.agreeing / limits.enough)
         * _ramp_down(through, 0.08, 0.25)
         * _ramp_down(missing, *_MISSING)
         * _ramp_down(hidden, 0.4, 0.9)
-        * _ramp_down(unexplained, *unexplained_limits)
+        * _ramp_down(unexplained, *limits.unexplained)
+        * (1.0 if limits.stray is None else _ramp_down(unexplained - held, *limits.stray))
         * _ramp_down(on_planes, *_ON_PLANES)
         * _ramp_down(rms / radius, *_BLURRED)
     )

@@ -48,9 +48,14 @@ def settle_poses(
         away = start.to_world(centre) - few.starts.mean(axis=0)
         away /= np.linalg.norm(away)
         poses = [fit_pose(surface, few, start.translate(by * away), _SETTLE_GATES) for by in _FROM_BEHIND]
-        rated = [judge.count(pose, _SOME_RAYS, _NUDGE_POINTS, _UNSETTLED).score for pose in poses]
-        first = int(np.argmax(rated))
-        fitted.append((rated[first], poses[first], judge))
+        fitted.append((*_rate_first(judge, poses), judge))
+    fitted.sort(key=lambda candidate: -candidate[0])
+    # An object that was first fitted the wrong way round stays so: what carries it looks like another part of it.
+    for _, pose, judge in fitted[:_N_NUDGED]:
+        few = judge.region.thin(_NUDGE_POINTS)
+        poses = [fit_pose(surface, few, start, _SETTLE_GATES) for start in _turn_by_half(surface, few, pose)]
+        if poses:
+            fitted.append((*_rate_first(judge, poses), judge))
     fitted.sort(key=lambda candidate: -candidate[0])
     matches: list[MeshMatch] = []
     scores: list[float] = []
@@ -66,6 +71,24 @@ def settle_poses(
         scores.append(max(best, 0.0))
     order = sorted(range(len(matches)), key=lambda i: (-matches[i].confidence * scores[i], -matches[i].confidence))
     return [matches[i] for i in order]
+
+
+def _rate_first(judge: PoseJudge, poses: Sequence[MeshPose]) -> tuple[float, MeshPose]:
+    """Return the best of some poses that are not yet settled, with its score."""
+    rated = [judge.count(pose, _SOME_RAYS, _NUDGE_POINTS, _UNSETTLED).score for pose in poses]
+    first = int(np.argmax(rated))
+    return rated[first], poses[first]
+
+
+def _turn_by_half(surface: Surface, region: Region, pose: MeshPose) -> list[MeshPose]:
+    """Return the pose turned by half about each principal axis of the points that lie on the object."""
+    place, _ = surface.nearest(pose.to_mesh(region.points))
+    on = region.points[np.linalg.norm(pose.to_world(place) - region.points, axis=1) < _UNSETTLED]
+    if len(on) < MIN_AGREEING:
+        return []
+    middle = on.mean(axis=0)
+    axes = np.linalg.eigh(np.cov((on - middle).T))[1].T
+    return [pose.rotate(np.pi * axis, middle) for axis in axes]
 
 
 def search_about(

@@ -44,6 +44,8 @@ _RESIDUALS = {
     "missing": "missing_share",
     "hidden": "hidden_share",
     "unexplained": "unexplained_ratio",
+    "held": "held_ratio",
+    "on_planes": "on_planes_share",
     "rival": "rival_ratio",
 }
 
