@@ -163,6 +163,7 @@ def _search(
         cosine = cosine if given.is_signed else abs(cosine)
         record["mm"] = round(1e3 * float(np.linalg.norm(found[:3, 3] - pose[:3, 3])), 1)
         record["deg"] = round(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), 2)
+    if matches:
         record["residuals"] = {key: round(float(value), 4) for key, value in matches[0].residuals.items()}
     record["is_there"] = pose is not None
     return record

@@ -23,8 +23,9 @@ from perception.detect.registry import detect_kinds
 from perception.detect.shared.detection import CONFIDENT, Detection, Model
 from perception.errors import MeshError
 from perception.ground.floor import FloorPlane, floor_pieces
-from perception.solids.match import KnownMesh, MeshMatch, locate
+from perception.solids.match import KnownMesh, locate
 from perception.solids.pieces import make_coacd_pieces
+from perception.solids.rating import MeshMatch
 from perception.view import View, make_view
 
 Unknown = Literal["free", "occupied"]

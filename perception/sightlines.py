@@ -145,7 +145,7 @@ def _in_cones(group: RayGroup, offset: Float[np.ndarray, "K 3"], radius: float) 
     widest = min(float((np.arccos(np.clip(towards @ middle, -1.0, 1.0)) + half).max()), np.pi)
     off = np.arccos(np.clip(group.middles @ middle, -1.0, 1.0))
     cells = np.flatnonzero(off <= widest + group.spreads)
-    off = np.arccos(np.clip(group.middles[cells] @ towards.T, -1.0, 1.0))
+    off = off[cells, None] if len(offset) == 1 else np.arccos(np.clip(group.middles[cells] @ towards.T, -1.0, 1.0))
     spreads = group.spreads[cells, None]
     is_within = (off + spreads <= half).any(axis=1)
     is_open = (off <= half + spreads).any(axis=1) & ~is_within

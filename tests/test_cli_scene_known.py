@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from little_scan import CRATE, box_obj, crate_scan, scopt
 
-from perception.solids.match import MeshMatch
 from perception.solids.mesh import Solid
+from perception.solids.rating import MeshMatch
 from service.errors import RequestError
 from service.scan.cloud import CloudInput
 from service.scan.known_meshes import explain_low_confidence, load_known_meshes, parse_mesh_option

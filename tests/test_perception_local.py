@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from perception import CONFIDENT, Detection, Reach, detect, make_view, settle_overlaps
 from perception.detect.shared.local import best_about, pick_per_cell
+from perception.detect.shared.nearby import Nearby
 from perception.detect.valve.circles import find_circles
 from perception.detect.valve.foreground import Foreground
 from perception.simulate import Pose, Room, Scanner, Valve, box, scan
@@ -35,7 +36,33 @@ def test_a_cells_sample_depends_on_its_points_alone(seed: int, most: int) -> Non
 def test_a_limit_about_each_place_keeps_what_is_elsewhere(seed: int) -> None:
     rng = np.random.default_rng(seed)
     crowd, lone = rng.uniform(0.0, 0.1, (20, 3)), np.array([[5.0, 0.0, 0.0]])
-    assert best_about(range(21), np.concatenate([crowd, lone]), 0.5, 3) == [0, 1, 2, 20]
+    assert best_about(np.concatenate([crowd, lone]), 0.5, 3).tolist() == [0, 1, 2, 20]
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 1000))
+def test_all_points_near_a_place_are_listed_and_none_far_from_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, places, radii = rng.uniform(-1.0, 1.0, (400, 3)), rng.uniform(-1.2, 1.2, (30, 3)), rng.uniform(0.0, 0.5, 30)
+    for near in Nearby.of(points).list_near(places, radii):
+        ends = np.cumsum(near.counts)
+        for k, place in enumerate(places[near.first : near.last]):
+            listed = near.points[ends[k] - near.counts[k] : ends[k]]
+            apart = np.linalg.norm(points - place, axis=1)
+            assert set(np.flatnonzero(apart < radii[near.first + k])) <= set(listed.tolist())
+            assert (apart[listed] < radii[near.first + k] + 0.18).all()
+
+
+def test_a_circle_drawn_about_a_seed_depends_on_the_points_near_it_alone() -> None:
+    rng = np.random.default_rng(0)
+    wheel, elsewhere = _wheel(0.09, 0.01), rng.uniform(2.0, 3.0, (3000, 3))
+    mixed = np.concatenate([elsewhere, wheel])[rng.permutation(len(elsewhere) + len(wheel))]
+    alone, both = find_circles(wheel), find_circles(mixed)
+    there = [circle for circle in both if np.linalg.norm(circle.centre - [0.8, 0.0, 1.1]) < 0.3]
+    assert len(alone) == len(there)
+    for one, other in zip(alone, there, strict=True):
+        np.testing.assert_allclose(one.centre, other.centre, atol=1e-9)
+        assert one.score == pytest.approx(other.score, abs=1e-9)
 
 
 def _wheel(rim: float, half_width: float) -> np.ndarray:

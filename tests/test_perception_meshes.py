@@ -19,8 +19,9 @@ from perception.simulate import Pose, Room, Scanner, box, join_meshes, scan, tor
 from perception.solids.cache import PartsCache
 from perception.solids.decompose import CoacdResources, CoacdSettings, split_solid
 from perception.solids.fit import MeshPose, Region, Surface, fit_pose
-from perception.solids.match import CONFIDENT, KnownMesh, MeshMatch, locate, match_mesh
+from perception.solids.match import KnownMesh, locate, match_mesh
 from perception.solids.mesh import Mesh, is_closed, make_solid, unite_solids
+from perception.solids.rating import CONFIDENT, MeshMatch
 from perception.solids.read import read_mesh
 from perception.view import View
 

@@ -22,7 +22,8 @@ from perception import (
     wheel_points,
 )
 from perception.cloud import Cloud
-from perception.detect.valve.circles import Circles, agreement, refit_circles
+from perception.detect.shared.nearby import Nearby
+from perception.detect.valve.circle_fit import Circles, find_inliers, refit_circles
 from perception.detect.valve.evidence import _openings
 from perception.detect.valve.inside import Inside
 from perception.detect.valve.ring import Ring, linearize_ring, move_ring, pass_ring
@@ -373,12 +374,13 @@ def test_a_rough_circle_is_drawn_onto_the_noisy_points_about_it(seed: int) -> No
     points += rng.normal(0.0, 0.003, points.shape)
     lean = axis + rng.normal(0.0, 0.1, 3)
     circles = Circles((centre + 0.005)[None], (lean / np.linalg.norm(lean))[None], np.array([1.05 * radius]))
+    nearby = Nearby.of(points)
     for _ in range(2):
-        circles = refit_circles(points, circles, agreement(points, circles))
+        circles = refit_circles(circles, find_inliers(circles, nearby))
     assert np.linalg.norm(circles.centres[0] - centre) < 0.002
     assert abs(circles.axes[0] @ axis) > np.cos(np.radians(3.0))
     assert abs(circles.radii[0] - radius) < 0.002
-    assert agreement(points, circles).count[0] > 280
+    assert find_inliers(circles, nearby).count[0] > 280
 
 
 @pytest.mark.parametrize("n_starts", [1, 3, 40])

@@ -20,7 +20,7 @@ from service.request.file import parse_request
 from service.result.result import Verdict
 from service.scan.cloud import CloudInput
 from service.verify import Motion, verify
-from service.work.look import SceneTask, build_scene, detect
+from service.work.look import DetectTask, SceneTask, build_scene, detect
 from service.work.plan import PlanAnswer, PlanTask, run_plan
 
 N_STOPS = 8
@@ -131,7 +131,7 @@ def test_jobs_about_clouds_that_are_stopped_were_cancelled(cloud: Cloud, tmp_pat
         with pytest.raises(JobCancelled):
             build_scene(SceneTask(clouds, ("valve",)), StandIn(Asked(at)))
     with pytest.raises(JobCancelled):
-        detect(clouds, "valve", None, StandIn(Asked(3)))
+        detect(DetectTask(clouds, "valve"), StandIn(Asked(3)))
 
 
 def test_a_job_that_plans_and_is_stopped_answers_that_it_was_cancelled(request_of_arm: dict[str, Any]) -> None:

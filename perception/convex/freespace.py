@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
 from perception.cleaning.clean import row_keys
+from perception.convex.cells import number_cells
 from perception.convex.hulls import Hull
 
 _END_MARGIN = 0.05
@@ -47,11 +48,8 @@ class FreeSpace:
     def contains(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
         """Return which points lie in a free cell."""
         poll()
-        cells = np.floor((points - self.lower) / self.size).astype(int)
-        known = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)
-        inside = np.zeros(len(points), dtype=bool)
-        inside[known] = self.free[tuple(cells[known].T)]
-        return inside
+        cell, inside = number_cells(points, self.lower, self.size, self.free.shape)
+        return np.asarray(self.free.reshape(-1)[cell] & inside)
 
     def clear_beside(self, surface: Float[np.ndarray, "M 3"]) -> FreeSpace:
         """Return a copy in which the cells of these points and their six neighbours are not free."""

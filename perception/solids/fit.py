@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from perception.convex.coarse import coarsen
@@ -27,7 +28,8 @@ _PLANE_BAND, _PLANE_EDGE = 0.025, 0.05
 _WIDE = 2.4  # width of a wide plane, by the object's radius
 _ANGLES = np.linspace(0.0, np.pi, 16, endpoint=False)
 _WAYS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-_FEWEST_OF_PART = 15
+_PART, _FEWEST_OF_PART = 0.35, 15  # size of a part by the object's radius, and rays that a part needs
+_BESIDE_IT = 0.05  # beyond two tolerances: how near a point that does not lie on the object is unexplained [m]
 _UNEXPLAINED = 1.0  # weight of a point near the object that does not lie on it
 _TOLERANCE = (0.012, 0.03)
 # Distances from an edge within which rays do not count [m], and least share of the rays that must be left.
@@ -176,6 +178,8 @@ class RayCounts:
 
     Attributes:
         agreeing: without those that end on a wide plane, which are counted in ``on_planes``.
+        held: unexplained points that are nearest to one part of the mesh, the most of any part: what carries an object
+            touches it at one place, such as the stem of a wheel at its hub.
     """
 
     agreeing: int
@@ -183,6 +187,7 @@ class RayCounts:
     through: int
     hidden: int
     unexplained: int
+    held: int
     tolerance: float
     distance: Float[np.ndarray, "K"]
 
@@ -190,7 +195,8 @@ class RayCounts:
     def score(self) -> float:
         """Rays that end on the mesh minus weighted contradicting ones, over the root of their number."""
         n = self.agreeing + self.through
-        return 0.0 if n == 0 else (self.agreeing - 2.0 * self.through - 0.5 * self.unexplained) / np.sqrt(n)
+        stray = self.unexplained - self.held
+        return 0.0 if n == 0 else (self.agreeing - 2.0 * self.through - 0.5 * stray) / np.sqrt(n)
 
 
 @dataclass(frozen=True)
@@ -224,12 +230,18 @@ class WidePlanes:
 
 @dataclass(frozen=True)
 class PoseJudge:
-    """Rays and points near a candidate position; ``wide`` are planes larger than the object."""
+    """Rays and points near a candidate position.
+
+    Attributes:
+        wide: planes larger than the object.
+        part: size of the parts of its surface that are looked at one by one [m].
+    """
 
     surface: Surface
     rays: Sightlines
     region: Region
     wide: WidePlanes
+    part: float
 
     def count(self, pose: MeshPose, most_rays: int, most_points: int, least: float = _TOLERANCE[0]) -> RayCounts:
         """Count rays that agree with a pose and rays that contradict it, from a subset of rays and points.
@@ -248,7 +260,7 @@ class PoseJudge:
         close = distance[distance < _TOLERANCE[1]]
         tolerance = float(np.clip(3.0 * 1.48 * np.median(close), least, _TOLERANCE[1])) if len(close) else least
         # Only points in the 5 cm beyond two tolerances contradict the pose: objects stand on tables.
-        outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + 0.05)
+        outside = (distance > 2.0 * tolerance) & (distance < 2.0 * tolerance + _BESIDE_IT)
         thinned = len(rays) * len(self.region.points) / max(1, len(self.rays) * len(region.points))
         # A ray that ends on a wide plane, such as a wall, is no evidence for an object beside that plane.
         agreeing = np.flatnonzero(met)[np.abs(beyond) <= tolerance]
@@ -259,20 +271,18 @@ class PoseJudge:
             int((beyond > tolerance).sum()),
             int((beyond < -tolerance).sum()),
             int(thinned * _UNEXPLAINED * outside.sum()),
+            int(thinned * _UNEXPLAINED * _most_about(place[outside], self.part)),
             tolerance,
             distance[distance <= tolerance],
         )
 
-    def share_through(self, pose: MeshPose, part: float) -> tuple[float, float]:
+    def share_through(self, pose: MeshPose) -> tuple[float, float]:
         """Return the share of the rays towards the mesh that went on through it, and of its part where it is largest.
 
         Rays that graze an edge do not count.
 
         Rays beside an edge pass where the pose, or the width of the beam, is a few millimetres off.  A ray counts if
         the four rays beside it meet the mesh too; they are nearer to it where the mesh is slender.
-
-        Args:
-            part: edge of the cubes that divide the mesh into parts [m].
         """
         start, way = pose.to_mesh(self.rays.start), self.rays.direction @ pose.rotation
         hit = self.surface.hits(start, way)
@@ -292,7 +302,7 @@ class PoseJudge:
                 break
         beyond = (length - hit)[firm]
         through, counts = beyond > tolerance, beyond >= -tolerance
-        cells = np.floor((start + hit[:, None] * way)[firm] / part).astype(np.int64)[counts]
+        cells = np.floor((start + hit[:, None] * way)[firm] / self.part).astype(np.int64)[counts]
         _, cell = np.unique(cells, axis=0, return_inverse=True)
         n_rays = np.bincount(cell.reshape(-1), minlength=1)
         n_through = np.bincount(cell.reshape(-1), through[counts], minlength=1)
@@ -309,7 +319,14 @@ def make_pose_judge(
     wide = find_wide_planes(points, starts, radius, view.seed)
     kept = (np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05) & ~wide.hold(points)
     rays = index.passing(place[None], 2.0 * radius + 0.1)
-    return PoseJudge(surface, rays, Region(points[kept], starts[kept]), wide)
+    return PoseJudge(surface, rays, Region(points[kept], starts[kept]), wide, _PART * radius)
+
+
+def _most_about(places: Float[np.ndarray, "K 3"], radius: float) -> int:
+    """Return the greatest number of places within ``radius`` of one of them [m]."""
+    if not len(places):
+        return 0
+    return int(cKDTree(places).query_ball_point(places, radius, return_length=True).max())
 
 
 def find_wide_planes(

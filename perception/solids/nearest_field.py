@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.stopping import poll
+from perception.convex.cells import number_cells
 from perception.solids.fit import DAMPING, FACING, LEAST_SIZE, MOST_TURN, Surface
 
 _CELLS_ACROSS = 40
@@ -80,11 +81,8 @@ class NearestField:
         gate: float,
     ) -> tuple[Float[np.ndarray, "B 3 3"], Float[np.ndarray, "B 3"], Float[np.ndarray, "B"]]:
         local = points @ rotations - (shifts[:, None] @ rotations)
-        cells = np.floor((local - self.lower) / self.size).astype(np.int64)
-        inside = ((cells >= 0) & (cells < self.shape)).all(axis=2)
-        cells = np.clip(cells, 0, np.array(self.shape) - 1)
-        flat = (cells[..., 0] * self.shape[1] + cells[..., 1]) * self.shape[2] + cells[..., 2]
-        place, normal = self.places[flat], self.normals[flat]
+        cell, inside = number_cells(local, self.lower, self.size, self.shape)
+        place, normal = self.places[cell], self.normals[cell]
         offset = local - place
         square = (offset**2).sum(axis=2)
         sight = ((start - shifts)[:, None] @ rotations) - place

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from costs.stopping import poll
+from perception.convex.cells import number_cells
 from perception.convex.freespace import carve
 from perception.solids.fit import Surface
 from perception.solids.mesh import Mesh
@@ -85,10 +86,8 @@ class LabelledCells:
 
     def _read(self, places: Float[np.ndarray, "B S 3"]) -> Int[np.ndarray, "B S"]:
         """Return the labels at places in the world [m]; 0 outside of the cells."""
-        cells = np.floor((places - self.lower) / self.size).astype(np.int64)
-        inside = ((cells >= 0) & (cells < self.labels.shape)).all(axis=2)
-        cells[~inside] = 0
-        return np.asarray(self.labels[tuple(np.moveaxis(cells, 2, 0))] * inside)
+        cell, inside = number_cells(places, self.lower, self.size, self.labels.shape)
+        return np.asarray(self.labels.reshape(-1)[cell] * inside)
 
 
 def find_candidates(

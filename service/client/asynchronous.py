@@ -15,13 +15,12 @@ from service.client.answers import FinishedPlan, PlanReader, SceneReader, Stored
 from service.client.connection import Connection
 from service.client.error_texts import LastStep, UploadNames, explain_unreachable, name_uploaded_file
 from service.client.errors import PlannerError, read_error
+from service.client.known_objects import Objects, find_object_files, make_object_messages
 from service.client.local_files import UploadParts, find_local_files, hash_file, replace_by_ids, resolve_paths
 from service.client.messages import (
     Clouds,
-    Meshes,
     check_size,
     find_cloud_files,
-    find_known_files,
     make_clouds_message,
     make_detect_message,
     make_plan_message,
@@ -223,7 +222,7 @@ class AsyncPlannerClient:
         hint: Sequence[float] | None = None,
         unknown: str | None = None,
         method: str | None = None,
-        meshes: Meshes = (),
+        meshes: Objects = (),
         update: str | Path | None = None,
         on_step: Callable[[str], None] | None = None,
         deadline_s: float | None = None,
@@ -232,15 +231,15 @@ class AsyncPlannerClient:
 
         Args:
             clouds: local files, which are uploaded, ids of uploads, or a ``CloudsSpec``.
-            meshes: known objects: local files, which are uploaded, ids, or ``KnownMesh``.
+            meshes: known objects: local files, which are uploaded, ids, lines of parameters, or ``KnownMesh``.
             update: earlier scene to update: a local file or its id.
             on_step: called with the name of each step.
             deadline_s: time limit [s] after the uploads; None for no limit.
         """
-        files = find_known_files(meshes, update)
-        ids = {name: await self.upload_cloud(path) for name, path in files.items()}
+        known = make_object_messages(meshes, "meshes")
+        ids = await self._upload_files(find_object_files(known, "meshes", update))
         spec = await self._upload_clouds(clouds)
-        message = make_scene_message(spec, detect, hint, unknown, method, meshes, update, ids)
+        message = make_scene_message(spec, detect, hint, unknown, method, known, update, ids)
         reader = SceneReader()
         async with aclosing(self._stream("BuildScene", message, Attempts(self._retry, deadline_s))) as events:
             async for event in events:
@@ -255,10 +254,25 @@ class AsyncPlannerClient:
         return reply.scene
 
     async def detect(
-        self, clouds: Clouds, kind: str, *, hint: Sequence[float] | None = None, deadline_s: float | None = None
+        self,
+        clouds: Clouds,
+        kind: str,
+        *,
+        hint: Sequence[float] | None = None,
+        objects: Objects = (),
+        deadline_s: float | None = None,
     ) -> DetectResponse:
-        """Find objects of a kind, best first; ``hint`` is a position near the object [m] in the world frame."""
-        message = make_detect_message(await self._upload_clouds(clouds), kind, hint)
+        """Find objects of a kind, best first.
+
+        Args:
+            kind: as for ``scopt detect``; ``object`` for the given objects.
+            hint: a position near the object in the world frame [m].
+            objects: with kind ``object``: lines such as ``wheel radius=0.3 rim_radius=0.02 spokes=5``, local mesh and
+                object files, ids of uploads, or ``KnownMesh``.
+        """
+        given = make_object_messages(objects, "objects")
+        ids = await self._upload_files(find_object_files(given, "objects"))
+        message = make_detect_message(await self._upload_clouds(clouds), kind, hint, given, ids)
         reply: DetectResponse = await self._call("Detect", message, deadline_s)
         return reply
 
@@ -309,8 +323,11 @@ class AsyncPlannerClient:
         return status
 
     async def _upload_clouds(self, clouds: Clouds) -> CloudsSpec:
-        ids = {name: await self.upload_cloud(path) for name, path in find_cloud_files(clouds).items()}
-        return make_clouds_message(clouds, ids)
+        return make_clouds_message(clouds, await self._upload_files(find_cloud_files(clouds)))
+
+    async def _upload_files(self, files: Mapping[str, Path]) -> dict[str, str]:
+        """Upload local files; return their ids by their names."""
+        return {name: await self.upload_cloud(path) for name, path in files.items()}
 
     async def _call(self, method: str, message: Message, deadline_s: float | None, is_repeatable: bool = True) -> Any:
         check_size(message)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
-from os.path import isabs
 from pathlib import Path
 from types import MappingProxyType
 
 from google.protobuf.message import Message
 
 from service.client.connection import MAX_SENT_BYTES
-from service.client.local_files import NOT_UPLOADED, find_upload_problem, is_uploaded
-from service.errors import RequestError, shown
+from service.client.known_objects import find_files, replace_by_id
+from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     CloudsSpec,
@@ -36,9 +35,6 @@ from service.wire.requests import request_to_message
 
 Clouds = CloudsSpec | str | Path | Sequence[str | Path]
 """A message, or local files and ids of uploads, in the world frame and metres."""
-
-Meshes = Sequence[KnownMesh | str | Path]
-"""Known objects: messages, or local files and ids of uploads, in metres, to be found anywhere in the clouds."""
 
 
 def make_plan_message(
@@ -64,7 +60,7 @@ def make_scene_message(
     hint: Sequence[float] | None,
     unknown: str | None,
     method: str | None,
-    meshes: Meshes = (),
+    meshes: Sequence[KnownMesh] = (),
     update: str | Path | None = None,
     ids: Mapping[str, str] = MappingProxyType({}),
 ) -> BuildSceneRequest:
@@ -76,16 +72,27 @@ def make_scene_message(
     Raises:
         RequestError: an option has a wrong value.
     """
-    known = [_replace_by_id(mesh, ids) for mesh in meshes]
+    known = [replace_by_id(mesh, ids) for mesh in meshes]
     before = None if update is None else ids.get(str(update), str(update))
     message = BuildSceneRequest(clouds=clouds, meshes=known, update=before)
     fill(message, {"detect": list(detect), "hint": list(hint or ()), "unknown": unknown, "method": method})
     return message
 
 
-def make_detect_message(clouds: CloudsSpec, kind: str, hint: Sequence[float] | None) -> DetectRequest:
-    """Return the message of a detection."""
-    return DetectRequest(clouds=clouds, kind=kind, hint=hint or ())
+def make_detect_message(
+    clouds: CloudsSpec,
+    kind: str,
+    hint: Sequence[float] | None,
+    objects: Sequence[KnownMesh] = (),
+    ids: Mapping[str, str] = MappingProxyType({}),
+) -> DetectRequest:
+    """Return the message of a detection.
+
+    Args:
+        ids: ids of the uploaded objects, by the names of their files.
+    """
+    given = [replace_by_id(item, ids) for item in objects]
+    return DetectRequest(clouds=clouds, kind=kind, hint=hint or (), objects=given)
 
 
 def find_cloud_files(clouds: Clouds) -> dict[str, Path]:
@@ -96,50 +103,7 @@ def find_cloud_files(clouds: Clouds) -> dict[str, Path]:
     """
     if isinstance(clouds, CloudsSpec):
         return {}
-    return _find_files({f"clouds[{index}]": name for index, name in enumerate(_names(clouds))})
-
-
-def find_known_files(meshes: Meshes, update: str | Path | None) -> dict[str, Path]:
-    """Return the local files of meshes and of the scene to update, by their names in the arguments.
-
-    Raises:
-        RequestError: a relative path does not exist, or cannot be uploaded.
-    """
-    names = {f"meshes[{index}].file": _as_message(mesh).file for index, mesh in enumerate(meshes)}
-    refused = {field: name for field, name in names.items() if Path(name).is_file() and not is_uploaded(name)}
-    uploaded = {field: name for field, name in names.items() if field not in refused}
-    uploaded |= {} if update is None else {"update": str(update)}
-    return _find_files(
-        uploaded, [f"{field}: {shown(name)}: {NOT_UPLOADED}" for field, name in refused.items() if not isabs(name)]
-    )
-
-
-def _find_files(names: Mapping[str, str], problems: Sequence[str] = ()) -> dict[str, Path]:
-    """Return the local files among names by field.
-
-    Raises:
-        RequestError: one of them cannot be uploaded, or there are problems already.
-    """
-    found = [find_upload_problem(field, name, Path(name)) for field, name in names.items()]
-    problems = [problem for problem in [*found, *problems] if problem]
-    if problems:
-        raise RequestError(problems)
-    return {name: Path(name) for name in names.values() if Path(name).is_file()}
-
-
-def _as_message(mesh: KnownMesh | str | Path) -> KnownMesh:
-    return mesh if isinstance(mesh, KnownMesh) else KnownMesh(file=str(mesh))
-
-
-def _replace_by_id(mesh: KnownMesh | str | Path, ids: Mapping[str, str]) -> KnownMesh:
-    """Return the message of a mesh; an uploaded one by its id, named after its file."""
-    known = KnownMesh()
-    known.CopyFrom(_as_message(mesh))
-    if known.file in ids:
-        if not known.name:
-            known.name = Path(known.file).stem
-        known.file = ids[known.file]
-    return known
+    return find_files({f"clouds[{index}]": name for index, name in enumerate(_names(clouds))})
 
 
 def make_clouds_message(clouds: Clouds, ids: dict[str, str]) -> CloudsSpec:

@@ -27,6 +27,7 @@ from service.request.fields import (
     at_most,
     find_repeated,
 )
+from service.request.shapes import MOST_PARTS, PartRequest
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 """Suffixes of mesh files that refer to no other files and can be uploaded."""
@@ -247,25 +248,29 @@ class SceneRequest(Section):
 
 @dataclass(config=SECTION)
 class KnownMeshRequest(Section):
-    """An object of known shape, as for ``scopt scene --mesh``.
+    """An object of known shape, as for ``scopt scene --mesh`` and ``scopt detect --object``: a file, or parts.
 
     Attributes:
-        file: STL, OBJ, PLY or URDF.
-        name: name of its pieces; by default the file's.
-        scale: metres per unit of the file.
+        file: STL, OBJ, PLY, URDF or object file.
+        name: name of its pieces and hits; by default the file's, or the type of the first part.
+        scale: metres per unit of the file or of the parts.
         position: its position, or the position to search around; by default the whole scan is searched.
         quaternion_wxyz: its rotation; by default all rotations are searched, and a placed mesh is not rotated.
         is_placed: whether this pose is exact; else the pose is found in the scan.
+        parts: its shape by parameters, in place of a file.
     """
 
-    file: FilePath
+    file: FilePath | None = None
     name: Label | None = None
     scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     position: Point | None = None
     quaternion_wxyz: Quaternion | None = None
     is_placed: StrictBool = False
+    parts: Annotated[tuple[PartRequest, ...], at_most(MOST_PARTS)] = ()
 
     def __post_init__(self) -> None:
+        if (self.file is None) == (not self.parts):
+            raise PydanticCustomError("known_mesh", "give either a file or parts")
         if self.position is None and (self.quaternion_wxyz is not None or self.is_placed):
             raise PydanticCustomError("known_mesh", "a pose needs a position; give position as well")
         if self.name is not None and "/" in self.name:
@@ -276,12 +281,15 @@ class KnownMeshRequest(Section):
 
 @dataclass(config=SECTION)
 class KnownRequest(Section):
-    """Known objects, and a scene file to update by the clouds."""
+    """Known objects of a scene, a scene file to update by the clouds, and objects to detect."""
 
     meshes: Annotated[tuple[KnownMeshRequest, ...], at_most(20)] = ()
     update: FilePath | None = None
+    objects: Annotated[tuple[KnownMeshRequest, ...], at_most(20)] = ()
 
     @property
     def files(self) -> tuple[str, ...]:
         """Paths of all files as written in the request."""
-        return (*(mesh.file for mesh in self.meshes), *(() if self.update is None else (self.update,)))
+        given = (*self.meshes, *self.objects)
+        named = tuple(mesh.file for mesh in given if mesh.file is not None)
+        return named if self.update is None else (*named, self.update)

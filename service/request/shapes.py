@@ -13,6 +13,9 @@ from service.request.fields import SECTION, Number, Point, Quaternion, Section, 
 OBJECT_SUFFIXES = (".yaml", ".yml", ".json")
 """Suffixes of object files."""
 
+MOST_PARTS = 100
+"""Greatest number of an object's parts."""
+
 _NotNegative = Annotated[Number, Field(ge=0.0, le=100.0)]
 
 
@@ -83,7 +86,7 @@ PartRequest = Annotated[BoxPart | CylinderPart | CapsulePart | WheelPart | Lever
 class ObjectRequest(Section):
     """An object of one part or several, which may overlap."""
 
-    parts: Annotated[tuple[PartRequest, ...], at_most(100)]
+    parts: Annotated[tuple[PartRequest, ...], at_most(MOST_PARTS)]
 
     def __post_init__(self) -> None:
         if not self.parts:

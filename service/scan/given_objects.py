@@ -1,13 +1,12 @@
-"""Solids of objects that a user gives by parameters: an object file (YAML or JSON), or a line of text."""
+"""Solids of objects that a user gives by parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from service.errors import RequestError, shown
-from service.request.file import parse_section, read_plain_request
+from service.errors import RequestError
+from service.request.object_file import read_object_file
 from service.request.shapes import (
     BoxPart,
     CapsulePart,
@@ -21,8 +20,6 @@ from service.request.shapes import (
 if TYPE_CHECKING:
     from perception.solids.mesh import Mesh, Solid
 
-_EXAMPLE = "'wheel radius=0.3 rim_radius=0.02 spokes=5'"
-
 
 def read_object(path: Path, scale: float = 1.0) -> Solid:
     """Read an object file.
@@ -33,50 +30,7 @@ def read_object(path: Path, scale: float = 1.0) -> Solid:
     Raises:
         RequestError: one line per problem.
     """
-    return make_object(parse_object(read_plain_request(path), path.name), path.name, scale)
-
-
-def is_object_text(text: str) -> bool:
-    """Return whether a text is a line as for ``parse_object_text``, rather than the name of a file."""
-    words = text.split()
-    return len(words) > 1 and "=" in words[1] and not Path(words[0]).suffix
-
-
-def parse_object_text(text: str) -> ObjectRequest:
-    """Check an object given as a line: ``wheel radius=0.3 rim_radius=0.02 spokes=5``.
-
-    Raises:
-        RequestError: one line per problem.
-    """
-    kind, *words = text.split()
-    data: dict[str, Any] = {"type": kind}
-    for word in words:
-        key, sign, value = word.partition("=")
-        if not sign or not key or not value:
-            raise RequestError(f"{shown(word)} is no NAME=NUMBER; expected such as {_EXAMPLE}")
-        if key in data:
-            raise RequestError(f"{key} is given twice")
-        numbers = [_parse_number(number, key) for number in value.split(",")]
-        data[key] = numbers[0] if len(numbers) == 1 else numbers
-    return parse_object(data, "")
-
-
-def parse_object(data: Mapping[str, Any], name: str) -> ObjectRequest:
-    """Check an object given as plain data: its ``parts``, or the fields of its only part.
-
-    Args:
-        name: begins each problem, if it is not empty.
-
-    Raises:
-        RequestError: one line per problem.
-    """
-    is_one = "parts" not in data
-    try:
-        return parse_section(ObjectRequest, {"parts": [dict(data)]} if is_one else data)
-    except RequestError as error:
-        problems = [problem.removeprefix("parts[0].").removeprefix("parts[0]: ") if is_one else problem
-                    for problem in error.problems]  # fmt: skip
-        raise RequestError([f"{name}: {problem}" if name else problem for problem in problems]) from None
+    return make_object(read_object_file(path), path.name, scale)
 
 
 def make_object(request: ObjectRequest, name: str, scale: float = 1.0) -> Solid:
@@ -115,10 +69,3 @@ def _make_meshes(part: PartRequest) -> list[Mesh]:
             return shapes.make_wheel(part.radius, part.rim_radius, part.spokes, part.spoke_radius, part.hub_radius)
         case LeverPart():
             return shapes.make_lever(part.length, part.radius, part.grip_length, part.grip_radius)
-
-
-def _parse_number(text: str, key: str) -> int | float:
-    try:
-        return int(text) if text.lstrip("+-").isdigit() else float(text)
-    except ValueError:
-        raise RequestError(f"{key}: {shown(text)} is no number") from None

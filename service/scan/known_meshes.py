@@ -15,14 +15,16 @@ from jaxtyping import Float, Int
 from costs.scene import ConvexPiece
 from perception import CONFIDENT, PerceptionError, rigid_pose
 from perception.perceive import FRINGE
-from perception.solids.match import KnownMesh, MeshMatch
+from perception.solids.match import KnownMesh
 from perception.solids.mesh import Solid
+from perception.solids.rating import MeshMatch
 from service.errors import RequestError
 from service.json_data import to_json_data
+from service.request.object_file import is_object_text, parse_object_text
 from service.request.scene import KnownMeshRequest
 from service.request.shapes import ObjectRequest
 from service.scan.cloud import parse_numbers
-from service.scan.given_objects import is_object_text, make_object, parse_object_text
+from service.scan.given_objects import make_object
 from service.scan.meshes import FORMATS, read_solid, split_convex
 from service.scan.scene_file import Placing
 from service.trust.folders import UPLOADED
@@ -42,6 +44,8 @@ _RESIDUALS = {
     "missing": "missing_share",
     "hidden": "hidden_share",
     "unexplained": "unexplained_ratio",
+    "held": "held_ratio",
+    "on_planes": "on_planes_share",
     "rival": "rival_ratio",
 }
 
@@ -166,11 +170,21 @@ def _choose_mesh(file: Path, scale: float, option: str) -> MeshInput:
     return MeshInput(file, scale)
 
 
-def mesh_from_request(request: KnownMeshRequest, file: Path) -> MeshInput:
-    """Convert a request's mesh whose file is on this server."""
+def mesh_from_request(request: KnownMeshRequest, file: Path | None) -> MeshInput:
+    """Convert a request's mesh.
+
+    Args:
+        file: its file on this server; None for an object given by its parts.
+    """
     place, turn = request.position, request.quaternion_wxyz
-    name = request.name or (UPLOAD_NAME if request.file.startswith(UPLOADED) else "")
-    mesh = MeshInput(file, request.scale, is_placed=request.is_placed, name=name, called=request.file)
+    name = request.name or (UPLOAD_NAME if request.file is not None and request.file.startswith(UPLOADED) else "")
+    if file is None:
+        called = name or request.parts[0].type
+        mesh = MeshInput(Path(request.parts[0].type), request.scale, given=ObjectRequest(request.parts))
+    else:
+        called = str(request.file)
+        mesh = MeshInput(file, request.scale)
+    mesh = replace(mesh, is_placed=request.is_placed, name=name, called=called)
     if place is None:
         return mesh
     if turn is None and not request.is_placed:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -24,7 +24,7 @@ from service.proto.planner.v1.planner_pb2 import (
     UploadCloudResponse,
 )
 from service.request.file import parse_section
-from service.request.scene import SceneRequest
+from service.request.scene import KnownMeshRequest, SceneRequest
 from service.request.schema import RobotRequest, StartRequest
 from service.scan.cloud import DEFAULT_REACH_M, CloudInput
 from service.server.cloud_requests import (
@@ -47,7 +47,7 @@ from service.trust.rpc import Context, deadline_of
 from service.wire.plain import to_plain
 from service.wire.scenes import detections_to_messages, scene_to_message
 from service.wire.violations import make_violation
-from service.work.look import SceneTask, build_scene, detect
+from service.work.look import DetectTask, KnownFiles, SceneTask, build_scene, detect
 from service.work.plan import Refused
 
 T = TypeVar("T")
@@ -177,7 +177,7 @@ class CloudHandlers:
                 scene.hint,
                 scene.unknown,
                 scene.method,
-                tuple((mesh, paths[mesh.file]) for mesh in known.meshes),
+                _with_paths(known.meshes, paths),
                 None if known.update is None else (paths[known.update], known.update),
                 list_settings(message),
             )
@@ -213,24 +213,23 @@ class CloudHandlers:
         return GetSceneResponse(scene=await asyncio.to_thread(scene_to_message, message.scene_id, text))
 
     async def detect(self, message: DetectRequest, context: Context) -> DetectResponse:
-        """Detect objects of one kind.
+        """Detect objects of one kind, or given objects.
 
         Raises:
             Refusal: the clouds cannot be searched.
         """
         scene = await _read_aside(message, self._read_scene)
-        with self._open_clouds(message.clouds, scene) as clouds:
+        known = await _read_aside(message, self._known.read)
+        with self._open_clouds(message.clouds, scene) as clouds, self._known.open_files(known) as paths:
             answer = await self._jobs.run(
                 "detect",
                 detect,
-                clouds,
-                message.kind,
-                scene.hint,
+                DetectTask(clouds, message.kind, scene.hint, _with_paths(known.objects, paths)),
                 deadline=deadline_of(context),
                 budget_s=self._settings.budget_s("detect"),
                 place=Place(current_caller().owner),
             )
-            result = self._accept(answer, clouds, scene)
+            result = self._accept(answer, clouds, scene, list_known_files(known, paths))
         return DetectResponse(hits=detections_to_messages(result["hits"]), notes=result["notes"])
 
     def _read_scene(self, message: BuildSceneRequest | DetectRequest) -> SceneRequest:
@@ -308,6 +307,11 @@ class CloudHandlers:
 async def _read_aside(message: M, read: Callable[[M], T]) -> T:
     """Read a message, a large one in a thread beside the event loop."""
     return read(message) if message.ByteSize() <= SMALL_BYTES else await asyncio.to_thread(read, message)
+
+
+def _with_paths(known: Sequence[KnownMeshRequest], paths: Mapping[str, Path]) -> KnownFiles:
+    """Return known objects with the paths of their files on the server."""
+    return tuple((mesh, None if mesh.file is None else paths[mesh.file]) for mesh in known)
 
 
 def _to_message_field(problem: str) -> str:

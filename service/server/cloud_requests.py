@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.errors import RequestError
-from service.proto.planner.v1.planner_pb2 import BuildSceneRequest
+from service.proto.planner.v1.planner_pb2 import BuildSceneRequest, DetectRequest
+from service.request.choices import GIVEN
 from service.request.file import parse_section
 from service.request.scene import KnownRequest
 from service.request.schema import RobotRequest, StartRequest
@@ -19,7 +20,7 @@ from service.trust import BUILT, AllowedFolders
 from service.wire.plain import to_plain
 from service.wire.violations import make_violation
 
-MESH, UPDATE = "--mesh", "--update"
+MESH, UPDATE, OBJECT = "--mesh", "--update", "--object"
 # Fields for the options that perception names in its messages.
 FIELD_OF_OPTION: Mapping[str, str] = {
     "KIND": "kind",
@@ -30,6 +31,7 @@ FIELD_OF_OPTION: Mapping[str, str] = {
     "--unit": "clouds.unit",
     MESH: "meshes",
     UPDATE: "update",
+    OBJECT: "objects",
 }
 # Fields for the settings that an update takes over from the earlier scene.
 FIELD_OF_SETTING: Mapping[str, str] = {
@@ -41,6 +43,7 @@ FIELD_OF_SETTING: Mapping[str, str] = {
     "method": "method",
 }
 FIELDS = frozenset(FIELD_OF_SETTING.values())
+KNOWN_FIELDS = ("meshes", "update", "objects")
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class NamedFile:
 
 @dataclass(frozen=True)
 class KnownReader:
-    """Reader of the known meshes and the scene to update.
+    """Reader of the known meshes, the scene to update, and the objects to detect.
 
     Attributes:
         folders: folders whose files requests may name.
@@ -66,7 +69,7 @@ class KnownReader:
     clouds: CloudStore
     scenes: Scenes
 
-    def read(self, message: BuildSceneRequest) -> KnownRequest:
+    def read(self, message: BuildSceneRequest | DetectRequest) -> KnownRequest:
         """Read and check a message.
 
         Raises:
@@ -74,11 +77,13 @@ class KnownReader:
         """
         plain = to_plain(message)
         try:
-            known = parse_section(KnownRequest, {key: plain[key] for key in ("meshes", "update") if key in plain})
+            known = parse_section(KnownRequest, {key: plain[key] for key in KNOWN_FIELDS if key in plain})
         except RequestError as error:
             raise refuse_invalid(error.problems) from None
-        checks = {f"meshes[{k}].file": self.folders.check(mesh.file, "mesh") for k, mesh in enumerate(known.meshes)}
+        checks = {field: self.folders.check(file, "mesh") for field, file in _list_meshes(known)}
         checks["update"] = "" if known.update is None else self.folders.check(known.update, "scene")
+        if isinstance(message, DetectRequest) and (message.kind == GIVEN) != bool(known.objects):
+            checks["objects"] = f"expected some with kind '{GIVEN}', and none with another"
         problems = [f"{field}: {problem}" for field, problem in checks.items() if problem]
         if problems:
             raise refuse_invalid(problems)
@@ -108,9 +113,20 @@ def list_settings(message: BuildSceneRequest) -> dict[str, str]:
 
 
 def list_known_files(known: KnownRequest, paths: Mapping[str, Path]) -> list[NamedFile]:
-    """List the files of known meshes and of the scene to update."""
-    files = [NamedFile(f"meshes[{k}].file", mesh.file, paths[mesh.file]) for k, mesh in enumerate(known.meshes)]
+    """List the files of known meshes, of the scene to update, and of objects to detect."""
+    files = [NamedFile(field, file, paths[file]) for field, file in _list_meshes(known)]
     return files if known.update is None else [*files, NamedFile("update", known.update, paths[known.update])]
+
+
+def _list_meshes(known: KnownRequest) -> list[tuple[str, str]]:
+    """List the files of known meshes and of objects to detect, each with its field."""
+    groups = (("meshes", known.meshes), ("objects", known.objects))
+    return [
+        (f"{name}[{k}].file", mesh.file)
+        for name, group in groups
+        for k, mesh in enumerate(group)
+        if mesh.file is not None
+    ]
 
 
 def rename_fields(problems: Iterable[str], files: Sequence[NamedFile]) -> tuple[str, ...]:
@@ -139,7 +155,7 @@ def check_start(data: object) -> tuple[str, ...]:
 
 def _rename_field(problem: str, files: Sequence[NamedFile]) -> str:
     option, colon, words = problem.partition(": ")
-    if colon and option in (MESH, UPDATE):
+    if colon and option in (MESH, UPDATE, OBJECT):
         problem = words.replace("--mesh-scale", "scale")
     named = [file for file in files if str(file.path) in problem] or [
         file for file in files if file.path.name in problem

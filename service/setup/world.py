@@ -26,8 +26,9 @@ from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
     from perception import LeverDetection, Perceived, ValveDetection
-    from perception.solids.match import KnownMesh, MeshMatch
+    from perception.solids.match import KnownMesh
     from perception.solids.mesh import Solid
+    from perception.solids.rating import MeshMatch
 
 
 @dataclass(frozen=True)

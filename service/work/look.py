@@ -22,6 +22,10 @@ from service.work.plan import ROBOTS, Refused, stops_with
 OVERRIDES = " (this server's own, which overrides scopt's robot of that name)"
 
 
+KnownFiles = tuple[tuple[KnownMeshRequest, Path | None], ...]
+"""Known objects and the paths of their files; None for an object given by its parts."""
+
+
 @dataclass(frozen=True)
 class SceneTask:
     """Task of ``build_scene``.
@@ -31,7 +35,7 @@ class SceneTask:
         kinds: kinds of objects to detect.
         hint: a point near the object to detect [m].
         unknown, method: parameters of ``perception.perceive``.
-        meshes: known objects and the paths of their files.
+        meshes: known objects.
         update: path of the earlier scene's file, and the client's name for it.
         said: settings given explicitly, which must equal those of the earlier scene, and their fields.
     """
@@ -41,7 +45,7 @@ class SceneTask:
     hint: tuple[float, float, float] | None = None
     unknown: str = "free"
     method: str = "planes"
-    meshes: tuple[tuple[KnownMeshRequest, Path], ...] = ()
+    meshes: KnownFiles = ()
     update: tuple[Path, str] | None = None
     said: Mapping[str, str] = field(default_factory=dict)
 
@@ -52,8 +56,8 @@ def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
     from service.scan.make_scene import SceneInput, apply_earlier_settings, read_earlier_scene
     from service.scan.make_scene import build_scene as make_scene
 
-    files = (*task.clouds.files, *(path for _, path in task.meshes), *(() if task.update is None else task.update[:1]))
-    damaged = find_damaged_uploads(map(str, files))
+    update = () if task.update is None else task.update[:1]
+    damaged = find_damaged_uploads(map(str, (*task.clouds.files, *_list_paths(task.meshes), *update)))
     if damaged:
         return Refused((), damaged)
     meshes = tuple(mesh_from_request(mesh, path) for mesh, path in task.meshes)
@@ -68,20 +72,41 @@ def build_scene(task: SceneTask, control: Control) -> bytes | Refused:
         return Refused(error.problems)
 
 
-def detect(
-    clouds: CloudInput, kind: str, hint: tuple[float, float, float] | None, control: Control
-) -> Mapping[str, Any] | Refused:
+@dataclass(frozen=True)
+class DetectTask:
+    """Task of ``detect``.
+
+    Attributes:
+        clouds: cloud files.
+        kind: kind of objects, or ``object`` for the given ones.
+        hint: a point near the object [m].
+        objects: given objects.
+    """
+
+    clouds: CloudInput
+    kind: str
+    hint: tuple[float, float, float] | None = None
+    objects: KnownFiles = ()
+
+
+def detect(task: DetectTask, control: Control) -> Mapping[str, Any] | Refused:
     """Detect objects; returns what ``scopt detect`` prints."""
     from service.scan.detect import detect_file
+    from service.scan.known_meshes import mesh_from_request
 
-    damaged = find_damaged_uploads(map(str, clouds.files))
+    damaged = find_damaged_uploads(map(str, (*task.clouds.files, *_list_paths(task.objects))))
     if damaged:
         return Refused((), damaged)
+    objects = tuple(mesh_from_request(given, path) for given, path in task.objects)
     try:
         with stops_with(control):
-            return detect_file(clouds, kind, hint, control.report)
+            return detect_file(task.clouds, task.kind, task.hint, control.report, objects=objects)
     except RequestError as error:
         return Refused(error.problems)
+
+
+def _list_paths(known: KnownFiles) -> tuple[Path, ...]:
+    return tuple(path for _, path in known if path is not None)
 
 
 def verify(files: Mapping[str, bytes], control: Control) -> Mapping[str, Any] | Refused:

@@ -29,12 +29,15 @@ _TIMBER = Stock("box", ((0.0445, 0.019), (0.0445, 0.0445), (0.07, 0.019), (0.019
 _METRIC = ((0.03, 0.02), (0.05, 0.05), (0.07, 0.011))
 _PIPES = ((0.02, 0.02), (0.03, 0.03), (0.045, 0.045))
 _VOXEL = 0.015
-_LEAST_LENGTH = 0.25
+_LEAST_LENGTH, _LEAST_HALF = 0.25, 0.0065
 _TUBE = 0.1
 _BEHIND, _BEYOND = 0.015, 0.15
 _HIDDEN_STRETCH, _MOST_LOOKS = 0.6, 3
 _LEAST_AIR, _LEAST_KNOWN = 0.1, 0.15
+# Air beside the first bar fitted to a strip, and its misfit, with which no later fit was ever a beam.
+_SOME_AIR, _MISFIT = 0.15, 7.5
 _HALF_A_FACE, _WIDER = 0.06, 0.025
+_LEAST_SOLID, _KNOWN, _VISIBLE, _HITS = 0.55, (0.2, 0.5), (0.25, 0.6), (20.0, 80.0)
 _SHORT = 0.7
 _END_UNSEEN = 0.85  # factor per unseen end; a short bar may continue out of sight
 _MOST_FITS, _STAYS, _FITTED_TO = 3, 0.04, 400
@@ -157,7 +160,7 @@ def _examine(index: SightIndex, strip: Strip, floor: FloorPlane | None, known: S
     if not _stands_out(rays, strip):
         return None
     choice = choose_bar(rays, run, max(strip.half, 0.045) + 0.025, _TIMBER, floor, 6, 160)
-    if choice is None:
+    if choice is None or choice.misfit > _MISFIT or weigh_bar(rays, choice.fit.bar).air < _SOME_AIR:
         return None
     ends = likely_ends(rays, choice.fit.bar, floor)
     for _ in range(_MOST_LOOKS):
@@ -206,7 +209,7 @@ def _continues(bar: Bar, other: Bar) -> bool:
 def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | None) -> _Beam | None:
     """Refit the bar and its ends until the ends converge; return it with its evidence, or None if rejected."""
     early = weigh_bar(rays, bar)
-    if bar.length < _LEAST_LENGTH or early.solid < 0.5:
+    if bar.length < _LEAST_LENGTH or min(bar.half) < _LEAST_HALF or not _is_worth_a_fit(early):
         return None
     if early.air < _LEAST_AIR:
         # The bar may be a part of a wider bar's face.
@@ -235,6 +238,12 @@ def _settle(rays: SurroundingRays, bar: Bar, fit: BarFit, floor: FloorPlane | No
         confidence * _flatness(flatter),
         points[:: max(1, len(points) // _MOST_POINTS)],
     )
+
+
+def _is_worth_a_fit(early: BarEvidence) -> bool:
+    """Return whether a rough bar has some of the evidence that a beam needs; a better fit adds little to it."""
+    is_seen = early.visible >= _VISIBLE[0] and early.n_hits >= _HITS[0]
+    return is_seen and early.solid >= _LEAST_SOLID and early.known >= _KNOWN[0]
 
 
 def _fit(
@@ -282,14 +291,14 @@ def _confidence(ends: LikelyEnds, choice: Choice, evidence: BarEvidence, tilt: f
     return float(
         rising(evidence.solid, 0.915, 0.965)
         * rising(evidence.air, 0.45, 0.75)
-        * rising(evidence.known, 0.2, 0.5)
-        * rising(evidence.visible, 0.25, 0.6)
+        * rising(evidence.known, *_KNOWN)
+        * rising(evidence.visible, *_VISIBLE)
         * rising(bar.length / width, 2.5, 4.5)
         * rising(width, 0.042, 0.056)
         * rising(-width, -0.19, -0.155)
         * rising(thickness, 0.014, 0.02)
         * rising(-evidence.rms, -0.02, -0.015)
-        * rising(evidence.n_hits, 20.0, 80.0)
+        * rising(evidence.n_hits, *_HITS)
         * rising(-_off_size(width, thickness), -0.025, -0.012)
         * rising(-tilt, -0.03, -0.012)
         * (1.0 - _DOUBTFUL * rising(choice.doubt, 0.01, 0.03))

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.nearby import Nearby
 from perception.detect.shared.slender import is_slender, variances_about
 
 _MOST_SEEDS = 220
@@ -85,7 +86,7 @@ def find_strips(
     points = points[~_in_walls(points)]
     if len(points) < 20:
         return []
-    tree = cKDTree(points)
+    tree, nearby = cKDTree(points), Nearby.of(points)
     seeds = rng.choice(len(points), min(_MOST_SEEDS, len(points)), replace=False)
     taken = np.zeros(len(points), dtype=bool)
     strips: list[Strip] = []
@@ -101,7 +102,7 @@ def find_strips(
         for _, axis, normal, across, seed in starts:
             if taken[seed]:
                 continue
-            grown = _grow(points, points[seed], axis, normal, across, towards)
+            grown = _grow(nearby, points[seed], axis, normal, across, towards)
             if grown is None:
                 continue
             strip, members = grown
@@ -198,7 +199,7 @@ def _best_at_seed(
 
 
 def _grow(
-    points: Float[np.ndarray, "N 3"],
+    nearby: Nearby,
     seed: Float[np.ndarray, "3"],
     axis: Float[np.ndarray, "3"],
     normal: Float[np.ndarray, "3"],
@@ -211,9 +212,10 @@ def _grow(
     # The axis' sign in _best_at_seed: across is measured along normal x axis.
     place = seed + 0.5 * (edges[0] + edges[1]) * side
     half, low, high = 0.5 * (edges[1] - edges[0]), -_BALL, _BALL
-    away = np.abs((points - place) @ np.column_stack([normal, side]))
-    corridor = np.flatnonzero((away[:, 0] < _CORRIDOR) & (away[:, 1] < _CORRIDOR))
-    points = points[corridor]
+    corridor = nearby.list_along(place, axis, np.sqrt(2.0) * _CORRIDOR)
+    away = np.abs((nearby.points[corridor] - place) @ np.column_stack([normal, side]))
+    corridor = corridor[(away[:, 0] < _CORRIDOR) & (away[:, 1] < _CORRIDOR)]
+    points = nearby.points[corridor]
     members = np.zeros(0, dtype=np.int64)
     for _ in range(4):
         offset = points - place

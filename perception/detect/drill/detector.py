@@ -62,7 +62,8 @@ def detect_drill(
     begun = sorted((_begin(index, *start) for start in held[:_MOST_CLUSTERS]), key=lambda start: start.least_cost)
     hits = [_finish(begun_fit, hint is not None) for begun_fit in begun[:_MOST_FITS]]
     hits = sorted((hit for hit in hits if hit.confidence > _REPORTED), key=lambda hit: -hit.confidence)
-    return best_about(hits, np.array([hit.pose_world_object[:3, 3] for hit in hits]), _SAME, 1)
+    places = np.array([hit.pose_world_object[:3, 3] for hit in hits])
+    return [hits[i] for i in best_about(places, _SAME, 1)]
 
 
 def _of_a_size(cluster: StandingCluster) -> list[StandingCluster]:

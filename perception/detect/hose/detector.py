@@ -42,7 +42,7 @@ _MOST_RAYS = 600
 _FOR_RANKING = 200
 _MOST_FITTED = 12
 _MOST_JUDGED = 5
-_ROUNDS = 2
+_ROUNDS, _STILL = 2, 0.97  # the most fits more, and the share of its misfit that a fit must save
 _SAME = 0.15
 _HIGHEST = 2.1
 _MOST_POINTS = 200
@@ -114,8 +114,7 @@ def detect_hose(
             (_fit(candidate) for candidate in _drop_duplicates(candidates)[:_MOST_FITTED]),
             key=lambda candidate: candidate.misfit,
         )
-        for _ in range(_ROUNDS):
-            fitted = [_fit(candidate) for candidate in fitted[:_MOST_JUDGED]]
+        fitted = [_fit_again(candidate) for candidate in fitted[:_MOST_JUDGED]]
         ends = [
             _judge(index, candidate, hint is not None)
             for candidate in fitted
@@ -172,6 +171,16 @@ def _fit(candidate: _Candidate) -> _Candidate:
     """Return the candidate with its tube fitted to its rays."""
     tube = refine_tube(candidate.rays, candidate.mine, candidate.tube)
     return replace(candidate, tube=tube, misfit=float(misfits(candidate.rays, candidate.mine, [tube])[0]))
+
+
+def _fit_again(candidate: _Candidate) -> _Candidate:
+    """Return the candidate fitted again, as long as that lowers its misfit."""
+    for _ in range(_ROUNDS):
+        before = candidate.misfit
+        candidate = _fit(candidate)
+        if candidate.misfit > _STILL * before:
+            break
+    return candidate
 
 
 def _stands(points: Float[np.ndarray, "N 3"], tube: Tube, floor: FloorPlane | None) -> bool:

@@ -27,11 +27,15 @@ _BESIDE = 0.08
 _BEHIND, _ONWARD = 0.025, 0.05
 _WITHIN = 0.008
 _CLOSED = (0.85, 0.95)
+_EDGES_SEEN = ((2.2, 4.0), (0.0, 3.0))  # without a hint and with one
+# A face refitted without its buttons may show another edge, and be closed by this share more.
+_GAIN_BY_REFIT = 0.1
 # Corners of a face, as shares of its half sizes, and their closed share: a disc has none.
 _AT_CORNER, _FEWEST_AT_CORNERS, _CORNERS_CLOSED = 0.8, 6, (0.45, 0.75)
 _REPORTED = 0.05
 _SAME_DEPTH = 0.1
 _ROUNDS = 3
+_MOST_OTHERS = 6  # reliefs that are no buttons, on a face that a refit may still make a panel
 _COLLAR = 0.01
 _SMEAR = 0.1
 
@@ -85,8 +89,8 @@ def _is_panel_sized(face: Face) -> bool:
 
 def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None:
     """Return the panel on a face; None when its size does not fit or it has no button."""
-    edges, relief, ends = _Edges(face.low, face.high, (False,) * 4), list[Disc](), np.zeros((0, 3))
-    closed = 0.0
+    edges, ends = _Edges(face.low, face.high, (False,) * 4), np.zeros((0, 3))
+    relief, discs, buttons, closed = list[Disc](), list[Disc](), list[Disc](), 0.0
     for k in range(_ROUNDS):
         if k > 0:
             # Buttons bias the plane of a small face: refit it without them while its scatter falls.
@@ -100,10 +104,15 @@ def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None
         if size.min() < _SIZES[0] or size.max() > _SIZES[1]:
             return None
         ends = seen.ends[((seen.ends[:, :2] > edges.low) & (seen.ends[:, :2] < edges.high)).all(axis=1)]
-        relief, closed = _discs(face, edges, ends), _closed_share(face, edges, seen)
-    # A relief much lower than the noise is an uneven face, however many points it has.
-    discs = [disc for disc in relief if disc.height > _LEAST_CLEAR * face.sigma]
-    buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs, ends)]
+        closed = _closed_share(face, edges, seen)
+        if sum(edges.seen) < _EDGES_SEEN[is_hinted][0] - 1.0 or closed < _CLOSED[0] - _GAIN_BY_REFIT:
+            return None
+        relief = _discs(face, edges, ends)
+        # A relief much lower than the noise is an uneven face, however many points it has.
+        discs = [disc for disc in relief if disc.height > _LEAST_CLEAR * face.sigma]
+        buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs, ends)]
+        if len(discs) - len(buttons) > _MOST_OTHERS:
+            return None
     if not buttons:
         return None
     return _as_detection(face, edges, buttons, len(discs) - len(buttons), closed, ends, is_hinted)
@@ -238,7 +247,7 @@ def _as_detection(
         sizes |= {f"button_{i}_x": float(x), f"button_{i}_y": float(y), f"button_{i}_radius": disc.radius}
     n_seen = sum(edges.seen)
     confidence = (
-        rising(float(n_seen), 0.0 if is_hinted else 2.2, 3.0 if is_hinted else 4.0)
+        rising(float(n_seen), *_EDGES_SEEN[is_hinted])
         * rising(min(disc.gain for disc in buttons), _LEAST_GAIN, 2.5 * _LEAST_GAIN)
         * rising(float(np.mean([disc.roundness for disc in buttons])), 0.6, 0.8)
         * rising(-float(size.max()), -_SIZES[1], -0.6)

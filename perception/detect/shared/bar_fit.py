@@ -29,6 +29,7 @@ from perception.detect.shared.bars import (
 from perception.sightlines import Sightlines
 
 _STEPS = 6  # of the solver in each round
+_STILL = 1e-3  # share of the costs by which the last step may still lower them
 _AROUND = 0.04
 SIGMA_USUAL = 0.004
 _SMALLEST, _LARGEST = 0.006, 0.12
@@ -110,8 +111,9 @@ def _solve(
         weighted = jacobian / root[:, None]
         gradient = np.where(better[:, None], np.einsum("bnm,bm->bn", weighted, residuals), gradient)
         curvature = np.where(better[:, None, None], weighted @ jacobian.transpose(0, 2, 1), curvature)
+        is_still = bool((np.abs(cost - now) < _STILL * now).all())
         best, cost = _choose(better, state, best), np.where(better, now, cost)
-        if step == _STEPS:
+        if step == _STEPS or is_still:
             break
         damping = np.where(better, 0.3 * damping, 5.0 * damping)
         change = _step(gradient, curvature, damping)

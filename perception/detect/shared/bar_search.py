@@ -61,10 +61,12 @@ class Choice:
 
     Attributes:
         doubt: largest distance across the axis to the centre of a bar that explains the rays nearly as well [m].
+        misfit: per ray that ended near it, in squared standard deviations; 1 with the usual noise.
     """
 
     fit: BarFit
     doubt: float
+    misfit: float
 
 
 def rays_about(
@@ -114,13 +116,14 @@ def choose_bar(
     usual = [stock.rarity_of(fit.usual) for fit in fits]
     best = min(np.flatnonzero(cost <= cost.min() + _UNDECIDED).tolist(), key=lambda i: (usual[i], cost[i]))
     # The model is not exact: the larger the remaining misfit, the less a small difference means.
-    tolerance = _UNDECIDED * max(1.0, float(cost[best]) / max(1, int(many.mine.sum())))
+    misfit = float(cost[best]) / max(1, int(many.mine.sum()))
+    tolerance = _UNDECIDED * max(1.0, misfit)
     doubt = max(
         _distance(fit.bar, fits[best].bar)
         for fit, fit_cost in zip(fits, cost, strict=True)
         if fit_cost <= cost[best] + tolerance
     )
-    return Choice(fits[best], doubt)
+    return Choice(fits[best], doubt, misfit)
 
 
 def _costs(sample: Sample, fits: Sequence[BarFit], stock: Stock, floor: FloorPlane | None) -> Float[np.ndarray, "B"]:

@@ -21,6 +21,7 @@ SIGMA_EDGE = 0.004
 NEAR_SURFACE = 0.035
 _BESIDE = 0.012
 LEAST_SLOPE = 0.05
+_LEAST_ENTRY = 1e-4
 Section = Literal["box", "round"]
 
 
@@ -116,24 +117,31 @@ def cross_sections(
     poll()
     start = frames @ rays.start.T - frames @ centres[:, :, None]
     way = frames @ rays.direction.T
-    p, d = start[:, 1:], way[:, 1:]
-    speed = np.maximum(np.hypot(d[:, 0], d[:, 1]), LEAST_SLOPE)
-    n = np.stack([-d[:, 1], d[:, 0]], axis=1) / speed[:, None]
-    side = (n * p).sum(axis=1)
-    if section == "round":
-        reach = np.broadcast_to(halves[:, :1], side.shape)
-    else:
-        reach = np.abs(n[:, 0]) * halves[:, :1] + np.abs(n[:, 1]) * halves[:, 1:]
+    # Sums and maxima over two components are several times as slow as on the components one by one.
+    p1, p2, d1, d2 = start[:, 1], start[:, 2], way[:, 1], way[:, 2]
+    speed = np.maximum(np.sqrt(d1 * d1 + d2 * d2), LEAST_SLOPE)
+    n1, n2 = -d2 / speed, d1 / speed
+    side = n1 * p1 + n2 * p2
+    half1, half2 = halves[:, :1], halves[:, 1:]
+    reach = np.broadcast_to(half1, side.shape) if section == "round" else np.abs(n1) * half1 + np.abs(n2) * half2
     outside = np.abs(side) - reach
     # A ray that misses is moved sideways onto the outline, so that depth is continuous at its edge.
-    moved = p - n * (np.sign(side) * np.maximum(outside, 0.0))[:, None]
+    excess = np.copysign(np.maximum(outside, 0.0), side)
+    m1, m2 = p1 - n1 * excess, p2 - n2 * excess
     if section == "round":
         inside = np.minimum(np.abs(side), reach)
-        depth = -(moved * d).sum(axis=1) / speed**2 - np.sqrt(np.maximum(reach**2 - inside**2, 0.0)) / speed
+        depth = -(m1 * d1 + m2 * d2) / speed**2 - np.sqrt(np.maximum(reach**2 - inside**2, 0.0)) / speed
     else:
-        slope = np.where(np.abs(d) < 1e-4, np.copysign(1e-4, d), d)
-        depth = ((-np.sign(slope) * halves[:, :, None] - moved) / slope).max(axis=1)
+        depth = np.maximum(_enter(m1, d1, half1), _enter(m2, d2, half2))
     return BarCrossing(outside, side, depth, start[:, 0] + depth * way[:, 0])
+
+
+def _enter(
+    place: Float[np.ndarray, "P N"], slope: Float[np.ndarray, "P N"], half: Float[np.ndarray, "P 1"]
+) -> Float[np.ndarray, "P N"]:
+    """Return the distance along each ray at which it enters the slab between ``-half`` and ``half`` [m]."""
+    slope = np.where(np.abs(slope) < _LEAST_ENTRY, np.copysign(_LEAST_ENTRY, slope), slope)
+    return np.asarray((-np.copysign(half, slope) - place) / slope)
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,11 @@ else in the crop, and on the seed.  These choices are fixed by the points themse
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TypeVar
-
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from perception.cleaning.clean import row_keys
-
-T = TypeVar("T")
 
 
 def pick_per_cell(points: Float[np.ndarray, "N 3"], cell: float, most: int) -> Int[np.ndarray, "K"]:
@@ -35,20 +31,13 @@ def pick_per_cell(points: Float[np.ndarray, "N 3"], cell: float, most: int) -> I
     return np.asarray(np.sort(order[rank < most]))
 
 
-def best_about(items: Sequence[T], places: Float[np.ndarray, "N d"], apart: float, most: int) -> list[T]:
-    """Return the items with fewer than ``most`` better ones within ``apart`` of them, in order.
+def best_about(places: Float[np.ndarray, "N d"], apart: float, most: int) -> Int[np.ndarray, "K"]:
+    """Return indices of the items with fewer than ``most`` better ones within ``apart`` of them, in order.
 
     Args:
-        items: best first.
-        places: (N, d) position of each [m].
+        places: (N, d) position of each item, best first [m].
     """
-    kept = []
-    for i, item in enumerate(items):
-        if i < most or np.count_nonzero(((places[:i] - places[i]) ** 2).sum(axis=1) < apart**2) < most:
-            kept.append(item)
-    return kept
-
-
-def draws_at(place: Float[np.ndarray, "3"]) -> np.random.Generator:
-    """Return a random generator whose draws depend on a place alone."""
-    return np.random.default_rng(int(row_keys(place[None])[0]) & 0x7FFFFFFFFFFFFFFF)
+    if not len(places):
+        return np.zeros(0, dtype=np.int64)
+    pairs = cKDTree(places).query_pairs(apart, output_type="ndarray")
+    return np.flatnonzero(np.bincount(pairs.max(axis=1), minlength=len(places)) < most)

@@ -56,25 +56,29 @@ def variances_about(points: Float[np.ndarray, "N 3"], cell: float = _CELL) -> Fl
     if np.prod(np.array(shape, dtype=float)) > _MOST_CELLS:
         return None
     flat = np.ravel_multi_index(tuple(cells.T), shape)
+    # All points of a cell have the same neighbours.
+    occupied, of_point = np.unique(flat, return_inverse=True)
     # Moments about the points' mean, summed over the neighbourhood: count, sums, products.
     local = points - points.mean(axis=0)
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     terms = [np.ones(len(points)), *local.T, *(local[:, i] * local[:, j] for i, j in pairs)]
-    moments = np.stack([_around(flat, term, shape) for term in terms])
+    moments = np.stack([_sum_around(flat, term, shape, occupied) for term in terms])
     n = np.maximum(moments[0], 1.0)
     mean = moments[1:4] / n
-    covariance = np.zeros((len(points), 3, 3))
+    covariance = np.zeros((len(occupied), 3, 3))
     for (i, j), products in zip(pairs, moments[4:], strict=True):
         covariance[:, i, j] = covariance[:, j, i] = products / n - mean[i] * mean[j]
     poll()
-    return np.asarray(np.linalg.eigvalsh(covariance))
+    return np.asarray(np.linalg.eigvalsh(covariance)[of_point])
 
 
-def _around(cell: np.ndarray, weight: Float[np.ndarray, "N"], shape: tuple[int, ...]) -> Float[np.ndarray, "N"]:
-    """Return the sum of the weights in the 3 x 3 x 3 cells about each point's cell."""
+def _sum_around(
+    cell: Int[np.ndarray, "N"], weight: Float[np.ndarray, "N"], shape: tuple[int, ...], about: Int[np.ndarray, "C"]
+) -> Float[np.ndarray, "C"]:
+    """Return the sum of the points' weights in the 3 x 3 x 3 cells about some cells."""
     poll()
     total = np.bincount(cell, weight, minlength=int(np.prod(shape))).reshape(shape)
-    return np.asarray(ndimage.uniform_filter(total, size=3, mode="constant").reshape(-1)[cell] * 27.0)
+    return np.asarray(ndimage.uniform_filter(total, size=3, mode="constant").reshape(-1)[about] * 27.0)
 
 
 def slim_places(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from perception.detect.shared.arithmetic import rising
 from perception.detect.valve.inside import MIDDLE, Inside
-from perception.detect.valve.ring import Passage, Ring, axis_error, depth_error, unevenness
+from perception.detect.valve.ring import Passage, Ring, axis_error, depth_error, rim_hits, unevenness
 from perception.ground.floor import FloorPlane
 from perception.sightlines import Sightlines
 
@@ -42,7 +42,7 @@ class WheelEvidence:
     """Ratings of a ring by the rays, each from 0 to 1.
 
     Attributes:
-        rim: hits all round, enough of them, with small and even depth residuals, on a slender section.
+        rim: as in :class:`RimEvidence`.
         air: rays just outside the rim pass it.
         open: rays pass between rim and hub.
         middle: hub or spokes in the middle, not all of them behind the rim, as the far wall of a pipe is.
@@ -76,42 +76,24 @@ def weigh_wheel(
     rays: Sightlines,
     ring: Ring,
     passage: Passage,
-    hit: Bool[np.ndarray, "N"],
+    rim: RimEvidence,
     inside: Inside,
     floor: FloorPlane | None,
 ) -> WheelEvidence:
-    """Return the ratings of a ring by the rays near it."""
-    through = rays.length > passage.depth + _BEHIND
+    """Return the ratings of a ring by the rays near it and the evidence for its rim."""
     distance = np.linalg.norm(passage.place, axis=1)
-    sector = (
-        np.floor(np.arctan2(passage.place[:, 1], passage.place[:, 0]) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
-    )
-    inside_rim = passage.level < 0.9
-    rim = _shares(sector, inside_rim & hit, inside_rim & (hit | through))
     outer = ring.radius + ring.half_width
     around = (distance > outer + 0.012) & (distance < outer + 0.05)
     # Air: rays that went on, or ended well before or behind the rim's plane.
     solid = around & (np.abs(rays.length - passage.crossing) < _BEHIND)
-    air = _shares(sector, around & ~solid, around)
-    seen = ~np.isnan(rim)
-    if seen.mean() < 0.4:
-        return WheelEvidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    # Unseen sectors count neither for nor against the rim, but more than half must be seen.
-    complete = float(np.mean(rim[seen] > 0.6) * min(1.0, np.sum(rim[seen] > 0.6) / (0.6 * _SECTORS)))
+    air = _shares(_sectors_of(passage), around & ~solid, around)
     airy = float(np.mean(air[~np.isnan(air)] > 0.7)) if (~np.isnan(air)).any() else 0.0
-    error = depth_error(rays, passage, hit)
     # The hub of a small wheel fills much of its middle.
     hub_share = min(0.4, (_LEAST_HUB / max(MIDDLE * (ring.radius - ring.half_width), _LEAST_HUB)) ** 2)
     return WheelEvidence(
-        rising(complete, 0.55, 0.9)
-        * rising(-ring.half_width / ring.radius, *_SLENDER)
-        # A section much deeper along the axis than wide is the wall of a tube seen end-on.
-        * rising(-ring.half_depth / ring.half_width, -4.0, -2.5)
-        * rising(-error, *_AGREE)
-        * rising(-unevenness(rays, passage, hit & inside_rim), *_EVEN)
-        * rising(float(hit.sum()), 15.0, 60.0),
+        rim.rating,
         rising(airy, 0.45, 0.85),
-        _openings(inside, error / outer),
+        _openings(inside, rim.rms / outer),
         rising(inside.middle_share, 0.05 + 0.5 * hub_share, 0.15 + hub_share)
         * rising(float(inside.n_middle), 1.0, 5.0)
         * rising(inside.depth[1], *_AT_RIM),
@@ -120,6 +102,52 @@ def weigh_wheel(
         max(_BLURRED, rising(-axis_error(rays, ring, passage), -_BLUNT, -_SHARP)),
         _free_aside(rays, ring),
     )
+
+
+@dataclass(frozen=True)
+class RimEvidence:
+    """Evidence for a rim.
+
+    Attributes:
+        rating: 0 to 1: hits all round, enough of them, with small and even depth residuals, on a slender section.
+        rms: depth error of the hits [m].
+        n_hits: number of rays that ended on the rim.
+    """
+
+    rating: float
+    rms: float
+    n_hits: int
+
+
+def weigh_rim(rays: Sightlines, ring: Ring, passage: Passage) -> RimEvidence:
+    """Return the evidence for a ring's rim by the rays near it."""
+    hit = rim_hits(rays, ring, passage)
+    error, n_hits = depth_error(rays, passage, hit), int(hit.sum())
+    inside_rim = passage.level < 0.9
+    through = rays.length > passage.depth + _BEHIND
+    share = _shares(_sectors_of(passage), inside_rim & hit, inside_rim & (hit | through))
+    seen = ~np.isnan(share)
+    if seen.mean() < 0.4:
+        return RimEvidence(0.0, error, n_hits)
+    # Unseen sectors count neither for nor against the rim, but more than half must be seen.
+    complete = float(np.mean(share[seen] > 0.6) * min(1.0, np.sum(share[seen] > 0.6) / (0.6 * _SECTORS)))
+    rating = (
+        rising(complete, 0.55, 0.9)
+        * rising(-ring.half_width / ring.radius, *_SLENDER)
+        # A section much deeper along the axis than wide is the wall of a tube seen end-on.
+        * rising(-ring.half_depth / ring.half_width, -4.0, -2.5)
+        * rising(-error, *_AGREE)
+        * rising(float(n_hits), 15.0, 60.0)
+    )
+    if rating > 0.0:
+        rating *= rising(-unevenness(rays, passage, hit & inside_rim), *_EVEN)
+    return RimEvidence(rating, error, n_hits)
+
+
+def _sectors_of(passage: Passage) -> Int[np.ndarray, "N"]:
+    """Return the sector of the ring that each ray crosses."""
+    angle = np.arctan2(passage.place[:, 1], passage.place[:, 0])
+    return np.asarray(np.floor(angle / (2.0 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS)
 
 
 def _openings(inside: Inside, blur: float) -> float:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from costs.scene import ConvexPiece
 from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.bars import Bar, SurroundingRays, cross_bar, sort_rays
 from perception.detect.valve.ring import wheel_basis
 from perception.sightlines import SightIndex
 
@@ -153,8 +154,10 @@ def find_grip(
     hidden = filled[(filled > n_layers) & (filled <= n_layers + _MOST_HIDDEN)]
     if len(hidden):
         end = local[(local[:, 2] >= lows[hidden[0]]) & (local[:, 2] < lows[hidden[0]] + 2.0 * _LAYER), :2].mean(axis=0)
-        gap = np.array([[*end, height] for height in np.arange(lows[n_layers], lows[hidden[0]], 0.5 * _LAYER)])
-        if not _is_passed(gap @ pose[:3, :3].T + pose[:3, 3], index):
+        frame = pose[:3, [2, 0, 1]].T
+        foot = pose[:3, 3] + pose[:3, :2] @ end
+        core = Bar(frame, foot, (_CORE, _CORE), float(lows[n_layers]), float(lows[hidden[0]]), "round")
+        if not _is_passed(core, index):
             beyond = empty[empty > hidden[0]]
             n_layers = int(beyond[0]) if len(beyond) else len(lows)
     within = local[local[:, 2] < radius + n_layers * _LAYER]
@@ -164,11 +167,10 @@ def find_grip(
     return tall, float(np.median(within[within[:, 2] > 0.4 * tall, 0]))
 
 
-def _is_passed(places: Float[np.ndarray, "K 3"], index: SightIndex) -> bool:
-    """Return whether rays went on past places that a grip would fill."""
-    rays = index.passing(places, _CORE)
-    offset = places[None] - rays.start[:, None]
-    along = np.einsum("rkx,rx->rk", offset, rays.direction)
-    aside = np.linalg.norm(offset - along[:, :, None] * rays.direction[:, None], axis=2)
-    went_on = (aside < _CORE) & (along < rays.length[:, None] - _CUT)
-    return int(np.count_nonzero(went_on.any(axis=1))) >= _FEWEST_PASSES
+def _is_passed(core: Bar, index: SightIndex) -> bool:
+    """Return whether rays went on through the core of a part of a grip."""
+    near = index.passing(core.places(0.5 * _LAYER), _CORE)
+    rays = SurroundingRays(near.start, near.direction, near.length, np.zeros(len(near), dtype=bool))
+    crossing = cross_bar(rays, core)
+    within = (crossing.outside < 0.0) & (crossing.along > core.first) & (crossing.along < core.last)
+    return int(np.count_nonzero(within & sort_rays(rays, crossing).passed)) >= _FEWEST_PASSES

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
+from perception.detect.shared.nearby import Nearby
 from perception.detect.shared.slender import slim_places
 
 _MOST_SEEDS, _MOST_LINES = 250, 60
@@ -63,7 +64,7 @@ def find_lines(
     """
     if len(points) < 12:
         return []
-    tree = cKDTree(points)
+    tree, nearby = cKDTree(points), Nearby.of(points)
     taken = np.zeros(len(points), dtype=bool)
     slim, ways = np.arange(len(points)), None
     if slim_ball is not None:
@@ -85,7 +86,7 @@ def find_lines(
         # Starts whose points mostly lie on an accepted line are skipped.
         if len(start.members) and taken[start.members].mean() > _SHARED:
             continue
-        line = _grow(points, start)
+        line = _grow(nearby, start)
         if line is None or line.last - line.first < least_length:
             continue
         if not _runs_in_any(line, lines):
@@ -142,13 +143,13 @@ def _contrast(share: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
     return np.asarray(np.maximum(share - 0.4, 0.0) / 0.6)
 
 
-def _grow(points: Float[np.ndarray, "N 3"], line: Line) -> Line | None:
+def _grow(nearby: Nearby, line: Line) -> Line | None:
     """Return the line refitted to its points and extended over their run of bins; None with too few points."""
     poll()
     if not len(line.members):
         return None
-    _, apart = _about(points, line.place, line.axis)
-    corridor = np.flatnonzero(apart < _CORRIDOR)
+    points, corridor = nearby.points, nearby.list_along(line.place, line.axis, _CORRIDOR)
+    corridor = corridor[_about(points[corridor], line.place, line.axis)[1] < _CORRIDOR]
     local = points[corridor]
     place, axis = points[line.members].mean(axis=0), line.axis
     low, high = -_BALL, _BALL

@@ -7,10 +7,10 @@ Levenberg-Marquardt loop with derivatives by hand takes a tenth of the time of s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
 from perception.sightlines import Sightlines
@@ -22,7 +22,6 @@ _SIGMA_EDGE = 0.004
 _BEHIND = 0.04
 _BESIDE = 3.0
 _FEWEST = 8
-_MOST_RAYS = 1200
 # Seen from the front a rim's thickness cannot be distinguished from its distance; common handwheels are 3 cm thick.
 _USUAL_HALF_DEPTH = 0.015
 _SIGMA_HALF_DEPTH = 0.004
@@ -30,9 +29,7 @@ _SIGMA_HALF_DEPTH = 0.004
 _SCALE = np.array([0.005, 0.005, 0.005, 0.03, 0.03, 0.005, 0.005, 0.005])
 _LARGEST_STEP = np.array([0.03, 0.03, 0.03, 0.2, 0.2, 0.03, 0.02, 0.02])
 _SIZE_LIMITS = np.array([[0.03, 0.004, 0.004], [0.45, 0.06, 0.04]])
-_STEPS = 20
 _FIRST_DAMPING = 1e-2
-_STILL = 1e-4
 
 
 @dataclass(frozen=True)
@@ -116,14 +113,14 @@ class RingCrossing:
     nearest: Float[np.ndarray, "N"]
     level: Float[np.ndarray, "N"]
 
+    def select(self, keep: Int[np.ndarray, "K"]) -> RingCrossing:
+        """Return the intersections of the selected rays."""
+        return RingCrossing(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
+
 
 def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
     """Return the intersection of each ray with the ring's section at the angle where it crosses the ring's plane."""
-    basis = ring.basis
-    start = (rays.start - ring.centre) @ basis.T
-    direction = rays.direction @ basis.T
-    slope = direction[:, 2]
-    slope = np.where(np.abs(slope) < _LEAST_SLOPE, np.copysign(_LEAST_SLOPE, slope), slope)
+    start, direction, slope = _in_basis(rays, ring.centre, ring.axis)
     crossing = -start[:, 2] / slope
     sideways = direction[:, :2]
     place = start[:, :2] + crossing[:, None] * sideways
@@ -137,6 +134,25 @@ def cross_ring(rays: Sightlines, ring: Ring) -> RingCrossing:
     nearest = across * outward / (a * a * alpha)
     level = np.abs(across * slope) / (a * b * np.sqrt(alpha))
     return RingCrossing(place, crossing, distance, unit, sideways, outward, along, slope, across, alpha, nearest, level)
+
+
+def cross_plane(
+    rays: Sightlines, centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, "N"]]:
+    """Return where each ray crosses a wheel's plane, in the wheel's basis, and the distance along the ray to it [m]."""
+    start, direction, slope = _in_basis(rays, centre, axis)
+    crossing = -start[:, 2] / slope
+    return start[:, :2] + crossing[:, None] * direction[:, :2], crossing
+
+
+def _in_basis(
+    rays: Sightlines, centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:
+    """Return starts and directions of rays in a wheel's basis, and their slopes to its plane, none of them flat."""
+    basis = wheel_basis(axis)
+    start, direction = (rays.start - centre) @ basis.T, rays.direction @ basis.T
+    slope = direction[:, 2]
+    return start, direction, np.where(np.abs(slope) < _LEAST_SLOPE, np.copysign(_LEAST_SLOPE, slope), slope)
 
 
 def pass_ring(rays: Sightlines, ring: Ring) -> Passage:
@@ -204,29 +220,50 @@ def unevenness(rays: Sightlines, passage: Passage, hit: Bool[np.ndarray, "N"]) -
     return float(np.sqrt(max(0.0, beyond)))
 
 
-def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, n_rounds: int) -> Ring:
-    """Return the refined ring; hits and misses are selected anew in each round."""
-    for _ in range(n_rounds):
+@dataclass(frozen=True)
+class RingFit:
+    """Effort of a ring's fit.
+
+    Attributes:
+        n_rounds: number of solves; each selects hits and misses anew.
+        most_rays: used in a solve.
+        most_steps: of a solve.
+        still: share of the cost by which the last step of a solve may still lower it.
+    """
+
+    n_rounds: int
+    most_rays: int
+    most_steps: int
+    still: float
+
+
+ROUGH = RingFit(1, 500, 10, 2e-3)
+FINE = RingFit(2, 2000, 20, 1e-4)
+
+
+def fit_ring(rays: Sightlines, ring: Ring, gate: Gate, effort: RingFit) -> Ring:
+    """Return the ring fitted to the rays that end on it or pass it."""
+    for _ in range(effort.n_rounds):
         passage = pass_ring(rays, ring)
         hit = rim_hits(rays, ring, passage, gate)
         missed = (rays.length > passage.depth + _BEHIND) & (passage.level < _BESIDE)
         if hit.sum() < _FEWEST:
             return ring
         keep = np.flatnonzero(hit | missed)
-        keep = keep[:: max(1, len(keep) // _MOST_RAYS)]
-        ring = _solve(rays.select(keep), hit[keep], move_ring(ring, np.zeros(8)))
+        keep = keep[:: -(-len(keep) // effort.most_rays)]
+        ring = _solve(rays.select(keep), hit[keep], move_ring(ring, np.zeros(8)), effort)
     return ring
 
 
-def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring) -> Ring:
+def _solve(rays: Sightlines, hit: Bool[np.ndarray, "N"], start: Ring, effort: RingFit) -> Ring:
     """Return the ring of least robust (soft l1) cost, by Levenberg-Marquardt steps."""
     ring, trial, cost, damping = start, start, np.inf, _FIRST_DAMPING
-    for _ in range(_STEPS):
+    for _ in range(effort.most_steps):
         residuals, jacobian = linearize_ring(rays, hit, trial)
         root = np.sqrt(1.0 + residuals**2)
         now = 2.0 * float((root - 1.0).sum())
         if now < cost:
-            is_still = cost - now < _STILL * cost
+            is_still = cost - now < effort.still * cost
             ring, cost, damping = trial, now, 0.3 * damping
             if is_still:
                 break
@@ -269,9 +306,14 @@ def linearize_ring(
     poll()
     met = cross_ring(rays, ring)
     a, b = ring.half_width, ring.half_depth
+    is_wrong = np.where(hit, met.level > 1.0, met.level < 1.0)
+    # A ray that misses the rim as it should has no residual.
+    used = np.flatnonzero(hit | is_wrong)
+    n_hits, hit, is_wrong, length = int(hit.sum()), hit[used], is_wrong[used], rays.length[used]
+    met = met.select(used)
     far, steep, outward, along = met.across / a, met.slope / b, met.outward / a, met.along
     # Derivatives by the ring's motion: distance from the axis, radial and axial component, crossing.
-    n = len(rays)
+    n = len(used)
     distance, speed, slope, crossing = (np.zeros((8, n)) for _ in range(4))
     unit, lag = met.unit, along / met.distance
     for i, side in ((0, unit[:, 1]), (1, -unit[:, 0])):
@@ -296,15 +338,15 @@ def linearize_ring(
     outside = (met.level - 1.0) * a
     d_outside = a * d_level
     d_outside[6] += met.level - 1.0
-    wrong = np.flatnonzero(np.where(hit, outside > 0.0, outside < 0.0))
+    wrong = np.flatnonzero(is_wrong)
     edge_sign = np.where(hit[wrong], 1.0, -1.0) / _SIGMA_EDGE
     depth = met.crossing - met.nearest - chord
     # As strong as the mean depth of all hits; with a weaker prior, mixed pixels would deepen the rim.
-    prior = np.sqrt(max(int(hit.sum()), 1)) / _SIGMA_HALF_DEPTH
+    prior = np.sqrt(max(n_hits, 1)) / _SIGMA_HALF_DEPTH
     d_prior = np.zeros((8, 1))
     d_prior[6], d_prior[7] = -prior * (a < _USUAL_HALF_DEPTH), prior
     residuals = [
-        (depth - rays.length)[hit] / _SIGMA_DEPTH,
+        (depth - length)[hit] / _SIGMA_DEPTH,
         edge_sign * outside[wrong],
         [prior * (b - min(_USUAL_HALF_DEPTH, a))],
     ]

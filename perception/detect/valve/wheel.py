@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from heapq import heapify, heappop, heappush
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,17 +15,19 @@ from perception.cloud import Cloud
 from perception.detect.shared.arithmetic import rising
 from perception.detect.shared.detection import Detection
 from perception.detect.valve.bodies import ValveDetection
-from perception.detect.valve.circles import Circle, find_circles, find_discs
-from perception.detect.valve.evidence import WheelEvidence, weigh_wheel
+from perception.detect.valve.circle_fit import Circle
+from perception.detect.valve.circles import find_circles, find_discs
+from perception.detect.valve.evidence import RimEvidence, WheelEvidence, weigh_rim, weigh_wheel
 from perception.detect.valve.foreground import Foreground
 from perception.detect.valve.inside import Inside, look_inside
 from perception.detect.valve.ring import (
     CLOSE,
+    FINE,
+    ROUGH,
     Ring,
-    depth_error,
+    cross_plane,
     fit_ring,
     pass_ring,
-    rim_hits,
     rough_gate,
 )
 from perception.detect.vehicle.seat import Seat, find_seats
@@ -38,7 +41,7 @@ _BEHIND = 0.05
 _REPORTED = 0.05
 _EXAMINED_HERE, _PLACE = 4, 0.3
 _HINTED_SEEDS, _HINTED_EXAMINED = 4, 16
-_LEAST_PROMISE, _LEAST_QUALITY = 0.25, 0.03
+_LEAST_PROMISE, _LEAST_QUALITY = 0.25, 0.06
 _SECTORS, _COMPLETE = 24, (0.35, 0.75)
 # Band of a rim: bins of its edges, how far its edges are searched from a circle, and its greatest half width [m].
 _BAND_BIN, _BAND_WITHIN, _WIDEST = 0.006, 0.07, 0.055
@@ -96,12 +99,7 @@ def find_wheels(
         some = index_of(index.rays.thin(_MOST_COARSE))
         circles = find_circles(candidates) if hint is None else find_circles(candidates, _HINTED_SEEDS)
         circles += [] if hint is None else find_discs(candidates, hint)
-        starts = [_start_at(circle, some) for circle in circles]
-        starts = [
-            start for start in starts if start.promise > _LEAST_PROMISE and start.promise * start.score > _LEAST_QUALITY
-        ]
-        starts.sort(key=lambda start: -start.rank)
-        detections = _examine_starts(starts, index, view.floor, hint is not None)
+        detections = _examine_circles(circles, some, index, view.floor, hint is not None)
     if hint is None:
         detections = _doubt_steering(detections, view)
     detections = [d for d in detections if d.confidence >= _REPORTED]
@@ -127,24 +125,52 @@ class _Start:
         """Order of examination; hubs are circles too: of two equally good circles, the larger one comes first."""
         return self.score * self.promise * float(np.sqrt(self.ring.radius))
 
+    @property
+    def is_promising(self) -> bool:
+        """Whether the ring is worth a fit."""
+        return self.promise > _LEAST_PROMISE and self.promise * self.score > _LEAST_QUALITY
 
-def _examine_starts(
-    starts: list[_Start], index: SightIndex, floor: FloorPlane | None, is_hinted: bool
+
+def _examine_circles(
+    circles: list[Circle], some: SightIndex, index: SightIndex, floor: FloorPlane | None, is_hinted: bool
 ) -> list[ValveDetection]:
-    """Return wheels fitted to the first starts about each place, without those centred in the disc of a sure wheel."""
+    """Return wheels fitted at the best circles about each place, without those centred in the disc of a sure wheel.
+
+    A ring begins at a circle only when no circle that may rank higher is left: most circles are in places examined by
+    then.
+
+    Args:
+        some: index of a part of the rays, enough to begin rings.
+    """
     valves: list[ValveDetection] = []
-    examined: list[Float[np.ndarray, "3"]] = []
-    for start in starts:
-        centre = start.ring.centre
-        n_near = sum(float(np.linalg.norm(centre - other)) < _PLACE for other in examined)
-        if n_near >= (_HINTED_EXAMINED if is_hinted else _EXAMINED_HERE):
+    taken = np.zeros(len(circles), dtype=bool)
+    n_examined = np.zeros(len(circles), dtype=np.int64)
+    centres = np.array([circle.centre for circle in circles]).reshape(-1, 3)
+    queue: list[tuple[float, int, _Start | None]] = [(-_most_rank(circle), i, None) for i, circle in enumerate(circles)]
+    heapify(queue)
+    while queue:
+        _, i, start = heappop(queue)
+        if taken[i]:
             continue
-        sure = [valve for valve in valves if valve.confidence > _SURE]
-        if any(np.linalg.norm(centre - valve.centre) < valve.outer_radius for valve in sure):
+        if start is None:
+            start = _start_at(circles[i], some)
+            if start.is_promising:
+                heappush(queue, (-start.rank, i, start))
             continue
-        valves.append(_examine(start.ring, index, floor, is_hinted))
-        examined.append(centre)
+        valve = _examine(start.ring, index, floor, is_hinted)
+        n_examined += ((centres - centres[i]) ** 2).sum(axis=1) < _PLACE**2
+        taken |= n_examined >= (_HINTED_EXAMINED if is_hinted else _EXAMINED_HERE)
+        if valve is None:
+            continue
+        valves.append(valve)
+        if valve.confidence > _SURE:
+            taken |= ((centres - valve.centre) ** 2).sum(axis=1) < valve.outer_radius**2
     return valves
+
+
+def _most_rank(circle: Circle) -> float:
+    """Return a bound on the rank of the ring that begins at a circle."""
+    return circle.score * float(np.sqrt(circle.radius + _BAND_WITHIN + _BAND_BIN))
 
 
 def _doubt_steering(detections: list[ValveDetection], view: View) -> list[ValveDetection]:
@@ -166,11 +192,11 @@ def _start_at(circle: Circle, index: SightIndex) -> _Start:
     The circle of a flat rim may lie anywhere between its edges; the rays tell where these are.
     """
     near = index.passing(circle.centre[None], circle.radius + _BAND_WITHIN + 0.09).thin(_FEW_RAYS)
-    passage = pass_ring(near, Ring(circle.centre, circle.axis, circle.radius, 0.02, 0.02))
-    behind = near.length - passage.crossing
+    place, crossing = cross_plane(near, circle.centre, circle.axis)
+    behind = near.length - crossing
     known = behind > -_BEHIND
     solid = known & (np.abs(behind) < _BEHIND)
-    distance = np.linalg.norm(passage.place, axis=1)
+    distance = np.hypot(*place.T)
     n_bins = int((circle.radius + _BAND_WITHIN + 0.09) / _BAND_BIN) + 1
     inside = distance < n_bins * _BAND_BIN
     of_ray = (distance[inside] / _BAND_BIN).astype(np.int64)
@@ -202,7 +228,7 @@ def _start_at(circle: Circle, index: SightIndex) -> _Start:
     if edge[best] < _SOLID_INSIDE:
         inner = np.maximum(inner, outer - _EDGE_BINS)
     band = inside & known & (distance >= inner[best] * _BAND_BIN) & (distance < outer[best] * _BAND_BIN)
-    promise *= rising(_complete(passage.place[band], solid[band]), *_COMPLETE)
+    promise *= rising(_complete(place[band], solid[band]), *_COMPLETE)
     radius, half = 0.5 * _BAND_BIN * (inner + outer)[best], 0.5 * _BAND_BIN * (outer - inner)[best]
     return _Start(
         Ring(circle.centre, circle.axis, float(radius), float(max(half, 0.008)), 0.012), promise, circle.score
@@ -228,25 +254,27 @@ def _drop_duplicates(detections: list[ValveDetection]) -> list[ValveDetection]:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """Ring with its inside, its evidence, and the depth error and number of its hits."""
+    """Ring with its inside and its evidence."""
 
     ring: Ring
     inside: Inside
+    rim: RimEvidence
     evidence: WheelEvidence
-    rms: float
-    n_hits: int
 
 
-def _examine(start: Ring, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection:
-    """Return the valve at a rough ring: its rim fitted to the rays and rated."""
-    ring = fit_ring(_rays_about(index, start), start, rough_gate(start), n_rounds=1)
+def _examine(start: Ring, index: SightIndex, floor: FloorPlane | None, is_hinted: bool) -> ValveDetection | None:
+    """Return the valve at a rough ring, its rim fitted to the rays and rated; None: no rim there."""
+    ring = fit_ring(_rays_about(index, start), start, rough_gate(start), ROUGH)
     first = _weigh(index, ring, floor)
+    if first is None:
+        return None
     # The openings of a small wheel show only when its rim is fitted closely.
     if first.evidence.solid_confidence < _HOPELESS:
         return _as_valve(first, is_hinted)
     # Without the rays further outside, thinning keeps more rays on a small rim.
-    ring = fit_ring(_rays_about(index, ring, _JUST_BESIDE), ring, CLOSE, n_rounds=2)
-    return _as_valve(_weigh(index, ring, floor), is_hinted)
+    ring = fit_ring(_rays_about(index, ring, _JUST_BESIDE), ring, CLOSE, FINE)
+    second = _weigh(index, ring, floor)
+    return None if second is None else _as_valve(second, is_hinted)
 
 
 def _rays_about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
@@ -254,14 +282,16 @@ def _rays_about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sight
     return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thin(_MOST_RAYS)
 
 
-def _weigh(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed:
+def _weigh(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed | None:
+    """Return the ring's inside and evidence; None: without evidence for a rim, nothing else counts."""
     near = _rays_about(index, ring)
     ring = _turn_to_sensor(near, ring)
     passage = pass_ring(near, ring)
-    hit = rim_hits(near, ring, passage)
+    rim = weigh_rim(near, ring, passage)
+    if rim.rating == 0.0:
+        return None
     inside = look_inside(near, ring, passage)
-    evidence = weigh_wheel(near, ring, passage, hit, inside, floor)
-    return _Weighed(ring, inside, evidence, depth_error(near, passage, hit), int(hit.sum()))
+    return _Weighed(ring, inside, rim, weigh_wheel(near, ring, passage, rim, inside, floor))
 
 
 def _as_valve(weighed: _Weighed, is_hinted: bool) -> ValveDetection:
@@ -277,8 +307,8 @@ def _as_valve(weighed: _Weighed, is_hinted: bool) -> ValveDetection:
         inside.hub_radius,
         inside.depth,
         _hinted_confidence(weighed.evidence) if is_hinted else weighed.evidence.confidence,
-        weighed.rms,
-        weighed.n_hits,
+        weighed.rim.rms,
+        weighed.rim.n_hits,
         inside.spoke_half_width,
         inside.spoke_share,
     )

@@ -19,6 +19,15 @@ class Priority(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     PRIORITY_INTERACTIVE: _ClassVar[Priority]
     PRIORITY_BATCH: _ClassVar[Priority]
 
+class PartShape(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    PART_SHAPE_UNSPECIFIED: _ClassVar[PartShape]
+    PART_SHAPE_BOX: _ClassVar[PartShape]
+    PART_SHAPE_CYLINDER: _ClassVar[PartShape]
+    PART_SHAPE_CAPSULE: _ClassVar[PartShape]
+    PART_SHAPE_WHEEL: _ClassVar[PartShape]
+    PART_SHAPE_LEVER: _ClassVar[PartShape]
+
 class PlanState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     PLAN_STATE_UNSPECIFIED: _ClassVar[PlanState]
@@ -35,6 +44,12 @@ class Decision(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
 PRIORITY_UNSPECIFIED: Priority
 PRIORITY_INTERACTIVE: Priority
 PRIORITY_BATCH: Priority
+PART_SHAPE_UNSPECIFIED: PartShape
+PART_SHAPE_BOX: PartShape
+PART_SHAPE_CYLINDER: PartShape
+PART_SHAPE_CAPSULE: PartShape
+PART_SHAPE_WHEEL: PartShape
+PART_SHAPE_LEVER: PartShape
 PLAN_STATE_UNSPECIFIED: PlanState
 PLAN_STATE_QUEUED: PlanState
 PLAN_STATE_RUNNING: PlanState
@@ -212,20 +227,52 @@ class BuildSceneRequest(_message.Message):
     def __init__(self, clouds: _Optional[_Union[CloudsSpec, _Mapping]] = ..., detect: _Optional[_Iterable[str]] = ..., hint: _Optional[_Iterable[float]] = ..., unknown: _Optional[_Union[_request_pb2.UnknownSpace, str]] = ..., method: _Optional[_Union[_request_pb2.PieceMethod, str]] = ..., meshes: _Optional[_Iterable[_Union[KnownMesh, _Mapping]]] = ..., update: _Optional[str] = ...) -> None: ...
 
 class KnownMesh(_message.Message):
-    __slots__ = ("file", "name", "scale", "position", "quaternion_wxyz", "is_placed")
+    __slots__ = ("file", "name", "scale", "position", "quaternion_wxyz", "is_placed", "parts")
     FILE_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
     QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
     IS_PLACED_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
     file: str
     name: str
     scale: float
     position: _containers.RepeatedScalarFieldContainer[float]
     quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
     is_placed: bool
-    def __init__(self, file: _Optional[str] = ..., name: _Optional[str] = ..., scale: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., is_placed: bool = ...) -> None: ...
+    parts: _containers.RepeatedCompositeFieldContainer[ObjectPart]
+    def __init__(self, file: _Optional[str] = ..., name: _Optional[str] = ..., scale: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., is_placed: bool = ..., parts: _Optional[_Iterable[_Union[ObjectPart, _Mapping]]] = ...) -> None: ...
+
+class ObjectPart(_message.Message):
+    __slots__ = ("type", "position", "quaternion_wxyz", "size", "radius", "height", "rim_radius", "spokes", "spoke_radius", "hub_radius", "length", "grip_length", "grip_radius")
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    SIZE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    RIM_RADIUS_FIELD_NUMBER: _ClassVar[int]
+    SPOKES_FIELD_NUMBER: _ClassVar[int]
+    SPOKE_RADIUS_FIELD_NUMBER: _ClassVar[int]
+    HUB_RADIUS_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_FIELD_NUMBER: _ClassVar[int]
+    GRIP_LENGTH_FIELD_NUMBER: _ClassVar[int]
+    GRIP_RADIUS_FIELD_NUMBER: _ClassVar[int]
+    type: PartShape
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    size: _containers.RepeatedScalarFieldContainer[float]
+    radius: float
+    height: float
+    rim_radius: float
+    spokes: int
+    spoke_radius: float
+    hub_radius: float
+    length: float
+    grip_length: float
+    grip_radius: float
+    def __init__(self, type: _Optional[_Union[PartShape, str]] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., rim_radius: _Optional[float] = ..., spokes: _Optional[int] = ..., spoke_radius: _Optional[float] = ..., hub_radius: _Optional[float] = ..., length: _Optional[float] = ..., grip_length: _Optional[float] = ..., grip_radius: _Optional[float] = ...) -> None: ...
 
 class BuildSceneResponse(_message.Message):
     __slots__ = ("step", "scene")
@@ -302,14 +349,16 @@ class Detection(_message.Message):
     def __init__(self, kind: _Optional[str] = ..., confidence: _Optional[float] = ..., pose_world_object: _Optional[_Iterable[float]] = ..., sizes: _Optional[_Mapping[str, float]] = ..., residuals: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class DetectRequest(_message.Message):
-    __slots__ = ("clouds", "kind", "hint")
+    __slots__ = ("clouds", "kind", "hint", "objects")
     CLOUDS_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     HINT_FIELD_NUMBER: _ClassVar[int]
+    OBJECTS_FIELD_NUMBER: _ClassVar[int]
     clouds: CloudsSpec
     kind: str
     hint: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, clouds: _Optional[_Union[CloudsSpec, _Mapping]] = ..., kind: _Optional[str] = ..., hint: _Optional[_Iterable[float]] = ...) -> None: ...
+    objects: _containers.RepeatedCompositeFieldContainer[KnownMesh]
+    def __init__(self, clouds: _Optional[_Union[CloudsSpec, _Mapping]] = ..., kind: _Optional[str] = ..., hint: _Optional[_Iterable[float]] = ..., objects: _Optional[_Iterable[_Union[KnownMesh, _Mapping]]] = ...) -> None: ...
 
 class DetectResponse(_message.Message):
     __slots__ = ("hits", "notes")

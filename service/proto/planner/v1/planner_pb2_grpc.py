@@ -133,7 +133,7 @@ class PlannerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Detect(self, request, context):
-        """Find objects of a kind in clouds, best first.
+        """Find objects of a kind, or objects given by a mesh or by parameters, in clouds, best first.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -1,0 +1,144 @@
+"""Fine fits of an object's pose to a scan, from rough poses, and the comparison with rival poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from perception.sightlines import sight_index
+from perception.solids.fit import MIN_AGREEING, MeshPose, PoseJudge, Region, Surface, fit_pose, make_pose_judge
+from perception.solids.mesh import Solid
+from perception.solids.rating import NEAR_FOUND, MeshMatch, rate_pose
+from perception.view import View
+
+_N_BEST = 10
+_COARSE_POINTS, _COARSE_RAYS = 250, 500
+_MOST_POINTS, _MOST_RAYS = 4000, 6000
+_SOME_RAYS = 2000
+_FROM_BEHIND, _SETTLE_GATES, _UNSETTLED = (0.0, 0.02), np.linspace(0.06, 0.025, 10), 0.025  # [m]
+_N_NUDGED = 4
+_NUDGES = (0.04, 0.025, 0.015)  # [m], and five times as many radians
+_NUDGE_POINTS = 600
+_NUDGE_GATES = np.concatenate([np.linspace(0.05, 0.025, 5), np.full(5, 0.025)])
+_DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
+
+
+def settle_poses(
+    rough: Sequence[tuple[float, MeshPose]],
+    solid: Solid,
+    surface: Surface,
+    centre: Float[np.ndarray, "3"],
+    radius: float,
+    view: View,
+) -> list[MeshMatch]:
+    """Return matches fitted from rough poses, without those that overlap a better one.
+
+    Order: confidence times score, best first.
+    """
+    index = sight_index(view.cloud)
+    fitted: list[tuple[float, MeshPose, PoseJudge]] = []
+    for _, start in rough:
+        judge = make_pose_judge(surface, index, view, start.to_world(centre), radius)
+        if len(judge.region.points) < MIN_AGREEING:
+            continue
+        few = judge.region.thin(_NUDGE_POINTS)
+        away = start.to_world(centre) - few.starts.mean(axis=0)
+        away /= np.linalg.norm(away)
+        poses = [fit_pose(surface, few, start.translate(by * away), _SETTLE_GATES) for by in _FROM_BEHIND]
+        fitted.append((*_rate_first(judge, poses), judge))
+    fitted.sort(key=lambda candidate: -candidate[0])
+    # An object that was first fitted the wrong way round stays so: what carries it looks like another part of it.
+    for _, pose, judge in fitted[:_N_NUDGED]:
+        few = judge.region.thin(_NUDGE_POINTS)
+        poses = [fit_pose(surface, few, start, _SETTLE_GATES) for start in _turn_by_half(surface, few, pose)]
+        if poses:
+            fitted.append((*_rate_first(judge, poses), judge))
+    fitted.sort(key=lambda candidate: -candidate[0])
+    matches: list[MeshMatch] = []
+    scores: list[float] = []
+    for score, pose, judge in fitted[:_N_NUDGED]:
+        place = pose.to_world(centre)
+        if any(np.linalg.norm(place - _centre_of(other, centre)) < radius for other in matches):
+            continue
+        best, settled = _nudge(surface, judge, judge.region.thin(_MOST_POINTS), (score, pose))
+        rivals = [other for other, turned, _ in fitted if is_different(settled, turned, centre)]
+        # About the place where the search began, points beyond the object's end may be left out.
+        judge = make_pose_judge(surface, index, view, settled.to_world(centre), radius)
+        matches.append(rate_pose(settled, judge, compare_rivals(rivals, best), solid, NEAR_FOUND))
+        scores.append(max(best, 0.0))
+    order = sorted(range(len(matches)), key=lambda i: (-matches[i].confidence * scores[i], -matches[i].confidence))
+    return [matches[i] for i in order]
+
+
+def _rate_first(judge: PoseJudge, poses: Sequence[MeshPose]) -> tuple[float, MeshPose]:
+    """Return the best of some poses that are not yet settled, with its score."""
+    rated = [judge.count(pose, _SOME_RAYS, _NUDGE_POINTS, _UNSETTLED).score for pose in poses]
+    first = int(np.argmax(rated))
+    return rated[first], poses[first]
+
+
+def _turn_by_half(surface: Surface, region: Region, pose: MeshPose) -> list[MeshPose]:
+    """Return the pose turned by half about each principal axis of the points that lie on the object."""
+    place, _ = surface.nearest(pose.to_mesh(region.points))
+    on = region.points[np.linalg.norm(pose.to_world(place) - region.points, axis=1) < _UNSETTLED]
+    if len(on) < MIN_AGREEING:
+        return []
+    middle = on.mean(axis=0)
+    axes = np.linalg.eigh(np.cov((on - middle).T))[1].T
+    return [pose.rotate(np.pi * axis, middle) for axis in axes]
+
+
+def search_about(
+    surface: Surface, judge: PoseJudge, region: Region, starts: Sequence[MeshPose], radius: float
+) -> list[tuple[float, MeshPose]]:
+    """Return scores and poses, fitted from every start on few points and then, for the best, on many."""
+    few = region.thin(_COARSE_POINTS)
+    gates = np.linspace(0.6 * radius, 0.05, 6)
+    rough = [fit_pose(surface, few, start, gates) for start in starts]
+    scores = [judge.count(pose, _COARSE_RAYS, _COARSE_POINTS).score for pose in rough]
+    best = np.argsort(scores, kind="stable")[::-1][:_N_BEST]
+    many = region.thin(_MOST_POINTS)
+    gates = np.concatenate([np.linspace(0.06, 0.025, 12), np.full(12, 0.025)])
+    fine = [fit_pose(surface, many, rough[i], gates) for i in best]
+    scored = [(judge.count(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in fine]
+    scored.sort(key=lambda candidate: -candidate[0])
+    return [_nudge(surface, judge, many, best) for best in scored[:_N_NUDGED]] + scored[_N_NUDGED:]
+
+
+def _nudge(surface: Surface, judge: PoseJudge, region: Region, best: tuple[float, MeshPose]) -> tuple[float, MeshPose]:
+    """Return the best score and pose after refits from slightly moved poses; ICP stalls where faces slide."""
+    few = region.thin(_NUDGE_POINTS)
+    for step in _NUDGES:
+        about = best[1].to_world(np.zeros(3))
+        beside = [best[1].translate(sign * step * axis) for axis in best[1].rotation.T for sign in (-1.0, 1.0)]
+        beside += [best[1].rotate(sign * 5.0 * step * axis, about) for axis in np.eye(3) for sign in (-1.0, 1.0)]
+        poses = [fit_pose(surface, few, pose, _NUDGE_GATES) for pose in beside]
+        best = max([best, *((judge.count(pose, _MOST_RAYS, _MOST_POINTS).score, pose) for pose in poses)],
+                    key=lambda scored: scored[0])  # fmt: skip
+    return best[0], fit_pose(surface, region, best[1], _NUDGE_GATES[-3:])
+
+
+def make_starts(centre: Float[np.ndarray, "3"], initial: Float[np.ndarray, "4 4"]) -> list[MeshPose]:
+    """Return start poses around an approximate one."""
+    given = MeshPose(initial[:3, :3], initial[:3, 3])
+    turns = [np.zeros(3), *(sign * 0.3 * axis for axis in np.eye(3) for sign in (-1, 1))]
+    shifts = [np.zeros(3), *(sign * 0.08 * axis for axis in np.eye(3) for sign in (-1, 1))]
+    about = given.to_world(centre)
+    return [given.rotate(turn, about).translate(shift) for turn in turns for shift in shifts]
+
+
+def compare_rivals(rivals: Sequence[float], best: float) -> float:
+    """Return the score of the best rival over a pose's own; 1 for a pose without support."""
+    return float(max(0.0, max(rivals, default=0.0)) / best) if best > 0.0 else 1.0
+
+
+def is_different(pose: MeshPose, other: MeshPose, centre: Float[np.ndarray, "3"]) -> bool:
+    angle = np.degrees(Rotation.from_matrix(pose.rotation.T @ other.rotation).magnitude())
+    return bool(angle > _DIFFERENT_DEG or np.linalg.norm(pose.to_world(centre) - other.to_world(centre)) > _DIFFERENT_M)
+
+
+def _centre_of(match: MeshMatch, centre: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    return np.asarray(match.pose_world_mesh[:3, :3] @ centre + match.pose_world_mesh[:3, 3])
