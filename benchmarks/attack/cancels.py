@@ -30,7 +30,7 @@ from service.request.file import load_request
 from service.request.schema import PlanRequest
 from service.scan.cloud import CloudInput
 from service.server.serve import PRELOAD
-from service.work.look import SceneTask, build_scene, detect, verify
+from service.work.look import DetectTask, SceneTask, build_scene, detect, verify
 from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -129,7 +129,7 @@ def _attacks(
         clouds = CloudInput((scans[int(rng.integers(len(scans)))],))
         unknown = str(rng.choice(["free", "occupied"])) if EVERY_KIND in kinds else "free"
         yield _Attack("scene", build_scene, (SceneTask(clouds, (str(rng.choice(KINDS)),), unknown=unknown),))
-        yield _Attack("detect", detect, (clouds, str(rng.choice(kinds)), None))
+        yield _Attack("detect", detect, (DetectTask(clouds, str(rng.choice(kinds))),))
         yield _Attack("plan", run_plan, (PlanTask(requests[int(rng.integers(len(requests)))]),))
         yield _Attack("verify", verify, (files,))
 
