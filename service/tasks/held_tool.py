@@ -34,8 +34,10 @@ def place_tool(
 ) -> Residual[MotionState]:
     """Return a tool's distance from its places, but for its slide; of a rigid hand also its turn about its axis."""
     if hand.rotation is not None:
-        return _rigid_residual(robot, hand, waypoints, places)
-    return _place_residual(robot, hand, waypoints, places, is_along=False)
+        return _measure_off(robot, hand, waypoints, places, hand.rotation, (True, True, True, False, False, True))
+    is_free = hand.slide is None
+    axes = (True, True, is_free, False, False, False)
+    return _measure_off(robot, hand, waypoints, places, _find_slide_axes(hand), axes)
 
 
 def slide_tool(
@@ -44,39 +46,27 @@ def slide_tool(
     waypoints: Int[np.ndarray, "S"] | Sequence[int],
     places: Float[np.ndarray, "#S 3"],
 ) -> Residual[MotionState]:
-    """Return how far a tool is along its slide from its places [m]."""
-    return _place_residual(robot, hand, waypoints, places, is_along=True)
+    """Return how far a tool that may slide is along its slide from its places [m]."""
+    axes = (False, False, True, False, False, False)
+    return _measure_off(robot, hand, waypoints, places, _find_slide_axes(hand), axes)
 
 
-def _rigid_residual(
+def _find_slide_axes(hand: HandMotion) -> Float[np.ndarray, "3 3"]:
+    """Return axes of the place's link whose third is along the slide; the link's own without a slide."""
+    return np.eye(3) if hand.slide is None else find_rotation_onto(AXIS, hand.slide / np.linalg.norm(hand.slide))
+
+
+def _measure_off(
     robot: RobotModel,
     hand: HandMotion,
     waypoints: Int[np.ndarray, "S"] | Sequence[int],
     places: Float[np.ndarray, "#S 3"],
+    rotation: Float[np.ndarray, "3 3"],
+    axes: tuple[bool, ...],
 ) -> FramePose:
-    """Return the tool's distance from its places, and its turn about its axis."""
+    """Return some components of a tool's pose relative to its places, in axes of the place's link."""
     targets = np.tile(np.eye(4), (len(places), 1, 1))
-    targets[:, :3, :3], targets[:, :3, 3] = hand.rotation, places
-    axes = (True, True, True, False, False, True)
-    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
-
-
-def _place_residual(
-    robot: RobotModel,
-    hand: HandMotion,
-    waypoints: Int[np.ndarray, "S"] | Sequence[int],
-    places: Float[np.ndarray, "#S 3"],
-    *,
-    is_along: bool,
-) -> FramePose:
-    """Return the tool's distance from its places: along its slide, or across it (in all directions without one)."""
-    targets = np.tile(np.eye(4), (len(places), 1, 1))
-    targets[:, :3, 3] = places
-    axes = (True, True, True, False, False, False)
-    if hand.slide is not None:
-        direction = hand.slide / np.linalg.norm(hand.slide)
-        targets[:, :3, :3] = find_rotation_onto(AXIS, direction)
-        axes = (not is_along, not is_along, is_along, False, False, False)
+    targets[:, :3, :3], targets[:, :3, 3] = rotation, places
     return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
 
 
@@ -140,6 +130,6 @@ def follow_tool(
 
 def _hold_at(robot: RobotModel, hand: HandMotion, place: Float[np.ndarray, "1 3"]) -> tuple[Hold, Hold]:
     """Return the holds of a tool at one place and of its axis."""
-    return (lambda waypoints: place_tool(robot, hand, waypoints, place)), lambda waypoints: aim_tool(
-        robot, hand, waypoints
-    )
+    at_place: Hold = lambda waypoints: place_tool(robot, hand, waypoints, place)  # noqa: E731
+    axis: Hold = lambda waypoints: aim_tool(robot, hand, waypoints)  # noqa: E731
+    return at_place, axis
