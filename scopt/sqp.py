@@ -68,7 +68,7 @@ class TrustRegionSQP:
         Args:
             x0: (T, n) start; clipped into the bounds.
             on_iteration: called after every trial step with its record and the current iterate.
-            should_stop: called before every trial step; True ends the solve as CANCELLED.
+            should_stop: called before every model and trial step; True ends the solve as CANCELLED.
 
         Raises:
             ProblemError: ``x0`` has the wrong shape or holds NaN, or a term has no finite value there.
@@ -78,13 +78,20 @@ class TrustRegionSQP:
         radius, level, progress = region.init(), schedule.init(), termination.init()
         current = course.best
         hessians = HessianSum((problem.upper > problem.lower).ravel())
+
+        def find_end() -> Status | None:
+            is_cancelled = should_stop is not None and should_stop()
+            return termination.terminate(progress, current, course.elapsed_s, is_cancelled=is_cancelled)
+
         while True:  # penalty iterations
             while True:  # convexify iterations
+                status = find_end()
+                if status is not None:
+                    return course.finish(status, level.mu)
                 local = self._convexify(problem, current, level.mu, hessians)
                 is_accepted = False
                 while not region.terminate(radius):  # trust region iterations
-                    is_cancelled = should_stop is not None and should_stop()
-                    status = termination.terminate(progress, current, course.elapsed_s, is_cancelled=is_cancelled)
+                    status = find_end()
                     if status is not None:
                         return course.finish(status, level.mu)
 

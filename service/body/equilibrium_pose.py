@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -49,12 +50,11 @@ class EquilibriumPose:
         torque_nm: (n,) generalised forces of the joints at rest under these forces [N m, N].
         most_loaded_joint: the joint that uses most of its limit; empty for a robot without torque limits.
         torque_share: of its limit that it uses.
-        least_torque_share: the same under the forces that spread torque best; ``inf`` where none hold the pose.
-        reserve_n: how far inside friction and caps the forces at all contact points can be at once [N]: errors up to it
-            make no contact slip, lift or press too hard.  Negative where no forces hold the configuration.
         is_feasible: whether all constraints are kept and forces hold the configuration within all limits.
         violations: what is violated, in sentences; empty for a feasible pose.
         result: of the optimiser, its variables the configuration and the forces in units of the robot's weight.
+        rows: what forces at the contact points do in this configuration.
+        allowed_torque: share of each torque limit that may be used; None for any torque.
     """
 
     q: Float[np.ndarray, "n"]
@@ -65,11 +65,24 @@ class EquilibriumPose:
     torque_nm: Float[np.ndarray, "n"]
     most_loaded_joint: str
     torque_share: float
-    least_torque_share: float
-    reserve_n: float
     is_feasible: bool
     violations: tuple[str, ...]
     result: Result
+    rows: ForceRows
+    allowed_torque: float | None
+
+    @cached_property
+    def least_torque_share(self) -> float:
+        """``torque_share`` under the forces that spread torque best; ``inf`` where none hold the pose."""
+        return self.rows.spread_torque()[0]
+
+    @cached_property
+    def reserve_n(self) -> float:
+        """How far inside friction and caps the forces at all contact points can be at once [N].
+
+        Errors up to it make no contact slip, lift or press too hard.  Negative where no forces hold the configuration.
+        """
+        return self.rows.measure_reserve(self.allowed_torque)
 
 
 @dataclass(frozen=True)
@@ -294,9 +307,8 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
         worst = float(term.measure_violation(term.residual.value(state)).max(initial=0.0))
         if worst > term.tolerance:
             violations = (*violations, f"pose: '{term.name}' is off by {worst:.3g} {term.unit}".rstrip())
-    reserve = rows.measure_reserve(limits.torque_share)
     if held is None:
-        violations = (*violations, _explain_forces(rows, limits, reserve, robot.joint_names))
+        violations = (*violations, _explain_forces(rows, limits, robot.joint_names))
     return EquilibriumPose(
         x[0],
         points,
@@ -306,16 +318,17 @@ def _describe(attempt: _Attempt) -> EquilibriumPose:
         rows.weight_n * StaticTorque(robot, points, limits.loads).measure(state, np.arange(1))[0],
         robot.joint_names[rows.limited[most]] if len(shares) else "",
         float(shares[most]) if len(shares) else 0.0,
-        rows.spread_torque()[0],
-        reserve,
         not violations,
         violations,
         result,
+        rows,
+        limits.torque_share,
     )
 
 
-def _explain_forces(rows: ForceRows, limits: ForceLimits, reserve: float, joint_names: Sequence[str]) -> str:
-    """Return a sentence why no forces hold the configuration, with a reserve within its limits [N]."""
+def _explain_forces(rows: ForceRows, limits: ForceLimits, joint_names: Sequence[str]) -> str:
+    """Return a sentence why no forces hold the configuration."""
+    reserve = rows.measure_reserve(limits.torque_share)
     if reserve >= 0.0:
         return f"contact forces can err by {reserve:.3g} N at most, {limits.margin_n:.3g} N are required"
     missing = rows.measure_reserve(None)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog, nnls
 
+from costs.rotation import skew
 from costs.stopping import poll
 from service.verify.forces.loaded_balance import Ground
 
@@ -17,7 +18,6 @@ _EDGES = 8  # of the pyramid inside a friction cone, for the programs
 _EXACT = 1e3  # weight of the wrench against torques in a least-squares program
 _SMALL = 1e-2  # weight of the size of forces in it
 _FILLED = 0.98  # of caps and friction, in it
-_NEIGHBOURS = 60  # samples on either side for which the edges used at one are tried
 _WANTED_SHARE = 0.95  # of torque limits: forces that need more are improved where possible
 
 
@@ -72,12 +72,7 @@ class ContactShare:
         count = len(ground.points)
         self.middle = ground.points.mean(axis=0)
         arms = ground.points - self.middle
-        zero = np.zeros(count)
-        x, y, z = arms.T
-        cross = np.stack(
-            [np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], axis=1
-        )  # (C, 3, 3): cross @ f = arm x f
-        self.grasp = np.concatenate([np.tile(np.eye(3), count), np.concatenate(list(cross), axis=1)], axis=0)
+        self.grasp = np.concatenate([np.tile(np.eye(3), count), np.concatenate(list(skew(arms)), axis=1)], axis=0)
         self.scale = np.repeat(np.minimum(ground.caps, weight), 3) / weight
         scaled = self.grasp * self.scale
         self._least = self.scale[:, None] * np.linalg.pinv(scaled)
@@ -87,16 +82,17 @@ class ContactShare:
 
     def _list_edges(self, share: float = 1.0) -> Float[np.ndarray, "3C E"]:
         """Return the edges of all pyramids as columns, each of unit normal force, for a share of the friction."""
-        ground = self.ground
-        columns = np.zeros((3 * len(ground.points), _EDGES * len(ground.points)))
+        ground, count = self.ground, len(self.ground.points)
+        normals = ground.normals
+        side = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+        u = side / np.linalg.norm(side, axis=1, keepdims=True)
         angles = 2.0 * np.pi * np.arange(_EDGES) / _EDGES
-        for k, (normal, friction) in enumerate(zip(ground.normals, ground.friction, strict=True)):
-            side = np.eye(3)[int(np.abs(normal).argmin())]
-            u = np.cross(normal, side) / np.linalg.norm(np.cross(normal, side))
-            v = np.cross(normal, u)
-            edges = normal[:, None] + share * friction * (np.outer(u, np.cos(angles)) + np.outer(v, np.sin(angles)))
-            columns[3 * k : 3 * k + 3, _EDGES * k : _EDGES * (k + 1)] = edges
-        return columns
+        turned = np.cos(angles)[:, None] * u[:, None] + np.sin(angles)[:, None] * np.cross(normals, u)[:, None]
+        columns = np.zeros((count, 3, count, _EDGES))
+        columns[np.arange(count), :, np.arange(count)] = np.swapaxes(
+            normals[:, None] + share * ground.friction[:, None, None] * turned, 1, 2
+        )
+        return columns.reshape(3 * count, _EDGES * count)
 
     def about_middle(self, wrench: Float[np.ndarray, "S 6"]) -> Float[np.ndarray, "S 6"]:
         """Return wrenches about the middle of the contact points, given about the world's origin."""
@@ -122,15 +118,14 @@ class ContactShare:
             taken = now < was
             forces[rows[taken]], missing[rows[taken]], shares[rows[taken]] = better[taken], miss[taken], share[taken]
 
-        # Wrenches change little from sample to sample: the edges that are used at one of them do at its neighbours.
+        # Wrenches change little from sample to sample: forces that make one of them are shifted a little for others.
         tried = np.zeros(len(wanted), dtype=bool)
         while len(rows := np.flatnonzero(is_open() & ~tried)):
             poll()
             row = int(rows[len(rows) // 2])
             tried[row] = True
-            used = self._choose_edges(wanted[row], None if joints is None else joints.take(np.array([row])))
-            near = rows[np.abs(rows - row) <= _NEIGHBOURS]
-            keep_better(near, self._spread(wanted[near], None if joints is None else joints.take(near), used))
+            amounts = self._choose_amounts(wanted[row], None if joints is None else joints.take(np.array([row])))
+            keep_better(rows, self._shift(wanted[rows], amounts))
         for row in np.flatnonzero(is_open()).tolist():
             poll()
             one = np.array([row])
@@ -185,37 +180,30 @@ class ContactShare:
         shares = np.zeros((len(forces), 0)) if joints is None else np.abs(joints.measure_shares(forces))
         return missing, shares
 
-    def _choose_edges(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Int[np.ndarray, "U"]:
-        """Return the unknowns that are not zero where forces on the pyramids make one wrench, by least squares."""
+    def _choose_amounts(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "E"]:
+        """Return the amounts of all edges that make one wrench, small and with small torques, by least squares."""
         fixed, target = self._spread_rows
-        rows, aims = [fixed], [self._aim_at(wanted[None])[0], target]
+        rows, aims = [fixed], [_EXACT * wanted / self.weight, target]
         if joints is not None:
-            rows.append(self._lever_rows(joints, np.arange(fixed.shape[1]))[0])
+            lever = joints.lever[0] @ self._spread_edges * (self.weight / joints.effort[:, None])
+            rows.append(np.hstack([lever, np.zeros((len(lever), len(self.ground.points)))]))
             aims.append(joints.torque[0] / joints.effort)
         try:
-            return np.flatnonzero(nnls(np.concatenate(rows), np.concatenate(aims))[0] > 0.0)
+            return np.asarray(nnls(np.concatenate(rows), np.concatenate(aims))[0][: self._spread_edges.shape[1]])
         except RuntimeError:  # too many steps
-            return np.arange(fixed.shape[1])
+            return np.zeros(self._spread_edges.shape[1])
 
-    def _spread(
-        self, wanted: Float[np.ndarray, "R 6"], joints: Joints | None, used: Int[np.ndarray, "U"]
-    ) -> Float[np.ndarray, "R 3C"]:
-        """Return forces on some edges of the pyramids that make wrenches, small and with small torques.
+    def _shift(self, wanted: Float[np.ndarray, "R 6"], amounts: Float[np.ndarray, "E"]) -> Float[np.ndarray, "R 3C"]:
+        """Return forces that make wrenches, from the amounts of all edges at one of them.
 
-        Least squares without signs: whether forces are inside the pyramids is for the caller to see.
+        Each amount changes in proportion to its square, so that edges without force stay so and few change their sign:
+        whether forces are inside the pyramids is for the caller to see.
         """
-        fixed, target = self._spread_rows
-        own = fixed[:, used]
-        gram = np.tile(own.T @ own, (len(wanted), 1, 1))
-        right = self._aim_at(wanted) @ own[:6] + target @ own[6:]
-        if joints is not None:
-            levers = self._lever_rows(joints, used)
-            gram += levers.transpose(0, 2, 1) @ levers
-            right += np.einsum("rku,rk->ru", levers, joints.torque / joints.effort)
-        amounts = np.zeros((len(wanted), fixed.shape[1]))
-        amounts[:, used] = np.linalg.solve(gram, right[..., None])[..., 0]
-        forces = self.weight * amounts[:, : self._spread_edges.shape[1]] @ self._spread_edges.T
-        return np.asarray(forces + (wanted - forces @ self.grasp.T) @ self._least.T)
+        forces = self.weight * self._spread_edges
+        made = self.grasp @ forces
+        used = made * amounts**2
+        change = np.linalg.pinv(used @ made.T) @ used
+        return np.asarray((amounts + (wanted - made @ amounts) @ change) @ forces.T)
 
     def _make_spread_rows(self) -> tuple[Float[np.ndarray, "G V"], Float[np.ndarray, "H"]]:
         """Return the rows of the least-squares program that all samples have, and the aims of all but the first six.
@@ -231,17 +219,6 @@ class ContactShare:
             np.hstack([_SMALL * np.eye(n_edges), np.zeros((n_edges, count))]),
         ]
         return np.concatenate(rows), np.concatenate([np.full(count, _EXACT), np.zeros(n_edges)])
-
-    def _aim_at(self, wanted: Float[np.ndarray, "R 6"]) -> Float[np.ndarray, "R 6"]:
-        return _EXACT * wanted / self.weight
-
-    def _lever_rows(self, joints: Joints, used: Int[np.ndarray, "U"]) -> Float[np.ndarray, "R k U"]:
-        """Return torques relative to their limits per unit of some unknowns of the least-squares program."""
-        n_edges = self._spread_edges.shape[1]
-        rows = np.zeros((len(joints.torque), len(joints.effort), len(used)))
-        is_edge = used < n_edges
-        rows[:, :, is_edge] = joints.lever @ self._spread_edges[:, used[is_edge]]
-        return np.asarray(rows * (self.weight / joints.effort[:, None]))
 
     def _program(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"] | None:
         """Return forces with the least largest share of torque, by a linear program; None where there are none."""

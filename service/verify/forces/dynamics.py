@@ -10,6 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
+from costs.rotation import skew
 from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.contact_forces import ContactShare, Joints
@@ -176,11 +177,11 @@ def list_levers(model: pin.Model, phase: Phase, jacobians: Float[np.ndarray, "S 
     parts = []
     for contact in phase.contacts:
         joint = int(model.frames[model.getFrameId(contact.link)].parentJoint)
-        for point in contact.points:
-            for axis in np.eye(3):
-                wrench = np.tile(np.concatenate([axis, np.cross(point, axis)]), (len(jacobians), 1))
-                parts.append(_carried_torques(model, joint, wrench, jacobians))
-    return np.stack(parts, axis=2)
+        axes = map_axes(model, joint).T
+        moments = np.concatenate(list(skew(contact.points)), axis=1)
+        units = np.concatenate([np.tile(np.eye(3), len(contact.points)), moments])  # wrenches of unit forces as columns
+        parts.append(axes @ (np.swapaxes(jacobians, 1, 2) @ units))
+    return np.concatenate(parts, axis=2)
 
 
 def find_limited_joints(motion: Motion) -> Int[np.ndarray, "k"]:
