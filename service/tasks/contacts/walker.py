@@ -22,6 +22,7 @@ from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import (
     LINE_M,
+    LINE_TILT_RAD,
     ContactChange,
     ContactPhase,
     ContactStance,
@@ -32,8 +33,9 @@ from service.tasks.contacts.known_motion import KnownMotion, lead_way
 from service.tasks.phase_compiler import shrink
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
-# Of a link on its line, at the waypoints: how far it may be off, and the tolerance of that [m, rad].
-LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, float(np.deg2rad(4.0)))])
+# Of a link on its line, at the waypoints: how far it may be off along and about each axis, and the tolerance of that
+# [m, rad].  Tilted about all three axes at once it stays within ``LINE_TILT_RAD``, with room between the waypoints.
+LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, LINE_TILT_RAD / np.sqrt(3.0) - float(np.deg2rad(0.3)))])
 LINE_TOLERANCE = 2e-4
 TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
 LEAST_JOINTS = 3  # of a limb that goes around something
