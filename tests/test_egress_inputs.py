@@ -131,6 +131,31 @@ def test_a_drawn_place_moves_every_contact_with_a_region_alike():
         assert (np.abs(out.place[:2] - [0.34, -0.73]) <= 0.1).all()
 
 
+def test_a_foot_drawn_near_an_edge_is_turned_no_more_than_brings_its_sole_onto_the_surface():
+    robot, scene = car()
+    surfaces = make_surfaces(task().surfaces, scene, "surfaces")
+    sole, asked = robot.contacts["right_foot"].points, np.deg2rad(-42)
+    turned = 0
+    for y in np.linspace(-0.5, 0.5, 11):
+        drawn = make_stages(robot, surfaces, phases()[:2], (0.0, float(y)), "phases")[1]
+        aim = next(aim for aim in drawn.aims if aim.patch == "right_foot")
+        assert aim.place is not None
+        assert aim.yaw_rad is not None
+        flat = (sole - aim.mark)[:, :2]
+
+        def beyond(yaw, flat=flat, aim=aim):
+            rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+            points = np.column_stack([aim.place[:2] + flat @ rotation.T, np.full(len(flat), aim.place[2])])
+            return float(aim.surface.measure_outside(points).max())
+
+        assert beyond(aim.yaw_rad) <= 1e-9
+        assert (beyond(asked) > 0.0) == (abs(aim.yaw_rad - asked) > 1e-9)
+        turn = aim.yaw_rad - asked
+        assert all(beyond(asked + share * turn) > 0.0 for share in (0.0, 0.5, -0.5, -0.9) if turn)
+        turned += bool(turn)
+    assert 0 < turned < 11
+
+
 def test_the_start_has_the_contacts_of_the_first_phase_in_place():
     robot, _ = car()
     q, _ = make_start_configuration(robot, load_request(REQUEST).start)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,8 @@ from service.demands.contacts.stances import StanceContact, Surface, find_link_p
 
 SIDE_RESERVE_M = 2e-3  # of the depth behind a surface, for the motions between the poses
 PLACE_TOLERANCE_M = 2e-5  # per row of a contact in its place
+MOST_TURN_RAD = float(np.deg2rad(30.0))  # of a patch at a drawn place, so that it is on its surface
+N_TURNS = 61  # that are tried; an odd number, so that none is among them
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,21 @@ class ContactAim:
             at = ContactPlace(robot, patch.link, mark[None], [0], along, along @ self.place)
             terms.append(self._name("place", at))
         return terms
+
+    def turn_inside(self, robot: RobotModel) -> ContactAim:
+        """Return the aim with the nearest yaw at which the patch is not beyond the edges of its surface.
+
+        The same where its place or yaw is not given, or where no turn up to ``MOST_TURN_RAD`` brings it inside.
+        """
+        if self.place is None or self.yaw_rad is None:
+            return self
+        patch = robot.contacts[self.patch]
+        turns = np.linspace(-MOST_TURN_RAD, MOST_TURN_RAD, N_TURNS)
+        for turn in turns[np.argsort(np.abs(turns), kind="stable")].tolist():
+            pose = self._find_link_pose(patch, self.place, self.yaw_rad + turn)
+            if self.surface.measure_outside(patch.points @ pose[:3, :3].T + pose[:3, 3]).max() <= 0.0:
+                return replace(self, yaw_rad=self.yaw_rad + turn)
+        return self
 
     @property
     def normal(self) -> Float[np.ndarray, "3"]:

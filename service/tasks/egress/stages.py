@@ -127,7 +127,8 @@ def _make_aim(
     beyond = float(surface.measure_outside(place[None])[0])
     if beyond > BEYOND_M and contact.region is None:
         raise RequestError(f"{path}: the place is {beyond:.3f} m beyond the edges of surface '{surface.name}'")
-    return ContactAim(patch, surface, surface.bring_onto(place), mark, yaw, slack_m=contact.slack_m)
+    aim = ContactAim(patch, surface, surface.bring_onto(place), mark, yaw, slack_m=contact.slack_m)
+    return aim if contact.region is None else aim.turn_inside(robot)
 
 
 def _refuse_shared_links(robot: RobotModel, aims: Sequence[ContactAim], path: str) -> None:
