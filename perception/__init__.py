@@ -41,7 +41,7 @@ from perception.files.npz import write_npz
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
 from perception.files.read import read_cloud, read_clouds
-from perception.ground.floor import FloorPlane, floor_piece, floor_pieces, on_floor, on_floors
+from perception.ground.floor import FloorPlane, find_floor_points, floor_piece, floor_pieces, on_floor, on_floors
 from perception.ground.levels import find_floors
 from perception.memory import Memory
 from perception.perceive import Perceived, perceive
@@ -75,6 +75,7 @@ __all__ = [
     "detect_kinds",
     "detect_valves",
     "door_bodies",
+    "find_floor_points",
     "find_floors",
     "find_matches",
     "floor_piece",

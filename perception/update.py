@@ -21,7 +21,7 @@ from perception.convex.standing import Ground
 from perception.convex.unknown import make_unknown_pieces
 from perception.convex.updated import Judge, Updated, update_pieces
 from perception.detect.shared.detection import Detection
-from perception.ground.floor import FloorPlane, floor_pieces, on_floors
+from perception.ground.floor import FloorPlane, find_floor_points, floor_pieces
 from perception.ground.levels_again import may_be_level
 from perception.perceive import Perceived, drop_explained, find_meshes, list_boxes, see_past, take_out
 from perception.solids.match import KnownMesh
@@ -130,7 +130,7 @@ def _hold_against(
     # Points that kept pieces explain need no cleaning, but a mesh search needs all points cleaned.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
-    is_floor = on_floors(view.near.points, view.floors, soles)
+    is_floor = find_floor_points(view.near.points, view.floors, soles)
     ground = view.near.points[is_floor]
     is_level = partial(may_be_level, floors=view.floors if view.floors is levels else (), ground=ground)
     # Most new levels are found before pieces are made; others, such as one on an earlier object, only meanwhile.

@@ -13,7 +13,7 @@ from perception.cleaning.doubts import crop_doubt, low_sensor_doubt, nothing_lef
 from perception.cleaning.outliers import surface_points
 from perception.cloud import Cloud
 from perception.errors import CloudError
-from perception.ground.floor import FloorPlane, on_floors
+from perception.ground.floor import FloorPlane, find_floor_points
 from perception.ground.levels import find_floors
 from perception.ground.levels_again import are_there
 
@@ -178,7 +178,7 @@ def view_of(
     if floors:
         lowest = np.min([level.height(near.starts[:, :2]) for level in floors], axis=0)
         notes = (*notes, *low_sensor_doubt(near.starts, lowest))
-    above = ~on_floors(near.points, floors, soles)
+    above = ~find_floor_points(near.points, floors, soles)
     kept = surface_points(near.points, near.starts, above) if cleaned else above
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
     notes = (*notes, *crop_doubt(cloud.points, len(near.points) + cropped.n_own, reach, missing))

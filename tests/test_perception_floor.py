@@ -12,6 +12,7 @@ from perception import (
     Cloud,
     FloorPlane,
     Reach,
+    find_floor_points,
     find_floors,
     floor_piece,
     floor_pieces,
@@ -287,3 +288,29 @@ def test_upper_faces_at_one_height_with_gaps_between_them_are_no_level() -> None
     assert len(floors) == 2
     assert on_floors(crate, floors).mean() > 0.98
     assert on_floors(np.concatenate(beams[:2]), floors).mean() < 0.05
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.004, 0.016), st.floats(-0.1, 0.1))
+def test_noise_above_a_floor_is_the_floors_but_what_lies_on_it_is_not(seed: int, noise: float, slope: float) -> None:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-1, 1, (20_000, 2))
+    on_board = (np.abs(xy[:, 0]) < 0.3) & (np.abs(xy[:, 1]) < 0.2)
+    plane = FloorPlane(np.array([-slope, 0.0, 1.0]) / np.hypot(1.0, slope), 0.0, noise, 4.0)
+    above = rng.normal(0.0, noise, len(xy)) + 0.032 * on_board
+    points = np.column_stack([xy, plane.height(xy)]) + above[:, None] * plane.normal
+    stray = np.column_stack([xy[:20], plane.height(xy[:20]) + 0.07])
+    found = find_floor_points(np.concatenate([points, stray]), [plane])
+    beside = ~on_board & (np.abs(xy) > [0.4, 0.3]).any(axis=1)
+    assert found[: len(xy)][beside].mean() > 0.995
+    # Of the board no more is lost than a clearance of 2 cm takes anyway, and some of its rim.
+    assert found[: len(xy)][on_board].mean() <= on_floor(points[on_board], plane).mean() + 0.03
+    assert not found[len(xy) :].any()
+
+
+def test_without_points_below_it_a_floor_is_not_taken_to_be_noisy() -> None:
+    xy = np.random.default_rng(0).uniform(-1, 1, (20_000, 2))
+    plane = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.002, 4.0)
+    gravel = np.random.default_rng(1).random(len(xy)) < 0.05
+    points = np.column_stack([xy, 0.03 * gravel])
+    assert not find_floor_points(points, [plane])[gravel].any()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from costs.scene import ConvexPiece
 from perception.cleaning.clean import Reach
@@ -18,6 +19,13 @@ _EDGE = 0.03
 _EXTENSION = 1.0
 _THICKNESS = 0.2
 _TREAD_THICKNESS = 0.05
+# Of noise above a floor: its largest height, how many standard deviations it may reach, the height up to which points
+# count as the floor's, edges of the cells in which deviations and neighbours are counted [m], and the fewest points.
+_MOST_NOISE = 0.055
+_DEVIATIONS = 3.5
+_LEVEL = 0.01
+_WIDE, _NEAR = 0.1, 0.03
+_FEWEST = 20
 
 
 @dataclass(frozen=True)
@@ -89,6 +97,46 @@ def on_floors(
     for i, floor in enumerate(floors):
         mask |= on_floor(points, floor, soles) if i == 0 else on_floor(points, floor, depth=_BELOW)
     return mask
+
+
+def find_floor_points(
+    points: Float[np.ndarray, "N 3"], floors: Sequence[FloorPlane], soles: Sequence[Float[np.ndarray, "S 3"]] = ()
+) -> Bool[np.ndarray, "N"]:
+    """Return which points of a scan belong to any of the levels, or are above one by no more than its noise there.
+
+    A depth camera's floor reaches farther above its plane than ``on_floors`` allows.  Noise reaches as far above the
+    plane as below it; what is on the floor, however thin, hides the floor behind it.
+
+    Args:
+        points: (N, 3) all points of the scan in reach [m].
+    """
+    mask = on_floors(points, floors, soles)
+    for i, floor in enumerate(floors):
+        above = floor.above(points)
+        close = np.flatnonzero((np.abs(above) <= _MOST_NOISE) & (mask | (above > 0.0)))
+        if not (above[close] > _CLEARANCE).any():
+            continue
+        height = above[close]
+        xy, below = points[close, :2], height < 0.0
+        n_below = _sum_around(xy, below.astype(float), _WIDE)
+        noise = np.sqrt(_sum_around(xy, np.where(below, height**2, 0.0), _WIDE).clip(0.0) / n_below.clip(1.0))
+        level = _sum_around(xy, np.where(height <= _LEVEL, 1.0, -1.0), _NEAR)
+        likely = (height <= _DEVIATIONS * noise) & (n_below >= _FEWEST) & (level >= 0.0)
+        depth = np.inf if i == 0 else _BELOW
+        likely &= on_floor(points[close], floor, clearance=_MOST_NOISE, depth=depth)
+        mask[close[likely]] = True
+    return mask
+
+
+def _sum_around(xy: Float[np.ndarray, "N 2"], values: Float[np.ndarray, "N"], size: float) -> Float[np.ndarray, "N"]:
+    """Return the sum of the values in the 3 x 3 cells of an edge [m] around each position."""
+    cells = np.floor((xy - xy.min(axis=0)) / size).astype(int)
+    shape = cells.max(axis=0) + 1
+    index = cells @ [shape[1], 1]
+    sums = np.bincount(index, weights=values, minlength=int(shape.prod())).reshape(shape)
+    for axis in range(2):
+        sums = ndimage.convolve1d(sums, np.ones(3), axis=axis, mode="constant")
+    return np.asarray(sums.reshape(-1)[index])
 
 
 def _within(xy: Float[np.ndarray, "N 2"], outlines: Sequence[Float[np.ndarray, "K 2"]]) -> Bool[np.ndarray, "N"]:

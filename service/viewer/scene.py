@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception import Perceived, on_floors
+from perception import Perceived, find_floor_points
 from perception.convex.freespace import carve
 from service.viewer.html import render_page
 from service.viewer.payload import pack, pack_hull, quantize, thin_points
@@ -68,7 +68,7 @@ def _assign_points(built: BuiltScene) -> tuple[Float[np.ndarray, "M 3"], Int[np.
     obstacles = np.full(len(view.obstacles), UNASSIGNED)
     for name, points in (*built.mesh_points.items(), *((piece.name, piece.points) for piece in built.perceived.pieces)):
         obstacles[points] = number[name]
-    is_floor = on_floors(view.near.points, view.floors)
+    is_floor = find_floor_points(view.near.points, view.floors)
     rest = view.near.points[~is_floor & ~_find_among(view.near.points, view.obstacles)]
     parts = [(view.obstacles, obstacles)]
     parts += [(view.near.points[is_floor], np.full(int(is_floor.sum()), FLOOR)), (rest, np.full(len(rest), LEFT_OUT))]
@@ -98,7 +98,7 @@ def _make_space(perceived: Perceived) -> dict[str, Any]:
     size = max(_CELL, float((np.prod(upper - lower) / MAX_CELLS) ** (1.0 / 3.0)))
     space = carve(*view.cloud.rays, view.near.points[:0], lower, upper, size)
     occupied = np.zeros(space.free.shape, dtype=bool)
-    surfaces = np.concatenate([view.obstacles, view.near.points[on_floors(view.near.points, view.floors)]])
+    surfaces = np.concatenate([view.obstacles, view.near.points[find_floor_points(view.near.points, view.floors)]])
     occupied[tuple(np.floor((surfaces - space.lower) / space.size).astype(int).T)] = True
     return {
         "lower": space.lower.tolist(),
