@@ -183,7 +183,7 @@ def main() -> None:
     given = parser.parse_args()
     robot, scene, task = load_car()
     task = replace(task, samples=given.samples)
-    all_stages = make_all_stages(robot, scene, task, load_phases(task), given.seed)
+    all_stages = make_all_stages(robot, scene, task, load_phases(task, robot), given.seed)
     solver, timed = PoseSolver.of(robot, scene, task.torque_share, task.margin_n), TimedMap()
     poses = solve_poses(solver, all_stages, timed)
     report_poses(all_stages[0], poses, timed)

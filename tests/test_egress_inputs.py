@@ -100,19 +100,19 @@ def test_two_phases_of_one_name_are_refused():
 def test_phases_of_a_file_are_read_beside_the_request(tmp_path):
     text = "phases: [{name: sit, contacts: {hip: {surface: seat, at: [0.0, 0.0, 0.86]}}}]"
     (tmp_path / "mine.yaml").write_text(text)
-    (phase,) = load_phases(EgressRequest(phases_file="mine.yaml"), tmp_path)
+    (phase,) = load_phases(EgressRequest(phases_file="mine.yaml"), car()[0], tmp_path)
     assert phase.contacts["hip"].at == (0.0, 0.0, 0.86)
 
 
 def test_phases_end_with_the_one_that_is_wanted():
-    wanted = load_phases(replace(task(), until="stand up inside"))
+    wanted = load_phases(replace(task(), until="stand up inside"), car()[0])
     assert [phase.name for phase in wanted] == [phase.name for phase in phases()][:5]
 
 
 @pytest.mark.parametrize("until", ["sit", "stand up insid"])
 def test_an_unknown_last_phase_is_refused_by_name(until):
     with pytest.raises(RequestError, match=r"task\.egress\.until: no phase .* expected .*stand up inside"):
-        load_phases(replace(task(), until=until))
+        load_phases(replace(task(), until=until), car()[0])
 
 
 def test_a_contact_without_a_place_stays_where_it_was():

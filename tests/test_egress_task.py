@@ -63,11 +63,49 @@ def test_a_foot_that_the_phases_put_elsewhere_is_refused(stepped, tmp_path):
         verify_result(other)
 
 
-def test_the_side_without_phases_is_refused():
-    data = yaml.safe_load(REQUEST.read_text())
-    data["task"]["egress"]["side"] = "left"
-    with pytest.raises(RequestError, match=r"task\.egress\.phases: none ship for the left side"):
-        plan(parse_request(data))
+def test_the_left_foot_leaves_the_mirrored_car_on_its_left_side(stepped):
+    given = mirror(yaml.safe_load(REQUEST.read_text()))
+    given["task"]["egress"] |= {"side": "left", "until": "left foot out", "samples": 3}
+    result = plan(parse_request(given))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    there, here = result.motion.phases, stepped[0].motion.phases
+    assert there[2].name == "left foot out: swing"
+    assert [contact.link for contact in there[2].contacts] == ["pelvis", "r_foot"]
+    for mine, other in zip(there[3].contacts, here[3].contacts, strict=True):
+        np.testing.assert_allclose(mine.points.mean(axis=0), other.points.mean(axis=0) * [1, -1, 1], atol=1e-3)
+
+
+def mirror(data):
+    """A request mirrored by hand in the plane y = 0."""
+    turned_back = ("hpy", "kny", "aky", "ely", "bky", "wry", "wry2", "ry")
+    start = data["start"]["joints"]
+    data["start"]["joints"] = {
+        {"l": "r", "r": "l"}.get(name[0], name[0]) + name[1:]: value * (1 if name.endswith(turned_back) else -1)
+        for name, value in start.items()
+    }
+    for obstacle in data["scene"]["obstacles"]:
+        obstacle["position"][1] *= -1
+        w, x, y, z = obstacle.get("quaternion_wxyz", (1, 0, 0, 0))
+        obstacle["quaternion_wxyz"] = [w, -x, y, -z]
+    chest = data["robot"]["contacts"]["chest"]
+    for points in (chest["points"], *(s.get("corners", []) for s in data["task"]["egress"]["surfaces"].values())):
+        for point in points:
+            point[1] *= -1
+        points.reverse()
+    return data
+
+
+def test_a_foot_at_the_edge_is_turned_onto_the_platform_and_replayed_so(tmp_path):
+    data = first_step()
+    foot = data["task"]["egress"]["phases"][1]["contacts"]["right_foot"]
+    foot |= {"toe": [0.34, -0.66, 0.35], "region": [0.004, 0.004]}
+    result = plan(parse_request(data))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    (planted,) = (contact for contact in result.motion.phases[-1].contacts if contact.link == "r_foot")
+    assert np.rad2deg(np.arctan2(*planted.pose_world_link[[1, 0], 0])) > foot["yaw_deg"] + 1.0
+    assert planted.points[:, 1].max() <= -0.46 + 1e-6
+    write_result(result, tmp_path / "out")
+    assert verify_result(tmp_path / "out")["verdict"] == "CERTIFIED"
 
 
 def test_a_robot_that_does_not_sit_on_the_seat_is_refused_in_metres():

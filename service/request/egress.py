@@ -147,7 +147,7 @@ class EgressRequest(Section):
         side: of the vehicle on which the robot leaves.
         hint: a point near the vehicle [m].
         surfaces: by name.
-        phases: in their order; or ``phases_file``. By default those that ship with the package, for ``side`` right.
+        phases: in their order; or ``phases_file``. By default those that ship with the package, mirrored for ``left``.
         until: name of the phase to end with; the last one by default.
         samples: number of places drawn for each contact with a region.
         torque_share: of each joint's limit that a pose may need.

@@ -42,7 +42,7 @@ def task() -> EgressRequest:
 @cache
 def phases() -> tuple[PhaseRequest, ...]:
     """The phases that ship with the package."""
-    return load_phases(task())
+    return load_phases(task(), car()[0])
 
 
 @cache

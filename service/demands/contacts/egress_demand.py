@@ -13,6 +13,7 @@ from costs.names import would_do
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.contacts.contact_task import face_pieces, find_off
+from service.demands.contacts.mirrored_phases import mirror_phases
 from service.demands.contacts.moved_places import FINISH, find_recorded
 from service.demands.contacts.stances import (
     ContactStance,
@@ -34,10 +35,13 @@ BEYOND_M = 0.1  # by which a given place may be beyond the edges of its surface,
 GIVEN_M = 1e-3  # by which a recorded contact may be off a place that the phases give
 TOE_M = 1e-3  # by which points of the toe differ along the link
 GIVEN_RAD = 1e-3  # the same of its turn
+MOST_TURN_RAD = float(np.deg2rad(30.0))  # of a patch at a drawn place, so that it is on its surface
 
 
-def load_phases(request: EgressRequest, folder: Path = Path()) -> tuple[PhaseRequest, ...]:
+def load_phases(request: EgressRequest, robot: RobotModel, folder: Path = Path()) -> tuple[PhaseRequest, ...]:
     """Return the request's phases, those of its file, or those that ship with the package, as far as they are wanted.
+
+    Those that ship are of the right side, and mirrored for the left one.
 
     Raises:
         RequestError: the file cannot be used, or ``until`` names none of its phases.
@@ -46,6 +50,8 @@ def load_phases(request: EgressRequest, folder: Path = Path()) -> tuple[PhaseReq
     if not phases:
         path = SHIPPED_PHASES if request.phases_file is None else folder / request.phases_file
         phases = load_section(PhasesFile, path).phases
+        if request.phases_file is None and request.side != SHIPPED_SIDE:
+            phases = mirror_phases(robot, phases)
     if request.until is None:
         return phases
     names = [phase.name for phase in phases]
@@ -86,10 +92,8 @@ class EgressDemand:
         """
         if not robot.is_floating:
             raise RequestError("task.egress: this robot's base is fixed; it leaves no vehicle")
-        if request.side != SHIPPED_SIDE and not request.phases and request.phases_file is None:
-            raise RequestError(f"task.egress.phases: none ship for the {request.side} side; give phases or phases_file")
         surfaces = make_surfaces(request.surfaces, scene, "task.egress.surfaces")
-        phases = load_phases(request, folder)
+        phases = load_phases(request, robot, folder)
         problems = [
             line
             for k, phase in enumerate(phases)
@@ -161,7 +165,7 @@ class EgressDemand:
             yaw = float(np.deg2rad(request.yaw_deg))
             wanted = find_link_pose(patch, contact.surface, contact.points.mean(axis=0), yaw)
             turn = np.arccos(np.clip((np.trace(wanted[:3, :3].T @ pose[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
-            if turn > GIVEN_RAD:
+            if turn > GIVEN_RAD + (MOST_TURN_RAD if request.region is not None else 0.0):
                 yield f"{words} is turned by {np.rad2deg(turn):.1f} deg from what the phases give"
 
 

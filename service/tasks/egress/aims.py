@@ -14,11 +14,11 @@ from costs.state import MotionState
 from costs.terms import ContactPlace, FramePose
 from scopt import Constraint, Residual, Sense
 from service.body.facing import FLAT_POINTS, keep_facing
+from service.demands.contacts.egress_demand import MOST_TURN_RAD
 from service.demands.contacts.stances import StanceContact, Surface, find_link_pose
 
 SIDE_RESERVE_M = 2e-3  # of the depth behind a surface, for the motions between the poses
 PLACE_TOLERANCE_M = 2e-5  # per row of a contact in its place
-MOST_TURN_RAD = float(np.deg2rad(30.0))  # of a patch at a drawn place, so that it is on its surface
 N_TURNS = 61  # that are tried; an odd number, so that none is among them
 
 

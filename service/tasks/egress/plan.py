@@ -160,7 +160,7 @@ def plan_poses(
     Raises:
         RequestError: surfaces or phases that cannot be used.
     """
-    stages = make_all_stages(robot, scene, request, load_phases(request, folder), seed)
+    stages = make_all_stages(robot, scene, request, load_phases(request, robot, folder), seed)
     stages = stages if start is None else anchor_stages(stages, start)
     solver = PoseSolver.of(robot, scene, request.torque_share, request.margin_n)
     solver = replace(solver, seed=seed, should_stop=should_stop)
