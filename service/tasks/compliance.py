@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.curve import Curve, TimeLaw
+from costs.curve import Curve
 from costs.kinematics import KinematicsEngine, locate_frame
 from costs.robot import RobotModel
 from costs.terms import FramePose
@@ -21,6 +21,7 @@ from service.body.holds import POSITION, Hold, linearize_holds
 from service.body.task_plan import KeptCurve, TaskPlan
 from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.request.resume import NominalRequest
+from service.tasks.earlier_motion import EarlierMotion, read_earlier_motion
 from service.tasks.handling import list_arm_joints
 from service.tasks.held_tool import aim_tool, make_hold, slide_tool
 from service.tasks.sequence import PhaseSequence
@@ -90,7 +91,8 @@ def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[TaskP
         CannotFollowError: the robot or the mechanism is not as the earlier motion begins, or an arm does not reach.
     """
     body, engine = sequence.solver.body, sequence.solver.body.engine
-    curve, borders = _read_curve(sequence, earlier)
+    recorded = read_earlier_motion(body.robot, earlier, body.nominal)
+    curve, borders = _join_curves(sequence, recorded)
     _check_start(sequence, curve, borders)
     paths = [curve.positions[a : b + 1] for a, b in borders]
     sequence = sequence.turn_rigid_hands([path[0] for path in paths])
@@ -116,34 +118,33 @@ def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[TaskP
         curve.tangents + np.concatenate([tangents, np.zeros((1, body.robot.n))]),
     )
     largest = _measure(engine, sequence.specs, borders, curve, displaced)
-    law, phases = _read_law(earlier), []
+    phases = []
     for phase, (a, b) in zip(sequence.take([displaced.positions[a : b + 1] for a, b in borders]), borders, strict=True):
         own = displaced.cut(slice(a, b + 1))
-        phases.append(replace(phase, kept=KeptCurve(own, None if law is None else _cut_law(law, own, phase.name))))
+        known = recorded.keep(phase.name)
+        if recorded.law is not None and (known is None or known.law is None):
+            raise CannotFollowError(f"the earlier time law does not lead from rest to rest through '{phase.name}'")
+        phases.append(replace(phase, kept=KeptCurve(own, None if known is None else known.law)))
     return TaskPlan(body, tuple(phases)), largest
 
 
-def _read_curve(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[Curve, list[tuple[int, int]]]:
+def _join_curves(sequence: PhaseSequence, earlier: EarlierMotion) -> tuple[Curve, list[tuple[int, int]]]:
     """Return the earlier curve of the rest, and the first and the last knot of each of its phases."""
-    names, n = list(sequence.solver.body.robot.joint_names), sequence.solver.body.robot.n
-    if sorted(earlier.joint_names) != sorted(names):
+    if not earlier.curves:
         raise CannotFollowError("the earlier motion has other joints")
-    columns = [earlier.joint_names.index(name) for name in names]
-    knots, positions, tangents = np.zeros(0), np.zeros((0, n)), np.zeros((0, n))
+    parts: list[Curve] = []
     borders: list[tuple[int, int]] = []
     for spec in sequence.specs:
-        phase = earlier.phases.get(spec.name)
-        if phase is None or len(phase.knots) < 2:
+        curve = earlier.curves.get(spec.name)
+        if curve is None:
             raise CannotFollowError(f"the earlier motion has no phase '{spec.name}'")
-        if len(knots) and phase.knots[0] != knots[-1]:
+        if parts and curve.knots[0] != parts[-1].knots[-1]:
             raise CannotFollowError(f"in the earlier motion '{spec.name}' does not follow on the phase before")
-        first = max(len(knots) - 1, 0)
-        keep = slice(1 if borders else 0, None)
-        knots = np.concatenate([knots, phase.knots[keep]])
-        positions = np.concatenate([positions, np.reshape(phase.positions, (-1, n))[keep][:, columns]])
-        tangents = np.concatenate([tangents, np.reshape(phase.tangents, (-1, n))[keep][:, columns]])
-        borders.append((first, len(knots) - 1))
-    return Curve(knots, positions, tangents), borders
+        first = borders[-1][1] if borders else 0
+        borders.append((first, first + len(curve.knots) - 1))
+        parts.append(curve.cut(slice(1 if parts else 0, None)))
+    columns = zip(*((part.knots, part.positions, part.tangents) for part in parts), strict=True)
+    return Curve(*map(np.concatenate, columns)), borders
 
 
 def _check_start(sequence: PhaseSequence, curve: Curve, borders: Sequence[tuple[int, int]]) -> None:
@@ -159,21 +160,6 @@ def _check_start(sequence: PhaseSequence, curve: Curve, borders: Sequence[tuple[
             if np.abs(curve.positions[knot, -count:] - values).max() > SAME_MECHANISM:
                 raise CannotFollowError(f"in '{spec.name}' the mechanism moves otherwise than in the earlier motion")
             curve.positions[knot, -count:] = values
-
-
-def _read_law(earlier: NominalRequest) -> TimeLaw | None:
-    """Return the earlier time law; None for an untimed plan."""
-    if not earlier.law_path:
-        return None
-    return TimeLaw.accelerated(np.array(earlier.law_path), np.array(earlier.law_speed))
-
-
-def _cut_law(law: TimeLaw, curve: Curve, phase: str) -> TimeLaw:
-    """Return the part of a time law on a phase's curve."""
-    part = law.cut(float(curve.knots[0]), float(curve.knots[-1]))
-    if part is None:
-        raise CannotFollowError(f"the earlier time law does not lead from rest to rest through '{phase}'")
-    return part
 
 
 def _yield_arm(

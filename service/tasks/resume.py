@@ -17,6 +17,7 @@ from service.demands.resume import Beginning, ResumedDemand, find_group, find_in
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.tasks.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
+from service.tasks.earlier_motion import read_earlier_motion
 from service.tasks.handling import find_collisions
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
@@ -74,7 +75,8 @@ def plan_rest(
     """
     body, start = solver.body, demand.mechanism.start
     index = find_index(specs, demand.phase)
-    begun, nominal = _shorten_line(body, specs[index]), _read_nominal(body, resume)
+    begun = _shorten_line(body, specs[index])
+    nominal = read_earlier_motion(body.robot, resume.nominal, body.nominal).ways
     beginnings = list(_choose_beginnings(body, specs, index, begun.hand))
     problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
@@ -132,25 +134,6 @@ def _join_figures(
 ) -> Callable[[Motion], Mapping[str, float]]:
     """Return a function that measures the figures of a motion and adds others."""
     return lambda motion: {**measure(motion), **more}
-
-
-def _read_nominal(body: WholeBody, resume: ResumeRequest) -> dict[str, Float[np.ndarray, "T n"]]:
-    """Return the waypoints of the earlier motion by name of the phase; none where its joints are others.
-
-    A joint that the earlier motion does not name stays where it is.
-    """
-    if resume.nominal is None:
-        return {}
-    names = list(body.robot.joint_names)
-    if not set(resume.nominal.joint_names) <= set(names):
-        return {}
-    columns = [names.index(name) for name in resume.nominal.joint_names]
-    phases = {}
-    for name, phase in resume.nominal.phases.items():
-        known = np.array(phase.positions).reshape(-1, len(columns))
-        phases[name] = np.tile(body.nominal, (len(known), 1))
-        phases[name][:, columns] = known
-    return phases
 
 
 def _choose_beginnings(

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel
 from service.body.task_plan import KeptCurve
 from service.request.contacts import ContactsRequest
 from service.request.resume import NominalRequest
 from service.start.configuration import make_posture
+from service.tasks.earlier_motion import read_earlier_motion
 
 LEAST_WAYPOINTS = 4  # of the rest of a way, so that something between its ends is left
 
@@ -45,7 +45,8 @@ def read_known_motion(
     Raises:
         RequestError: an unknown posture or joint.
     """
-    curves = {} if earlier is None else _read_curves(robot, earlier)
+    known = read_earlier_motion(robot, earlier, np.zeros(robot.n))
+    curves = {name: kept for name in known.curves if (kept := known.keep(name)) is not None}
     there = {
         stance.name: make_posture(robot, stance.posture, f"task.contacts.stances[{k}].posture")
         for k, stance in enumerate(request.stances)
@@ -62,26 +63,6 @@ def read_known_motion(
         for kind in ("shift", "land")
     )
     return KnownMotion(leave, arrive, there, curves)
-
-
-def _read_curves(robot: RobotModel, earlier: NominalRequest) -> dict[str, KeptCurve]:
-    """Return the curve of each phase of an earlier motion, with its time law where it has one."""
-    if sorted(earlier.joint_names) != sorted(robot.joint_names) or not earlier.has_curve:
-        return {}
-    columns = [earlier.joint_names.index(name) for name in robot.joint_names]
-    whole = None
-    if earlier.law_path:
-        whole = TimeLaw.accelerated(np.array(earlier.law_path), np.array(earlier.law_speed))
-    curves = {}
-    for name, phase in earlier.phases.items():
-        positions, tangents = (
-            np.reshape(values, (-1, len(columns)))[:, columns] for values in (phase.positions, phase.tangents)
-        )
-        if len(phase.knots) > 1:
-            law = None if whole is None else whole.cut(phase.knots[0], phase.knots[-1])
-            curve = Curve(np.array(phase.knots), positions, tangents)
-            curves[name] = KeptCurve(curve, law, is_settled=law is not None)
-    return curves
 
 
 def lead_way(
