@@ -24,7 +24,7 @@ from costs.stopping import Stopped, stops_when
 from scopt import Settings
 from scopt import Status as SolveStatus
 from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
-from service.body.phases import PhaseSolver, Terms
+from service.body.phases import Map, PhaseSolver, Terms
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.explain.narrow import explain
@@ -62,6 +62,7 @@ def plan(
     on_iteration: OnIteration | None = None,
     see: Callable[..., Perceived] | None = None,
     around: Surroundings | None = None,
+    map: Map = map,
 ) -> PlanResult:
     """Plan, time and certify the motion that a request describes.
 
@@ -74,6 +75,8 @@ def plan(
         on_iteration: called after every trial step of the optimiser.
         see: ``perception.perceive``, or a function that caches its results (a server's).
         around: what the request's scan shows, if it is known already (from an earlier plan's result).
+        map: calls a function for every one of many independent poses (``task.egress``) and returns the results in
+            order, such as that of a ``concurrent.futures.ProcessPoolExecutor`` or of Ray's ``ActorPool``.
 
     Returns:
         The verdict with the best motion found. A plan that fails is a result, not an error.
@@ -91,7 +94,7 @@ def plan(
             if setup.is_stopped:
                 raise Interrupted(monitor.stop_reason())
             with stops_when(monitor.is_over):
-                solver = _make_solver(setup, monitor, terms)
+                solver = replace(_make_solver(setup, monitor, terms), map=map)
                 if not _search(setup, solver, attempt):
                     _explain(attempt, solver)
         except (Interrupted, Stopped) as interruption:

@@ -43,6 +43,9 @@ Terms = Callable[[str, RobotModel, int], Sequence[Cost[MotionState] | Constraint
 Bounds = Callable[[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]], None]
 """Narrows lower and upper bounds in place."""
 
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+"""Calls a function for every item and returns the results in order, as ``map`` does."""
+
 
 @dataclass(frozen=True)
 class PhaseSolver:
@@ -56,6 +59,7 @@ class PhaseSolver:
         most_starts: limit of starts per step, at most ``MOST_GUESSES`` in one solve.
         seed: of random draws.
         terms: the caller's own, added to every pose and trajectory.
+        map: calls a function for every one of many independent poses, in order; an executor's does so side by side.
     """
 
     body: WholeBody
@@ -65,6 +69,7 @@ class PhaseSolver:
     most_starts: int = MOST_GUESSES
     seed: int = 0
     terms: Terms = lambda phase, robot, n_waypoints: ()
+    map: Map = map
 
     def solve_pose(
         self,

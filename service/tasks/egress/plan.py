@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -16,8 +16,10 @@ from jaxtyping import Float
 from costs.contact_points import MovedPoints
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
+from costs.stopping import poll
 from scopt import Status
 from service.body.equilibrium_pose import EquilibriumPose
+from service.body.phases import Map
 from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.stances import ContactStance
 from service.demands.contacts.surfaces import make_surfaces
@@ -36,8 +38,6 @@ LINKED = 20  # largest number of sequences that are linked before the search is 
 
 OnPose = Callable[[str, int, float], None]
 """Called with the name of a stage, the number of its poses that hold so far, and the share of all poses."""
-
-Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 
 @dataclass(frozen=True)
@@ -222,6 +222,7 @@ def solve_poses(
     poses: list[EquilibriumPose] = []
     feasible_by_stage = Counter[int]()
     for (k, *_), pose in zip(tasks, map(partial(_solve_task, solver, stages), tasks), strict=True):
+        poll()
         poses.append(pose)
         feasible_by_stage[k] += pose.is_feasible
         if on_pose is not None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact
@@ -234,6 +235,7 @@ def _restore_solver(
     body: dict[str, Any], torque_share: float | None, margin_n: float, settings: Settings, seed: int
 ) -> PoseSolver:
     """Return a solver sent by another process, which cannot stop it."""
+    threadpool_limits(1, "blas")  # the matrices are small, and other processes use the other cores
     return PoseSolver(WholeBody(engine=KinematicsEngine(body["robot"]), **body), torque_share, margin_n, settings, seed)
 
 

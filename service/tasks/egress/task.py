@@ -32,6 +32,7 @@ def plan_egress(setup: PlanSetup, solver: PhaseSolver, request: EgressRequest) -
             request,
             folder,
             seed=solver.seed,
+            map=solver.map,
             should_stop=monitor.is_over,
             start=setup.stances[0],
             on_pose=lambda stage, feasible, share: monitor.report(
