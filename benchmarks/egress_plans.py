@@ -1,7 +1,7 @@
 """Whole plans of getting out: other draws of places, other vehicles, and disturbed objects.
 
-``python -m benchmarks.egress_plans [--seeds N] [--cars N] [--scanned] [--disturbed N] [--seed S] [--limit SECONDS]
-[--out FOLDER]``
+``python -m benchmarks.egress_plans [--seeds N] [--cars N] [--scanned] [--disturbed N] [--again] [--seed S]
+[--limit SECONDS] [--out FOLDER]``
 
 - ``--seeds``: the shipped request with that many other seeds, so that other places are drawn.
 - ``--cars``: vehicles with bar, platform, seat and pillars drawn around the shipped ones; the robot is seated anew.
@@ -9,6 +9,7 @@
   right foot is out, and as far as it goes.
 - ``--disturbed``: a certified plan, planned again from its motion with chest plate, bar, platform and friction drawn
   (``benchmarks.egress_cases``); ``--out`` gets a picture of these.
+- ``--again``: a certified plan, planned again from one of its phases on, with a target displaced by the operator.
 
 Processor time is of this process.
 """
@@ -33,14 +34,22 @@ from costs.robot import BASE_NAMES
 from costs.rotation import make_quaternions
 from service.errors import RequestError
 from service.planner import plan
+from service.replay.adjust import adjust_request, read_adjustment
 from service.replay.resume import make_rest_request
 from service.request.file import parse_request, to_json
 from service.request.schema import PlanRequest
 from service.result.output import write_result
-from service.result.result import PlanResult
+from service.result.result import PlanResult, Verdict
 
 SCANNED = Path(__file__).with_name("requests") / "egress_scanned.yaml"
 HEADER = ("case", "verdict", "CPU [s]", "clearance [mm]", "torque", "balance [mm]", "why not")
+AGAIN = (  # phase, and what is displaced
+    ("left foot out: swing", ()),
+    ("left foot out: swing", ("left_foot:0.02,0,0",)),
+    ("right foot out: swing", ()),
+    ("right foot out: swing", ("right_foot:0.02,0,0",)),
+    ("right foot out: swing", ("wooden_bar:0.01,0,0",)),
+)
 COLOURS = {"CERTIFIED": "#15803d"}
 FAILED_COLOUR = "#b91c1c"
 
@@ -58,7 +67,7 @@ def run(name: str, request: PlanRequest) -> tuple[tuple[str, ...], PlanResult | 
     clearance = "" if proof is None or proof.min_clearance_m is None else f"{1e3 * proof.min_clearance_m:.1f}"
     balance = "" if proof is None or proof.min_balance_margin_m is None else f"{1e3 * proof.min_balance_margin_m:.1f}"
     why = result.explanation[0] if result.explanation else ""
-    return (name, result.verdict.value, f"{spent:.0f}", clearance, torque, balance, why[:90]), result
+    return (name, result.verdict.value, f"{spent:.1f}", clearance, torque, balance, why[:90]), result
 
 
 def max_torque(result: PlanResult) -> float:
@@ -123,6 +132,21 @@ def run_disturbed(count: int, first: int, limit_s: float, out: Path) -> list[tup
     return rows
 
 
+def list_again(out: Path, limit_s: float) -> Iterator[tuple[str, PlanRequest]]:
+    """Plan once; yield requests for the rest from a phase on, as ``scopt plan --from-phase --adjust`` makes them."""
+    nominal = parse_request(load_model(), MODEL.parent)
+    result = plan(replace(nominal, options=replace(nominal.options, time_limit_s=limit_s)))
+    if result.verdict is not Verdict.CERTIFIED:
+        print(f"the nominal plan is {result.verdict.value}")
+        return
+    write_result(result, out / "nominal")
+    for phase, displaced in AGAIN:
+        request = make_rest_request(out / "nominal", phase, None)
+        for target, offset in map(read_adjustment, displaced):
+            request, _ = adjust_request(request, None, target, offset)
+        yield f"{phase} {' '.join(displaced)}", request
+
+
 def describe_start(result: PlanResult) -> dict[str, Any]:
     """Return the state at the start of a plan, as ``scopt plan --state`` reads it."""
     n, q, names = len(BASE_NAMES), result.start, result.robot.joint_names
@@ -156,6 +180,7 @@ def main() -> None:
     parser.add_argument("--cars", type=int, default=0)
     parser.add_argument("--scanned", action="store_true")
     parser.add_argument("--disturbed", type=int, default=0)
+    parser.add_argument("--again", action="store_true")
     parser.add_argument("--seed", type=int, default=1, help="first seed")
     parser.add_argument("--limit", type=float, default=300.0, help="time limit of each plan [s]")
     parser.add_argument("--out", type=Path, default=Path("out/egress_plans"))
@@ -164,6 +189,7 @@ def main() -> None:
         "Other draws of places": list_seeds(options.seeds, options.seed, options.limit),
         "Other vehicles": list_cars(options.cars, options.seed, options.limit),
         "A scanned vehicle": list_scanned(options.limit) if options.scanned else (),
+        "Planned again": list_again(options.out, options.limit) if options.again else (),
     }
     for title, cases in lists.items():
         rows = []
