@@ -45,7 +45,7 @@ from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 _LOG = structlog.get_logger("scopt.server")
 FIELDS = frozenset(field.name for field in fields(Request))
 FIRST_STEP = re.compile(r"([A-Za-z_]\w*)[^\s:]*: ")
-LOG_AFTER_S = 0.01  # so that the answer is sent before
+COUNT_WITHIN_S = 1.0  # of the end of a plan, however slowly its clients read
 REQUEST_ID = re.compile(r"[A-Za-z0-9._:@/+=-]{0,100}")
 
 
@@ -263,9 +263,8 @@ class PlanHandler:
         except Exception as error:
             self._give_up(plan, error)
             return
-        await asyncio.sleep(0)  # the watchers get the plan before it is counted and logged
+        await plan.wait_until_left(COUNT_WITHIN_S)  # so that its clients have it before it is counted and logged
         self._on_verdict(accepted.kind, answer.verdict, {**answer.timings, "queue": handle.waited_s})
-        await asyncio.sleep(LOG_AFTER_S)
         seconds = round(answer.timings["total"], 3)
         _LOG.info("planned", kind=accepted.kind, verdict=answer.verdict, seconds=seconds)
 
