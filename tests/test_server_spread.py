@@ -122,12 +122,12 @@ def pool() -> Iterator[LocalPool]:
 
 def test_who_helps_gives_way_to_who_asks(pool: LocalPool, tmp_path: Path) -> None:
     async def helped() -> tuple[bool, float]:
-        shop = JobRunner(pool, Admission(2, 4))
-        first = shop.start("scene", wait_for_file, tmp_path / "go", deadline=None, budget_s=600.0)
-        spare = shop.start_spare(nap, 600.0)
+        runner = JobRunner(pool, Admission(2, 4))
+        first = runner.start("scene", wait_for_file, tmp_path / "go", deadline=None, budget_s=600.0)
+        spare = runner.start_spare(nap, 600.0)
         assert spare is not None
-        assert shop.start_spare(nap, 600.0) is None  # nobody is idle
-        second = shop.start("scene", nap, 0.01, deadline=None, budget_s=60.0)
+        assert runner.start_spare(nap, 600.0) is None  # nobody is idle
+        second = runner.start("scene", nap, 0.01, deadline=None, budget_s=60.0)
         await second.ended
         is_still_at_it = not first.ended.done()
         (tmp_path / "go").touch()
