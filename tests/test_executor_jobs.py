@@ -6,6 +6,7 @@ import asyncio
 import logging
 import os
 import pickle
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, wait
@@ -409,3 +410,39 @@ def test_shutdown_finishes_jobs_or_cancels_queued_ones(tmp_path: Path) -> None:
 def test_a_pool_needs_a_worker() -> None:
     with pytest.raises(ValueError, match="workers must be at least 1; got 0"):
         LocalPool(0)
+
+
+def test_jobs_of_many_threads_run_once_each(pool: LocalPool) -> None:
+    n_done = pool.stats().done
+    submitted: list[tuple[int, Job[Any]]] = []
+
+    def submit_some(first: int) -> None:
+        for number in range(first, first + 50):
+            submitted.append((number, pool.submit(jobs.add, number, 1)))
+            if number % 7 == 0:
+                wait([submitted[-1][1]])  # so that it finds an idle worker at times
+
+    threads = [threading.Thread(target=submit_some, args=(100 * index,)) for index in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [job.result(SOON_S) for _, job in submitted] == [number + 1 for number, _ in submitted]
+    assert {job.attempts for _, job in submitted} == {1}
+    assert until(lambda: pool.stats().done == n_done + 300)
+
+
+def test_a_job_that_finds_an_idle_worker_needs_no_other_thread(
+    single: LocalPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert until(lambda: [worker.state for worker in single.stats().workers] == [WorkerState.IDLE])
+    submitted: list[Job[Any]] = []
+
+    def has_started() -> bool:  # not the first one, if the supervisor does something at that moment
+        submitted.append(single.submit(jobs.add, 1, 2))
+        return submitted[-1].started is not None
+
+    with monkeypatch.context() as patch:
+        patch.setattr(single._supervisor, "_call", lambda *_: True)
+        assert until(has_started, 5.0)
+    assert [job.result(SOON_S) for job in submitted] == [3] * len(submitted)

@@ -16,13 +16,14 @@ from planner_server import planner_server
 from service.executor.local_pool import LocalPool
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
-from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
+from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, MotionResult
 from service.request.file import parse_request, request_hash
 from service.result.result import Verdict
 from service.server.admission import Admission
 from service.server.jobs import JobHandle, JobRunner
 from service.server.spread import await_certified, with_other_seed
 from service.trust.rpc import Refusal
+from service.wire.results import add_request_hash
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 
@@ -108,8 +109,7 @@ def test_other_starts_answer_the_same_request_and_say_which_they_were() -> None:
     assert task.request.options.seed == 1999
     answer = run_plan(task, _Stays())
     assert isinstance(answer, PlanAnswer)
-    result = wire.PlanFinished.FromString(wire.PlanFinished().SerializeToString()).result
-    result.MergeFromString(answer.reply)
+    result = MotionResult.FromString(add_request_hash(answer.reply, request_hash(request)))
     assert result.request_sha256 == request_hash(request)
     assert "found with options.seed 1999, tried besides 4294967295" in result.notes
 
@@ -122,12 +122,12 @@ def pool() -> Iterator[LocalPool]:
 
 def test_who_helps_gives_way_to_who_asks(pool: LocalPool, tmp_path: Path) -> None:
     async def helped() -> tuple[bool, float]:
-        shop = JobRunner(pool, Admission(2, 4))
-        first = shop.start("scene", wait_for_file, tmp_path / "go", deadline=None, budget_s=600.0)
-        spare = shop.start_spare(nap, 600.0)
+        runner = JobRunner(pool, Admission(2, 4))
+        first = runner.start("scene", wait_for_file, tmp_path / "go", deadline=None, budget_s=600.0)
+        spare = runner.start_spare(nap, 600.0)
         assert spare is not None
-        assert shop.start_spare(nap, 600.0) is None  # nobody is idle
-        second = shop.start("scene", nap, 0.01, deadline=None, budget_s=60.0)
+        assert runner.start_spare(nap, 600.0) is None  # nobody is idle
+        second = runner.start("scene", nap, 0.01, deadline=None, budget_s=60.0)
         await second.ended
         is_still_at_it = not first.ended.done()
         (tmp_path / "go").touch()

@@ -117,6 +117,20 @@ def test_no_flipped_byte_of_the_store_is_served_or_approved(tmp_path: Path) -> N
     assert n_refused > 30
 
 
+def test_an_open_plan_that_was_changed_gets_neither_reply_nor_seal(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = store.plans.begin("ann", "r1", "a" * 64, "goal", b"request").plan_id
+        with closing(sqlite3.connect(tmp_path / "store.sqlite3", isolation_level=None)) as db:
+            db.execute("UPDATE plans SET client = 'bob' WHERE plan_id = ?", (plan_id,))
+        for change in (
+            lambda: store.plans.finish(plan_id, "CERTIFIED", b"reply"),
+            lambda: store.plans.give_up(plan_id, "why"),
+            lambda: store.plans.get(plan_id),
+        ):
+            with pytest.raises(DamagedError, match=plan_id):
+                change()
+
+
 def test_a_changed_row_and_a_removed_rejection_are_named(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         plan_id, other = _finish(store, "r1"), _finish(store, "r2")

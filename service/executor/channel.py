@@ -33,6 +33,9 @@ class Kind(enum.IntEnum):
     RAISED = 8
 
 
+_KINDS = frozenset(Kind)
+
+
 class Message(NamedTuple):
     """One message; ``job`` is 0 for messages that concern no job."""
 
@@ -84,7 +87,7 @@ class MessageReader:
     def _split_buffer(self) -> Iterator[Message]:
         while len(self._buffer) >= _HEADER.size:
             kind, job, length = _HEADER.unpack_from(self._buffer)
-            if kind not in set(Kind) or length > MAX_PAYLOAD_BYTES:
+            if kind not in _KINDS or length > MAX_PAYLOAD_BYTES:
                 raise MalformedMessageError(f"kind {kind}, {length} bytes")
             end = _HEADER.size + length
             if len(self._buffer) < end:

@@ -149,6 +149,8 @@ class _WorkerProcess(WorkerHandle):
 class _LocalSupervisor(Supervisor[_WorkerProcess]):
     """Keeps the fork server and its workers running, and talks to them without ever waiting for one of them."""
 
+    _any_thread_sends = True
+
     def __init__(self, settings: PoolSettings, queue: JobQueue) -> None:
         super().__init__("scopt-pool", settings, queue)
         self._setup = WorkerSetup((), settings.warm_up, settings.max_bytes)

@@ -1,12 +1,14 @@
 """The thread that looks after a pool's workers: hands them jobs, stops and kills them, replaces the dead.
 
-It runs an event loop, and everything that changes a worker or a running job happens in it.
+It runs an event loop, and what changes a worker or a running job happens in it. Only a job that finds an idle worker is
+sent by the thread that submits it, while the event loop waits: to wake another thread takes longer than to send.
 """
 
 from __future__ import annotations
 
 import asyncio
 import enum
+import selectors
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -108,6 +110,21 @@ class WorkerHandle(ABC):
         """Have ``should_stop`` of its job return True."""
 
 
+class _GuardedSelector(selectors.DefaultSelector):
+    """Selector of an event loop whose thread holds a lock, except while it waits for events."""
+
+    def __init__(self, lock: threading.Lock) -> None:
+        super().__init__()
+        self._lock = lock
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        self._lock.release()
+        try:
+            return super().select(timeout)
+        finally:
+            self._lock.acquire()
+
+
 W = TypeVar("W", bound=WorkerHandle)
 
 
@@ -120,13 +137,16 @@ class Supervisor(ABC, Generic[W]):
         restarts: how many workers died or were killed.
     """
 
+    _any_thread_sends = False  # whether ``_send_job`` works in any thread that holds ``_guard``
+
     def __init__(self, name: str, settings: PoolSettings, queue: JobQueue) -> None:
         self.target = settings.workers + settings.light_workers
         self.workers: tuple[W, ...] = ()
         self.restarts = 0
         self._settings = settings
         self._queue = queue
-        self._loop = asyncio.new_event_loop()
+        self._guard = threading.Lock()
+        self._loop = asyncio.SelectorEventLoop(_GuardedSelector(self._guard))
         self._loop.set_exception_handler(self._stop_after_error)
         self._n_started = self._n_failures = 0  # workers; starts in a row that failed
         self._next_start = 0.0
@@ -142,6 +162,13 @@ class Supervisor(ABC, Generic[W]):
 
     def accept(self, record: JobRecord) -> bool:
         """Look after a job that was put in the queue; return False when the thread has ended."""
+        if self._any_thread_sends and record.job.deadline is None and self._guard.acquire(blocking=False):
+            try:
+                self._hand_out_jobs()
+            finally:
+                self._guard.release()
+            if record.job.started is not None:
+                return True
         return self._call(self._accept, record)
 
     def cancel(self, record: JobRecord) -> None:
@@ -202,6 +229,7 @@ class Supervisor(ABC, Generic[W]):
     # The thread.
 
     def _supervise(self) -> None:
+        self._guard.acquire()  # for good
         try:
             self._loop.call_soon(self._check)
             self._loop.run_forever()
@@ -227,6 +255,10 @@ class Supervisor(ABC, Generic[W]):
             self._loop.stop()
             return
         self._adjust_workers()
+        self._hand_out_jobs()
+
+    def _hand_out_jobs(self) -> None:
+        """Give queued jobs to idle workers."""
         n_heavy = sum(worker.record is not None and worker.record.place.lane > Lane.LIGHT for worker in self.workers)
         for worker in self._select_idle():
             record = self._take_job(only_light=n_heavy >= self.target - self._settings.light_workers)

@@ -223,6 +223,8 @@ class JobRunner:
 
 def _settle(job: Job[T], ended: asyncio.Future[T], why: Exception | None = None) -> None:
     """Copy a job's end to its future on the event loop; ``why`` it was stopped replaces its own error."""
+    if ended.cancelled():  # with the task that awaited it
+        return
     error = why or (CancelledError() if job.cancelled() else job.exception())
     if error is not None:
         ended.set_exception(error)
@@ -238,7 +240,7 @@ async def await_result(handle: JobHandle[T]) -> T:
         Refusal: CANCELLED, DEADLINE_EXCEEDED or INTERNAL, if there is none.
     """
     try:
-        return await asyncio.shield(handle.ended)
+        return await handle.ended
     except CancelledError:  # the job's; cancelling the awaiting task raises asyncio's own class
         raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was an answer") from None
     except DeadlineExceeded:

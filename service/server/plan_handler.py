@@ -8,6 +8,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import grpc
 import structlog
@@ -38,12 +39,13 @@ from service.store import PlanRecord, PlanState, Store
 from service.telemetry import bind
 from service.trust import current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
+from service.wire.results import add_request_hash
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 _LOG = structlog.get_logger("scopt.server")
 FIELDS = frozenset(field.name for field in fields(Request))
 FIRST_STEP = re.compile(r"([A-Za-z_]\w*)[^\s:]*: ")
-LOG_AFTER_S = 0.01  # so that the answer is sent before
+COUNT_WITHIN_S = 1.0  # of the end of a plan, however slowly its clients read
 REQUEST_ID = re.compile(r"[A-Za-z0-9._:@/+=-]{0,100}")
 
 
@@ -127,7 +129,7 @@ class PlanHandler:
             local = files.enter_context(self._reader.open_files(request))
             lane = Lane.BATCH if message.priority == PRIORITY_BATCH else Lane.INTERACTIVE
             place = Place(record.client, lane)
-            accepted = _AcceptedRequest(kind_of(request), message, request, local, record.request_sha256, place, ())
+            accepted = _AcceptedRequest(kind_of(request), message, request, local, place, ())
             handle = self._submit(plan, accepted, deadline, is_accepted=True)
             undo.pop_all()
             self._watch_end(plan, accepted, handle, deadline, files.pop_all())
@@ -152,7 +154,6 @@ class PlanHandler:
         self, message: PlanRequest, request: Request, client: str, deadline: float | None
     ) -> tuple[PlanRecord, RunningPlan | None]:
         """Return a request's record and running plan; None for a plan that has finished before."""
-        kind, sha = kind_of(request), request_hash(request)
         while True:
             record = self._store.plans.find(client, message.request_id)
             running = None if record is None else self.running.get(record.plan_id)
@@ -161,7 +162,7 @@ class PlanHandler:
             await running.wait_for_end()
         if record is not None:
             bind(plan_id=record.plan_id)
-            if record.request_sha256 != sha:
+            if record.request_sha256 != request_hash(request):
                 raise Refusal(
                     grpc.StatusCode.ALREADY_EXISTS,
                     f"request_id: {message.request_id!r} belongs to another request of this client; choose another id",
@@ -170,26 +171,26 @@ class PlanHandler:
                 return record, running
         self._disk.require_space()
         place = _place_of(message)
-        self._jobs.admission.check(kind, None if deadline is None else deadline - time.monotonic(), place)
-        return self._start(client, request, sha, message, deadline)
+        self._jobs.admission.check(kind_of(request), None if deadline is None else deadline - time.monotonic(), place)
+        return self._start(client, request, message, deadline)
 
     def _start(
-        self, client: str, request: Request, sha: str, message: PlanRequest, deadline: float | None
+        self, client: str, request: Request, message: PlanRequest, deadline: float | None
     ) -> tuple[PlanRecord, RunningPlan]:
-        """Start a plan: a worker gets it before it is stored, and the client learns of it after that."""
+        """Start a plan: a worker gets it before it is hashed and stored, and the client learns of it after that."""
         plan = RunningPlan(self._jobs)
         with ExitStack() as files:
             undo = files.enter_context(ExitStack())
             undo.callback(plan.discard)
             local = files.enter_context(self._reader.open_files(request))
             accepted = _AcceptedRequest(
-                kind_of(request), message, request, local, sha, _place_of(message), current_warnings()
+                kind_of(request), message, request, local, _place_of(message), current_warnings()
             )
             handle = self._submit(plan, accepted, deadline)
             undo.callback(handle.cancel)
             stored = message.SerializeToString()
             until = None if deadline is None else time.time() + deadline - time.monotonic()
-            record = self._store.plans.begin(client, message.request_id, sha, accepted.kind, stored, until)
+            record = self._store.plans.begin(client, message.request_id, accepted.sha256, accepted.kind, stored, until)
             undo.pop_all()
             bind(plan_id=record.plan_id)
             plan.plan_id = record.plan_id
@@ -254,16 +255,16 @@ class PlanHandler:
                 raise refuse_invalid(self._reader.robots.hide_paths(problems), WITHIN)
             if answer.verdict == Verdict.CANCELLED.value:
                 raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
-            await self._store_answer(plan.plan_id, answer)
+            reply = add_request_hash(answer.reply, accepted.sha256)
+            await self._store_answer(plan.plan_id, answer, reply)
             finished = PlanFinished(plan_id=plan.plan_id)
-            finished.result.MergeFromString(answer.reply)
+            finished.result.MergeFromString(reply)
             plan.end(finished)
         except Exception as error:
             self._give_up(plan, error)
             return
-        await asyncio.sleep(0)  # the watchers get the plan before it is counted and logged
+        await plan.wait_until_left(COUNT_WITHIN_S)  # so that its clients have it before it is counted and logged
         self._on_verdict(accepted.kind, answer.verdict, {**answer.timings, "queue": handle.waited_s})
-        await asyncio.sleep(LOG_AFTER_S)
         seconds = round(answer.timings["total"], 3)
         _LOG.info("planned", kind=accepted.kind, verdict=answer.verdict, seconds=seconds)
 
@@ -288,15 +289,15 @@ class PlanHandler:
             refuse_error(unwritten)
         plan.end(refusal)
 
-    async def _store_answer(self, plan_id: str, answer: PlanAnswer) -> None:
-        """Store an answer before the client gets it, so that it is there after a restart."""
+    async def _store_answer(self, plan_id: str, answer: PlanAnswer, reply: bytes) -> None:
+        """Store a reply before the client gets it, so that it is there after a restart."""
         finish = self._store.plans.finish
         hashes = answer.trajectory_sha256, answer.certificate_sha256
         if answer.archive:
             files = answer.archive, answer.page_sha256
-            await asyncio.to_thread(finish, plan_id, answer.verdict, answer.reply, *hashes, *files)
+            await asyncio.to_thread(finish, plan_id, answer.verdict, reply, *hashes, *files)
         else:
-            finish(plan_id, answer.verdict, answer.reply, *hashes)
+            finish(plan_id, answer.verdict, reply, *hashes)
 
 
 @dataclass(frozen=True)
@@ -308,7 +309,6 @@ class _AcceptedRequest:
         message: the client's message.
         request: the request it holds.
         local: the same with paths on the server.
-        sha256: hash of ``request``.
         place: whose plan it is and how it waits.
         warnings: sentences about ignored fields, which become notes of the result.
     """
@@ -317,9 +317,13 @@ class _AcceptedRequest:
     message: PlanRequest
     request: Request
     local: Request
-    sha256: str
     place: Place
     warnings: tuple[str, ...]
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of ``request``, computed while a worker plans."""
+        return request_hash(self.request)
 
     def make_task(self, deadline: float | None) -> PlanTask:
         """Make the worker's task; the deadline is on the clock of ``time.monotonic`` [s]."""
@@ -330,7 +334,6 @@ class _AcceptedRequest:
             message.with_files,
             message.with_waypoints,
             self.request,
-            self.sha256,
             list_files(self.local.scene),
             self.warnings,
         )

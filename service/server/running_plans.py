@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanProgress, PlanQueued, PlanResponse
@@ -35,6 +35,7 @@ class RunningPlan:
         self._changed = asyncio.Event()
         self._deadlines: list[float] = []  # of the watchers
         self._was_watched = self._is_stopping = False
+        self._left = asyncio.Event()  # no watcher is there
         self._end: PlanFinished | Refusal | None = None
         self._end_callbacks: list[Callable[[], object]] = [jobs.add_listener(self._report_position)]
 
@@ -86,10 +87,13 @@ class RunningPlan:
         is_first, self._was_watched = not self._was_watched, True
         own = math.inf if deadline is None else deadline
         self._deadlines.append(own)
+        self._left.clear()
         try:
             yield is_first
         finally:
             self._deadlines.remove(own)
+            if not self._deadlines:
+                self._left.set()
             if not self._deadlines and self._end is None:
                 self._is_stopping = True
                 if self._handle is not None:
@@ -120,6 +124,13 @@ class RunningPlan:
         """Wait for the end."""
         while self._end is None:
             await self._changed.wait()
+
+    async def wait_until_left(self, timeout_s: float) -> None:
+        """Wait until no watcher is there, at most ``timeout_s``."""
+        if self._deadlines:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(timeout_s):
+                    await self._left.wait()
 
     def _report_position(self) -> None:
         if not self._jobs.admission.queued:

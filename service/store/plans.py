@@ -5,10 +5,10 @@ from __future__ import annotations
 import secrets
 import sqlite3
 import tarfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from service.errors import shown
 from service.store.database import UNREADABLE_ROW, Database, seal_plan
@@ -93,12 +93,9 @@ class Plans:
             else:
                 plan_id, deleted = known.plan_id, []
                 if known.state is PlanState.LOST and known.request_sha256 == request_sha256:
-                    db.execute(
-                        "UPDATE plans SET state = 'accepted', why_lost = '', request = ?, deadline = ?, n_resumed = 0 "
-                        "WHERE plan_id = ?",
-                        (request, deadline, plan_id),
-                    )
-                    seal_plan(db, plan_id)
+                    until = None if deadline is None else float(deadline)
+                    again = {"state": "accepted", "why_lost": "", "n_resumed": 0, "request": request, "deadline": until}
+                    _change(db, plan_id, again)
             record = _read(db, plan_id)
         self._delete_archives(deleted)
         return record
@@ -117,6 +114,7 @@ class Plans:
 
         Raises:
             NotStoredError: no open plan has this id.
+            DamagedError: the open plan is not what was stored.
             TooLargeError: reply and archive alone exceed the store's limit.
         """
         n_bytes = len(reply) + len(archive)
@@ -126,27 +124,20 @@ class Plans:
             if self.get(plan_id).state is not PlanState.ACCEPTED:
                 raise NotStoredError(_NOT_OPEN)
             self._archives.write(plan_id, archive)
+        changes = {
+            "state": "finished",
+            "verdict": verdict,
+            "reply": reply,
+            "plan_sha256": plan_sha256,
+            "certificate_sha256": certificate_sha256,
+            "page_sha256": page_sha256,
+            "archive_sha256": hash_bytes(archive) if archive else "",
+            "archive_bytes": len(archive),
+            "bytes": n_bytes,
+            "request": b"",
+        }
         with self._database.transaction() as db:
-            _require_change(
-                db.execute(
-                    "UPDATE plans SET state = 'finished', verdict = ?, reply = ?, plan_sha256 = ?, "
-                    "certificate_sha256 = ?, page_sha256 = ?, archive_sha256 = ?, archive_bytes = ?, bytes = ?, "
-                    "finished = ?, request = x'' WHERE plan_id = ? AND state = 'accepted'",
-                    (
-                        verdict,
-                        reply,
-                        plan_sha256,
-                        certificate_sha256,
-                        page_sha256,
-                        hash_bytes(archive) if archive else "",
-                        len(archive),
-                        n_bytes,
-                        self._clock(),
-                        plan_id,
-                    ),
-                )
-            )
-            seal_plan(db, plan_id)
+            _change(db, plan_id, {**changes, "finished": float(self._clock())}, is_open=True)
             deleted = self._make_space(db, plan_id)
         self._delete_archives(deleted)
 
@@ -155,16 +146,10 @@ class Plans:
 
         Raises:
             NotStoredError: no open plan has this id.
+            DamagedError: it is not what was stored.
         """
         with self._database.transaction() as db:
-            _require_change(
-                db.execute(
-                    "UPDATE plans SET state = 'lost', why_lost = ?, request = x'' "
-                    "WHERE plan_id = ? AND state = 'accepted'",
-                    (why[:1000], plan_id),
-                )
-            )
-            seal_plan(db, plan_id)
+            _change(db, plan_id, {"state": "lost", "why_lost": why[:1000], "request": b""}, is_open=True)
 
     def get(self, plan_id: str) -> PlanRecord:
         """Return a plan in any state.
@@ -236,15 +221,11 @@ class Plans:
                 continue  # stays open, so that a reader is told
             is_late = plan.deadline is not None and plan.deadline <= self._clock()
             if plan.request and not is_late and plan.n_resumed < MAX_RESUMED:
-                db.execute("UPDATE plans SET n_resumed = n_resumed + 1 WHERE plan_id = ?", (plan_id,))
-                seal_plan(db, plan_id)
+                _change(db, plan_id, {"n_resumed": plan.n_resumed + 1})
                 yield _read(db, plan_id)
             else:
                 why = _RESTARTED if not plan.request else _LATE if is_late else _REPEATED
-                db.execute(
-                    "UPDATE plans SET state = 'lost', why_lost = ?, request = x'' WHERE plan_id = ?", (why, plan_id)
-                )
-                seal_plan(db, plan_id)
+                _change(db, plan_id, {"state": "lost", "why_lost": why, "request": b""})
 
     def _hash_old_archives(self) -> None:
         """Record the hashes of archives that a version without hashes wrote."""
@@ -305,17 +286,36 @@ def _find(db: sqlite3.Connection, client: str, request_id: str) -> PlanRecord | 
 
 
 def _to_record(row: sqlite3.Row) -> PlanRecord:
-    if compute_seal(dict(row)) != row[SEAL]:
-        raise DamagedError(
-            f"plan {shown(row['plan_id'])}: is damaged on this server's disk; plan it again under a new id"
-        )
+    _require_sound(row)
     values = {field.name: row[field.name] for field in fields(PlanRecord)}
     return PlanRecord(**{**values, "request_id": row["request_id"] or "", "state": PlanState(row["state"])})
 
 
-def _require_change(update: sqlite3.Cursor) -> None:
-    if update.rowcount != 1:
+def _require_sound(row: sqlite3.Row) -> None:
+    if compute_seal(dict(row)) != row[SEAL]:
+        raise DamagedError(
+            f"plan {shown(row['plan_id'])}: is damaged on this server's disk; plan it again under a new id"
+        )
+
+
+def _change(db: sqlite3.Connection, plan_id: str, changes: Mapping[str, Any], is_open: bool = False) -> None:
+    """Change columns of a plan and seal its row, in one write; a damaged row is not sealed.
+
+    Args:
+        changes: value by column, of the type that is read back.
+        is_open: whether the plan has to be open.
+
+    Raises:
+        NotStoredError: no such plan.
+        DamagedError: the row is not what was stored.
+    """
+    row = db.execute("SELECT * FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
+    if row is None or (is_open and row["state"] != PlanState.ACCEPTED.value):
         raise NotStoredError(_NOT_OPEN)
+    _require_sound(row)
+    values = {**changes, SEAL: compute_seal({**dict(row), **changes})}
+    columns = ", ".join(f"{name} = ?" for name in values)
+    db.execute(f"UPDATE plans SET {columns} WHERE plan_id = ?", (*values.values(), plan_id))
 
 
 def _hash_page(path: Path) -> str:

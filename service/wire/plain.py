@@ -6,10 +6,11 @@ only content is called ``value`` stands for that value. Empty lists, maps and te
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from typing import Any, cast
 
-from google.protobuf.descriptor import EnumDescriptor, FieldDescriptor
+from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
 from google.protobuf.message import Message
 from google.protobuf.struct_pb2 import Struct, Value
 
@@ -29,8 +30,11 @@ def to_plain(message: Message) -> Any:
     """Convert a message to mappings, lists and scalars, as YAML of the same request would be read."""
     if isinstance(message, Struct):
         return {key: _value_of_struct(value) for key, value in message.fields.items()}
-    data = {field.name: _value_to_plain(field, value) for field, value in message.ListFields()}
-    if _stands_for_value(message):
+    data = {}
+    for field, value in message.ListFields():
+        convert = _converter_of(field)
+        data[field.name] = value if convert is None else convert(value)
+    if _stands_for_value(message.DESCRIPTOR):
         return data[VALUE] if VALUE in data else next(iter(data.values()), [])
     return data
 
@@ -43,7 +47,7 @@ def fill(message: Message, data: Any, path: str = "") -> None:
     """
     if isinstance(message, Struct):
         message.update(data)
-    elif _stands_for_value(message):
+    elif _stands_for_value(message.DESCRIPTOR):
         field = _field_for(message, data)
         if field is None:
             raise RequestError(f"{path}: cannot be sent, got {shown(data)}")
@@ -99,8 +103,8 @@ def _prefix(enum: EnumDescriptor) -> str:
     return words.strip("_").upper() + "_"
 
 
-def _stands_for_value(message: Message) -> bool:
-    descriptor = message.DESCRIPTOR
+@cache  # a look at a descriptor takes as long as the conversion itself
+def _stands_for_value(descriptor: Descriptor) -> bool:
     return [oneof.name for oneof in descriptor.oneofs] == [VALUE] or [field.name for field in descriptor.fields] == [
         VALUE
     ]
@@ -116,18 +120,28 @@ def _map_value(field: FieldDescriptor) -> FieldDescriptor:
     return cast(FieldDescriptor, field.message_type.fields_by_name[VALUE])  # type: ignore[union-attr]
 
 
-def _value_to_plain(field: FieldDescriptor, value: Any) -> Any:
+@cache
+def _converter_of(field: FieldDescriptor) -> Callable[[Any], Any] | None:
+    """Return the function that converts a field's value to plain data; None if it is plain already."""
     if _is_map(field):
-        return {key: _entry_to_plain(_map_value(field), entry) for key, entry in value.items()}
-    if field.is_repeated:
-        return [_entry_to_plain(field, entry) for entry in value]
-    return _entry_to_plain(field, value)
+        return _map_converter(_entry_converter_of(_map_value(field)))
+    convert = _entry_converter_of(field)
+    return _list_converter(convert) if field.is_repeated else convert
 
 
-def _entry_to_plain(field: FieldDescriptor, value: Any) -> Any:
+def _map_converter(convert: Callable[[Any], Any] | None) -> Callable[[Any], Any]:
+    return dict if convert is None else lambda value: {key: convert(entry) for key, entry in value.items()}
+
+
+def _list_converter(convert: Callable[[Any], Any] | None) -> Callable[[Any], Any]:
+    return list if convert is None else lambda value: [convert(entry) for entry in value]
+
+
+def _entry_converter_of(field: FieldDescriptor) -> Callable[[Any], Any] | None:
     if field.message_type is not None:
-        return to_plain(value)
-    return decode_enum(field.enum_type, value) if field.enum_type is not None else value
+        return to_plain
+    enum = field.enum_type
+    return None if enum is None else lambda value: decode_enum(enum, value)
 
 
 def _field_for(message: Message, data: Any) -> FieldDescriptor | None:

@@ -12,43 +12,50 @@ from jaxtyping import Float
 
 from service.json_data import to_json_data
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
-from service.proto.planner.v1.result_pb2 import Check, MotionResult, PhaseReport, Trajectory
+from service.proto.planner.v1.result_pb2 import Check, MotionResult, Trajectory
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
 from service.request.file import request_hash
 from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
 from service.result.result import PlanResult
-from service.result.result_json import list_phases
 from service.verify import Certificate, Motion
 from service.wire.hashes import hash_certificate, hash_trajectory
 
 
-def result_to_message(result: PlanResult, sha256: str = "") -> MotionResult:
+def result_to_message(result: PlanResult, request_sha256: str | None = None) -> MotionResult:
     """Convert a result without its drawing: pieces, bodies, clouds and intermediate points are only in its files.
 
     Args:
         result: result of a plan.
-        sha256: ``request_hash`` of its request if known already.
+        request_sha256: ``request_hash`` of its request, or empty where it is added later; None computes it.
     """
     message = MotionResult(
         verdict=encode_verdict(result.verdict.value),
         explanation=result.explanation,
         notes=result.notes,
         found_from=result.found_from,
-        request_sha256=sha256 or request_hash(result.request),
+        request_sha256=request_hash(result.request) if request_sha256 is None else request_sha256,
         planning_time_s=result.planning_time_s,
         timings=result.timings,
-        phases=[PhaseReport(**phase) for phase in list_phases(result)],
     )
     message.figures.update(to_json_data(result.figures))
     for detection in result.detections:
         message.detections.add().update(to_json_data(detection))
     if result.conflict is not None:
         message.conflict.update(to_json_data(result.conflict.to_dict()))
+    ends: Mapping[str, tuple[float, float]] = {}
     if result.motion is not None:
-        _fill_trajectory(message.trajectory, result, result.motion)
+        ends = _fill_trajectory(message.trajectory, result, result.motion)
+    for report in result.phases:
+        start, end = ends.get(report.name, (None, None))
+        message.phases.add(name=report.name, status=report.status.value, checks=report.checks, start_s=start, end_s=end)
     if result.certificate is not None:
-        message.certificate.CopyFrom(_certificate_to_message(result.certificate))
+        _fill_certificate(message.certificate, result.certificate)
     return message
+
+
+def add_request_hash(reply: bytes, sha256: str) -> bytes:
+    """Return a serialized ``MotionResult`` with the hash of its request; the reply is not parsed."""
+    return reply + MotionResult(request_sha256=sha256).SerializeToString()  # of a repeated field the last one counts
 
 
 def encode_verdict(name: str) -> VerdictMessage:
@@ -76,7 +83,8 @@ def _to_float(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _fill_trajectory(message: Trajectory, result: PlanResult, motion: Motion) -> None:
+def _fill_trajectory(message: Trajectory, result: PlanResult, motion: Motion) -> dict[str, tuple[float, float]]:
+    """Write a motion's samples and phases; returns the times of its phases by name."""
     s, times = samples_of(motion), sample_times(motion)
     names = file_columns(result.robot)
     positions = file_positions(result.robot, motion.curve(s)[:, : result.robot.n])
@@ -88,6 +96,7 @@ def _fill_trajectory(message: Trajectory, result: PlanResult, motion: Motion) ->
         message.phases.add(name=phase.name, start_s=start, end_s=end)
     message.is_timed = motion.law is not None
     message.sha256 = hash_trajectory(names, times, positions)
+    return {phase.name: (phase.start_s, phase.end_s) for phase in message.phases}
 
 
 def _set_numbers(message: Message, name: str, values: Float[np.ndarray, "..."]) -> None:
@@ -104,29 +113,23 @@ def _encode_varint(value: int) -> bytes:
     return data + bytes([value])
 
 
-def _certificate_to_message(certificate: Certificate) -> CertificateMessage:
+def _fill_certificate(message: CertificateMessage, certificate: Certificate) -> None:
     text = certificate.to_json().encode()
-    return CertificateMessage(
-        status=certificate.status.value,
-        checks=[
-            Check(
-                name=check.name,
-                ok=bool(check.ok),
-                value=float(check.value),
-                limit=float(check.limit),
-                unit=check.unit,
-                text=check.text,
-                basis=check.basis.value,
-            )
-            for check in certificate.checks
-        ],
-        min_clearance_m=_finite_or_none(certificate.min_clearance_m),
-        min_clearance_pair=certificate.min_clearance_pair or (),
-        min_balance_margin_m=_finite_or_none(certificate.min_balance_margin_m),
-        json=text,
-        sha256=hash_certificate(text),
-    )
-
-
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    message.status = certificate.status.value
+    for check in certificate.checks:
+        message.checks.add(
+            name=check.name,
+            ok=bool(check.ok),
+            value=float(check.value),
+            limit=float(check.limit),
+            unit=check.unit,
+            text=check.text,
+            basis=check.basis.value,
+        )
+    if math.isfinite(certificate.min_clearance_m):
+        message.min_clearance_m = float(certificate.min_clearance_m)
+    message.min_clearance_pair.extend(certificate.min_clearance_pair or ())
+    if math.isfinite(certificate.min_balance_margin_m):
+        message.min_balance_margin_m = float(certificate.min_balance_margin_m)
+    message.json = text
+    message.sha256 = hash_certificate(text)

@@ -56,8 +56,7 @@ class PlanTask:
         until: deadline of the answer, on the clock of ``Control.now`` [s]; None without one.
         with_files: whether the answer holds the result's files.
         with_waypoints: whether progress holds waypoints.
-        original: request as the client sent it, which is hashed; None if it is the same.
-        sha256: hash of the original request; empty if not known yet.
+        original: request as the client sent it; None if it is the same.
         files: paths of the files that the scene names; uploads among them are compared with their hashes.
         notes: further notes of the result.
     """
@@ -67,7 +66,6 @@ class PlanTask:
     with_files: bool = False
     with_waypoints: bool = False
     original: PlanRequest | None = None
-    sha256: str = ""
     files: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -78,7 +76,7 @@ class PlanAnswer:
 
     Attributes:
         verdict: verdict of the plan.
-        reply: a serialized ``MotionResult``.
+        reply: a serialized ``MotionResult`` without the request's hash, which the server computes meanwhile.
         trajectory_sha256, certificate_sha256: hashes in the reply; empty without trajectory or certificate.
         archive: files of the result as a tar file; empty unless requested.
         page_sha256: hash of the viewer's page among them; empty without one.
@@ -146,7 +144,7 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     if request.options.seed != original.options.seed:
         notes = (*notes, f"found with options.seed {request.options.seed}, tried besides {original.options.seed}")
     result = replace(result, request=original, notes=notes)
-    message = result_to_message(result, task.sha256)
+    message = result_to_message(result, request_sha256="")
     archive, page_sha256 = _make_archive(result) if task.with_files else (b"", "")
     return PlanAnswer(
         result.verdict.value,

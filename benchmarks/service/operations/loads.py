@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import multiprocessing
 import time
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -73,7 +74,11 @@ def _figures(factor: float, samples: list[Sample], memory: list[tuple[float, flo
     done = [sample.took for sample in heavy if sample.code == "OK"]
     refused = [sample.took for sample in heavy if sample.code == "RESOURCE_EXHAUSTED"]
     light = [sample.took for sample in samples if sample.kind not in HEAVY]
-    odd = [sample for sample in samples if sample.code not in (EXPECTED.get(sample.kind, "OK"), "RESOURCE_EXHAUSTED")]
+    odd = Counter(
+        (sample.kind, sample.code)
+        for sample in samples
+        if sample.code not in (EXPECTED.get(sample.kind, "OK"), "RESOURCE_EXHAUSTED")
+    )
     times, sizes = np.array(memory[len(memory) // 5 :] or memory).T
     slope = float(np.polyfit(times, sizes, 1)[0]) * 60.0 if len(times) > 2 else 0.0
     growth = slope * seconds / 60.0 / float(np.mean(sizes))
@@ -84,7 +89,7 @@ def _figures(factor: float, samples: list[Sample], memory: list[tuple[float, flo
                not refused or percentile(refused, 50) <= REFUSED_S),
         Figure(f"  light calls and wrong requests ({len(light)})", f"p99 <= {ms(LIGHT_S)}", spread(light),
                percentile(light, 99) <= LIGHT_S),
-        Figure("  other codes", "0", str(len(odd)), not odd),
+        Figure("  other codes", "0", ", ".join(f"{n} {' '.join(key)}" for key, n in odd.items()) or "0", not odd),
         Figure("  slope of the memory of server and largest worker", f"< {100 * GROWTH:g} % in all" if is_long else "",
                f"{slope:+.2f} MiB/min, {100 * growth:+.1f} %", growth < GROWTH if is_long else None),
     ]  # fmt: skip
@@ -99,13 +104,15 @@ async def _send(address: str, rate: float, seconds: float, random: Random) -> li
     samples: list[Sample] = []
     channels = [grpc.aio.insecure_channel(address, [("grpc.use_local_subchannel_pool", 1)]) for _ in range(CHANNELS)]
     stubs: list[Any] = [PlannerServiceStub(channel) for channel in channels]  # type: ignore[no-untyped-call]
-    stored = await _plan(stubs[0], asks.ELBOW)
+    latest = [await _plan(stubs[0], asks.ELBOW)]  # an old plan is removed when the store is full
 
     async def call(kind: str, stub: Any) -> None:
         began = time.monotonic()
         try:
-            await _calls(stub, stored)[kind]()
+            answer = await _calls(stub, latest[0])[kind]()
             code = "OK"
+            if kind == "files" and answer:
+                latest[0] = answer
         except grpc.aio.AioRpcError as error:
             code = read_error(error).code.name
         samples.append(Sample(kind, code, time.monotonic() - began))
