@@ -13,8 +13,10 @@ from jaxtyping import Float
 from costs.robot.poses import matrix_rpy
 from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
+from service.execution.capture_point import BalanceSettings, find_turn_rates
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
 from service.execution.estimator import PelvisEstimate, PelvisEstimator, SensorNoise
+from service.execution.feet import Feet, FeetState, Sight
 from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
 from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
@@ -23,16 +25,7 @@ from service.execution.machine import ExecutionMachine, MachineSettings, Machine
 from service.execution.pose_control import Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
 from service.execution.shift import Shift, ShiftLimits, step_shift
-from service.execution.touchdown import (
-    FootReading,
-    Stage,
-    TouchdownSettings,
-    TouchdownState,
-    find_ankle,
-    find_landing,
-    soften,
-    step_touchdown,
-)
+from service.execution.touchdown import TouchdownSettings
 from service.execution.yielding import ArmYield, Yielding, YieldSettings, holds_arm
 from service.verify import PlantedContact
 
@@ -50,7 +43,8 @@ class ExecutionSettings:
         gains: of the pose control.
         machine: of the plan's clock.
         guards: limits of the guards.
-        touchdown: of feet that land; None lands them stiff.
+        touchdown: of feet that land; None lands them stiff, and their ankles follow the plan.
+        balance: of ankles while feet alone carry the robot; None for ankles that follow the plan.
         shifts: how fast operator's displacements of targets come.
         hand_gains: PID control that corrects where the hands are measured to be [m per m]; None for none.  It rests
             while hands press on a mechanism, and in plans that plant arms.
@@ -64,6 +58,7 @@ class ExecutionSettings:
     machine: MachineSettings = field(default_factory=MachineSettings)
     guards: GuardSettings = field(default_factory=GuardSettings)
     touchdown: TouchdownSettings | None = field(default_factory=TouchdownSettings)
+    balance: BalanceSettings | None = field(default_factory=BalanceSettings)
     shifts: ShiftLimits = field(default_factory=ShiftLimits)
     hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.0, ki=2.0, limit=0.05))
     load_gain: float = 4e-5
@@ -131,7 +126,7 @@ class Execution:
         if set(driver.joint_names) != set(reference.joint_names):
             other = sorted(set(driver.joint_names) ^ set(reference.joint_names))
             raise ExecutionError(f"the driver's joints are not those of the plan: {', '.join(other[:3])}")
-        self._touchdown: dict[str, TouchdownState] = {}
+        self._feet_state: FeetState | None = None
         self._yields: dict[str, ArmYield] = {}
         self._shifts: dict[str, Shift] = {}
         self._forces: MeasuredForces | None = None
@@ -157,10 +152,18 @@ class Execution:
         self._guards = Guards(settings.guards)
         feet, reading = robot.link_groups.get("feet", ()), driver.read()
         self._has_forces = robot.is_floating and all(foot in reading.foot_wrenches for foot in feet) and len(feet) == 2
-        self._ankles = {}
+        self._feet: Feet | None = None
         if settings.touchdown is not None and self._has_forces:
-            self._ankles = {foot: find_ankle(robot, driver.joint_names, foot) for foot in feet}
-        self._touchdown = {foot: self._touchdown.get(foot, TouchdownState.stiff()) for foot in self._ankles}
+            self._feet = Feet(
+                robot,
+                driver.joint_names,
+                reference.phases,
+                driver.period_s,
+                settings.touchdown,
+                settings.balance,
+                settings.load_gain,
+            )
+            self._feet_state = self._feet.start(self._feet_state)
         planted = [contact for phase in reference.phases for contact in phase.contacts] if self._has_forces else []
         self._yielding = Yielding(robot, driver.joint_names, planted if settings.yielding else [], settings.yielding)
         self._yields = {**self._yielding.start(), **{k: v for k, v in self._yields.items() if k in self._yielding.arms}}
@@ -265,8 +268,7 @@ class Execution:
         phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
-        self._step_touchdown(phase, reading, wanted)
-        self._share_weight(phase, wanted)
+        self._step_feet(reading, wanted)
         self._step_yielding()
         self._n_cycles += 1
         if self._n_cycles % HAND_CYCLES == 0:
@@ -336,42 +338,17 @@ class Execution:
             return ()
         return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
 
-    def _step_touchdown(
-        self,
-        phase: ReferencePhase,
-        reading: RobotReading,
-        wanted: ReferenceState,
-    ) -> None:
-        """Advance the feet that come down."""
-        settings, forces = self.settings.touchdown, self._forces
-        if settings is None or forces is None or self._estimate is None or not self._ankles:
+    def _step_feet(self, reading: RobotReading, wanted: ReferenceState) -> None:
+        """Advance the feet that come down, keep the balance, and share the weight."""
+        estimate, forces, state = self._estimate, self._forces, self._feet_state
+        if self._feet is None or state is None or estimate is None or forces is None:
             return
-        phases, rate = self.reference.phases, max(self.state.rate, 0.01)
-        landings = {foot: find_landing(phases, self.state.phase, foot) for foot in self._ankles}
-        left = {
-            foot: np.inf if landing is None else (landing.begin_s - self.state.time_s) / rate
-            for foot, landing in landings.items()
-        }
-        moving = [foot for foot in self._ankles if left[foot] <= settings.lead_s or not self._touchdown[foot].is_idle]
-        if moving:
-            self._place(self._read_configuration(reading, wanted))
-        for foot in moving:
-            ankle, landing = self._ankles[foot], landings[foot]
-            own = next((contact for contact in phase.contacts if contact.link == foot), None)
-            after = () if landing is None else landing.contacts
-            ground = own or next((contact for contact in after if contact.link == foot), None)
-            off, slope = (0.0, 0.0) if ground is None else self._compare_sole(ground)
-            ankle_off = reading.q[ankle.joints] - self.command.q[self._columns][ankle.joints]
-            self._touchdown[foot] = step_touchdown(
-                settings,
-                self._touchdown[foot],
-                ankle,
-                FootReading(float(forces.contacts[foot][2]), off, slope, ankle_off),
-                lands=left[foot] <= settings.lead_s,
-                planted=own is not None,
-                left_s=left[foot] if own is None else 0.0,
-                period_s=self.driver.period_s,
-            )
+        q, v = self._read_configuration(reading, wanted), np.zeros(self.reference.robot.model.nv)
+        v[:3], v[self._columns] = estimate.speed, estimate.joint_speeds
+        v[3:6] = find_turn_rates(q[3:6], reading.imu_rotation @ reading.imu_angular_velocity)
+        machine, command = self.state, self.command.q
+        sight = Sight(machine.time_s, machine.rate, machine.phase, wanted, reading, q, v, command, forces.contacts)
+        self._feet_state = self._feet.step(state, sight)
 
     def _step_yielding(self) -> None:
         """Advance the arms that press on something, or are about to."""
@@ -388,13 +365,6 @@ class Execution:
             expected=self._wanted.contact_wrenches,
             period_s=self.driver.period_s,
         )
-
-    def _compare_sole(self, contact: PlantedContact) -> tuple[float, float]:
-        """Return the height of a placed sole's lowest point over the plan's ground [m], and its slope there [rad]."""
-        place = self._data.oMf[self.reference.robot.model.getFrameId(contact.link)]
-        points = contact.sole @ place.rotation.T + place.translation
-        cosine = float(place.rotation[:, 2] @ contact.pose_world_link[:3, 2])
-        return float(points[:, 2].min() - contact.points[:, 2].mean()), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def _read_configuration(self, reading: RobotReading, wanted: ReferenceState) -> Float[np.ndarray, "n"]:
         """Return the configuration that sensors and estimator show."""
@@ -429,46 +399,26 @@ class Execution:
             output, state = step_pid(gains, self._corrections[hand], error, period_s)
             self._corrections[hand], self._corrected[hand] = state, output
 
-    def _share_weight(self, phase: ReferencePhase, wanted: ReferenceState) -> None:
-        """Lower the foot that carries less than planned and raise the other one, while they alone are planted."""
-        settings, forces, period = self.settings.touchdown, self._forces, self.driver.period_s
-        planted = {contact.link for contact in phase.contacts}
-        both = len(self._ankles) == 2 and planted == set(self._ankles)
-        if settings is None or forces is None or not both or not self.settings.load_gain:
-            return
-        left, right = self._ankles
-        more = 0.5 * sum(
-            sign * (float(forces.contacts[foot][2]) - float(wanted.contact_wrenches[foot][2]))
-            for foot, sign in ((left, 1.0), (right, -1.0))
-        )
-        speed = float(np.clip(self.settings.load_gain * more, -settings.probe_speed, settings.probe_speed))
-        for foot, sign in ((left, 1.0), (right, -1.0)):
-            state = self._touchdown[foot]
-            if state.stage in (Stage.STIFF, Stage.SETTLED):
-                at = float(np.clip(state.height.offset[2] + sign * speed * period, -settings.probe_m, settings.probe_m))
-                offset = np.array([0.0, 0.0, at])
-                self._touchdown[foot] = replace(state, height=Shift(offset, np.zeros(3), offset))
-
     def list_shifts(self) -> Mapping[str, Shift]:
         """Return the displacements of all targets: the operator's, of corrected hands, and of feet on the ground."""
         shifts = dict(self._shifts)
         for hand, correction in self._corrected.items():
             own = shifts.get(hand, Shift.zero())
             shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
-        for foot, state in self._touchdown.items():
+        landings = {} if self._feet_state is None else self._feet_state.landings
+        for foot, state in landings.items():
             own, height = shifts.get(foot, Shift.zero()), state.height
             shifts[foot] = Shift(own.offset + height.offset, own.speed + height.speed, own.goal)
         return shifts
 
     def _send(self, wanted: ReferenceState, reading: RobotReading) -> JointCommand:
-        """Return the command for the driver: the pose control's, with the plan's torques and the ankles' law."""
+        """Return the command for the driver: the pose control's, with the plan's torques and the ankles' laws."""
         command = JointCommand(
             self.command.q[self._columns], self.command.qd[self._columns], wanted.tau[self._order_of_plan]
         )
         for link, state in self._yields.items():
             if state.offset.any():
                 command.q[self._yielding.arms[link].joints] += state.offset
-        if self.settings.touchdown is not None:
-            for foot, ankle in self._ankles.items():
-                command = soften(self.settings.touchdown, ankle, self._touchdown[foot], command, reading)
-        return command
+        if self._feet is None or self._feet_state is None:
+            return command
+        return self._feet.soften(self._feet_state, command, reading)
