@@ -24,7 +24,7 @@ from service.verify import PlantedContact
 
 PERIOD = 2e-3
 SETTINGS = TouchdownSettings()
-AIR = FootReading(0.0, 0.0, np.zeros(2))
+AIR = FootReading(0.0, 0.0, 0.0, np.zeros(2))
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def meet_ground(height, stiffness=1e5):
 
     def read(t, state):
         depth = height - float(state.height.offset[2]) if t > 0.3 else 0.0
-        return FootReading(max(stiffness * depth, 0.0), 0.01, np.zeros(2))
+        return FootReading(max(stiffness * depth, 0.0), 0.0, 0.01, np.zeros(2))
 
     return read
 
@@ -115,7 +115,7 @@ def test_an_early_touch_frees_the_ankle_and_the_foot_presses_lightly_on_the_grou
 
 
 def test_a_foot_that_loses_the_ground_after_the_planned_touch_goes_on_down(ankle):
-    flat = FootReading(80.0, 0.0, np.zeros(2))
+    flat = FootReading(80.0, 0.0, 0.0, np.zeros(2))
     states = run(ankle, lambda t, state: flat if t < 0.2 else AIR, 0.6, left=lambda t: -t)
     assert states[-1].has_touched
     assert states[-1].height.offset[2] < -0.01
@@ -125,7 +125,7 @@ def test_a_foot_without_ground_looks_for_it_below_and_stops_there(ankle):
     ground = -0.011
 
     def foot(t, state):
-        return FootReading(80.0 if state.height.offset[2] <= ground else 0.0, 0.0, np.zeros(2))
+        return FootReading(80.0 if state.height.offset[2] <= ground else 0.0, 0.0, 0.0, np.zeros(2))
 
     states = run(ankle, foot, 2.0, left=lambda t: 0.3 - t)
     assert states[-1].has_touched
@@ -141,13 +141,13 @@ def test_a_foot_looks_no_further_than_it_may(ankle):
 
 
 def test_a_short_knock_is_no_touch(ankle):
-    knock = FootReading(200.0, 0.0, np.zeros(2))
+    knock = FootReading(200.0, 0.0, 0.0, np.zeros(2))
     states = run(ankle, lambda t, state: knock if abs(t - 0.3) < 1e-9 else AIR, 0.5)
     assert not any(state.has_touched for state in states)
 
 
 def test_a_planted_foot_comes_flat_and_then_its_ankle_becomes_stiff_gradually(ankle):
-    flat = FootReading(400.0, 0.005, np.array([0.0, 0.02]))
+    flat = FootReading(400.0, 0.0, 0.005, np.array([0.0, 0.02]))
     landed = run(ankle, flat, 0.3, left=lambda t: -t)[-1]
     states = run(ankle, flat, 1.0, state=landed, lands=False, planted=True, left=lambda t: 0.0)
     assert states[-1].stage is Stage.SETTLED
@@ -159,7 +159,7 @@ def test_a_planted_foot_comes_flat_and_then_its_ankle_becomes_stiff_gradually(an
 
 
 def test_on_a_slope_the_ankle_stays_adapted_until_the_foot_is_lifted(ankle):
-    slope = FootReading(400.0, 0.06, np.array([0.0, 0.06]))
+    slope = FootReading(400.0, 0.0, 0.06, np.array([0.0, 0.06]))
     landed = run(ankle, slope, 0.3, left=lambda t: -t)[-1]
     standing = run(ankle, slope, 1.0, state=landed, lands=False, planted=True, left=lambda t: 0.0)[-1]
     np.testing.assert_array_equal(standing.offset, [0.0, 0.06])
@@ -171,13 +171,13 @@ def test_on_a_slope_the_ankle_stays_adapted_until_the_foot_is_lifted(ankle):
 
 
 def test_a_foot_that_stands_from_the_start_is_never_softened(ankle):
-    states = run(ankle, FootReading(700.0, 0.0, np.zeros(2)), 0.5, lands=False, planted=True, left=lambda t: 0.0)
+    states = run(ankle, FootReading(700.0, 0.0, 0.0, np.zeros(2)), 0.5, lands=False, planted=True, left=lambda t: 0.0)
     assert {state.stage for state in states} == {Stage.STIFF}
     assert {state.softness for state in states} == {0.0}
 
 
 def test_the_ankle_of_a_planted_foot_gives_way_to_the_balance_gradually_and_becomes_stiff_after_it(ankle):
-    reading = FootReading(700.0, 0.0, np.array([0.0, 0.02]))
+    reading = FootReading(700.0, 0.0, 0.0, np.array([0.0, 0.02]))
     states = run(ankle, reading, 0.5, lands=False, planted=True, balances=True)
     softness = np.array([state.softness for state in states])
     assert states[-1].stage is Stage.BALANCING
@@ -195,7 +195,7 @@ def test_the_ankle_of_a_planted_foot_gives_way_to_the_balance_gradually_and_beco
 def test_a_foot_that_comes_down_keeps_no_balance_before_it_has_touched(ankle):
     falling = run(ankle, AIR, 0.3, left=lambda t: 0.2 - t)[-1]
     assert run(ankle, AIR, 0.1, state=falling, lands=False, planted=True, balances=True)[-1].stage is Stage.FREE
-    flat = FootReading(400.0, 0.0, np.zeros(2))
+    flat = FootReading(400.0, 0.0, 0.0, np.zeros(2))
     standing = run(ankle, flat, 0.1, state=falling, lands=False, planted=True, balances=True)[-1]
     assert standing.stage is Stage.BALANCING
     assert standing.softness == 1.0

@@ -118,14 +118,15 @@ class BalanceControl:
 
         # Accelerations along a path grow with the square of the clock's rate.
         pressures = np.array([_find_pressure(wanted.contact_wrenches[contact.link], contact) for contact in planted])
-        planned_zmp = shares @ pressures
+        own = pressures.copy()
+        planned_zmp = shares @ own
         zmp = rate**2 * planned_zmp + (1.0 - rate**2) * planned_com[:2] + self.settings.gain * error
         measured = np.array([max(float(forces[contact.link][2]), 0.0) for contact in planted])
         if measured.sum() > LEAST_N:
             pressures += zmp - measured / measured.sum() @ (origins[:, :2] - middle[:2] + pressures)
         made, torques = {}, {}
         for k, contact in enumerate(planted):
-            made[contact.link] = self._keep_inside(pressures[k], contact, places[k].rotation)
+            made[contact.link] = self._keep_inside(pressures[k], own[k], contact, places[k].rotation)
             arm = np.array([*made[contact.link], soles[k][2]])
             force = np.array([*forces[contact.link][:2], measured[k]])
             torques[contact.link] = self._find_torque(q, contact.link, arm, force)
@@ -141,13 +142,18 @@ class BalanceControl:
         return np.asarray(-(lever[:3].T @ force + lever[3:].T @ (pin.skew(arm) @ force)))
 
     def _keep_inside(
-        self, pressure: Float[np.ndarray, "2"], contact: PlantedContact, rotation: Float[np.ndarray, "3 3"]
+        self,
+        pressure: Float[np.ndarray, "2"],
+        planned: Float[np.ndarray, "2"],
+        contact: PlantedContact,
+        rotation: Float[np.ndarray, "3 3"],
     ) -> Float[np.ndarray, "2"]:
-        """Return a centre of pressure moved into the box of the sole's points, less the border."""
+        """Return a centre of pressure inside the box of the sole's points: in the border only where the plan is too."""
+        turn = rotation[:2, :2]
         low, high = contact.sole[:, :2].min(axis=0), contact.sole[:, :2].max(axis=0)
-        edge = np.minimum(self.settings.edge_m, 0.5 * (high - low))
-        inside = np.clip(rotation[:2, :2].T @ pressure, low + edge, high - edge)
-        return np.asarray(rotation[:2, :2] @ inside)
+        edge, wanted = np.minimum(self.settings.edge_m, 0.5 * (high - low)), np.clip(turn.T @ planned, low, high)
+        inside = np.clip(turn.T @ pressure, np.minimum(low + edge, wanted), np.maximum(high - edge, wanted))
+        return np.asarray(turn @ inside)
 
 
 def find_turn_rates(angles: Float[np.ndarray, "3"], angular_velocity: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

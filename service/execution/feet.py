@@ -10,7 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from service.execution.capture_point import Balance, BalanceControl, BalanceSettings
+from service.execution.capture_point import WORLD_AXES, Balance, BalanceControl, BalanceSettings
 from service.execution.driver import JointCommand, RobotReading
 from service.execution.reference import ReferencePhase, ReferenceState
 from service.execution.touchdown import (
@@ -100,7 +100,7 @@ class Feet:
         columns = np.array([robot.joint_names.index(name) for name in joint_names], dtype=int)
         self._columns = {foot: columns[ankle.joints] for foot, ankle in self.ankles.items()}
         self._control = None if balance is None else BalanceControl(robot, self._columns, balance)
-        self._data = robot.model.createData()
+        self._data, self._plan = robot.model.createData(), robot.model.createData()
 
     def start(self, earlier: FeetState | None = None) -> FeetState:
         """Return feet that follow their commands; after another plan, as that one left them."""
@@ -147,6 +147,7 @@ class Feet:
         moving = [foot for foot in self.ankles if balances or left[foot] <= lead or not states[foot].is_idle]
         if moving:
             pin.forwardKinematics(self.robot.model, self._data, sight.q)
+            pin.forwardKinematics(self.robot.model, self._plan, sight.wanted.configuration, sight.wanted.velocity)
         for foot in moving:
             landing, columns = landings[foot], self._columns[foot]
             own = next((contact for contact in phase.contacts if contact.link == foot), None)
@@ -157,7 +158,12 @@ class Feet:
                 self.settings,
                 states[foot],
                 self.ankles[foot],
-                FootReading(float(sight.forces[foot][2]), slope, sight.q[columns] - sight.command[columns]),
+                FootReading(
+                    float(sight.forces[foot][2]),
+                    sight.rate * self._find_rise(foot),
+                    slope,
+                    sight.q[columns] - sight.command[columns],
+                ),
                 lands=left[foot] <= lead,
                 planted=own is not None,
                 balances=balances,
@@ -165,6 +171,11 @@ class Feet:
                 period_s=self.period_s,
             )
         return made
+
+    def _find_rise(self, foot: str) -> float:
+        """Return the upward speed of a foot in the plan at full rate [m/s]."""
+        model = self.robot.model
+        return float(pin.getFrameVelocity(model, self._plan, model.getFrameId(foot), WORLD_AXES).linear[2])
 
     def _find_slope(self, contact: PlantedContact) -> float:
         """Return the angle between a placed sole and that of the plan [rad]."""

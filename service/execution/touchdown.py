@@ -71,7 +71,7 @@ class TouchdownSettings:
     return_speed: float = 0.015
     probe_m: float = 0.03
     ground_rad: float = 0.03
-    limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=4.0))
+    limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=20.0))
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.tilt_rad <= MAX_TILT_RAD and 0.0 <= self.torque_gain <= 1.0):
@@ -102,11 +102,13 @@ class FootReading:
 
     Attributes:
         upright_n: measured upright force [N].
+        planned_speed: upward, of the foot in the plan [m/s].
         slope: angle between its sole and that of the plan [rad].
         ankle_off: (2,) measured angles of the ankle less the commanded ones [rad].
     """
 
     upright_n: float
+    planned_speed: float
     slope: float
     ankle_off: Float[np.ndarray, "2"]
 
@@ -249,15 +251,19 @@ def _move_height(
 ) -> Shift:
     """Return the displacement of a foot that comes down: it stops where it meets ground, and presses lightly on it.
 
-    The target moves in proportion to the force in excess.  Before the planned touch the plan comes down by itself;
-    after it a foot without contact looks for ground below.
+    From the touch on the target does not follow the plan any more: it moves in proportion to the force in excess.  Long
+    before the planned touch it gives way only.  After it, a foot without contact looks for ground below.
     """
     if state.stage is not Stage.FREE:
         return step_shift(state.height, settings.limits, period_s)
     speed = min(settings.press_gain * (foot.upright_n - settings.press_n), settings.limits.speed)
     speed = max(speed, -settings.probe_speed) if foot.upright_n >= settings.touch_n else -settings.probe_speed
-    if left_s > 0.0:
-        speed = max(speed, 0.0) if state.has_touched else 0.0
+    if left_s > settings.free_s:
+        speed = max(speed, 0.0)
+    elif state.has_touched or left_s <= 0.0:
+        speed -= foot.planned_speed
+    else:
+        speed = 0.0
     return move_target(settings, state.height, speed, period_s)
 
 
