@@ -52,7 +52,7 @@ class PlannedBalance:
         for k, phase in enumerate(phases):
             here = index == k
             if phase.contacts and robot.is_floating:
-                margin[here] = -outside_polygon(_find_support(phase), com[here])
+                margin[here] = -outside_polygon(find_support(phase), com[here])
         return PlannedBalance(times, com, margin, index, phases, robot.link_groups.get("feet", ()))
 
     def find_last(self, time_s: float, lost: Collection[str], margin_m: float) -> float:
@@ -96,7 +96,7 @@ class PlannedBalance:
         return -np.inf if polygon is None else float(-outside_polygon(polygon, self.com[k : k + 1])[0])
 
 
-def _find_support(phase: Phase) -> Float[np.ndarray, "E 2"]:
+def find_support(phase: Phase) -> Float[np.ndarray, "E 2"]:
     """Return the polygon in which the centre of mass is in balance: of the phase, its region, or its soles' hull."""
     if isinstance(phase.support, SupportPolygon):
         return np.asarray(phase.support.polygon)

@@ -8,7 +8,7 @@ plan's (Englsberger et al., IROS 2011).  Each ankle makes the torque that puts t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +17,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from service.errors import ExecutionError
 from service.execution.reference import ReferenceState
+from service.execution.shift import ShiftLimits
 from service.verify import PlantedContact
 
 GRAVITY = 9.81
@@ -31,16 +32,23 @@ class BalanceSettings:
 
     Attributes:
         gain: ``K``, displacement of the ZMP per displacement of the capture point from the plan.
-        edge_m: border of the soles where no ankle puts the pressure [m].
+        edge_m: border of the soles where no ankle puts the pressure, unless the plan does [m].
+        margin_m: balance margin that the body is displaced for where the plan has less [m].
+        lean_lead_s: time before which it begins to move there [s].
+        lean: how fast it moves there.
     """
 
     gain: float = 3.0
     edge_m: float = 0.012
+    margin_m: float = 0.03
+    lean_lead_s: float = 1.5
+    lean: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.02, acceleration=0.05))
 
     def __post_init__(self) -> None:
-        if not (self.gain > 1.0 and self.edge_m >= 0.0):
+        if not (self.gain > 1.0 and min(self.edge_m, self.margin_m, self.lean_lead_s) >= 0.0):
             raise ExecutionError(
-                f"balance: gain {self.gain:g}, edge_m {self.edge_m:g}; expected above 1, and 0 or more"
+                f"balance: gain {self.gain:g}, edge_m {self.edge_m:g}, margin_m {self.margin_m:g}, lean_lead_s "
+                f"{self.lean_lead_s:g}; expected a gain above 1, and 0 or more"
             )
 
 
@@ -89,6 +97,7 @@ class BalanceControl:
         v: Float[np.ndarray, "n"],
         wanted: ReferenceState,
         rate: float,
+        lean: Float[np.ndarray, "3"],
         planted: Sequence[PlantedContact],
         forces: Mapping[str, Float[np.ndarray, "3"]],
     ) -> Balance:
@@ -98,6 +107,7 @@ class BalanceControl:
             q, v: (n,) configuration and speeds as measured.
             wanted: by the plan now.
             rate: of the plan's clock.
+            lean: (3,) displacement of the body from the plan [m].
             planted: one or two feet.
             forces: measured by foot (3,), world axes [N].
         """
@@ -111,7 +121,7 @@ class BalanceControl:
         upright = np.array([max(float(wanted.contact_wrenches[contact.link][2]), 0.0) for contact in planted])
         shares = upright / upright.sum() if upright.sum() > LEAST_N else np.full(len(planted), 1.0 / len(planted))
         middle = shares @ origins
-        planned_com = planned.com[0] - shares @ np.array([goal.translation for goal in goals])
+        planned_com = planned.com[0] + lean - shares @ np.array([goal.translation for goal in goals])
         height = float(actual.com[0][2] - middle[2] - shares @ np.array(soles)[:, 2])
         omega = np.sqrt(GRAVITY / max(height, LEAST_HEIGHT_M))
         error = (actual.com[0] - middle - planned_com + (actual.vcom[0] - planned.vcom[0]) / omega)[:2]
@@ -120,7 +130,7 @@ class BalanceControl:
         pressures = np.array([_find_pressure(wanted.contact_wrenches[contact.link], contact) for contact in planted])
         own = pressures.copy()
         planned_zmp = shares @ own
-        zmp = rate**2 * planned_zmp + (1.0 - rate**2) * planned_com[:2] + self.settings.gain * error
+        zmp = rate**2 * (planned_zmp + lean[:2]) + (1.0 - rate**2) * planned_com[:2] + self.settings.gain * error
         measured = np.array([max(float(forces[contact.link][2]), 0.0) for contact in planted])
         if measured.sum() > LEAST_N:
             pressures += zmp - measured / measured.sum() @ (origins[:, :2] - middle[:2] + pressures)

@@ -21,12 +21,13 @@ from service.execution.filters import PidGains, PidState, find_share, low_pass, 
 from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
 from service.execution.guards import Finding, Guards, GuardSettings, Severity
+from service.execution.lean import PlannedLean
 from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
-from service.execution.pose_control import Command, PoseController
+from service.execution.pose_control import BODY, Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
 from service.execution.shift import Shift, ShiftLimits, step_shift
 from service.execution.touchdown import TouchdownSettings
-from service.execution.yielding import ArmYield, Yielding, YieldSettings, holds_arm
+from service.execution.yielding import ArmYield, Yielding, YieldSettings, bound_forces, holds_arm, press_trunk
 from service.verify import PlantedContact
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
@@ -127,6 +128,8 @@ class Execution:
             other = sorted(set(driver.joint_names) ^ set(reference.joint_names))
             raise ExecutionError(f"the driver's joints are not those of the plan: {', '.join(other[:3])}")
         self._feet_state: FeetState | None = None
+        self._lean = Shift.zero()
+        self._pressed = np.zeros(3)
         self._yields: dict[str, ArmYield] = {}
         self._shifts: dict[str, Shift] = {}
         self._forces: MeasuredForces | None = None
@@ -147,6 +150,9 @@ class Execution:
         self.controller = PoseController(robot, settings.gains, driver.period_s)
         balance = PlannedBalance.of(reference) if robot.is_floating else None
         self.machine = ExecutionMachine(reference.phases, balance, settings.machine)
+        self._planned_lean = None
+        if settings.balance is not None and balance is not None:
+            self._planned_lean = PlannedLean.of(balance, settings.balance.margin_m)
         self.state = MachineState(time_s=begin_s, phase=reference.find_phase_number(begin_s))
         self._wanted = reference.at(begin_s)
         self._guards = Guards(settings.guards)
@@ -166,6 +172,8 @@ class Execution:
             self._feet_state = self._feet.start(self._feet_state)
         planted = [contact for phase in reference.phases for contact in phase.contacts] if self._has_forces else []
         self._yielding = Yielding(robot, driver.joint_names, planted if settings.yielding else [], settings.yielding)
+        ends = {*robot.link_groups.get("feet", ()), *self._yielding.arms}
+        self._trunk = {contact.link for contact in planted} - ends
         self._yields = {**self._yielding.start(), **{k: v for k, v in self._yields.items() if k in self._yielding.arms}}
         tools = sorted({load.tool for phase in reference.phases for load in phase.loads}) if self._has_forces else []
         self._meter = ForceMeter(robot, driver.joint_names, tools, driver.period_s)
@@ -268,6 +276,7 @@ class Execution:
         phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
+        self._step_lean()
         self._step_feet(reading, wanted)
         self._step_yielding()
         self._n_cycles += 1
@@ -338,6 +347,14 @@ class Execution:
             return ()
         return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
 
+    def _step_lean(self) -> None:
+        """Displace the body where the plan stands close to the border of its feet."""
+        if self._planned_lean is None or self.settings.balance is None or self._feet is None:
+            return
+        settings = self.settings.balance
+        goal = self._planned_lean.at(self.state.time_s, settings.lean_lead_s)
+        self._lean = step_shift(self._lean.towards(goal), settings.lean, self.driver.period_s)
+
     def _step_feet(self, reading: RobotReading, wanted: ReferenceState) -> None:
         """Advance the feet that come down, keep the balance, and share the weight."""
         estimate, forces, state = self._estimate, self._forces, self._feet_state
@@ -347,14 +364,43 @@ class Execution:
         v[:3], v[self._columns] = estimate.speed, estimate.joint_speeds
         v[3:6] = find_turn_rates(q[3:6], reading.imu_rotation @ reading.imu_angular_velocity)
         machine, command = self.state, self.command.q
-        sight = Sight(machine.time_s, machine.rate, machine.phase, wanted, reading, q, v, command, forces.contacts)
+        sight = Sight(
+            machine.time_s,
+            machine.rate,
+            machine.phase,
+            wanted,
+            reading,
+            q,
+            v,
+            command,
+            forces.contacts,
+            self._lean.offset + self._pressed,
+        )
         self._feet_state = self._feet.step(state, sight)
 
     def _step_yielding(self) -> None:
-        """Advance the arms that press on something, or are about to."""
-        if not self._yields or self._forces is None:
+        """Advance the arms and the trunk that press on something, or are about to."""
+        if self.settings.yielding is None or not self._has_forces or self._forces is None:
             return
         phase, _ = self._current_phases()
+        bounds = bound_forces(
+            self.settings.yielding,
+            phase.contacts,
+            self._list_landing(),
+            is_waiting=self.state.mode is Mode.WAITING,
+            expected=self._wanted.contact_wrenches,
+        )
+        held = {contact.link for contact in phase.contacts}  # the body does not follow what it sits on or leans on
+        trunk = {
+            link: replace(bound, least=0.0) if link in held else bound
+            for link, bound in bounds.items()
+            if link in self._trunk
+        }
+        self._pressed = press_trunk(
+            self.settings.yielding, self._pressed, trunk, self._forces.contacts, self.driver.period_s
+        )
+        if not self._yields:
+            return
         self._yields = self._yielding.step(
             self._yields,
             self.command.q,
@@ -405,6 +451,7 @@ class Execution:
         for hand, correction in self._corrected.items():
             own = shifts.get(hand, Shift.zero())
             shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
+        shifts[BODY] = replace(self._lean, offset=self._lean.offset + self._pressed)
         landings = {} if self._feet_state is None else self._feet_state.landings
         for foot, state in landings.items():
             own, height = shifts.get(foot, Shift.zero()), state.height

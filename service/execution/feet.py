@@ -54,6 +54,7 @@ class Sight:
         q, v: (n,) configuration and speeds as measured.
         command: (n,) configuration of the earlier command.
         forces: measured by link (3,), world axes [N].
+        lean: (3,) displacement of the body from the plan [m].
     """
 
     time_s: float
@@ -65,6 +66,7 @@ class Sight:
     v: Float[np.ndarray, "n"]
     command: Float[np.ndarray, "n"]
     forces: Mapping[str, Float[np.ndarray, "3"]]
+    lean: Float[np.ndarray, "3"]
 
 
 class Feet:
@@ -132,7 +134,7 @@ class Feet:
         planted = {contact.link for contact in phase.contacts}
         if self._control is None or phase.loads or not planted <= set(self.ankles):
             return None
-        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, phase.contacts, sight.forces)
+        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, sight.lean, phase.contacts, sight.forces)
 
     def _step_landings(
         self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool
