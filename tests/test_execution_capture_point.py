@@ -35,7 +35,7 @@ def find_time(reference, name, share=0.5):
     return phase.begin_s + share * (phase.end_s - phase.begin_s)
 
 
-def balance(reference, control, time, *, q=None, v=None, rate=1.0, lean=np.zeros(3), forces=None):
+def balance(reference, control, time, *, q=None, v=None, rate=1.0, lean=None, forces=None):
     wanted = reference.at(time)
     planned = {foot: wanted.contact_wrenches[foot][:3] for foot in FEET}
     return control.step(
@@ -43,7 +43,7 @@ def balance(reference, control, time, *, q=None, v=None, rate=1.0, lean=np.zeros
         rate * wanted.velocity if v is None else v,
         wanted,
         rate,
-        lean,
+        np.zeros(3) if lean is None else lean,
         reference.find_phase(time).contacts,
         planned if forces is None else forces,
     )

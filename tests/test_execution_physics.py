@@ -122,3 +122,27 @@ def test_an_abort_on_one_leg_ends_standing_in_balance(reference):
     assert np.abs(cycle.reading.qd).max() < 0.05
     tilt = np.arccos(robot.pose_world_base[2, 2])
     assert abs(tilt - np.arccos(cycle.wanted.pose_world_base[2, 2])) < 0.05
+
+
+def push(reference, settings, newton=120.0, seconds=0.3):
+    """Push the pelvis aside of a robot on one leg; return the farthest lean of the stance foot [rad], and the mode."""
+    swing = next(phase for phase in reference.phases if phase.name.endswith("swing"))
+    execution = stand(reference, reference.motion, swing.begin_s + 0.2, settings)
+    execution.give(Order.PAUSE)
+    robot, data = execution.driver, reference.robot.model.createData()
+    pelvis, frame = robot.model.mj.body("link:pelvis").id, reference.robot.model.getFrameId("l_foot")
+    tilt = 0.0
+    for k in range(2000):
+        robot.data.xfrc_applied[pelvis, 1] = newton if 500 <= k < 500 + 1e3 * seconds else 0.0
+        execution.step()
+        if k % 20 == 0:
+            pin.framesForwardKinematics(reference.robot.model, data, robot.configuration())
+            tilt = max(tilt, float(np.arccos(np.clip(data.oMf[frame].rotation[2, 2], -1.0, 1.0))))
+    return tilt, execution.state.mode
+
+
+def test_a_push_on_one_leg_that_tips_a_stiff_robot_over_is_caught_by_the_ankle(reference):
+    tilt, mode = push(reference, ExecutionSettings())
+    assert tilt < 0.02
+    assert mode is Mode.PAUSED
+    assert push(reference, ExecutionSettings(balance=None))[1] is Mode.FALLEN

@@ -36,6 +36,11 @@ class BalanceSettings:
         margin_m: balance margin that the body is displaced for where the plan has less [m].
         lean_lead_s: time before which it begins to move there [s].
         lean: how fast it moves there.
+        trim_gain: speed at which the body is moved against the error while others than the feet still hold it, before
+            they let go [1/s].
+        trim_m: largest displacement by that [m].
+        trim_fade_s: in which it goes back [s].
+        release_m: largest error of the capture point with which they let go [m].
     """
 
     gain: float = 3.0
@@ -43,6 +48,10 @@ class BalanceSettings:
     margin_m: float = 0.03
     lean_lead_s: float = 1.5
     lean: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.02, acceleration=0.05))
+    trim_gain: float = 1.5
+    trim_m: float = 0.06
+    trim_fade_s: float = 10.0
+    release_m: float = 0.012
 
     def __post_init__(self) -> None:
         if not (self.gain > 1.0 and min(self.edge_m, self.margin_m, self.lean_lead_s) >= 0.0):

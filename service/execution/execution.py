@@ -270,7 +270,7 @@ class Execution:
             wanted.contact_wrenches,
             period,
         )
-        findings = (*found, *self._find_fall(reading, wanted))
+        findings = (*found, *self._find_fall(reading, wanted), *self._find_imbalance(following))
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
         phase, _ = self._current_phases()
@@ -347,6 +347,19 @@ class Execution:
             return ()
         return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
 
+    def _find_imbalance(self, following: ReferencePhase | None) -> tuple[Finding, ...]:
+        """Return a finding if feet that are about to be alone do not have the robot's weight where it belongs yet."""
+        settings, state = self.settings.balance, self._feet_state
+        if settings is None or state is None or state.off_m is None or following is None:
+            return ()
+        if state.off_m <= settings.release_m:
+            return ()
+        words = (
+            f"the capture point is {1e3 * state.off_m:.0f} mm off its place; '{following.name}' needs it within "
+            f"{1e3 * settings.release_m:.0f} mm"
+        )
+        return (Finding(Severity.WAIT, "", 0.0, 0.0, words),)
+
     def _step_lean(self) -> None:
         """Displace the body where the plan stands close to the border of its feet."""
         if self._planned_lean is None or self.settings.balance is None or self._feet is None:
@@ -374,7 +387,7 @@ class Execution:
             v,
             command,
             forces.contacts,
-            self._lean.offset + self._pressed,
+            self._lean.offset,
         )
         self._feet_state = self._feet.step(state, sight)
 
@@ -382,11 +395,14 @@ class Execution:
         """Advance the arms and the trunk that press on something, or are about to."""
         if self.settings.yielding is None or not self._has_forces or self._forces is None:
             return
-        phase, _ = self._current_phases()
+        phase, following = self._current_phases()
+        kept = phase.contacts if following is None else following.contacts
+        leaving = {contact.link for contact in phase.contacts} - {contact.link for contact in kept}
         bounds = bound_forces(
             self.settings.yielding,
             phase.contacts,
             self._list_landing(),
+            leaving=leaving,
             is_waiting=self.state.mode is Mode.WAITING,
             expected=self._wanted.contact_wrenches,
         )
@@ -406,6 +422,7 @@ class Execution:
             self.command.q,
             phase.contacts,
             self._list_landing(),
+            leaving=leaving,
             is_waiting=self.state.mode is Mode.WAITING,
             measured=self._forces.contacts,
             expected=self._wanted.contact_wrenches,
@@ -451,7 +468,8 @@ class Execution:
         for hand, correction in self._corrected.items():
             own = shifts.get(hand, Shift.zero())
             shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
-        shifts[BODY] = replace(self._lean, offset=self._lean.offset + self._pressed)
+        trim = np.zeros(3) if self._feet_state is None else self._feet_state.trim
+        shifts[BODY] = replace(self._lean, offset=self._lean.offset + self._pressed + trim)
         landings = {} if self._feet_state is None else self._feet_state.landings
         for foot, state in landings.items():
             own, height = shifts.get(foot, Shift.zero()), state.height

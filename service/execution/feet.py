@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -36,10 +36,14 @@ class FeetState:
     Attributes:
         landings: state of every foot that has an ankle.
         balance: what the ankles do for the balance; None while something else than the feet carries force.
+        trim: (3,) displacement of the body that brings the centre of mass to its place before the feet are alone [m].
+        off_m: distance of the capture point from its place before the feet are alone [m]; None at other times.
     """
 
     landings: Mapping[str, TouchdownState]
     balance: Balance | None = None
+    trim: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    off_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class Sight:
         q, v: (n,) configuration and speeds as measured.
         command: (n,) configuration of the earlier command.
         forces: measured by link (3,), world axes [N].
-        lean: (3,) displacement of the body from the plan [m].
+        lean: (3,) displacement of the body that the plan should have had [m].
     """
 
     time_s: float
@@ -112,15 +116,15 @@ class Feet:
     def step(self, state: FeetState, sight: Sight) -> FeetState:
         """Return the feet one cycle later."""
         phase = self.phases[sight.phase]
-        balance = self._find_balance(phase, sight)
+        following = self.phases[sight.phase + 1] if sight.phase + 1 < len(self.phases) else None
+        soon = following is not None and self._is_alone(following)
+        balance = self._find_balance(phase, sight) if soon or self._is_alone(phase) else None
+        trim, off = self._step_trim(state.trim, balance, soon and not self._is_alone(phase))
         landings = self._step_landings(state.landings, phase, sight, balance is not None)
-        if (
-            len(self.ankles) == 2
-            and self.load_gain
-            and {contact.link for contact in phase.contacts} == set(self.ankles)
-        ):
+        both = len(self.ankles) == 2 and set(self.ankles) <= {contact.link for contact in phase.contacts}
+        if both and self.load_gain and (off is not None or len(phase.contacts) == len(self.ankles)):
             landings = self._share_weight(landings, balance, sight)
-        return FeetState(landings, balance)
+        return FeetState(landings, balance, trim, off)
 
     def soften(self, state: FeetState, command: JointCommand, reading: RobotReading) -> JointCommand:
         """Return a command with the ankles as touchdown and balance want them."""
@@ -129,12 +133,29 @@ class Feet:
             command = soften(self.settings, ankle, state.landings[foot], command, reading, torque)
         return command
 
+    def _is_alone(self, phase: ReferencePhase) -> bool:
+        """Return whether feet alone touch anything; hands that press would be taken for errors."""
+        return not phase.loads and {contact.link for contact in phase.contacts} <= set(self.ankles)
+
     def _find_balance(self, phase: ReferencePhase, sight: Sight) -> Balance | None:
-        """Return what the balance wants while feet alone touch anything; hands that press would be taken for errors."""
-        planted = {contact.link for contact in phase.contacts}
-        if self._control is None or phase.loads or not planted <= set(self.ankles):
+        """Return what the balance wants of the planted feet."""
+        feet = [contact for contact in phase.contacts if contact.link in self.ankles]
+        if self._control is None or not feet:
             return None
-        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, sight.lean, phase.contacts, sight.forces)
+        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, sight.lean, feet, sight.forces)
+
+    def _step_trim(
+        self, trim: Float[np.ndarray, "3"], balance: Balance | None, is_held: bool
+    ) -> tuple[Float[np.ndarray, "3"], float | None]:
+        """Return the displacement of the body before the feet are alone, and how far the capture point is off [m]."""
+        if self._control is None or balance is None:
+            return trim, None
+        settings = self._control.settings
+        if not is_held:
+            return max(1.0 - self.period_s / settings.trim_fade_s, 0.0) * trim, None
+        trim = trim - self.period_s * settings.trim_gain * np.append(balance.error, 0.0)
+        size, off = float(np.linalg.norm(trim)), float(np.linalg.norm(balance.error))
+        return (trim if size <= settings.trim_m else trim * settings.trim_m / size), off
 
     def _step_landings(
         self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool
@@ -194,9 +215,9 @@ class Feet:
         left, right = self.ankles
         measured = {foot: float(sight.forces[foot][2]) for foot in self.ankles}
         upright = {foot: float(sight.wanted.contact_wrenches[foot][2]) for foot in self.ankles}
-        if balance is not None:
-            least, total = settings.press_n, sum(balance.upright_n.values())
-            upright = {foot: min(max(force, least), total - least) for foot, force in balance.upright_n.items()}
+        upright = upright if balance is None else dict(balance.upright_n)
+        least, total = settings.press_n, sum(upright.values())
+        upright = {foot: min(max(force, least), max(total - least, least)) for foot, force in upright.items()}
         more = 0.5 * (measured[left] - upright[left] - measured[right] + upright[right])
         speed = float(np.clip(self.load_gain * more, -settings.probe_speed, settings.probe_speed))
         for foot, own in ((left, speed), (right, -speed)):

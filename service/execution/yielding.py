@@ -6,7 +6,7 @@ newtons on position servos.  An admittance along the contact's normal takes them
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,7 @@ class YieldSettings:
             expects as much.
         expected_share: of the expected force, up to which it does not yield below the second of these.
         least_share: of the expected force, below which it presses harder.
-        landing_n: force of a link that is about to be planted, above which it yields [N].
+        landing_n: force of a link that is about to be planted or let go, above which it yields [N].
         touch_n: force up to which a link looks for the surface that the next phase needs [N].
         time_s: in which a force comes back within its bounds [s].
         softness: of the rest of the robot at a contact, besides the arm's own [m/N].
@@ -114,6 +114,7 @@ def bound_forces(
     planted: Sequence[PlantedContact],
     landing: Sequence[PlantedContact],
     *,
+    leaving: Collection[str] = (),
     is_waiting: bool,
     expected: Mapping[str, Float[np.ndarray, "6"]],
 ) -> dict[str, ForceBounds]:
@@ -123,7 +124,10 @@ def bound_forces(
         wanted = press_on(contact, expected[contact.link][:3]) if contact.link in expected else 0.0
         cap = contact.force_cap_n * len(contact.sole)
         most = max(settings.most_share * cap, min(settings.expected_share * wanted, settings.limit_share * cap))
-        bounds[contact.link] = ForceBounds(contact, settings.least_share * max(wanted, 0.0), most)
+        least = settings.least_share * max(wanted, 0.0)
+        if contact.link in leaving:
+            least, most = 0.0, max(settings.expected_share * wanted, settings.landing_n)
+        bounds[contact.link] = ForceBounds(contact, least, most)
     for contact in landing:
         bounds[contact.link] = ForceBounds(contact, settings.touch_n if is_waiting else 0.0, settings.landing_n)
     return bounds
@@ -236,6 +240,7 @@ class Yielding:
         planted: Sequence[PlantedContact],
         landing: Sequence[PlantedContact],
         *,
+        leaving: Collection[str] = (),
         is_waiting: bool,
         measured: Mapping[str, Float[np.ndarray, "3"]],
         expected: Mapping[str, Float[np.ndarray, "6"]],
@@ -248,12 +253,13 @@ class Yielding:
             q: (n,) configuration of the robot.
             planted: contacts of the present phase.
             landing: contacts that the next phase adds.
+            leaving: links that the next phase lets go; they do not hold the robot any more.
             is_waiting: whether the plan's clock waits for these.
             measured, expected: force (3,) and planned wrench (6,) per link, world axes [N, N m].
             period_s: of the cycle [s].
         """
         settings, made = self.settings, {}
-        bounds = bound_forces(settings, planted, landing, is_waiting=is_waiting, expected=expected)
+        bounds = bound_forces(settings, planted, landing, leaving=leaving, is_waiting=is_waiting, expected=expected)
         is_placed = False
         for link, arm in self.arms.items():
             state = earlier[link]
