@@ -126,7 +126,7 @@ def test_an_abort_on_one_leg_ends_standing_in_balance(reference):
 
 
 def push(reference, settings, newton=160.0, seconds=0.3):
-    """Push the pelvis of a robot aside that rests on its left leg; return how far that foot rolls [rad], and the mode."""
+    """Push the pelvis of a robot on its left leg aside; return how far that foot rolls [rad], and the mode."""
     swing = next(phase for phase in reference.phases if phase.name.endswith("swing"))
     execution = stand(reference, reference.motion, swing.begin_s + 0.2, settings)
     execution.give(Order.PAUSE)

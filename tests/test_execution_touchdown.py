@@ -114,6 +114,15 @@ def test_an_early_touch_frees_the_ankle_and_the_foot_presses_lightly_on_the_grou
     assert np.abs(np.diff(speeds)).max() <= SETTINGS.limits.acceleration * PERIOD + 1e-9
 
 
+def test_a_foot_that_has_touched_does_not_follow_the_plan_further_down(ankle):
+    pressed = FootReading(SETTINGS.press_n, -0.1, 0.01, np.zeros(2))
+    left = 0.5 * SETTINGS.free_s
+    states = run(ankle, pressed, left, left=lambda t: left - t)
+    touched = next(k for k, state in enumerate(states) if state.has_touched)
+    seconds = (len(states) - 1 - touched) * PERIOD
+    assert states[-1].height.offset[2] == pytest.approx(0.1 * seconds, rel=0.1)
+
+
 def test_a_foot_that_loses_the_ground_after_the_planned_touch_goes_on_down(ankle):
     flat = FootReading(80.0, 0.0, 0.0, np.zeros(2))
     states = run(ankle, lambda t, state: flat if t < 0.2 else AIR, 0.6, left=lambda t: -t)
