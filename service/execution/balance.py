@@ -52,8 +52,12 @@ class PlannedBalance:
         for k, phase in enumerate(phases):
             here = index == k
             if phase.contacts and robot.is_floating:
-                margin[here] = -outside_polygon(find_support(phase), com[here])
+                margin[here] = -outside_polygon(_find_support(phase), com[here])
         return PlannedBalance(times, com, margin, index, phases, robot.link_groups.get("feet", ()))
+
+    def list_margins(self) -> list[float]:
+        """Return the least margin of each phase [m]."""
+        return [float(self.margin[self.phase == k].min(initial=np.inf)) for k in range(len(self.phases))]
 
     def find_last(self, time_s: float, lost: Collection[str], margin_m: float) -> float:
         """Return the latest time up to ``time_s`` at which the plan is in balance without contacts that are lost.
@@ -96,7 +100,7 @@ class PlannedBalance:
         return -np.inf if polygon is None else float(-outside_polygon(polygon, self.com[k : k + 1])[0])
 
 
-def find_support(phase: Phase) -> Float[np.ndarray, "E 2"]:
+def _find_support(phase: Phase) -> Float[np.ndarray, "E 2"]:
     """Return the polygon in which the centre of mass is in balance: of the phase, its region, or its soles' hull."""
     if isinstance(phase.support, SupportPolygon):
         return np.asarray(phase.support.polygon)

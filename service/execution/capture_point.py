@@ -8,7 +8,7 @@ plan's (Englsberger et al., IROS 2011).  Each ankle makes the torque that puts t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +17,6 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from service.errors import ExecutionError
 from service.execution.reference import ReferenceState
-from service.execution.shift import ShiftLimits
 from service.verify import PlantedContact
 
 GRAVITY = 9.81
@@ -33,31 +32,18 @@ class BalanceSettings:
     Attributes:
         gain: ``K``, displacement of the ZMP per displacement of the capture point from the plan.
         edge_m: border of the soles where no ankle puts the pressure, unless the plan does [m].
-        margin_m: balance margin that the body is displaced for where the plan has less [m].
-        lean_lead_s: time before which it begins to move there [s].
-        lean: how fast it moves there.
-        trim_gain: speed at which the body is moved against the error while others than the feet still hold it, before
-            they let go [1/s].
-        trim_m: largest displacement by that [m].
-        trim_fade_s: in which it goes back [s].
-        release_m: largest error of the capture point with which they let go [m].
+        least_m: balance margin of the plan below which the ankles follow it instead: they could not do more [m].
     """
 
     gain: float = 3.0
     edge_m: float = 0.012
-    margin_m: float = 0.03
-    lean_lead_s: float = 1.5
-    lean: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.02, acceleration=0.05))
-    trim_gain: float = 1.5
-    trim_m: float = 0.06
-    trim_fade_s: float = 10.0
-    release_m: float = 0.012
+    least_m: float = 0.02
 
     def __post_init__(self) -> None:
-        if not (self.gain > 1.0 and min(self.edge_m, self.margin_m, self.lean_lead_s) >= 0.0):
+        if not (self.gain > 1.0 and min(self.edge_m, self.least_m) >= 0.0):
             raise ExecutionError(
-                f"balance: gain {self.gain:g}, edge_m {self.edge_m:g}, margin_m {self.margin_m:g}, lean_lead_s "
-                f"{self.lean_lead_s:g}; expected a gain above 1, and 0 or more"
+                f"balance: gain {self.gain:g}, edge_m {self.edge_m:g}, least_m {self.least_m:g}; expected a gain above "
+                "1, and 0 or more"
             )
 
 
@@ -106,7 +92,6 @@ class BalanceControl:
         v: Float[np.ndarray, "n"],
         wanted: ReferenceState,
         rate: float,
-        lean: Float[np.ndarray, "3"],
         planted: Sequence[PlantedContact],
         forces: Mapping[str, Float[np.ndarray, "3"]],
     ) -> Balance:
@@ -116,7 +101,6 @@ class BalanceControl:
             q, v: (n,) configuration and speeds as measured.
             wanted: by the plan now.
             rate: of the plan's clock.
-            lean: (3,) displacement of the body from the plan [m].
             planted: one or two feet.
             forces: measured by foot (3,), world axes [N].
         """
@@ -130,7 +114,7 @@ class BalanceControl:
         upright = np.array([max(float(wanted.contact_wrenches[contact.link][2]), 0.0) for contact in planted])
         shares = upright / upright.sum() if upright.sum() > LEAST_N else np.full(len(planted), 1.0 / len(planted))
         middle = shares @ origins
-        planned_com = planned.com[0] + lean - shares @ np.array([goal.translation for goal in goals])
+        planned_com = planned.com[0] - shares @ np.array([goal.translation for goal in goals])
         height = float(actual.com[0][2] - middle[2] - shares @ np.array(soles)[:, 2])
         omega = np.sqrt(GRAVITY / max(height, LEAST_HEIGHT_M))
         error = (actual.com[0] - middle - planned_com + (actual.vcom[0] - planned.vcom[0]) / omega)[:2]
@@ -139,7 +123,7 @@ class BalanceControl:
         pressures = np.array([_find_pressure(wanted.contact_wrenches[contact.link], contact) for contact in planted])
         own = pressures.copy()
         planned_zmp = shares @ own
-        zmp = rate**2 * (planned_zmp + lean[:2]) + (1.0 - rate**2) * planned_com[:2] + self.settings.gain * error
+        zmp = rate**2 * planned_zmp + (1.0 - rate**2) * planned_com[:2] + self.settings.gain * error
         measured = np.array([max(float(forces[contact.link][2]), 0.0) for contact in planted])
         if measured.sum() > LEAST_N:
             pressures += zmp - measured / measured.sum() @ (origins[:, :2] - middle[:2] + pressures)

@@ -21,7 +21,6 @@ from service.execution.filters import PidGains, PidState, find_share, low_pass, 
 from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
 from service.execution.guards import Finding, Guards, GuardSettings, Severity
-from service.execution.lean import PlannedLean
 from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
 from service.execution.pose_control import BODY, Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
@@ -128,7 +127,6 @@ class Execution:
             other = sorted(set(driver.joint_names) ^ set(reference.joint_names))
             raise ExecutionError(f"the driver's joints are not those of the plan: {', '.join(other[:3])}")
         self._feet_state: FeetState | None = None
-        self._lean = Shift.zero()
         self._pressed = np.zeros(3)
         self._yields: dict[str, ArmYield] = {}
         self._shifts: dict[str, Shift] = {}
@@ -150,9 +148,6 @@ class Execution:
         self.controller = PoseController(robot, settings.gains, driver.period_s)
         balance = PlannedBalance.of(reference) if robot.is_floating else None
         self.machine = ExecutionMachine(reference.phases, balance, settings.machine)
-        self._planned_lean = None
-        if settings.balance is not None and balance is not None:
-            self._planned_lean = PlannedLean.of(balance, settings.balance.margin_m)
         self.state = MachineState(time_s=begin_s, phase=reference.find_phase_number(begin_s))
         self._wanted = reference.at(begin_s)
         self._guards = Guards(settings.guards)
@@ -168,6 +163,7 @@ class Execution:
                 settings.touchdown,
                 settings.balance,
                 settings.load_gain,
+                balance.list_margins() if balance is not None else [np.inf] * len(reference.phases),
             )
             self._feet_state = self._feet.start(self._feet_state)
         planted = [contact for phase in reference.phases for contact in phase.contacts] if self._has_forces else []
@@ -270,13 +266,12 @@ class Execution:
             wanted.contact_wrenches,
             period,
         )
-        findings = (*found, *self._find_fall(reading, wanted), *self._find_imbalance(following))
+        findings = (*found, *self._find_fall(reading, wanted))
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
         phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
-        self._step_lean()
         self._step_feet(reading, wanted)
         self._step_yielding()
         self._n_cycles += 1
@@ -347,27 +342,6 @@ class Execution:
             return ()
         return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
 
-    def _find_imbalance(self, following: ReferencePhase | None) -> tuple[Finding, ...]:
-        """Return a finding if feet that are about to be alone do not have the robot's weight where it belongs yet."""
-        settings, state = self.settings.balance, self._feet_state
-        if settings is None or state is None or state.off_m is None or following is None:
-            return ()
-        if state.off_m <= settings.release_m:
-            return ()
-        words = (
-            f"the capture point is {1e3 * state.off_m:.0f} mm off its place; '{following.name}' needs it within "
-            f"{1e3 * settings.release_m:.0f} mm"
-        )
-        return (Finding(Severity.WAIT, "", 0.0, 0.0, words),)
-
-    def _step_lean(self) -> None:
-        """Displace the body where the plan stands close to the border of its feet."""
-        if self._planned_lean is None or self.settings.balance is None or self._feet is None:
-            return
-        settings = self.settings.balance
-        goal = self._planned_lean.at(self.state.time_s, settings.lean_lead_s)
-        self._lean = step_shift(self._lean.towards(goal), settings.lean, self.driver.period_s)
-
     def _step_feet(self, reading: RobotReading, wanted: ReferenceState) -> None:
         """Advance the feet that come down, keep the balance, and share the weight."""
         estimate, forces, state = self._estimate, self._forces, self._feet_state
@@ -377,18 +351,7 @@ class Execution:
         v[:3], v[self._columns] = estimate.speed, estimate.joint_speeds
         v[3:6] = find_turn_rates(q[3:6], reading.imu_rotation @ reading.imu_angular_velocity)
         machine, command = self.state, self.command.q
-        sight = Sight(
-            machine.time_s,
-            machine.rate,
-            machine.phase,
-            wanted,
-            reading,
-            q,
-            v,
-            command,
-            forces.contacts,
-            self._lean.offset,
-        )
+        sight = Sight(machine.time_s, machine.rate, machine.phase, wanted, reading, q, v, command, forces.contacts)
         self._feet_state = self._feet.step(state, sight)
 
     def _step_yielding(self) -> None:
@@ -468,8 +431,8 @@ class Execution:
         for hand, correction in self._corrected.items():
             own = shifts.get(hand, Shift.zero())
             shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
-        trim = np.zeros(3) if self._feet_state is None else self._feet_state.trim
-        shifts[BODY] = replace(self._lean, offset=self._lean.offset + self._pressed + trim)
+        if self._pressed.any():
+            shifts[BODY] = Shift(self._pressed, np.zeros(3), self._pressed)
         landings = {} if self._feet_state is None else self._feet_state.landings
         for foot, state in landings.items():
             own, height = shifts.get(foot, Shift.zero()), state.height

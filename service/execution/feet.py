@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -36,14 +36,10 @@ class FeetState:
     Attributes:
         landings: state of every foot that has an ankle.
         balance: what the ankles do for the balance; None while something else than the feet carries force.
-        trim: (3,) displacement of the body that brings the centre of mass to its place before the feet are alone [m].
-        off_m: distance of the capture point from its place before the feet are alone [m]; None at other times.
     """
 
     landings: Mapping[str, TouchdownState]
     balance: Balance | None = None
-    trim: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    off_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,6 @@ class Sight:
         q, v: (n,) configuration and speeds as measured.
         command: (n,) configuration of the earlier command.
         forces: measured by link (3,), world axes [N].
-        lean: (3,) displacement of the body that the plan should have had [m].
     """
 
     time_s: float
@@ -70,7 +65,6 @@ class Sight:
     v: Float[np.ndarray, "n"]
     command: Float[np.ndarray, "n"]
     forces: Mapping[str, Float[np.ndarray, "3"]]
-    lean: Float[np.ndarray, "3"]
 
 
 class Feet:
@@ -85,6 +79,7 @@ class Feet:
         touchdown: TouchdownSettings,
         balance: BalanceSettings | None,
         load_gain: float,
+        margins: Sequence[float],
     ) -> None:
         """Prepare the ankles.
 
@@ -96,6 +91,7 @@ class Feet:
             touchdown: of feet that land.
             balance: None for ankles that follow the plan while they are planted.
             load_gain: speed at which both feet move against each other per newton of a wrong share [m/(N s)].
+            margins: least balance margin of the plan in each phase [m].
 
         Raises:
             ExecutionError: a foot has no ankle of two joints.
@@ -105,6 +101,12 @@ class Feet:
         self.ankles = {foot: find_ankle(robot, joint_names, foot) for foot in robot.link_groups.get("feet", ())}
         columns = np.array([robot.joint_names.index(name) for name in joint_names], dtype=int)
         self._columns = {foot: columns[ankle.joints] for foot, ankle in self.ankles.items()}
+        least = np.inf if balance is None else balance.least_m
+        # Hands that press on a mechanism would be taken for errors.
+        self._may_balance = [
+            not phase.loads and {contact.link for contact in phase.contacts} <= set(self.ankles) and margin >= least
+            for phase, margin in zip(self.phases, margins, strict=True)
+        ]
         self._control = None if balance is None else BalanceControl(robot, self._columns, balance)
         self._data, self._plan = robot.model.createData(), robot.model.createData()
 
@@ -116,15 +118,12 @@ class Feet:
     def step(self, state: FeetState, sight: Sight) -> FeetState:
         """Return the feet one cycle later."""
         phase = self.phases[sight.phase]
-        following = self.phases[sight.phase + 1] if sight.phase + 1 < len(self.phases) else None
-        soon = following is not None and self._is_alone(following)
-        balance = self._find_balance(phase, sight) if soon or self._is_alone(phase) else None
-        trim, off = self._step_trim(state.trim, balance, soon and not self._is_alone(phase))
+        balance = self._find_balance(phase, sight) if self._may_balance[sight.phase] else None
         landings = self._step_landings(state.landings, phase, sight, balance is not None)
-        both = len(self.ankles) == 2 and set(self.ankles) <= {contact.link for contact in phase.contacts}
-        if both and self.load_gain and (off is not None or len(phase.contacts) == len(self.ankles)):
+        both = {contact.link for contact in phase.contacts} == set(self.ankles)
+        if both and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, balance, sight)
-        return FeetState(landings, balance, trim, off)
+        return FeetState(landings, balance)
 
     def soften(self, state: FeetState, command: JointCommand, reading: RobotReading) -> JointCommand:
         """Return a command with the ankles as touchdown and balance want them."""
@@ -133,29 +132,11 @@ class Feet:
             command = soften(self.settings, ankle, state.landings[foot], command, reading, torque)
         return command
 
-    def _is_alone(self, phase: ReferencePhase) -> bool:
-        """Return whether feet alone touch anything; hands that press would be taken for errors."""
-        return not phase.loads and {contact.link for contact in phase.contacts} <= set(self.ankles)
-
     def _find_balance(self, phase: ReferencePhase, sight: Sight) -> Balance | None:
         """Return what the balance wants of the planted feet."""
-        feet = [contact for contact in phase.contacts if contact.link in self.ankles]
-        if self._control is None or not feet:
+        if self._control is None or not phase.contacts:
             return None
-        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, sight.lean, feet, sight.forces)
-
-    def _step_trim(
-        self, trim: Float[np.ndarray, "3"], balance: Balance | None, is_held: bool
-    ) -> tuple[Float[np.ndarray, "3"], float | None]:
-        """Return the displacement of the body before the feet are alone, and how far the capture point is off [m]."""
-        if self._control is None or balance is None:
-            return trim, None
-        settings = self._control.settings
-        if not is_held:
-            return max(1.0 - self.period_s / settings.trim_fade_s, 0.0) * trim, None
-        trim = trim - self.period_s * settings.trim_gain * np.append(balance.error, 0.0)
-        size, off = float(np.linalg.norm(trim)), float(np.linalg.norm(balance.error))
-        return (trim if size <= settings.trim_m else trim * settings.trim_m / size), off
+        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, phase.contacts, sight.forces)
 
     def _step_landings(
         self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool
