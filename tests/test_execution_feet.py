@@ -85,3 +85,14 @@ def test_a_planted_foot_that_lost_the_ground_looks_for_it(reference):
     sight.forces["r_foot"][2] = 0.0
     height = run(make_feet(reference, list_phases(reference, False)), sight).landings["r_foot"].height
     assert height.offset[2] == pytest.approx(-0.5 * TouchdownSettings().probe_speed, rel=0.02)
+
+
+def test_the_margin_of_the_capture_point_is_measured_before_the_feet_are_alone(reference):
+    feet = make_feet(reference, list_phases(reference, True, False))
+    sight = replace(see(reference), time_s=reference.phases[0].end_s)
+    still = run(feet, sight, 0.01)
+    moved = run(feet, replace(sight, v=sight.v - 0.4 * np.eye(len(sight.v))[0]), 0.01)  # backwards
+    assert 0.05 < still.margin_m < 0.2
+    assert moved.margin_m < still.margin_m - 0.02
+    assert run(make_feet(reference, list_phases(reference, True, True)), sight, 0.01).margin_m is None
+    assert run(feet, see(reference), 0.01).margin_m is None

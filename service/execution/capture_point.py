@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
+from scipy.spatial import ConvexHull
 
 from costs.robot import RobotModel
 from service.errors import ExecutionError
 from service.execution.reference import ReferenceState
 from service.verify import PlantedContact
+from service.verify.polygons import outside_polygon
 
 GRAVITY = 9.81
 LEAST_N = 20.0  # upright force from which a centre of pressure is known [N]
@@ -32,11 +34,13 @@ class BalanceSettings:
     Attributes:
         gain: ``K``, displacement of the ZMP per displacement of the capture point from the plan.
         edge_m: border of the soles where no ankle puts the pressure, unless the plan does [m].
+        release_m: how far the capture point must be inside the feet before other contacts let go [m].
         least_m: balance margin of the plan below which the ankles follow it instead: they could not do more [m].
     """
 
     gain: float = 3.0
     edge_m: float = 0.012
+    release_m: float = 0.01
     least_m: float = 0.02
 
     def __post_init__(self) -> None:
@@ -135,6 +139,20 @@ class BalanceControl:
             torques[contact.link] = self._find_torque(q, contact.link, arm, force)
         wanted_n = _share_weight(upright, zmp - planned_zmp, origins[:, :2])
         return Balance(error, torques, made, dict(zip(made, wanted_n.tolist(), strict=True)))
+
+    def find_margin(
+        self, q: Float[np.ndarray, "n"], v: Float[np.ndarray, "n"], planted: Sequence[PlantedContact]
+    ) -> float:
+        """Return how far the capture point is inside the hull of planted feet [m]; negative outside."""
+        model, actual = self.robot.model, self._actual
+        pin.centerOfMass(model, actual, q, v, False)
+        places = [pin.updateFramePlacement(model, actual, self._frames[contact.link]) for contact in planted]
+        soles = [contact.sole @ at.rotation.T + at.translation for contact, at in zip(planted, places, strict=True)]
+        points = np.vstack(soles)
+        height = max(float(actual.com[0][2] - points[:, 2].mean()), LEAST_HEIGHT_M)
+        capture = actual.com[0] + actual.vcom[0] / np.sqrt(GRAVITY / height)
+        hull = points[ConvexHull(points[:, :2]).vertices, :2]
+        return float(-outside_polygon(hull, capture[None, :2])[0])
 
     def _find_torque(
         self, q: Float[np.ndarray, "n"], foot: str, arm: Float[np.ndarray, "3"], force: Float[np.ndarray, "3"]

@@ -266,7 +266,7 @@ class Execution:
             wanted.contact_wrenches,
             period,
         )
-        findings = (*found, *self._find_fall(reading, wanted))
+        findings = (*found, *self._find_fall(reading, wanted), *self._find_imbalance(following))
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
         phase, _ = self._current_phases()
@@ -341,6 +341,19 @@ class Execution:
         if lean <= self.settings.guards.fall_rad:
             return ()
         return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
+
+    def _find_imbalance(self, following: ReferencePhase | None) -> tuple[Finding, ...]:
+        """Return a finding if feet that are about to be alone could not hold the robot."""
+        settings, state = self.settings.balance, self._feet_state
+        if settings is None or state is None or state.margin_m is None or following is None:
+            return ()
+        if state.margin_m >= settings.release_m:
+            return ()
+        words = (
+            f"the capture point is {1e3 * state.margin_m:.0f} mm inside the feet; '{following.name}' needs it "
+            f"{1e3 * settings.release_m:.0f} mm inside"
+        )
+        return (Finding(Severity.WAIT, "", 0.0, 0.0, words),)
 
     def _step_feet(self, reading: RobotReading, wanted: ReferenceState) -> None:
         """Advance the feet that come down, keep the balance, and share the weight."""

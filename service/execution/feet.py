@@ -26,6 +26,7 @@ from service.execution.touchdown import (
 )
 from service.verify import PlantedContact
 
+RELEASE_S = 0.1  # before the end of a phase, in which the margin is looked at [s]
 LEAST_RATE = 0.01  # of the plan's clock, for the time to the next touch
 
 
@@ -36,10 +37,12 @@ class FeetState:
     Attributes:
         landings: state of every foot that has an ankle.
         balance: what the ankles do for the balance; None while something else than the feet carries force.
+        margin_m: of the capture point inside the feet, before other contacts leave them alone [m]; else None.
     """
 
     landings: Mapping[str, TouchdownState]
     balance: Balance | None = None
+    margin_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ class Feet:
         both = {contact.link for contact in phase.contacts} == set(self.ankles)
         if both and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, balance, sight)
-        return FeetState(landings, balance)
+        return FeetState(landings, balance, self._find_margin(phase, sight))
 
     def soften(self, state: FeetState, command: JointCommand, reading: RobotReading) -> JointCommand:
         """Return a command with the ankles as touchdown and balance want them."""
@@ -137,6 +140,17 @@ class Feet:
         if self._control is None or not phase.contacts:
             return None
         return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, phase.contacts, sight.forces)
+
+    def _find_margin(self, phase: ReferencePhase, sight: Sight) -> float | None:
+        """Return the margin of the capture point in a phase after which the feet are alone [m]."""
+        last = sight.phase + 1 == len(self.phases) or sight.time_s < phase.end_s - RELEASE_S
+        if self._control is None or last:
+            return None
+        feet = self.phases[sight.phase + 1].contacts
+        leave = {contact.link for contact in phase.contacts} - {contact.link for contact in feet} - set(self.ankles)
+        if not leave or not {contact.link for contact in feet} <= set(self.ankles):
+            return None
+        return self._control.find_margin(sight.q, sight.v, feet)
 
     def _step_landings(
         self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool
