@@ -28,6 +28,7 @@ from service.execution.shift import Shift, ShiftLimits, step_shift
 from service.execution.touchdown import TouchdownSettings
 from service.execution.yielding import ArmYield, Yielding, YieldSettings, bound_forces, holds_arm, press_trunk
 from service.verify import PlantedContact
+from service.verify.polygons import describe_inside
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
 HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
@@ -350,7 +351,7 @@ class Execution:
         if state.margin_m >= settings.release_m:
             return ()
         words = (
-            f"the capture point is {1e3 * state.margin_m:.0f} mm inside the feet; '{following.name}' needs it "
+            f"the capture point is {describe_inside(state.margin_m)} the feet; '{following.name}' needs it "
             f"{1e3 * settings.release_m:.0f} mm inside"
         )
         return (Finding(Severity.WAIT, "", 0.0, 0.0, words),)
