@@ -7,9 +7,9 @@ from contact_plans import plan_example
 from scipy.spatial.transform import Rotation
 
 from service.errors import ExecutionError
-from service.execution.capture_point import BalanceControl, BalanceSettings, find_turn_rates
 from service.execution.reference import PlannedReference
-from service.execution.touchdown import find_ankle
+from service.execution.stance.capture_point import BalanceControl, BalanceSettings, find_turn_rates
+from service.execution.stance.touchdown import find_ankle
 
 FEET = ("l_foot", "r_foot")
 SETTINGS = BalanceSettings()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from contact_plans import plan_example
 
-from service.execution.capture_point import BalanceSettings
 from service.execution.driver import RobotReading
-from service.execution.feet import Feet, Sight
 from service.execution.reference import PlannedReference
-from service.execution.touchdown import Stage, TouchdownSettings
+from service.execution.stance.capture_point import BalanceSettings
+from service.execution.stance.feet import Feet, Sight
+from service.execution.stance.touchdown import Stage, TouchdownSettings
 from service.verify import PlantedContact
 
 PERIOD = 1e-3

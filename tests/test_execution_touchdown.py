@@ -10,7 +10,7 @@ from costs.robot import load_robot
 from service.errors import ExecutionError
 from service.execution.driver import JointCommand, RobotReading
 from service.execution.reference import ReferencePhase
-from service.execution.touchdown import (
+from service.execution.stance.touchdown import (
     FootReading,
     Stage,
     TouchdownSettings,

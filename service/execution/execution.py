@@ -13,10 +13,8 @@ from jaxtyping import Float
 from costs.robot.poses import matrix_rpy
 from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
-from service.execution.capture_point import BalanceSettings, find_turn_rates
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
 from service.execution.estimator import PelvisEstimate, PelvisEstimator, SensorNoise
-from service.execution.feet import Feet, FeetState, Sight
 from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
 from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
@@ -25,7 +23,9 @@ from service.execution.machine import ExecutionMachine, MachineSettings, Machine
 from service.execution.pose_control import BODY, Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
 from service.execution.shift import Shift, ShiftLimits, step_shift
-from service.execution.touchdown import TouchdownSettings
+from service.execution.stance.capture_point import BalanceSettings, find_turn_rates
+from service.execution.stance.feet import Feet, FeetState, Sight
+from service.execution.stance.touchdown import TouchdownSettings
 from service.execution.yielding import ArmYield, Yielding, YieldSettings, bound_forces, holds_arm, press_trunk
 from service.verify import PlantedContact
 from service.verify.polygons import describe_inside

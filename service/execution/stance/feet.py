@@ -10,10 +10,10 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from service.execution.capture_point import WORLD_AXES, Balance, BalanceControl, BalanceSettings
 from service.execution.driver import JointCommand, RobotReading
 from service.execution.reference import ReferencePhase, ReferenceState
-from service.execution.touchdown import (
+from service.execution.stance.capture_point import WORLD_AXES, Balance, BalanceControl, BalanceSettings
+from service.execution.stance.touchdown import (
     FootReading,
     Stage,
     TouchdownSettings,
