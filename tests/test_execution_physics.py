@@ -13,6 +13,7 @@ from contact_plans import plan_example
 from service.execution.execution import Execution, ExecutionSettings
 from service.execution.machine import Mode, Order
 from service.execution.reference import PlannedReference
+from service.execution.stance.capture_point import BalanceSettings
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
 from service.simulation.resistance import MechanismPhysics
@@ -122,3 +123,26 @@ def test_an_abort_on_one_leg_ends_standing_in_balance(reference):
     assert np.abs(cycle.reading.qd).max() < 0.05
     tilt = np.arccos(robot.pose_world_base[2, 2])
     assert abs(tilt - np.arccos(cycle.wanted.pose_world_base[2, 2])) < 0.05
+
+
+def push(reference, settings, newton=160.0, seconds=0.3):
+    """Push the pelvis of a robot on its left leg aside; return how far that foot rolls [rad], and the mode."""
+    swing = next(phase for phase in reference.phases if phase.name.endswith("swing"))
+    execution = stand(reference, reference.motion, swing.begin_s + 0.2, settings)
+    execution.give(Order.PAUSE)
+    robot, data = execution.driver, reference.robot.model.createData()
+    pelvis, frame = robot.model.mj.body("link:pelvis").id, reference.robot.model.getFrameId("l_foot")
+    tilt = 0.0
+    for k in range(1600):
+        robot.data.xfrc_applied[pelvis, 1] = newton if 500 <= k < 500 + 1e3 * seconds else 0.0
+        execution.step()
+        if k % 20 == 0:
+            pin.framesForwardKinematics(reference.robot.model, data, robot.configuration())
+            tilt = max(tilt, float(np.arccos(np.clip(data.oMf[frame].rotation[2, 2], -1.0, 1.0))))
+    return tilt, execution.state.mode
+
+
+def test_a_push_on_one_leg_rolls_the_foot_of_a_stiff_robot_and_not_of_one_that_keeps_its_balance(reference):
+    balanced, stiff = (push(reference, ExecutionSettings(balance=own)) for own in (BalanceSettings(), None))
+    assert balanced == (pytest.approx(0.0, abs=3e-3), Mode.PAUSED)
+    assert stiff[0] > 0.015

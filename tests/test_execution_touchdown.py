@@ -10,7 +10,7 @@ from costs.robot import load_robot
 from service.errors import ExecutionError
 from service.execution.driver import JointCommand, RobotReading
 from service.execution.reference import ReferencePhase
-from service.execution.touchdown import (
+from service.execution.stance.touchdown import (
     FootReading,
     Stage,
     TouchdownSettings,
@@ -24,7 +24,7 @@ from service.verify import PlantedContact
 
 PERIOD = 2e-3
 SETTINGS = TouchdownSettings()
-AIR = FootReading(0.0, 0.05, 0.0, np.zeros(2))
+AIR = FootReading(0.0, 0.0, 0.0, np.zeros(2))
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def ankle(atlas):
     return find_ankle(atlas, atlas.joint_names[6:], "r_foot")
 
 
-def run(ankle, foot, seconds=1.0, *, state=None, lands=True, planted=False, left=lambda t: 1.0):
+def run(ankle, foot, seconds=1.0, *, state=None, lands=True, planted=False, balances=False, left=lambda t: 1.0):
     """Step with what ``foot(t, state)`` reads and the time left(t) to the planned touch; return all states."""
     states = [state or TouchdownState.stiff()]
     for k in range(round(seconds / PERIOD)):
@@ -45,7 +45,15 @@ def run(ankle, foot, seconds=1.0, *, state=None, lands=True, planted=False, left
         reading = foot(t, states[-1]) if callable(foot) else foot
         states.append(
             step_touchdown(
-                SETTINGS, states[-1], ankle, reading, lands=lands, planted=planted, left_s=left(t), period_s=PERIOD
+                SETTINGS,
+                states[-1],
+                ankle,
+                reading,
+                lands=lands,
+                planted=planted,
+                balances=balances,
+                left_s=left(t),
+                period_s=PERIOD,
             )
         )
     return states
@@ -84,23 +92,42 @@ def test_the_ankle_is_free_shortly_before_the_planned_touch(ankle):
     assert not states[-1].has_touched
 
 
-def test_an_early_touch_frees_the_ankle_and_raises_the_foot_to_the_ground(ankle):
-    touch = FootReading(60.0, 0.012, 0.01, np.zeros(2))
-    states = run(ankle, lambda t, state: touch if t > 0.3 else AIR, 1.0)
+def meet_ground(height, stiffness=1e5):
+    """Return what a foot reads over ground at a height over the plan's [m], once it has come down to its place."""
+
+    def read(t, state):
+        depth = height - float(state.height.offset[2]) if t > 0.3 else 0.0
+        return FootReading(max(stiffness * depth, 0.0), 0.0, 0.01, np.zeros(2))
+
+    return read
+
+
+@pytest.mark.parametrize("height", [0.002, 0.012])
+def test_an_early_touch_frees_the_ankle_and_the_foot_presses_lightly_on_the_ground(ankle, height):
+    states = run(ankle, meet_ground(height), 1.0)
     touched = next(k for k, state in enumerate(states) if state.has_touched)
     assert touched * PERIOD == pytest.approx(0.3 + SETTINGS.touch_s, abs=3 * PERIOD)
-    assert states[-1].height.offset[2] == pytest.approx(0.012, abs=2e-4)
+    assert states[-1].height.offset[2] == pytest.approx(height - SETTINGS.press_n / 1e5, abs=2e-4)
     heights = np.array([state.height.offset[2] for state in states])
     speeds = np.diff(heights) / PERIOD
     assert np.abs(speeds).max() <= SETTINGS.limits.speed + 1e-9
     assert np.abs(np.diff(speeds)).max() <= SETTINGS.limits.acceleration * PERIOD + 1e-9
 
 
-def test_a_height_within_the_error_of_the_measurement_is_not_corrected(ankle):
-    touch = FootReading(60.0, 0.6 * SETTINGS.ground_m, 0.01, np.zeros(2))
-    states = run(ankle, lambda t, state: touch if t > 0.3 else AIR, 1.0)
+def test_a_foot_that_has_touched_does_not_follow_the_plan_further_down(ankle):
+    pressed = FootReading(SETTINGS.press_n, -0.1, 0.01, np.zeros(2))
+    left = 0.5 * SETTINGS.free_s
+    states = run(ankle, pressed, left, left=lambda t: left - t)
+    touched = next(k for k, state in enumerate(states) if state.has_touched)
+    seconds = (len(states) - 1 - touched) * PERIOD
+    assert states[-1].height.offset[2] == pytest.approx(0.1 * seconds, rel=0.1)
+
+
+def test_a_foot_that_loses_the_ground_after_the_planned_touch_goes_on_down(ankle):
+    flat = FootReading(80.0, 0.0, 0.0, np.zeros(2))
+    states = run(ankle, lambda t, state: flat if t < 0.2 else AIR, 0.6, left=lambda t: -t)
     assert states[-1].has_touched
-    assert states[-1].height.offset[2] == 0.0
+    assert states[-1].height.offset[2] < -0.01
 
 
 def test_a_foot_without_ground_looks_for_it_below_and_stops_there(ankle):
@@ -158,6 +185,31 @@ def test_a_foot_that_stands_from_the_start_is_never_softened(ankle):
     assert {state.softness for state in states} == {0.0}
 
 
+def test_the_ankle_of_a_planted_foot_gives_way_to_the_balance_gradually_and_becomes_stiff_after_it(ankle):
+    reading = FootReading(700.0, 0.0, 0.0, np.array([0.0, 0.02]))
+    states = run(ankle, reading, 0.5, lands=False, planted=True, balances=True)
+    softness = np.array([state.softness for state in states])
+    assert states[-1].stage is Stage.BALANCING
+    assert softness[-1] == 1.0
+    assert np.diff(softness).max() <= PERIOD / SETTINGS.settle_s + 1e-12
+    after = run(ankle, reading, 0.5, state=states[-1], lands=False, planted=True)
+    assert after[-1].softness == 0.0
+    np.testing.assert_allclose(after[-1].offset, 0.0, atol=1e-12)
+    lifted = run(ankle, AIR, 0.5, state=states[-1], lands=False)
+    offsets = np.array([state.offset for state in lifted])
+    np.testing.assert_allclose(offsets[-1], 0.0, atol=1e-12)
+    assert np.abs(np.diff(offsets, axis=0)).max() <= SETTINGS.tilt_rate * PERIOD + 1e-12
+
+
+def test_a_foot_that_comes_down_keeps_no_balance_before_it_has_touched(ankle):
+    falling = run(ankle, AIR, 0.3, left=lambda t: 0.2 - t)[-1]
+    assert run(ankle, AIR, 0.1, state=falling, lands=False, planted=True, balances=True)[-1].stage is Stage.FREE
+    flat = FootReading(400.0, 0.0, 0.0, np.zeros(2))
+    standing = run(ankle, flat, 0.1, state=falling, lands=False, planted=True, balances=True)[-1]
+    assert standing.stage is Stage.BALANCING
+    assert standing.softness == 1.0
+
+
 def test_a_free_ankle_is_commanded_where_it_is_with_its_torque_fed_back(ankle):
     n = 30
     command = JointCommand(np.full(n, 0.3), np.full(n, 0.1), np.full(n, 7.0))
@@ -167,11 +219,14 @@ def test_a_free_ankle_is_commanded_where_it_is_with_its_torque_fed_back(ankle):
     free = replace(TouchdownState.stiff(), stage=Stage.FREE, softness=1.0)
     soft = soften(SETTINGS, ankle, free, command, reading)
     np.testing.assert_array_equal(soft.q[ankle.joints], 0.25)
-    np.testing.assert_allclose(soft.qd[ankle.joints], -0.2 * (1.0 - SETTINGS.damping_share))
+    np.testing.assert_allclose(soft.qd[ankle.joints], 0.1 + (1.0 - SETTINGS.damping_share) * (-0.2 - 0.1))
     # In the air 7 N m carry the foot; from the touch on nothing is wanted.
     np.testing.assert_allclose(soft.tau[ankle.joints], 7.0 + SETTINGS.torque_gain * (7.0 - 20.0))
     touched = soften(SETTINGS, ankle, replace(free, has_touched=True), command, reading)
     np.testing.assert_allclose(touched.tau[ankle.joints], -SETTINGS.torque_gain * 20.0)
+    balancing = soften(SETTINGS, ankle, replace(free, stage=Stage.BALANCING), command, reading, np.array([5.0, -3.0]))
+    np.testing.assert_array_equal(balancing.q[ankle.joints], 0.25)
+    np.testing.assert_array_equal(balancing.tau[ankle.joints], [5.0, -3.0])
     others = np.setdiff1d(np.arange(n), ankle.joints)
     for name in ("q", "qd", "tau"):
         np.testing.assert_array_equal(getattr(soft, name)[others], getattr(command, name)[others])

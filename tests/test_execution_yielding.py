@@ -9,10 +9,19 @@ import pytest
 from costs.robot import load_robot
 from costs.robot.servo import list_servo_joints
 from service.errors import ExecutionError
-from service.execution.yielding import Yielding, YieldSettings, find_arms, find_branch, holds_arm
+from service.execution.yielding import (
+    Yielding,
+    YieldSettings,
+    bound_forces,
+    find_arms,
+    find_branch,
+    holds_arm,
+    press_trunk,
+)
 from service.verify import PlantedContact
 
 PERIOD = 1e-3
+SETTINGS = YieldSettings()
 
 
 @pytest.fixture(scope="module")
@@ -101,3 +110,43 @@ def test_an_arm_is_held_by_its_forearm_and_not_by_the_other_arm(robot):
 def test_settings_that_contradict_each_other_are_refused():
     with pytest.raises(ExecutionError, match="touch_n is at most landing_n"):
         replace(YieldSettings(), touch_n=50.0)
+
+
+def lean_on(force, *, waiting=True, seconds=0.5, offset=None):
+    """Let the trunk, which is about to touch a wall ahead, feel ``force(offset)`` [N]; return the body's offsets."""
+    wall = PlantedContact("utorso", np.eye(4), np.zeros((4, 3)), normal=np.array([-1.0, 0.0, 0.0]))
+    bounds = bound_forces(SETTINGS, [], [wall], is_waiting=waiting, expected={})
+    offsets = [np.zeros(3) if offset is None else offset]
+    for _ in range(round(seconds / 1e-3)):
+        measured = {"utorso": np.array([-force(offsets[-1][0]), 0.0, 0.0])}
+        offsets.append(press_trunk(SETTINGS, offsets[-1], bounds, measured, 1e-3))
+    return np.array(offsets)
+
+
+def test_the_trunk_looks_for_the_surface_that_the_plan_waits_for():
+    offsets = lean_on(lambda x: max(2e4 * (x - 0.008), 0.0), seconds=2.0)
+    assert offsets[-1][0] == pytest.approx(0.008, abs=1e-3)
+    assert 2e4 * (offsets[-1][0] - 0.008) > 5.0
+    assert np.diff(offsets[:, 0]).max() <= SETTINGS.search_speed * 1e-3 + 1e-12
+    assert not lean_on(lambda x: 0.0, waiting=False).any()
+
+
+def test_the_body_goes_no_further_than_it_may_and_back_without_a_contact():
+    offsets = lean_on(lambda x: 0.0, seconds=3.0)
+    assert np.linalg.norm(offsets[-1]) == pytest.approx(SETTINGS.most_m)
+    back = offsets[-1]
+    for _ in range(4000):
+        back = press_trunk(SETTINGS, back, {}, {}, 1e-3)
+    assert np.linalg.norm(back) < 1e-4
+
+
+def test_a_link_that_is_let_go_next_yields_to_less_force():
+    contact = PlantedContact(
+        "r_ufarm", np.eye(4), np.zeros((4, 3)), normal=np.array([0.0, 0.0, 1.0]), force_cap_n=100.0
+    )
+    expected = {"r_ufarm": np.array([0.0, 0.0, 20.0, 0.0, 0.0, 0.0])}
+    held = bound_forces(SETTINGS, [contact], [], is_waiting=False, expected=expected)["r_ufarm"]
+    leaving = bound_forces(SETTINGS, [contact], [], leaving={"r_ufarm"}, is_waiting=False, expected=expected)["r_ufarm"]
+    assert held.most == pytest.approx(SETTINGS.most_share * 400.0)
+    assert leaving.most == SETTINGS.landing_n
+    assert (held.least, leaving.least) == (10.0, 0.0)

@@ -55,6 +55,10 @@ class PlannedBalance:
                 margin[here] = -outside_polygon(_find_support(phase), com[here])
         return PlannedBalance(times, com, margin, index, phases, robot.link_groups.get("feet", ()))
 
+    def list_margins(self) -> list[float]:
+        """Return the least margin of each phase [m]."""
+        return [float(self.margin[self.phase == k].min(initial=np.inf)) for k in range(len(self.phases))]
+
     def find_last(self, time_s: float, lost: Collection[str], margin_m: float) -> float:
         """Return the latest time up to ``time_s`` at which the plan is in balance without contacts that are lost.
 

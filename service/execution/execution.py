@@ -20,21 +20,15 @@ from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
 from service.execution.guards import Finding, Guards, GuardSettings, Severity
 from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
-from service.execution.pose_control import Command, PoseController
+from service.execution.pose_control import BODY, Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
 from service.execution.shift import Shift, ShiftLimits, step_shift
-from service.execution.touchdown import (
-    FootReading,
-    Stage,
-    TouchdownSettings,
-    TouchdownState,
-    find_ankle,
-    find_landing,
-    soften,
-    step_touchdown,
-)
-from service.execution.yielding import ArmYield, Yielding, YieldSettings, holds_arm
+from service.execution.stance.capture_point import BalanceSettings, find_turn_rates
+from service.execution.stance.feet import Feet, FeetState, Sight
+from service.execution.stance.touchdown import TouchdownSettings
+from service.execution.yielding import ArmYield, Yielding, YieldSettings, bound_forces, holds_arm, press_trunk
 from service.verify import PlantedContact
+from service.verify.polygons import describe_inside
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
 HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
@@ -50,7 +44,8 @@ class ExecutionSettings:
         gains: of the pose control.
         machine: of the plan's clock.
         guards: limits of the guards.
-        touchdown: of feet that land; None lands them stiff.
+        touchdown: of feet that land; None lands them stiff, and their ankles follow the plan.
+        balance: of ankles while feet alone carry the robot; None for ankles that follow the plan.
         shifts: how fast operator's displacements of targets come.
         hand_gains: PID control that corrects where the hands are measured to be [m per m]; None for none.  It rests
             while hands press on a mechanism, and in plans that plant arms.
@@ -64,6 +59,7 @@ class ExecutionSettings:
     machine: MachineSettings = field(default_factory=MachineSettings)
     guards: GuardSettings = field(default_factory=GuardSettings)
     touchdown: TouchdownSettings | None = field(default_factory=TouchdownSettings)
+    balance: BalanceSettings | None = field(default_factory=BalanceSettings)
     shifts: ShiftLimits = field(default_factory=ShiftLimits)
     hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.0, ki=2.0, limit=0.05))
     load_gain: float = 4e-5
@@ -131,7 +127,8 @@ class Execution:
         if set(driver.joint_names) != set(reference.joint_names):
             other = sorted(set(driver.joint_names) ^ set(reference.joint_names))
             raise ExecutionError(f"the driver's joints are not those of the plan: {', '.join(other[:3])}")
-        self._touchdown: dict[str, TouchdownState] = {}
+        self._feet_state: FeetState | None = None
+        self._pressed = np.zeros(3)
         self._yields: dict[str, ArmYield] = {}
         self._shifts: dict[str, Shift] = {}
         self._forces: MeasuredForces | None = None
@@ -157,12 +154,23 @@ class Execution:
         self._guards = Guards(settings.guards)
         feet, reading = robot.link_groups.get("feet", ()), driver.read()
         self._has_forces = robot.is_floating and all(foot in reading.foot_wrenches for foot in feet) and len(feet) == 2
-        self._ankles = {}
+        self._feet: Feet | None = None
         if settings.touchdown is not None and self._has_forces:
-            self._ankles = {foot: find_ankle(robot, driver.joint_names, foot) for foot in feet}
-        self._touchdown = {foot: self._touchdown.get(foot, TouchdownState.stiff()) for foot in self._ankles}
+            self._feet = Feet(
+                robot,
+                driver.joint_names,
+                reference.phases,
+                driver.period_s,
+                settings.touchdown,
+                settings.balance,
+                settings.load_gain,
+                balance.list_margins() if balance is not None else [np.inf] * len(reference.phases),
+            )
+            self._feet_state = self._feet.start(self._feet_state)
         planted = [contact for phase in reference.phases for contact in phase.contacts] if self._has_forces else []
         self._yielding = Yielding(robot, driver.joint_names, planted if settings.yielding else [], settings.yielding)
+        ends = {*robot.link_groups.get("feet", ()), *self._yielding.arms}
+        self._trunk = {contact.link for contact in planted} - ends
         self._yields = {**self._yielding.start(), **{k: v for k, v in self._yields.items() if k in self._yielding.arms}}
         tools = sorted({load.tool for phase in reference.phases for load in phase.loads}) if self._has_forces else []
         self._meter = ForceMeter(robot, driver.joint_names, tools, driver.period_s)
@@ -259,14 +267,13 @@ class Execution:
             wanted.contact_wrenches,
             period,
         )
-        findings = (*found, *self._find_fall(reading, wanted))
+        findings = (*found, *self._find_fall(reading, wanted), *self._find_imbalance(following))
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
         phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
-        self._step_touchdown(phase, reading, wanted)
-        self._share_weight(phase, wanted)
+        self._step_feet(reading, wanted)
         self._step_yielding()
         self._n_cycles += 1
         if self._n_cycles % HAND_CYCLES == 0:
@@ -336,65 +343,68 @@ class Execution:
             return ()
         return (Finding(Severity.STOP, "", 0.0, 0.0, f"the pelvis leans {np.rad2deg(lean):.0f} deg off the plan"),)
 
-    def _step_touchdown(
-        self,
-        phase: ReferencePhase,
-        reading: RobotReading,
-        wanted: ReferenceState,
-    ) -> None:
-        """Advance the feet that come down."""
-        settings, forces = self.settings.touchdown, self._forces
-        if settings is None or forces is None or self._estimate is None or not self._ankles:
+    def _find_imbalance(self, following: ReferencePhase | None) -> tuple[Finding, ...]:
+        """Return a finding if feet that are about to be alone could not hold the robot."""
+        settings, state = self.settings.balance, self._feet_state
+        if settings is None or state is None or state.margin_m is None or following is None:
+            return ()
+        if state.margin_m >= settings.release_m:
+            return ()
+        words = (
+            f"the capture point is {describe_inside(state.margin_m)} the feet; '{following.name}' needs it "
+            f"{1e3 * settings.release_m:.0f} mm inside"
+        )
+        return (Finding(Severity.WAIT, "", 0.0, 0.0, words),)
+
+    def _step_feet(self, reading: RobotReading, wanted: ReferenceState) -> None:
+        """Advance the feet that come down, keep the balance, and share the weight."""
+        estimate, forces, state = self._estimate, self._forces, self._feet_state
+        if self._feet is None or state is None or estimate is None or forces is None:
             return
-        phases, rate = self.reference.phases, max(self.state.rate, 0.01)
-        landings = {foot: find_landing(phases, self.state.phase, foot) for foot in self._ankles}
-        left = {
-            foot: np.inf if landing is None else (landing.begin_s - self.state.time_s) / rate
-            for foot, landing in landings.items()
-        }
-        moving = [foot for foot in self._ankles if left[foot] <= settings.lead_s or not self._touchdown[foot].is_idle]
-        if moving:
-            self._place(self._read_configuration(reading, wanted))
-        for foot in moving:
-            ankle, landing = self._ankles[foot], landings[foot]
-            own = next((contact for contact in phase.contacts if contact.link == foot), None)
-            after = () if landing is None else landing.contacts
-            ground = own or next((contact for contact in after if contact.link == foot), None)
-            off, slope = (0.0, 0.0) if ground is None else self._compare_sole(ground)
-            ankle_off = reading.q[ankle.joints] - self.command.q[self._columns][ankle.joints]
-            self._touchdown[foot] = step_touchdown(
-                settings,
-                self._touchdown[foot],
-                ankle,
-                FootReading(float(forces.contacts[foot][2]), off, slope, ankle_off),
-                lands=left[foot] <= settings.lead_s,
-                planted=own is not None,
-                left_s=left[foot] if own is None else 0.0,
-                period_s=self.driver.period_s,
-            )
+        q, v = self._read_configuration(reading, wanted), np.zeros(self.reference.robot.model.nv)
+        v[:3], v[self._columns] = estimate.speed, estimate.joint_speeds
+        v[3:6] = find_turn_rates(q[3:6], reading.imu_rotation @ reading.imu_angular_velocity)
+        machine, command = self.state, self.command.q
+        sight = Sight(machine.time_s, machine.rate, machine.phase, wanted, reading, q, v, command, forces.contacts)
+        self._feet_state = self._feet.step(state, sight)
 
     def _step_yielding(self) -> None:
-        """Advance the arms that press on something, or are about to."""
-        if not self._yields or self._forces is None:
+        """Advance the arms and the trunk that press on something, or are about to."""
+        if self.settings.yielding is None or not self._has_forces or self._forces is None:
             return
-        phase, _ = self._current_phases()
+        phase, following = self._current_phases()
+        kept = phase.contacts if following is None else following.contacts
+        leaving = {contact.link for contact in phase.contacts} - {contact.link for contact in kept}
+        bounds = bound_forces(
+            self.settings.yielding,
+            phase.contacts,
+            self._list_landing(),
+            leaving=leaving,
+            is_waiting=self.state.mode is Mode.WAITING,
+            expected=self._wanted.contact_wrenches,
+        )
+        held = {contact.link for contact in phase.contacts}  # the body does not follow what it sits on or leans on
+        trunk = {
+            link: replace(bound, least=0.0) if link in held else bound
+            for link, bound in bounds.items()
+            if link in self._trunk
+        }
+        self._pressed = press_trunk(
+            self.settings.yielding, self._pressed, trunk, self._forces.contacts, self.driver.period_s
+        )
+        if not self._yields:
+            return
         self._yields = self._yielding.step(
             self._yields,
             self.command.q,
             phase.contacts,
             self._list_landing(),
+            leaving=leaving,
             is_waiting=self.state.mode is Mode.WAITING,
             measured=self._forces.contacts,
             expected=self._wanted.contact_wrenches,
             period_s=self.driver.period_s,
         )
-
-    def _compare_sole(self, contact: PlantedContact) -> tuple[float, float]:
-        """Return the height of a placed sole's lowest point over the plan's ground [m], and its slope there [rad]."""
-        place = self._data.oMf[self.reference.robot.model.getFrameId(contact.link)]
-        points = contact.sole @ place.rotation.T + place.translation
-        cosine = float(place.rotation[:, 2] @ contact.pose_world_link[:3, 2])
-        return float(points[:, 2].min() - contact.points[:, 2].mean()), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def _read_configuration(self, reading: RobotReading, wanted: ReferenceState) -> Float[np.ndarray, "n"]:
         """Return the configuration that sensors and estimator show."""
@@ -429,46 +439,28 @@ class Execution:
             output, state = step_pid(gains, self._corrections[hand], error, period_s)
             self._corrections[hand], self._corrected[hand] = state, output
 
-    def _share_weight(self, phase: ReferencePhase, wanted: ReferenceState) -> None:
-        """Lower the foot that carries less than planned and raise the other one, while they alone are planted."""
-        settings, forces, period = self.settings.touchdown, self._forces, self.driver.period_s
-        planted = {contact.link for contact in phase.contacts}
-        both = len(self._ankles) == 2 and planted == set(self._ankles)
-        if settings is None or forces is None or not both or not self.settings.load_gain:
-            return
-        left, right = self._ankles
-        more = 0.5 * sum(
-            sign * (float(forces.contacts[foot][2]) - float(wanted.contact_wrenches[foot][2]))
-            for foot, sign in ((left, 1.0), (right, -1.0))
-        )
-        speed = float(np.clip(self.settings.load_gain * more, -settings.probe_speed, settings.probe_speed))
-        for foot, sign in ((left, 1.0), (right, -1.0)):
-            state = self._touchdown[foot]
-            if state.stage in (Stage.STIFF, Stage.SETTLED):
-                at = float(np.clip(state.height.offset[2] + sign * speed * period, -settings.probe_m, settings.probe_m))
-                offset = np.array([0.0, 0.0, at])
-                self._touchdown[foot] = replace(state, height=Shift(offset, np.zeros(3), offset))
-
     def list_shifts(self) -> Mapping[str, Shift]:
         """Return the displacements of all targets: the operator's, of corrected hands, and of feet on the ground."""
         shifts = dict(self._shifts)
         for hand, correction in self._corrected.items():
             own = shifts.get(hand, Shift.zero())
             shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
-        for foot, state in self._touchdown.items():
+        if self._pressed.any():
+            shifts[BODY] = Shift(self._pressed, np.zeros(3), self._pressed)
+        landings = {} if self._feet_state is None else self._feet_state.landings
+        for foot, state in landings.items():
             own, height = shifts.get(foot, Shift.zero()), state.height
             shifts[foot] = Shift(own.offset + height.offset, own.speed + height.speed, own.goal)
         return shifts
 
     def _send(self, wanted: ReferenceState, reading: RobotReading) -> JointCommand:
-        """Return the command for the driver: the pose control's, with the plan's torques and the ankles' law."""
+        """Return the command for the driver: the pose control's, with the plan's torques and the ankles' laws."""
         command = JointCommand(
             self.command.q[self._columns], self.command.qd[self._columns], wanted.tau[self._order_of_plan]
         )
         for link, state in self._yields.items():
             if state.offset.any():
                 command.q[self._yielding.arms[link].joints] += state.offset
-        if self.settings.touchdown is not None:
-            for foot, ankle in self._ankles.items():
-                command = soften(self.settings.touchdown, ankle, self._touchdown[foot], command, reading)
-        return command
+        if self._feet is None or self._feet_state is None:
+            return command
+        return self._feet.soften(self._feet_state, command, reading)

@@ -15,6 +15,7 @@ from service.execution.box_qp import BoxQPError, solve_box_qp
 from service.execution.gains import PRESETS, PoseGains, TaskGains
 from service.execution.shift import Shift
 
+BODY = "body"  # name by which pelvis and centre of mass are displaced together
 WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
@@ -47,7 +48,7 @@ class _Task:
         part: of the six rows of a link's twist, those that count.
         rows: of the quadratic program's least squares.
         gains: of the task.
-        link: name; shifts are given by it.
+        link: name by which its target is displaced; empty for a task that is not.
     """
 
     frame: int
@@ -119,7 +120,7 @@ class PoseController:
         Args:
             command: the earlier one.
             desired_q, desired_qd: of the plan, in the robot's coordinates.
-            shifts: displacements of the targets of feet and hands, by link.
+            shifts: displacements of the targets of feet and hands by link, and of ``BODY``.
 
         Raises:
             ExecutionError: the program has no solution (a configuration that is not finite).
@@ -198,7 +199,7 @@ class PoseController:
             if task.frame < 0:
                 jacobian = pin.jacobianCenterOfMass(model, actual, command.q, False)
                 pin.centerOfMass(model, wanted, desired_q, desired_qd, False)
-                error, goal = wanted.com[0] - actual.com[0], wanted.vcom[0]
+                error, goal = wanted.com[0] - actual.com[0], wanted.vcom[0].copy()
             else:
                 place = pin.updateFramePlacement(model, actual, task.frame)
                 target = pin.updateFramePlacement(model, wanted, task.frame)
@@ -206,10 +207,10 @@ class PoseController:
                 goal = pin.getFrameVelocity(model, wanted, task.frame, WORLD_AXES).vector[task.part]
                 turn = pin.log3(target.rotation @ place.rotation.T)
                 error = np.concatenate([target.translation - place.translation, turn])[task.part]
-                shift = shifts.get(task.link)
-                if shift is not None:
-                    error[:3] += shift.offset
-                    goal[:3] += shift.speed
+            shift = shifts.get(task.link)
+            if shift is not None:
+                error[:3] += shift.offset
+                goal[:3] += shift.speed
             jacobians[rows] = jacobian
             speeds[rows] = g.kp * error + gains.feed_forward * goal
             if g.kd:
@@ -237,9 +238,9 @@ def _list_tasks(robot: RobotModel, gains: PoseGains) -> list[_Task]:
         base = next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == 1)
         torso = (groups.get("upright") or (base,))[-1]
         listed += [
-            (model.getFrameId(base), position, gains.pelvis, ""),
+            (model.getFrameId(base), position, gains.pelvis, BODY),
             (model.getFrameId(torso), rotation, gains.torso, ""),
-            (-1, position, gains.com, ""),
+            (-1, position, gains.com, BODY),
         ]
     for kind, of_kind in (("feet", gains.foot), ("hands", gains.hand)):
         listed += [(model.getFrameId(link), both, of_kind, link) for link in groups.get(kind, ())]

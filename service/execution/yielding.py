@@ -6,7 +6,7 @@ newtons on position servos.  An admittance along the contact's normal takes them
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,7 @@ class YieldSettings:
             expects as much.
         expected_share: of the expected force, up to which it does not yield below the second of these.
         least_share: of the expected force, below which it presses harder.
-        landing_n: force of a link that is about to be planted, above which it yields [N].
+        landing_n: force of a link that is about to be planted or let go, above which it yields [N].
         touch_n: force up to which a link looks for the surface that the next phase needs [N].
         time_s: in which a force comes back within its bounds [s].
         softness: of the rest of the robot at a contact, besides the arm's own [m/N].
@@ -98,6 +98,77 @@ class ArmYield:
 
     offset: np.ndarray
     travel: float = 0.0
+
+
+@dataclass(frozen=True)
+class ForceBounds:
+    """Force along the normal of a contact within which it does not yield [N]."""
+
+    contact: PlantedContact
+    least: float
+    most: float
+
+
+def bound_forces(
+    settings: YieldSettings,
+    planted: Sequence[PlantedContact],
+    landing: Sequence[PlantedContact],
+    *,
+    leaving: Collection[str] = (),
+    is_waiting: bool,
+    expected: Mapping[str, Float[np.ndarray, "6"]],
+) -> dict[str, ForceBounds]:
+    """Return the bounds by link; arguments as of ``Yielding.step``."""
+    bounds = {}
+    for contact in planted:
+        wanted = press_on(contact, expected[contact.link][:3]) if contact.link in expected else 0.0
+        cap = contact.force_cap_n * len(contact.sole)
+        most = max(settings.most_share * cap, min(settings.expected_share * wanted, settings.limit_share * cap))
+        least = settings.least_share * max(wanted, 0.0)
+        if contact.link in leaving:
+            least, most = 0.0, max(settings.expected_share * wanted, settings.landing_n)
+        bounds[contact.link] = ForceBounds(contact, least, most)
+    for contact in landing:
+        bounds[contact.link] = ForceBounds(contact, settings.touch_n if is_waiting else 0.0, settings.landing_n)
+    return bounds
+
+
+def press_trunk(
+    settings: YieldSettings,
+    offset: Float[np.ndarray, "3"],
+    bounds: Mapping[str, ForceBounds],
+    measured: Mapping[str, Float[np.ndarray, "3"]],
+    period_s: float,
+) -> Float[np.ndarray, "3"]:
+    """Return the displacement of the body one cycle later, which brings links of the trunk to what they press on.
+
+    Args:
+        settings: speeds and largest displacement.
+        offset: (3,) the earlier displacement [m].
+        bounds: of the trunk's links; the body goes back to the plan where there are none.
+        measured: force (3,) per link, world axes [N].
+        period_s: of the cycle [s].
+    """
+    if not bounds:
+        return np.where(np.abs(offset) < 1e-6, 0.0, max(1.0 - period_s / settings.fade_s, 0.0) * offset)
+    for link, bound in bounds.items():
+        if link not in measured or bound.contact.normal is None:
+            continue
+        force = press_on(bound.contact, measured[link])
+        excess = force - float(np.clip(force, bound.least, bound.most))
+        if excess:
+            speed = _find_speed(settings, settings.softness, excess, force)
+            offset = offset + period_s * speed * np.asarray(bound.contact.normal)
+    size = float(np.linalg.norm(offset))
+    return offset * min(1.0, settings.most_m / size) if size > 0.0 else offset
+
+
+def _find_speed(settings: YieldSettings, softness: float, excess: float, force: float) -> float:
+    """Return the speed of a contact along its normal that brings its force back within its bounds in time [m/s]."""
+    speed = softness * excess / settings.time_s
+    if excess < 0.0 and force < 1.0:
+        speed = min(speed, -settings.search_speed)
+    return float(np.clip(speed, -settings.most_speed, settings.most_speed))
 
 
 def find_branch(model: pin.Model, joint: int) -> list[int]:
@@ -169,6 +240,7 @@ class Yielding:
         planted: Sequence[PlantedContact],
         landing: Sequence[PlantedContact],
         *,
+        leaving: Collection[str] = (),
         is_waiting: bool,
         measured: Mapping[str, Float[np.ndarray, "3"]],
         expected: Mapping[str, Float[np.ndarray, "6"]],
@@ -181,19 +253,13 @@ class Yielding:
             q: (n,) configuration of the robot.
             planted: contacts of the present phase.
             landing: contacts that the next phase adds.
+            leaving: links that the next phase lets go; they do not hold the robot any more.
             is_waiting: whether the plan's clock waits for these.
             measured, expected: force (3,) and planned wrench (6,) per link, world axes [N, N m].
             period_s: of the cycle [s].
         """
         settings, made = self.settings, {}
-        bounds: dict[str, tuple[PlantedContact, float, float]] = {}
-        for contact in planted:
-            wanted = press_on(contact, expected[contact.link][:3]) if contact.link in expected else 0.0
-            cap = contact.force_cap_n * len(contact.sole)
-            most = max(settings.most_share * cap, min(settings.expected_share * wanted, settings.limit_share * cap))
-            bounds[contact.link] = contact, settings.least_share * max(wanted, 0.0), most
-        for contact in landing:
-            bounds[contact.link] = contact, settings.touch_n if is_waiting else 0.0, settings.landing_n
+        bounds = bound_forces(settings, planted, landing, leaving=leaving, is_waiting=is_waiting, expected=expected)
         is_placed = False
         for link, arm in self.arms.items():
             state = earlier[link]
@@ -205,7 +271,7 @@ class Yielding:
                 offset = np.where(np.abs(state.offset) < 1e-6, 0.0, left * state.offset)
                 made[link] = ArmYield(offset, left * state.travel)
                 continue
-            contact, least, most = bounds[link]
+            contact, least, most = bounds[link].contact, bounds[link].least, bounds[link].most
             force = press_on(contact, measured[link])
             if least <= force <= most:
                 made[link] = state
@@ -231,9 +297,6 @@ class Yielding:
         softness = float(row @ direction)  # displacement along the normal per force [m/N]
         if softness < 1e-9:
             return state
-        speed = max(softness, settings.softness) * excess / settings.time_s
-        if excess < 0.0 and force < 1.0:
-            speed = min(speed, -settings.search_speed)
-        speed = float(np.clip(speed, -settings.most_speed, settings.most_speed))
+        speed = _find_speed(settings, max(softness, settings.softness), excess, force)
         travel = float(np.clip(state.travel + speed * period_s, -settings.most_m, settings.most_m))
         return ArmYield(state.offset + (travel - state.travel) / softness * direction, travel)

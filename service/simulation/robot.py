@@ -127,6 +127,7 @@ class SimulatedRobot:
         self._update_latches()
         self._delayed.clear()
         self.mujoco.mj_forward(model.mj, data)
+        self._acceleration = self._measure_acceleration()
 
     def read(self) -> RobotReading:
         """Return what the sensors say now."""
@@ -136,7 +137,7 @@ class SimulatedRobot:
         torque = data.actuator_force[model.actuator].copy()
         rotation = self.pose_world_base[:3, :3]
         gyro = np.array(data.sensordata[self._gyro : self._gyro + 3])
-        acceleration = np.array(data.sensordata[self._accelerometer : self._accelerometer + 3])
+        acceleration = self._acceleration.copy()
         wrenches = self.measure_contact_wrenches()
         if noise > 0.0:
             draw = self._random.standard_normal
@@ -155,15 +156,21 @@ class SimulatedRobot:
         self._delayed.append(command)
         if len(self._delayed) > self._delay_steps:
             self._apply(self._delayed.popleft())
+        self._acceleration[:] = 0.0
         for _ in range(self._steps):
             self._oppose()
             self.mujoco.mj_step(self.model.mj, self.data)
+            self._acceleration += self._measure_acceleration() / self._steps  # inertial units integrate
 
     def hold_grips(self, phase: int | None) -> None:
         """Close the grippers of a phase of the plan, by its number, and open all others; None opens all."""
         for k, grips in enumerate(self.model.grips):
             for index in grips:
                 self.data.eq_active[index] = k == phase
+
+    def _measure_acceleration(self) -> Float[np.ndarray, "3"]:
+        """Return the acceleration at the inertial unit in the last step, gravity included [m/s^2]."""
+        return np.array(self.data.sensordata[self._accelerometer : self._accelerometer + 3])
 
     def _apply(self, command: JointCommand) -> None:
         """Set the servos to follow a command, at most as fast as the joints may move."""

@@ -30,6 +30,7 @@ class Stage(Enum):
     TILTED = "tilted"  # on its way down with the toe up
     FREE = "free"  # no torque: about to touch, or just touched
     SETTLED = "settled"  # stiff again, as the ground turned it
+    BALANCING = "balancing"  # makes the torque that the balance wants
 
 
 @dataclass(frozen=True)
@@ -46,10 +47,11 @@ class TouchdownSettings:
         touch_n: upright force at which the foot touches the ground [N].
         touch_s: time for which it must be exceeded [s].
         settle_s: time after the touch in which the sole comes flat, and then time in which the ankle becomes stiff [s].
+        press_n: upright force with which a foot that has touched presses until it carries weight [N].
+        press_gain: speed of its target per newton that it presses harder [m/(N s)].
         probe_speed: of the foot that looks for ground below its planned place [m/s].
         return_speed: of a lifted foot back to the plan's height [m/s].
         probe_m: how far the ground may be from where the plan has it [m].
-        ground_m: error of the ground's measured height, which is not corrected [m].
         ground_rad: error of the ground's measured slope, to which the ankle does not stay adapted [rad].
         limits: of the displacement of the foot.
     """
@@ -63,12 +65,13 @@ class TouchdownSettings:
     touch_n: float = 25.0
     touch_s: float = 0.004
     settle_s: float = 0.25
+    press_n: float = 60.0
+    press_gain: float = 1.2e-4
     probe_speed: float = 0.03
     return_speed: float = 0.015
     probe_m: float = 0.03
-    ground_m: float = 0.005
     ground_rad: float = 0.03
-    limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=4.0))
+    limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=20.0))
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.tilt_rad <= MAX_TILT_RAD and 0.0 <= self.torque_gain <= 1.0):
@@ -99,13 +102,13 @@ class FootReading:
 
     Attributes:
         upright_n: measured upright force [N].
-        ground_off: height of its lowest point over the ground of the plan, where it is planted next or now [m].
+        planned_speed: upward, of the foot in the plan [m/s].
         slope: angle between its sole and that of the plan [rad].
         ankle_off: (2,) measured angles of the ankle less the commanded ones [rad].
     """
 
     upright_n: float
-    ground_off: float
+    planned_speed: float
     slope: float
     ankle_off: Float[np.ndarray, "2"]
 
@@ -188,6 +191,7 @@ def step_touchdown(
     *,
     lands: bool,
     planted: bool,
+    balances: bool,
     left_s: float,
     period_s: float,
 ) -> TouchdownState:
@@ -200,6 +204,7 @@ def step_touchdown(
         foot: as measured.
         lands: whether it is in the air and to be put down soon.
         planted: whether the plan has it on the ground now.
+        balances: whether ankles of planted feet keep the balance.
         left_s: time to the planned touch [s].
         period_s: of the cycle [s].
     """
@@ -211,6 +216,11 @@ def step_touchdown(
         slow = replace(settings.limits, speed=settings.return_speed)  # or it would press on ground that it leaves
         height = step_shift(state.height.towards(np.zeros(3)), slow, period_s)
         return replace(TouchdownState.stiff(), offset=offset, height=height)
+    if planted and balances and (state.stage is not Stage.FREE or state.has_touched):
+        soft = min(state.softness + period_s / settings.settle_s, 1.0)
+        return replace(state, stage=Stage.BALANCING, softness=soft, offset=foot.ankle_off, tilt=0.0)
+    if state.stage is Stage.BALANCING:
+        state = replace(state, stage=Stage.SETTLED, is_sloped=foot.slope > settings.ground_rad)
     if state.stage is Stage.STIFF and lands:
         state = replace(state, stage=Stage.TILTED, since_s=0.0)
     if state.stage is Stage.TILTED:
@@ -219,55 +229,78 @@ def step_touchdown(
         if left_s <= settings.free_s or pressed > settings.touch_s:
             state = replace(state, stage=Stage.FREE, since_s=0.0)
     if state.stage is Stage.FREE:
-        state = _step_free(settings, state, foot, planted, left_s)
+        state = _step_free(settings, state, foot, planted)
     elif state.stage is Stage.SETTLED:
         offset = state.offset if state.is_sloped else state.offset - np.clip(state.offset, -step, step)
         state = replace(state, offset=offset, softness=max(state.softness - period_s / settings.settle_s, 0.0))
-    return replace(state, height=_move_height(settings, state, left_s, period_s))
+    return replace(state, height=_move_height(settings, state, foot, left_s, period_s))
 
 
-def _step_free(
-    settings: TouchdownSettings, state: TouchdownState, foot: FootReading, planted: bool, left_s: float
-) -> TouchdownState:
+def _step_free(settings: TouchdownSettings, state: TouchdownState, foot: FootReading, planted: bool) -> TouchdownState:
     """Return a foot with a free ankle, which touches, comes flat and becomes stiff again."""
     state = replace(state, offset=foot.ankle_off, softness=1.0)
-    if state.has_touched and left_s <= 0.0 and state.pressed_s == 0.0 and state.since_s > settings.settle_s:
-        state = replace(state, has_touched=False)  # an edge was high, the ground below the sole is not: look further
     if not state.has_touched and state.pressed_s > settings.touch_s:
-        # Heights within the error of the measurement are the plan's own.
-        off = foot.ground_off if left_s > 0.0 else float(state.height.offset[2])
-        off = float(np.clip(off, -settings.probe_m, settings.probe_m)) if abs(off) > settings.ground_m else 0.0
-        height = state.height.towards(np.array([0.0, 0.0, off]))
-        state = replace(state, has_touched=True, since_s=0.0, height=height)
+        state = replace(state, has_touched=True, since_s=0.0)
     if state.has_touched and state.since_s > settings.settle_s and planted:
         return replace(state, stage=Stage.SETTLED, since_s=0.0, is_sloped=foot.slope > settings.ground_rad)
     return state
 
 
-def _move_height(settings: TouchdownSettings, state: TouchdownState, left_s: float, period_s: float) -> Shift:
-    """Return the displacement of a foot, which looks for lower ground if there is none where the plan has it."""
-    if state.stage is Stage.FREE and not state.has_touched and left_s <= 0.0:
-        slow = replace(settings.limits, speed=settings.probe_speed)
-        return step_shift(state.height.towards(np.array([0.0, 0.0, -settings.probe_m])), slow, period_s)
-    return step_shift(state.height, settings.limits, period_s)
+def _move_height(
+    settings: TouchdownSettings, state: TouchdownState, foot: FootReading, left_s: float, period_s: float
+) -> Shift:
+    """Return the displacement of a foot that comes down: it stops where it meets ground, and presses lightly on it.
+
+    From the touch on the target does not follow the plan any more: it moves in proportion to the force in excess.  Long
+    before the planned touch it gives way only.  After it, a foot without contact looks for ground below.
+    """
+    if state.stage is not Stage.FREE:
+        return step_shift(state.height, settings.limits, period_s)
+    speed = min(settings.press_gain * (foot.upright_n - settings.press_n), settings.limits.speed)
+    speed = max(speed, -settings.probe_speed) if foot.upright_n >= settings.touch_n else -settings.probe_speed
+    if left_s > settings.free_s:
+        speed = max(speed, 0.0)
+    elif state.has_touched or left_s <= 0.0:
+        speed -= foot.planned_speed
+    else:
+        speed = 0.0
+    return move_target(settings, state.height, speed, period_s)
+
+
+def move_target(settings: TouchdownSettings, height: Shift, speed: float, period_s: float) -> Shift:
+    """Return a displacement along z one period later, on its way to a speed [m/s], as far as the ground may be off."""
+    step, now = settings.limits.acceleration * period_s, float(height.speed[2])
+    at = float(height.offset[2]) + period_s * (now + float(np.clip(speed - now, -step, step)))
+    at = float(np.clip(at, -settings.probe_m, settings.probe_m))
+    offset = np.array([0.0, 0.0, at])
+    return Shift(offset, np.array([0.0, 0.0, (at - float(height.offset[2])) / period_s]), offset)
 
 
 def soften(
-    settings: TouchdownSettings, ankle: Ankle, state: TouchdownState, command: JointCommand, reading: RobotReading
+    settings: TouchdownSettings,
+    ankle: Ankle,
+    state: TouchdownState,
+    command: JointCommand,
+    reading: RobotReading,
+    balancing: Float[np.ndarray, "2"] | None = None,
 ) -> JointCommand:
-    """Return a command with the ankle as the touchdown wants it.
+    """Return a command with the ankle as touchdown and balance want it.
 
     A free ankle is commanded to be where it is, so that the servo makes no torque of its own but a little damping, and
     the measured torque is fed back: eq. 8 with ``K_p = 0``.  The desired torque is that of the plan in the air, which
-    carries the foot's weight, and zero from the touch on.
+    carries the foot's weight, and zero from the touch on.  An ankle that keeps the balance is commanded to be where it
+    is as well, with the torque ``balancing`` (2,) of its joints.
     """
     if state.softness == 0.0 and not state.offset.any():
         return command
     q, qd, tau = command.q.copy(), command.qd.copy(), command.tau.copy()
     joints, soft = ankle.joints, state.softness
     q[joints] = (1.0 - soft) * (q[joints] + state.offset) + soft * reading.q[joints]
-    qd[joints] = (1.0 - soft) * qd[joints] + soft * (1.0 - settings.damping_share) * reading.qd[joints]
-    wanted = np.zeros(len(joints)) if state.has_touched else tau[joints]
-    fed_back = wanted + settings.torque_gain * (wanted - reading.torque[joints])
-    tau[joints] = (1.0 - soft) * tau[joints] + soft * fed_back
+    qd[joints] += soft * (1.0 - settings.damping_share) * (reading.qd[joints] - qd[joints])
+    if balancing is not None and state.stage is Stage.BALANCING:
+        own = balancing
+    else:
+        wanted = np.zeros(len(joints)) if state.has_touched else tau[joints]
+        own = wanted + settings.torque_gain * (wanted - reading.torque[joints])
+    tau[joints] = (1.0 - soft) * tau[joints] + soft * own
     return JointCommand(q, qd, tau)

@@ -1,0 +1,222 @@
+"""Feet of a floating robot during an execution: how they come down, keep the balance, and share the weight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.robot import RobotModel
+from service.execution.driver import JointCommand, RobotReading
+from service.execution.reference import ReferencePhase, ReferenceState
+from service.execution.stance.capture_point import WORLD_AXES, Balance, BalanceControl, BalanceSettings
+from service.execution.stance.touchdown import (
+    FootReading,
+    Stage,
+    TouchdownSettings,
+    TouchdownState,
+    find_ankle,
+    find_landing,
+    move_target,
+    soften,
+    step_touchdown,
+)
+from service.verify import PlantedContact
+
+RELEASE_S = 0.1  # before the end of a phase, in which the margin is looked at [s]
+LEAST_RATE = 0.01  # of the plan's clock, for the time to the next touch
+
+
+@dataclass(frozen=True)
+class FeetState:
+    """Feet between two cycles.
+
+    Attributes:
+        landings: state of every foot that has an ankle.
+        balance: what the ankles do for the balance; None while something else than the feet carries force.
+        margin_m: of the capture point inside the feet, before other contacts leave them alone [m]; else None.
+    """
+
+    landings: Mapping[str, TouchdownState]
+    balance: Balance | None = None
+    margin_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the feet need to know in one cycle.
+
+    Attributes:
+        time_s, rate: of the plan's clock.
+        phase: index of the phase.
+        wanted: by the plan.
+        reading: of the sensors.
+        q, v: (n,) configuration and speeds as measured.
+        command: (n,) configuration of the earlier command.
+        forces: measured by link (3,), world axes [N].
+    """
+
+    time_s: float
+    rate: float
+    phase: int
+    wanted: ReferenceState
+    reading: RobotReading
+    q: Float[np.ndarray, "n"]
+    v: Float[np.ndarray, "n"]
+    command: Float[np.ndarray, "n"]
+    forces: Mapping[str, Float[np.ndarray, "3"]]
+
+
+class Feet:
+    """Feet that carry a robot through the phases of a plan."""
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        joint_names: Sequence[str],
+        phases: Sequence[ReferencePhase],
+        period_s: float,
+        touchdown: TouchdownSettings,
+        balance: BalanceSettings | None,
+        load_gain: float,
+        margins: Sequence[float],
+    ) -> None:
+        """Prepare the ankles.
+
+        Args:
+            robot: of the plan.
+            joint_names: order of readings and commands.
+            phases: of the plan.
+            period_s: of the cycle [s].
+            touchdown: of feet that land.
+            balance: None for ankles that follow the plan while they are planted.
+            load_gain: speed at which both feet move against each other per newton of a wrong share [m/(N s)].
+            margins: least balance margin of the plan in each phase [m].
+
+        Raises:
+            ExecutionError: a foot has no ankle of two joints.
+        """
+        self.robot, self.phases, self.period_s = robot, tuple(phases), period_s
+        self.settings, self.load_gain = touchdown, load_gain
+        self.ankles = {foot: find_ankle(robot, joint_names, foot) for foot in robot.link_groups.get("feet", ())}
+        columns = np.array([robot.joint_names.index(name) for name in joint_names], dtype=int)
+        self._columns = {foot: columns[ankle.joints] for foot, ankle in self.ankles.items()}
+        least = np.inf if balance is None else balance.least_m
+        # Hands that press on a mechanism would be taken for errors.
+        self._may_balance = [
+            not phase.loads and {contact.link for contact in phase.contacts} <= set(self.ankles) and margin >= least
+            for phase, margin in zip(self.phases, margins, strict=True)
+        ]
+        self._control = None if balance is None else BalanceControl(robot, self._columns, balance)
+        self._data, self._plan = robot.model.createData(), robot.model.createData()
+
+    def start(self, earlier: FeetState | None = None) -> FeetState:
+        """Return feet that follow their commands; after another plan, as that one left them."""
+        before = {} if earlier is None else earlier.landings
+        return FeetState({foot: before.get(foot, TouchdownState.stiff()) for foot in self.ankles})
+
+    def step(self, state: FeetState, sight: Sight) -> FeetState:
+        """Return the feet one cycle later."""
+        phase = self.phases[sight.phase]
+        balance = self._find_balance(phase, sight) if self._may_balance[sight.phase] else None
+        landings = self._step_landings(state.landings, phase, sight, balance is not None)
+        both = {contact.link for contact in phase.contacts} == set(self.ankles)
+        if both and self.load_gain and len(self.ankles) == 2:
+            landings = self._share_weight(landings, balance, sight)
+        return FeetState(landings, balance, self._find_margin(phase, sight))
+
+    def soften(self, state: FeetState, command: JointCommand, reading: RobotReading) -> JointCommand:
+        """Return a command with the ankles as touchdown and balance want them."""
+        for foot, ankle in self.ankles.items():
+            torque = None if state.balance is None else state.balance.torques.get(foot)
+            command = soften(self.settings, ankle, state.landings[foot], command, reading, torque)
+        return command
+
+    def _find_balance(self, phase: ReferencePhase, sight: Sight) -> Balance | None:
+        """Return what the balance wants of the planted feet."""
+        if self._control is None or not phase.contacts:
+            return None
+        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, phase.contacts, sight.forces)
+
+    def _find_margin(self, phase: ReferencePhase, sight: Sight) -> float | None:
+        """Return the margin of the capture point in a phase after which the feet are alone [m]."""
+        last = sight.phase + 1 == len(self.phases) or sight.time_s < phase.end_s - RELEASE_S
+        if self._control is None or last:
+            return None
+        feet = self.phases[sight.phase + 1].contacts
+        leave = {contact.link for contact in phase.contacts} - {contact.link for contact in feet} - set(self.ankles)
+        if not leave or not {contact.link for contact in feet} <= set(self.ankles):
+            return None
+        return self._control.find_margin(sight.q, sight.v, feet)
+
+    def _step_landings(
+        self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool
+    ) -> dict[str, TouchdownState]:
+        """Advance the feet that come down, stand or go up."""
+        landings = {foot: find_landing(self.phases, sight.phase, foot) for foot in self.ankles}
+        left = {
+            foot: np.inf if landing is None else (landing.begin_s - sight.time_s) / max(sight.rate, LEAST_RATE)
+            for foot, landing in landings.items()
+        }
+        lead, made = self.settings.lead_s, dict(states)
+        moving = [foot for foot in self.ankles if balances or left[foot] <= lead or not states[foot].is_idle]
+        if moving:
+            pin.forwardKinematics(self.robot.model, self._data, sight.q)
+            pin.forwardKinematics(self.robot.model, self._plan, sight.wanted.configuration, sight.wanted.velocity)
+        for foot in moving:
+            landing, columns = landings[foot], self._columns[foot]
+            own = next((contact for contact in phase.contacts if contact.link == foot), None)
+            after = () if landing is None else landing.contacts
+            ground = own or next((contact for contact in after if contact.link == foot), None)
+            slope = 0.0 if ground is None else self._find_slope(ground)
+            made[foot] = step_touchdown(
+                self.settings,
+                states[foot],
+                self.ankles[foot],
+                FootReading(
+                    float(sight.forces[foot][2]),
+                    sight.rate * self._find_rise(foot),
+                    slope,
+                    sight.q[columns] - sight.command[columns],
+                ),
+                lands=left[foot] <= lead,
+                planted=own is not None,
+                balances=balances,
+                left_s=left[foot] if own is None else 0.0,
+                period_s=self.period_s,
+            )
+        return made
+
+    def _find_rise(self, foot: str) -> float:
+        """Return the upward speed of a foot in the plan at full rate [m/s]."""
+        model = self.robot.model
+        return float(pin.getFrameVelocity(model, self._plan, model.getFrameId(foot), WORLD_AXES).linear[2])
+
+    def _find_slope(self, contact: PlantedContact) -> float:
+        """Return the angle between a placed sole and that of the plan [rad]."""
+        model = self.robot.model
+        place = pin.updateFramePlacement(model, self._data, model.getFrameId(contact.link))
+        cosine = float(place.rotation[:, 2] @ contact.pose_world_link[:3, 2])
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    def _share_weight(
+        self, states: Mapping[str, TouchdownState], balance: Balance | None, sight: Sight
+    ) -> dict[str, TouchdownState]:
+        """Lower the foot that carries less than it should and raise the other one; keep both on the ground."""
+        settings, made = self.settings, dict(states)
+        left, right = self.ankles
+        measured = {foot: float(sight.forces[foot][2]) for foot in self.ankles}
+        upright = {foot: float(sight.wanted.contact_wrenches[foot][2]) for foot in self.ankles}
+        upright = upright if balance is None else dict(balance.upright_n)
+        least, total = settings.press_n, sum(upright.values())
+        upright = {foot: min(max(force, least), max(total - least, least)) for foot, force in upright.items()}
+        more = 0.5 * (measured[left] - upright[left] - measured[right] + upright[right])
+        speed = float(np.clip(self.load_gain * more, -settings.probe_speed, settings.probe_speed))
+        for foot, own in ((left, speed), (right, -speed)):
+            if made[foot].stage in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
+                own = -settings.probe_speed if measured[foot] < settings.touch_n else own
+                made[foot] = replace(made[foot], height=move_target(settings, made[foot].height, own, self.period_s))
+        return made
