@@ -104,7 +104,8 @@ def find_floor_points(
 ) -> Bool[np.ndarray, "N"]:
     """Return which points of a scan belong to any of the levels, or are above one by no more than its noise there.
 
-    A depth camera's floor reaches farther above its plane than ``on_floors`` allows.  Noise reaches as far above the
+    A depth camera's floor reaches farther above its plane than ``on_floors`` allows; where two standard deviations do
+    not, nothing more is the floor's.  Noise reaches as far above the
     plane as below it; what is on the floor, however thin, hides the floor behind it.
 
     Args:
@@ -121,7 +122,7 @@ def find_floor_points(
         n_below = _sum_around(xy, below.astype(float), _WIDE)
         noise = np.sqrt(_sum_around(xy, np.where(below, height**2, 0.0), _WIDE).clip(0.0) / n_below.clip(1.0))
         level = _sum_around(xy, np.where(height <= _LEVEL, 1.0, -1.0), _NEAR)
-        likely = (height <= _DEVIATIONS * noise) & (n_below >= _FEWEST) & (level >= 0.0)
+        likely = (height <= _DEVIATIONS * noise) & (2.0 * noise > _CLEARANCE) & (n_below >= _FEWEST) & (level >= 0.0)
         depth = np.inf if i == 0 else _BELOW
         likely &= on_floor(points[close], floor, clearance=_MOST_NOISE, depth=depth)
         mask[close[likely]] = True
