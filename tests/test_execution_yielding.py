@@ -39,18 +39,16 @@ def planted(robot, link, normal=(0.0, 0.0, 1.0)):
 def press(robot, contact, force, seconds, *, expected=50.0, landing=False, is_waiting=False):
     """Return the displacement of an arm after a constant force along z."""
     yielding = Yielding(robot, list_servo_joints(robot), [contact])
-    states = yielding.start()
+    bounds = bound_forces(
+        SETTINGS,
+        () if landing else (contact,),
+        (contact,) if landing else (),
+        is_waiting=is_waiting,
+        expected={contact.link: np.array([0.0, 0.0, expected, 0.0, 0.0, 0.0])},
+    )
+    measured, states = {contact.link: np.array([0.0, 0.0, force])}, yielding.start()
     for _ in range(round(seconds / PERIOD)):
-        states = yielding.step(
-            states,
-            robot.postures["reach_ready"],
-            () if landing else (contact,),
-            (contact,) if landing else (),
-            is_waiting=is_waiting,
-            measured={contact.link: np.array([0.0, 0.0, force])},
-            expected={contact.link: np.array([0.0, 0.0, expected, 0.0, 0.0, 0.0])},
-            period_s=PERIOD,
-        )
+        states = yielding.step(states, robot.postures["reach_ready"], bounds, measured, PERIOD)
     return yielding, states[contact.link]
 
 
@@ -88,9 +86,7 @@ def test_a_released_arm_comes_back_to_the_plan(robot):
     yielding, state = press(robot, contact, 190.0, 0.2)
     states = {"l_lfarm": state}
     for _ in range(5000):
-        states = yielding.step(
-            states, robot.postures["reach_ready"], (), (), is_waiting=False, measured={}, expected={}, period_s=PERIOD
-        )
+        states = yielding.step(states, robot.postures["reach_ready"], {}, {}, PERIOD)
     assert np.abs(states["l_lfarm"].offset).max() < 1e-5
 
 

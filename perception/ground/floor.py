@@ -105,8 +105,8 @@ def find_floor_points(
     """Return which points of a scan belong to any of the levels, or are above one by no more than its noise there.
 
     A depth camera's floor reaches farther above its plane than ``on_floors`` allows; where two standard deviations do
-    not, nothing more is the floor's.  Noise reaches as far above the
-    plane as below it; what is on the floor, however thin, hides the floor behind it.
+    not, nothing more is the floor's.  Noise reaches as far above the plane as below it; what is on the floor, however
+    thin, hides the floor behind it.
 
     Args:
         points: (N, 3) all points of the scan in reach [m].

@@ -395,15 +395,7 @@ class Execution:
         if not self._yields:
             return
         self._yields = self._yielding.step(
-            self._yields,
-            self.command.q,
-            phase.contacts,
-            self._list_landing(),
-            leaving=leaving,
-            is_waiting=self.state.mode is Mode.WAITING,
-            measured=self._forces.contacts,
-            expected=self._wanted.contact_wrenches,
-            period_s=self.driver.period_s,
+            self._yields, self.command.q, bounds, self._forces.contacts, self.driver.period_s
         )
 
     def _read_configuration(self, reading: RobotReading, wanted: ReferenceState) -> Float[np.ndarray, "n"]:

@@ -118,7 +118,16 @@ def bound_forces(
     is_waiting: bool,
     expected: Mapping[str, Float[np.ndarray, "6"]],
 ) -> dict[str, ForceBounds]:
-    """Return the bounds by link; arguments as of ``Yielding.step``."""
+    """Return the bounds by link.
+
+    Args:
+        settings: shares of caps and expected forces.
+        planted: contacts of the present phase.
+        landing: contacts that the next phase adds.
+        leaving: links that the next phase lets go; they do not hold the robot any more.
+        is_waiting: whether the plan's clock waits for these.
+        expected: planned wrench (6,) per link, world axes [N, N m].
+    """
     bounds = {}
     for contact in planted:
         wanted = press_on(contact, expected[contact.link][:3]) if contact.link in expected else 0.0
@@ -150,7 +159,7 @@ def press_trunk(
         period_s: of the cycle [s].
     """
     if not bounds:
-        return np.where(np.abs(offset) < 1e-6, 0.0, max(1.0 - period_s / settings.fade_s, 0.0) * offset)
+        return _fade(offset, max(1.0 - period_s / settings.fade_s, 0.0))
     for link, bound in bounds.items():
         if link not in measured or bound.contact.normal is None:
             continue
@@ -161,6 +170,11 @@ def press_trunk(
             offset = offset + period_s * speed * np.asarray(bound.contact.normal)
     size = float(np.linalg.norm(offset))
     return offset * min(1.0, settings.most_m / size) if size > 0.0 else offset
+
+
+def _fade(offset: Float[np.ndarray, "k"], left: float) -> Float[np.ndarray, "k"]:
+    """Return the share of a displacement that is left, and zero where that is next to nothing."""
+    return np.where(np.abs(offset) < 1e-6, 0.0, left * offset)
 
 
 def _find_speed(settings: YieldSettings, softness: float, excess: float, force: float) -> float:
@@ -237,13 +251,8 @@ class Yielding:
         self,
         earlier: Mapping[str, ArmYield],
         q: Float[np.ndarray, "n"],
-        planted: Sequence[PlantedContact],
-        landing: Sequence[PlantedContact],
-        *,
-        leaving: Collection[str] = (),
-        is_waiting: bool,
+        bounds: Mapping[str, ForceBounds],
         measured: Mapping[str, Float[np.ndarray, "3"]],
-        expected: Mapping[str, Float[np.ndarray, "6"]],
         period_s: float,
     ) -> dict[str, ArmYield]:
         """Return the displacements one cycle later.
@@ -251,16 +260,11 @@ class Yielding:
         Args:
             earlier: those of the cycle before.
             q: (n,) configuration of the robot.
-            planted: contacts of the present phase.
-            landing: contacts that the next phase adds.
-            leaving: links that the next phase lets go; they do not hold the robot any more.
-            is_waiting: whether the plan's clock waits for these.
-            measured, expected: force (3,) and planned wrench (6,) per link, world axes [N, N m].
+            bounds: of the links that touch or are about to; the others go back to the plan.
+            measured: force (3,) per link, world axes [N].
             period_s: of the cycle [s].
         """
-        settings, made = self.settings, {}
-        bounds = bound_forces(settings, planted, landing, leaving=leaving, is_waiting=is_waiting, expected=expected)
-        is_placed = False
+        settings, made, is_placed = self.settings, dict[str, ArmYield](), False
         for link, arm in self.arms.items():
             state = earlier[link]
             if link not in bounds or link not in measured:
@@ -268,8 +272,7 @@ class Yielding:
                     made[link] = state
                     continue
                 left = max(1.0 - period_s / settings.fade_s, 0.0)
-                offset = np.where(np.abs(state.offset) < 1e-6, 0.0, left * state.offset)
-                made[link] = ArmYield(offset, left * state.travel)
+                made[link] = ArmYield(_fade(state.offset, left), left * state.travel)
                 continue
             contact, least, most = bounds[link].contact, bounds[link].least, bounds[link].most
             force = press_on(contact, measured[link])

@@ -32,7 +32,8 @@ def render_scene(built: BuiltScene, title: str) -> str:
 def make_scene_payload(built: BuiltScene, title: str) -> dict[str, Any]:
     """Return everything the page draws, JSON-ready."""
     scene, perceived = built.data, built.perceived
-    points, owner = _assign_points(built)
+    is_floor = find_floor_points(perceived.view.near.points, perceived.view.floors)
+    points, owner = _assign_points(built, is_floor)
     change = {name: how for how in ("stayed", "changed", "new") for name in scene.get("update", {}).get(how, ())}
     return {
         "title": title,
@@ -57,18 +58,19 @@ def make_scene_payload(built: BuiltScene, title: str) -> dict[str, Any]:
         "cloud": quantize(points),
         "owner": pack(owner, "u2"),
         "sensors": _list_sensors(perceived).tolist(),
-        "space": _make_space(perceived),
+        "space": _make_space(perceived, is_floor),
     }
 
 
-def _assign_points(built: BuiltScene) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
+def _assign_points(
+    built: BuiltScene, is_floor: Bool[np.ndarray, "N"]
+) -> tuple[Float[np.ndarray, "M 3"], Int[np.ndarray, "M"]]:
     """Return the points in reach, thinned, and the owner of each: index of its piece, or one of the constants above."""
     view = built.perceived.view
     number = {piece["name"]: i for i, piece in enumerate(built.data["pieces"])}
     obstacles = np.full(len(view.obstacles), UNASSIGNED)
     for name, points in (*built.mesh_points.items(), *((piece.name, piece.points) for piece in built.perceived.pieces)):
         obstacles[points] = number[name]
-    is_floor = find_floor_points(view.near.points, view.floors)
     rest = view.near.points[~is_floor & ~_find_among(view.near.points, view.obstacles)]
     parts = [(view.obstacles, obstacles)]
     parts += [(view.near.points[is_floor], np.full(int(is_floor.sum()), FLOOR)), (rest, np.full(len(rest), LEFT_OUT))]
@@ -88,7 +90,7 @@ def _list_sensors(perceived: Perceived) -> Float[np.ndarray, "S 3"]:
     return thin_points(np.unique(np.round(perceived.view.cloud.starts, 1), axis=0), MAX_SENSORS)
 
 
-def _make_space(perceived: Perceived) -> dict[str, Any]:
+def _make_space(perceived: Perceived, is_floor: Bool[np.ndarray, "N"]) -> dict[str, Any]:
     """Return a grid of cells, one bit each, x slowest: those with points of surfaces, and others that rays crossed.
 
     ``size`` is the edge of a cell [m].  A cell that is neither is unknown.
@@ -98,7 +100,7 @@ def _make_space(perceived: Perceived) -> dict[str, Any]:
     size = max(_CELL, float((np.prod(upper - lower) / MAX_CELLS) ** (1.0 / 3.0)))
     space = carve(*view.cloud.rays, view.near.points[:0], lower, upper, size)
     occupied = np.zeros(space.free.shape, dtype=bool)
-    surfaces = np.concatenate([view.obstacles, view.near.points[find_floor_points(view.near.points, view.floors)]])
+    surfaces = np.concatenate([view.obstacles, view.near.points[is_floor]])
     occupied[tuple(np.floor((surfaces - space.lower) / space.size).astype(int).T)] = True
     return {
         "lower": space.lower.tolist(),

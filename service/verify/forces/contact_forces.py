@@ -69,10 +69,8 @@ class ContactShare:
             weight: of the robot [N].
         """
         self.ground, self.weight = ground, weight
-        count = len(ground.points)
         self.middle = ground.points.mean(axis=0)
-        arms = ground.points - self.middle
-        self.grasp = np.concatenate([np.tile(np.eye(3), count), np.concatenate(list(skew(arms)), axis=1)], axis=0)
+        self.grasp = list_unit_wrenches(ground.points - self.middle)
         self.scale = np.repeat(np.minimum(ground.caps, weight), 3) / weight
         scaled = self.grasp * self.scale
         self._least = self.scale[:, None] * np.linalg.pinv(scaled)
@@ -238,6 +236,11 @@ class ContactShare:
             return None
         force = self.weight * self.edges @ found.x[:-1]
         return np.asarray(force + self._least @ (wanted - self.grasp @ force))
+
+
+def list_unit_wrenches(points: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "6 3C"]:
+    """Return the wrenches of unit forces along the axes at points, about the origin, as columns [-, m]."""
+    return np.concatenate([np.tile(np.eye(3), len(points)), np.concatenate(list(skew(points)), axis=1)])
 
 
 def is_held(forces: ContactForces) -> Bool[np.ndarray, "S"]:

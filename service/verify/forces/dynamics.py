@@ -10,10 +10,9 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
-from costs.rotation import skew
 from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
-from service.verify.forces.contact_forces import ContactShare, Joints
+from service.verify.forces.contact_forces import ContactShare, Joints, list_unit_wrenches
 from service.verify.forces.hand_loads import list_load_cases
 from service.verify.forces.loaded_balance import GRAVITY, Ground, weigh
 from service.verify.frame_paths import find_mechanism_joints
@@ -178,9 +177,7 @@ def list_levers(model: pin.Model, phase: Phase, jacobians: Float[np.ndarray, "S 
     for contact in phase.contacts:
         joint = int(model.frames[model.getFrameId(contact.link)].parentJoint)
         axes = map_axes(model, joint).T
-        moments = np.concatenate(list(skew(contact.points)), axis=1)
-        units = np.concatenate([np.tile(np.eye(3), len(contact.points)), moments])  # wrenches of unit forces as columns
-        parts.append(axes @ (np.swapaxes(jacobians, 1, 2) @ units))
+        parts.append(axes @ (np.swapaxes(jacobians, 1, 2) @ list_unit_wrenches(contact.points)))
     return np.concatenate(parts, axis=2)
 
 
