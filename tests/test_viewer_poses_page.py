@@ -73,6 +73,7 @@ def test_each_pose_is_a_dot_in_the_column_of_its_phase_and_the_path_leads_throug
 
 def test_counts_sentences_and_costs_are_told(browser, page):
     browser.open(page)
+    browser.settle()  # the graph is drawn once its size is known
     text = browser.run("document.querySelector('.poses').innerText")
     cells = browser.run("[...document.querySelectorAll('.graph-table b')].map((e) => Number(e.textContent))")
     assert cells == [1, 9, 1, 1, 5, 1, 0, 1, 0]
