@@ -437,8 +437,9 @@ class Execution:
         for hand, correction in self._corrected.items():
             own = shifts.get(hand, Shift.zero())
             shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
-        if self._pressed.any():
-            shifts[BODY] = Shift(self._pressed, np.zeros(3), self._pressed)
+        body = self._pressed if self._feet_state is None else self._pressed + self._feet_state.trim
+        if body.any():
+            shifts[BODY] = Shift(body, np.zeros(3), body)
         landings = {} if self._feet_state is None else self._feet_state.landings
         for foot, state in landings.items():
             own, height = shifts.get(foot, Shift.zero()), state.height

@@ -34,20 +34,29 @@ class BalanceSettings:
     Attributes:
         gain: ``K``, displacement of the ZMP per displacement of the capture point from the plan.
         edge_m: border of the soles where no ankle puts the pressure, unless the plan does [m].
+        trim_gain: speed at which the body is moved against the error while others than the feet still hold it, in the
+            phase after which they let go [1/s].
+        trim_m: largest displacement by that [m].
+        trim_fade_s: in which it goes back [s].
         release_m: how far the capture point must be inside the feet before other contacts let go [m].
         least_m: balance margin of the plan below which the ankles follow it instead: they could not do more [m].
     """
 
     gain: float = 3.0
     edge_m: float = 0.012
+    trim_gain: float = 1.5
+    trim_m: float = 0.05
+    trim_fade_s: float = 10.0
     release_m: float = 0.01
     least_m: float = 0.02
 
     def __post_init__(self) -> None:
-        if not (self.gain > 1.0 and min(self.edge_m, self.least_m) >= 0.0):
+        least = min(self.edge_m, self.trim_gain, self.trim_m, self.least_m)
+        if not (self.gain > 1.0 and least >= 0.0 and self.trim_fade_s > 0.0):
             raise ExecutionError(
-                f"balance: gain {self.gain:g}, edge_m {self.edge_m:g}, least_m {self.least_m:g}; expected a gain above "
-                "1, and 0 or more"
+                f"balance: gain {self.gain:g}, edge_m {self.edge_m:g}, trim_gain {self.trim_gain:g}, trim_m "
+                f"{self.trim_m:g}, trim_fade_s {self.trim_fade_s:g}, least_m {self.least_m:g}; expected a gain above 1, a "
+                "positive time, and 0 or more"
             )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -38,11 +38,13 @@ class FeetState:
         landings: state of every foot that has an ankle.
         balance: what the ankles do for the balance; None while something else than the feet carries force.
         margin_m: of the capture point inside the feet, before other contacts leave them alone [m]; else None.
+        trim: (3,) displacement of the body that brings the capture point to its place before the feet are alone [m].
     """
 
     landings: Mapping[str, TouchdownState]
     balance: Balance | None = None
     margin_m: float | None = None
+    trim: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -106,27 +108,31 @@ class Feet:
         self._columns = {foot: columns[ankle.joints] for foot, ankle in self.ankles.items()}
         least = np.inf if balance is None else balance.least_m
         # Hands that press on a mechanism would be taken for errors.
-        self._may_balance = [
+        alone = [
             not phase.loads and {contact.link for contact in phase.contacts} <= set(self.ankles) and margin >= least
             for phase, margin in zip(self.phases, margins, strict=True)
         ]
+        soon = [later and bool(self._find_remaining(k)) for k, later in enumerate([*alone[1:], False])]
+        self._may_balance = [now or later for now, later in zip(alone, soon, strict=True)]
         self._control = None if balance is None else BalanceControl(robot, self._columns, balance)
         self._data, self._plan = robot.model.createData(), robot.model.createData()
 
     def start(self, earlier: FeetState | None = None) -> FeetState:
         """Return feet that follow their commands; after another plan, as that one left them."""
         before = {} if earlier is None else earlier.landings
-        return FeetState({foot: before.get(foot, TouchdownState.stiff()) for foot in self.ankles})
+        landings = {foot: before.get(foot, TouchdownState.stiff()) for foot in self.ankles}
+        return FeetState(landings) if earlier is None else FeetState(landings, trim=earlier.trim)
 
     def step(self, state: FeetState, sight: Sight) -> FeetState:
         """Return the feet one cycle later."""
-        phase = self.phases[sight.phase]
-        balance = self._find_balance(phase, sight) if self._may_balance[sight.phase] else None
+        phase, remaining = self.phases[sight.phase], self._find_remaining(sight.phase)
+        balance = self._find_balance(sight, remaining or phase.contacts) if self._may_balance[sight.phase] else None
         landings = self._step_landings(state.landings, phase, sight, balance is not None)
-        both = {contact.link for contact in phase.contacts} == set(self.ankles)
+        both = {contact.link for contact in phase.contacts} >= set(self.ankles)
         if both and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, balance, sight)
-        return FeetState(landings, balance, self._find_margin(phase, sight))
+        trim = self._step_trim(state.trim, balance, remaining)
+        return FeetState(landings, balance, self._find_margin(phase, remaining, sight), trim)
 
     def soften(self, state: FeetState, command: JointCommand, reading: RobotReading) -> JointCommand:
         """Return a command with the ankles as touchdown and balance want them."""
@@ -135,22 +141,41 @@ class Feet:
             command = soften(self.settings, ankle, state.landings[foot], command, reading, torque)
         return command
 
-    def _find_balance(self, phase: ReferencePhase, sight: Sight) -> Balance | None:
+    def _find_balance(self, sight: Sight, planted: Sequence[PlantedContact]) -> Balance | None:
         """Return what the balance wants of the planted feet."""
-        if self._control is None or not phase.contacts:
+        if self._control is None or not planted:
             return None
-        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, phase.contacts, sight.forces)
+        return self._control.step(sight.q, sight.v, sight.wanted, sight.rate, planted, sight.forces)
 
-    def _find_margin(self, phase: ReferencePhase, sight: Sight) -> float | None:
-        """Return the margin of the capture point in a phase after which the feet are alone [m]."""
-        last = sight.phase + 1 == len(self.phases) or sight.time_s < phase.end_s - RELEASE_S
-        if self._control is None or last:
+    def _find_remaining(self, index: int) -> tuple[PlantedContact, ...]:
+        """Return the feet that are alone once the other contacts of a phase have let go; empty where none lets go."""
+        if index + 1 == len(self.phases):
+            return ()
+        feet, ankles = self.phases[index + 1].contacts, set(self.ankles)
+        now = {contact.link for contact in self.phases[index].contacts}
+        leave = now - {contact.link for contact in feet} - ankles
+        return feet if leave and {contact.link for contact in feet} <= ankles & now else ()
+
+    def _find_margin(
+        self, phase: ReferencePhase, remaining: Sequence[PlantedContact], sight: Sight
+    ) -> float | None:
+        """Return the margin of the capture point at the end of a phase after which feet are alone [m]."""
+        if self._control is None or not remaining or sight.time_s < phase.end_s - RELEASE_S:
             return None
-        feet = self.phases[sight.phase + 1].contacts
-        leave = {contact.link for contact in phase.contacts} - {contact.link for contact in feet} - set(self.ankles)
-        if not leave or not {contact.link for contact in feet} <= set(self.ankles):
-            return None
-        return self._control.find_margin(sight.q, sight.v, feet)
+        return self._control.find_margin(sight.q, sight.v, remaining)
+
+    def _step_trim(
+        self, trim: Float[np.ndarray, "3"], balance: Balance | None, remaining: Sequence[PlantedContact]
+    ) -> Float[np.ndarray, "3"]:
+        """Return the displacement of the body one cycle later: against the error while others still hold the robot."""
+        if self._control is None:
+            return trim
+        settings = self._control.settings
+        if balance is None or not remaining:
+            return max(1.0 - self.period_s / settings.trim_fade_s, 0.0) * trim if trim.any() else trim
+        trim = trim - self.period_s * settings.trim_gain * np.append(balance.error, 0.0)
+        size = float(np.linalg.norm(trim))
+        return trim if size <= settings.trim_m else trim * settings.trim_m / size
 
     def _step_landings(
         self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool

@@ -18,7 +18,7 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.state import LoadedState, MotionState
 from costs.stopping import poll
-from costs.terms import AxisDirection, ContactForce, FramePose, JointTarget, PointHalfSpace, Positive
+from costs.terms import AxisDirection, ContactForce, FramePose, FrictionPyramid, JointTarget, PointHalfSpace, Positive
 from scopt import Cost, Residual, Settings, Status
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import FLAT_POINTS
@@ -34,6 +34,8 @@ STRICT = 100.0  # factor of the first penalty where a solve ended with violation
 TURNS = (False,) * 3 + (True,) * 3  # rows of a frame's pose that are its orientation
 UPRIGHT_GROUP, FEET_GROUP, ARM_GROUPS = "upright", "feet", ("left_arm", "right_arm")
 THROUGH_M = 0.04  # how deep a straight way between two poses may lead through something
+RESERVE_SHARE = 0.2  # of the mean force of the points of feet that are alone: error that each of them should bear
+RESERVE_WEIGHT = 2000.0  # of what is missing of it [cost/weight^2]
 LARGEST_LIMB = 10  # joints of a group that is a limb, not the whole body
 WAY_WAYPOINTS = 8  # at which that is measured
 TRIES = 8  # starts of a solve that has to succeed: the given ones, then these moved at random
@@ -134,10 +136,13 @@ class PoseSolver:
         normals = {k: aim.normal for k, aim in enumerate(bearing)}
         places = [term for aim in aims for term in aim.make_constraints(robot)]
         costs = [*shape.make_costs(self.body, aims), *_face_surfaces(robot, aims, shape.weights.facing)]
-        force_terms = _relieve_arms(robot, contacts, normals, shape.weights.hand_forces)
+        relief = _relieve_arms(robot, contacts, normals, shape.weights.hand_forces)
+        reserve = _keep_reserve(robot, contacts, normals)
         start = shape.nominal if guess is None else guess
 
-        def solve(start: Float[np.ndarray, "n"], settings: Settings) -> EquilibriumPose:
+        def solve(
+            start: Float[np.ndarray, "n"], settings: Settings, force_terms: Sequence[Cost[LoadedState]]
+        ) -> EquilibriumPose:
             return solve_equilibrium_pose(
                 self.body,
                 contacts,
@@ -151,10 +156,13 @@ class PoseSolver:
                 should_stop=self.should_stop,
             )
 
-        pose = solve(start, self.settings)
-        if pose.is_feasible or pose.result.status is not Status.ACCEPTABLE:
+        pose = solve(start, self.settings, relief)
+        if not pose.is_feasible and pose.result.status is Status.ACCEPTABLE:
+            pose = solve(pose.q, replace(self.settings, penalty=STRICT * self.settings.penalty), relief)
+        if not (pose.is_feasible and reserve):
             return pose
-        return solve(pose.q, replace(self.settings, penalty=STRICT * self.settings.penalty))
+        better = solve(pose.q, replace(self.settings, penalty=STRICT * self.settings.penalty), [*relief, *reserve])
+        return better if better.is_feasible else pose
 
     def solve_from(
         self,
@@ -294,3 +302,18 @@ def _relieve_arms(
     gain = np.repeat(np.array(is_arm, dtype=float), [len(contact.points) for contact in contacts])
     points = ContactPoints.of(robot, contacts, normals)
     return [Cost("forces on the arms", ContactForce(points, [0], gain=gain), weight)]
+
+
+def _keep_reserve(
+    robot: RobotModel, contacts: Sequence[Contact], normals: dict[int, Float[np.ndarray, "3"]]
+) -> list[Cost[LoadedState]]:
+    """Return a cost of forces of feet near the edges of friction and caps, where nothing but feet carries the robot.
+
+    A robot that sags in its servos, or whose surfaces are a little elsewhere, then does not tip: both feet are loaded at
+    all of their points.  With hands or trunk in contact it is held anyway.
+    """
+    if not {contact.link for contact in contacts} <= set(robot.link_groups.get(FEET_GROUP, ())):
+        return []
+    points = ContactPoints.of(robot, contacts, normals)
+    pyramid = FrictionPyramid(points, [0], RESERVE_SHARE / len(points))
+    return [Cost("reserve of the feet", Positive(pyramid), RESERVE_WEIGHT)]
