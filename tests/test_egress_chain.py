@@ -128,7 +128,7 @@ def test_the_shipped_phases_link_from_the_seat_to_standing_with_room_for_errors_
     assert isinstance(found, Chain), found.reason
     assert [stance.name for stance in found.stances] == [phase.name for phase in phases()]
     named = found.list_poses()
-    assert len(named) == 37
+    assert len(named) == 39
     for name, pose in named:
         assert pose.reserve_n >= task().margin_n, name
         assert measure_imbalance(robot, pose)[0] < 1e-3, name
@@ -139,7 +139,7 @@ def test_the_shipped_phases_link_from_the_seat_to_standing_with_room_for_errors_
     on_feet = [(name, pose) for name, pose in named if is_on_feet_alone(robot, pose)]
     assert len(on_feet) == 6
     for name, pose in on_feet:
-        assert measure_balance(robot, pose) > 0.02, name
+        assert measure_balance(robot, pose) > 0.05, name
 
 
 def is_on_feet_alone(robot, pose):
@@ -189,7 +189,7 @@ def test_a_solver_sent_to_another_process_finds_the_same_pose():
 
 def test_changes_between_stages_are_named():
     assert find_changes(stages())[0] == (("right_foot",), ("right_foot",))
-    assert (("left_forearm", "right_forearm"), ()) in find_changes(stages())
+    assert find_changes(stages())[-6:-4] == ((("right_forearm",), ()), (("left_forearm",), ()))
     assert find_changes(stages())[-1] == ((), ())  # another pose on the same contacts
 
 

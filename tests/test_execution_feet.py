@@ -123,3 +123,12 @@ def test_the_body_goes_back_to_the_plan_slowly_once_the_feet_are_alone(reference
     for _ in range(1000):
         state = feet.step(state, replace(sight, phase=1))
     np.testing.assert_allclose(state.trim, np.exp(-1.0 / SETTINGS.trim_fade_s) * before.trim, rtol=1e-3)
+
+
+def test_a_body_that_leans_to_the_left_is_righted_by_its_feet(reference):
+    """The balance wants the pressure farther to the left then; feet that gave it would lean the body farther."""
+    sight = see(reference, v=(0.0, 0.05, 0.0), more=100.0)
+    state = run(make_feet(reference, list_phases(reference, False)), sight)
+    assert state.balance.error[1] > 0.01
+    left, right = (state.landings[foot].height.offset[2] for foot in FEET)
+    assert left > 0.0005 > -0.0005 > right

@@ -38,7 +38,8 @@ class BalanceSettings:
             phase after which they let go [1/s].
         trim_m: largest displacement by that [m].
         trim_fade_s: in which it goes back [s].
-        release_m: how far the capture point must be inside the feet before other contacts let go [m].
+        release_m: how far the capture point must be inside the feet before other contacts let go; more than the border,
+            or no ankle could stop it [m].
         least_m: balance margin of the plan below which the ankles follow it instead: they could not do more [m].
     """
 
@@ -47,7 +48,7 @@ class BalanceSettings:
     trim_gain: float = 1.5
     trim_m: float = 0.05
     trim_fade_s: float = 10.0
-    release_m: float = 0.01
+    release_m: float = 0.015
     least_m: float = 0.02
 
     def __post_init__(self) -> None:
@@ -68,13 +69,11 @@ class Balance:
         error: (2,) capture point relative to the feet, less that of the plan [m].
         torques: by foot (2,) of its ankle's joints [N m].
         pressures: by foot (2,) wanted centre of pressure from the foot's origin, world axes [m].
-        upright_n: by foot, wanted upright force [N].
     """
 
     error: Float[np.ndarray, "2"]
     torques: Mapping[str, Float[np.ndarray, "2"]]
     pressures: Mapping[str, Float[np.ndarray, "2"]]
-    upright_n: Mapping[str, float]
 
 
 class BalanceControl:
@@ -146,8 +145,7 @@ class BalanceControl:
             arm = np.array([*made[contact.link], soles[k][2]])
             force = np.array([*forces[contact.link][:2], measured[k]])
             torques[contact.link] = self._find_torque(q, contact.link, arm, force)
-        wanted_n = _share_weight(upright, zmp - planned_zmp, origins[:, :2])
-        return Balance(error, torques, made, dict(zip(made, wanted_n.tolist(), strict=True)))
+        return Balance(error, torques, made)
 
     def find_margin(
         self, q: Float[np.ndarray, "n"], v: Float[np.ndarray, "n"], planted: Sequence[PlantedContact]
@@ -201,14 +199,3 @@ def _find_pressure(wrench: Float[np.ndarray, "6"], contact: PlantedContact) -> F
     if fz < LEAST_N:
         return np.asarray(middle[:2])
     return np.array([(middle[2] * fx - my) / fz, (middle[2] * fy + mx) / fz])
-
-
-def _share_weight(
-    upright: Float[np.ndarray, "F"], shift: Float[np.ndarray, "2"], origins: Float[np.ndarray, "F 2"]
-) -> Float[np.ndarray, "F"]:
-    """Return the upright forces of one or two feet that move the ZMP from the plan's by ``shift`` along their line."""
-    if len(upright) != 2:
-        return upright
-    line, total = origins[1] - origins[0], float(upright.sum())
-    second = float(np.clip(upright[1] + total * float(shift @ line) / float(line @ line), 0.0, total))
-    return np.array([total - second, second])

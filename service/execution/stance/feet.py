@@ -130,7 +130,7 @@ class Feet:
         landings = self._step_landings(state.landings, phase, sight, balance is not None)
         both = {contact.link for contact in phase.contacts} >= set(self.ankles)
         if both and self.load_gain and len(self.ankles) == 2:
-            landings = self._share_weight(landings, balance, sight)
+            landings = self._share_weight(landings, sight)
         trim = self._step_trim(state.trim, balance, remaining)
         return FeetState(landings, balance, self._find_margin(phase, remaining, sight), trim)
 
@@ -225,15 +225,16 @@ class Feet:
         cosine = float(place.rotation[:, 2] @ contact.pose_world_link[:3, 2])
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
-    def _share_weight(
-        self, states: Mapping[str, TouchdownState], balance: Balance | None, sight: Sight
-    ) -> dict[str, TouchdownState]:
-        """Lower the foot that carries less than it should and raise the other one; keep both on the ground."""
+    def _share_weight(self, states: Mapping[str, TouchdownState], sight: Sight) -> dict[str, TouchdownState]:
+        """Lower the foot that carries less than in the plan and raise the other one; keep both on the ground.
+
+        That also rights a body that leans.  The share that the balance wants would lean it further: to bring the centre
+        of mass back, the pressure has to go to the side where it is too far already.
+        """
         settings, made = self.settings, dict(states)
         left, right = self.ankles
         measured = {foot: float(sight.forces[foot][2]) for foot in self.ankles}
         upright = {foot: float(sight.wanted.contact_wrenches[foot][2]) for foot in self.ankles}
-        upright = upright if balance is None else dict(balance.upright_n)
         least, total = settings.press_n, sum(upright.values())
         upright = {foot: min(max(force, least), max(total - least, least)) for foot, force in upright.items()}
         more = 0.5 * (measured[left] - upright[left] - measured[right] + upright[right])
