@@ -128,8 +128,8 @@ class Feet:
         phase, remaining = self.phases[sight.phase], self._find_remaining(sight.phase)
         balance = self._find_balance(sight, remaining or phase.contacts) if self._may_balance[sight.phase] else None
         landings = self._step_landings(state.landings, phase, sight, balance is not None)
-        both = {contact.link for contact in phase.contacts} >= set(self.ankles)
-        if both and self.load_gain and len(self.ankles) == 2:
+        held = {contact.link for contact in remaining or phase.contacts}
+        if held == set(self.ankles) and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, sight)
         trim = self._step_trim(state.trim, balance, remaining)
         return FeetState(landings, balance, self._find_margin(phase, remaining, sight), trim)
