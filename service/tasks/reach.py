@@ -72,6 +72,8 @@ IK_DRAWS = 16  # batches of random configurations after which a goal counts as o
 BATCH = 48  # random configurations that are led to the goal at once
 OVERLAPPING_TRIED = 6  # of those in collision, by batch
 ENDS_PER_ROUND = 3
+BRING_STEPS = 12  # of the nominal posture to the goal
+BROUGHT = 1e-3  # largest residual of a posture that was brought to the goal [m, rad]
 MOST_CHECKS = 40_000  # of one tree: some seconds
 SHRINK = (0.8, 0.6, 0.4)  # sizes of shrunken obstacles
 EXPLAIN_RESERVE_S, EXPLAIN_SHARE = 10.0, 0.2
@@ -278,7 +280,7 @@ class _ReachSearch:
             return
         ends: list[np.ndarray] = []
         best: Solved | None = None
-        for _, guess in posture_guesses(body):
+        for guess in chain(_bring_to_goal(body, goal), (posture for _, posture in posture_guesses(body))):
             solved = _solve_at_goal(self.solver, goal, guess)
             if not solved.is_feasible:
                 best = solved if best is None or solved.shortfall < best.shortfall else best
@@ -426,6 +428,21 @@ def find_random_ends(
             if solved.is_feasible and _is_new(solved.x[0], ends):
                 ends.append(solved.x[0])
                 yield solved.x[0]
+
+
+def _bring_to_goal(body: WholeBody, goal: Goal) -> Iterator[Float[np.ndarray, "n"]]:
+    """Yield the nominal posture with the goal's links at their goals and the robot balanced, if that is reached.
+
+    Obstacles are left to the optimiser, which then needs half of the steps.
+    """
+    fixed = find_prescribed(body.robot)
+    fixed[list(goal.joints)] = True
+    holds = (*body.holds(), *make_line_holds(goal, 1.0), *body.hold_in_balance())
+    if not holds:
+        return
+    guess, error = solve_holds(body, goal.apply_joints(body.nominal)[None], holds, fixed, BRING_STEPS)
+    if error[0] < BROUGHT:
+        yield guess[0]
 
 
 def _solve_at_goal(solver: PhaseSolver, goal: Goal, guess: Float[np.ndarray, "n"]) -> Solved:
