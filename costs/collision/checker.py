@@ -189,7 +189,7 @@ class SweptCollisionChecker:
     def _find_near_pairs(
         self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Find intervals and self pairs of which the one's bounding sphere, on its chord, comes near the other's box."""
+        """Find intervals and self pairs in which the mover's bounding sphere, on its chord, comes near the other's box."""
         poll()
         if not len(self._pairs):
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int)

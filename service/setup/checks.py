@@ -11,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from costs.robot.work_space import borrow_data
 from costs.scene import Scene
 from service.demands import list_planted_feet
 from service.demands.contacts.stances import ContactStance
@@ -177,7 +178,7 @@ def find_overloaded_joints(robot: RobotModel, start: Float[np.ndarray, "n"]) -> 
     No time law makes such a motion possible, however slow.
     """
     still = np.zeros(robot.n)
-    torque = np.abs(pin.rnea(robot.model, robot.model.createData(), start, still, still))
+    torque = np.abs(pin.rnea(robot.model, borrow_data(robot.model), start, still, still))
     weak = np.flatnonzero((robot.effort > 0.0) & (torque > robot.effort))
     if not len(weak):
         return []

@@ -10,6 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import LinkBody, RobotModel
+from costs.robot.work_space import borrow_data
 from costs.scene import ConvexPiece, Scene
 from costs.support import SupportPolygon
 from service.errors import RequestError
@@ -36,7 +37,7 @@ def find_standing_problems(
     weightless = _weightless_links(robot)
     if weightless:
         return [*problems, f"{', '.join(weightless)} of {robot.name} have shapes and no mass; balance needs all masses"]
-    com = pin.centerOfMass(robot.model, robot.model.createData(), q)
+    com = pin.centerOfMass(robot.model, borrow_data(robot.model), q)
     try:
         margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
     except ValueError:
@@ -109,6 +110,6 @@ def check_masses(robot: RobotModel) -> None:
 
 def place_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[LinkBody, Float[np.ndarray, "V 3"]]]:
     """Return every body with its vertices in the world at ``q`` [m]."""
-    data = robot.model.createData()
+    data = borrow_data(robot.model)
     pin.forwardKinematics(robot.model, data, q)
     return [(b, b.vertices @ data.oMi[b.joint].rotation.T + data.oMi[b.joint].translation) for b in robot.bodies]
