@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from costs.collision.contacts import Contacts
 from costs.collision.pairs import PairMargins
 from costs.collision.shapes import make_convex, make_outer_convex, make_swept_convex
-from costs.collision.slabs import DIRECTIONS, find_slabs
+from costs.collision.slabs import find_slabs, find_slabs_of_sets
 from costs.collision.sweep import BodyVertices, find_extent, share_gradient
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
@@ -47,8 +47,7 @@ class SweptCollisionChecker:
         self._still = [make_outer_convex(body) for body in robot.bodies]
         self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
         self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
-        slabs = np.array([find_slabs(piece.vertices) for piece in scene.pieces])
-        self._slab_low, self._slab_high = slabs.reshape(-1, 2, len(DIRECTIONS)).transpose(1, 0, 2)
+        self._slab_low, self._slab_high = find_slabs_of_sets([piece.vertices for piece in scene.pieces])
         self._functors: dict[tuple[bool, int], dict[int, coal.ComputeDistance]] = {}
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
@@ -189,7 +188,7 @@ class SweptCollisionChecker:
     def _find_near_pairs(
         self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Find intervals and self pairs in which the mover's bounding sphere, on its chord, comes near the other's box."""
+        """Find intervals and self pairs in which the mover's sphere, on its chord, comes near the other body's box."""
         poll()
         if not len(self._pairs):
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int)

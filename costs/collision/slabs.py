@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -17,3 +19,14 @@ DIRECTIONS = np.array(
 def find_slabs(points: Float[np.ndarray, "*m V 3"]) -> tuple[Float[np.ndarray, "*m K"], Float[np.ndarray, "*m K"]]:
     """Find the least and the largest height of many point sets along each of the directions."""
     return find_extent(points @ DIRECTIONS.T)
+
+
+def find_slabs_of_sets(
+    sets: Sequence[Float[np.ndarray, "V 3"]],
+) -> tuple[Float[np.ndarray, "P K"], Float[np.ndarray, "P K"]]:
+    """Find the same for point sets of different sizes."""
+    if not sets:
+        return np.zeros((0, len(DIRECTIONS))), np.zeros((0, len(DIRECTIONS)))
+    heights = np.concatenate(sets) @ DIRECTIONS.T
+    first = np.cumsum([0, *(len(points) for points in sets[:-1])])
+    return np.minimum.reduceat(heights, first), np.maximum.reduceat(heights, first)

@@ -233,8 +233,8 @@ def _relative_axes(kinematics: Kinematics, frame: _Frame, reference: _Frame) -> 
     """Return by axis 1 where it moves the frame alone, -1 where the reference alone, 0 where both or none."""
     moves = kinematics.topology.moves
     if not reference.joint:
-        return moves[frame.joint].astype(float)
-    return np.subtract(moves[frame.joint], moves[reference.joint], dtype=float)
+        return np.asarray(moves[frame.joint], dtype=float)
+    return np.asarray(moves[frame.joint].astype(float) - moves[reference.joint])
 
 
 def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

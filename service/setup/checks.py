@@ -158,7 +158,11 @@ def check_start(
     if soles and not is_balanced:
         problems += [f"start is not on the ground: {line}" for line in grounded.values()]
     elif soles:
-        problems += [f"start is out of balance: {line}" for line in find_standing_problems(robot, start, scene, soles)]
+        off_ground = list(grounded.values())
+        if not robot.is_floating:  # a fixed base needs no ground, the feet that it plants do
+            off_ground = [line for _, line in find_ground_problems(scene.pieces, soles)]
+        lines = find_standing_problems(robot, start, soles, off_ground)
+        problems += [f"start is out of balance: {line}" for line in lines]
     if program is None and request.options.timed and not robot.is_floating:
         problems += find_overloaded_joints(robot, start)
     if problems:
