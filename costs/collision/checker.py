@@ -26,6 +26,7 @@ _NUDGES = [
     for way in ((0.61, -0.48, 0.63), (-0.43, 0.71, -0.56), (0.37, 0.52, -0.77), (-0.8, -0.3, 0.52))
 ]
 _IDENTITY = coal.Transform3s()
+MANY = 20  # pairs of an interval whose boxes meet, from which extents along other directions save more than they take
 
 
 class SweptCollisionChecker:
@@ -115,7 +116,7 @@ class SweptCollisionChecker:
     def _find_near_pieces(
         self, world: Float[np.ndarray, "T B V 3"], first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> tuple[Int[np.ndarray, "c"], Int[np.ndarray, "c"], Int[np.ndarray, "c"]]:
-        """Find intervals, bodies and pieces whose extents come near along the axes and all other directions."""
+        """Find intervals, bodies and pieces whose extents come near along the axes, and of many along others too."""
         poll()
         low, high = find_extent(world)
         low, high = np.minimum(low[first], low[second]), np.maximum(high[first], high[second])
@@ -125,6 +126,8 @@ class SweptCollisionChecker:
             near &= low[:, :, axis, None] <= self._upper[:, axis] + reach
             near &= self._lower[:, axis] - reach <= high[:, :, axis, None]
         interval, body, piece = np.nonzero(near)
+        if len(interval) < MANY * len(first):
+            return interval, body, piece
         low, high = find_slabs(world)
         gap = np.maximum(
             np.minimum(low[first], low[second])[interval, body] - self._slab_high[piece],
