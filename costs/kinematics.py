@@ -11,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
 from costs.robot.model import RobotModel
+from costs.robot.work_space import borrow_work_space
 from costs.rotation import cross, skew
 
 
@@ -157,24 +158,18 @@ class Kinematics:
 
 
 class KinematicsEngine:
-    """Computes ``Kinematics`` of one robot; keeps pinocchio's work space, nothing else."""
+    """Computes ``Kinematics`` of one robot."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.robot = robot
         self.topology = Topology.of(robot.model)
-        self._data = robot.model.createData()
-        placements = _view_placements(self._data, robot.model.njoints)
-        self._columns = np.lib.stride_tricks.as_strided(
-            placements, (robot.model.njoints, 3, 3), (placements.strides[0], 8, 24), writeable=False
-        )
-        self._origins = placements[:, 9:12]
 
     def __call__(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
         """Compute the kinematics of all waypoints."""
-        model, data = self.robot.model, self._data
+        model = self.robot.model
         jacobian = np.empty((len(q), 6, model.nvExtended))
 
-        def compute(t: int) -> None:
+        def compute(data: pin.Data, t: int) -> None:
             # pinocchio hands out the Jacobian of a single coordinate as a vector
             jacobian[t] = pin.computeJointJacobians(model, data, q[t]).reshape(6, model.nvExtended)
 
@@ -182,49 +177,25 @@ class KinematicsEngine:
 
     def place(self, q: Float[np.ndarray, "T n"]) -> Kinematics:
         """Compute placements alone: the Jacobian has no columns."""
-        model, data = self.robot.model, self._data
-        return self._collect(q, lambda t: pin.forwardKinematics(model, data, q[t]), np.empty((len(q), 6, 0)))
+        model = self.robot.model
+        return self._collect(q, lambda data, t: pin.forwardKinematics(model, data, q[t]), np.empty((len(q), 6, 0)))
 
     def _collect(
-        self, q: Float[np.ndarray, "T n"], compute: Callable[[int], None], jacobian: Float[np.ndarray, "T 6 n"]
+        self,
+        q: Float[np.ndarray, "T n"],
+        compute: Callable[[pin.Data, int], None],
+        jacobian: Float[np.ndarray, "T 6 n"],
     ) -> Kinematics:
         """Collect the placements that ``compute`` leaves in pinocchio's data, waypoint by waypoint."""
-        rotation = np.empty((len(q), self.robot.model.njoints, 3, 3))
-        position = np.empty((len(q), self.robot.model.njoints, 3))
+        space, n_joints = borrow_work_space(self.robot.model), self.robot.model.njoints
+        block = np.empty((len(q), n_joints, 12))
         for t in range(len(q)):
-            compute(t)
-            rotation[t] = self._columns  # stored column by column
-            position[t] = self._origins
+            compute(space.data, t)
+            block[t] = space.placements
+        # Rotations are stored column by column.
+        rotation = np.ascontiguousarray(np.swapaxes(block[..., :9].reshape(len(q), n_joints, 3, 3), -1, -2))
+        position = np.ascontiguousarray(block[..., 9:])
         return Kinematics(self.robot, self.topology, np.array(q), rotation, position, jacobian, self)
-
-
-def _view_placements(data: pin.Data, n_joints: int) -> Float[np.ndarray, "J 12"]:
-    """Return a live view of all joint placements: rotation (column-major) and translation of each.
-
-    ``data.oMi`` is contiguous; reading it element by element costs ten times the kinematics themselves.
-    """
-    first = data.oMi[0].rotation
-    if n_joints > 1:
-        second = data.oMi[1].rotation
-        stride = second.__array_interface__["data"][0] - first.__array_interface__["data"][0]
-    else:
-        stride = 96
-    if stride % 8 or stride < 96:
-        raise RuntimeError(f"pinocchio's placements are not laid out as expected (stride {stride} bytes)")
-    address = first.__array_interface__["data"][0]
-    return np.ndarray((n_joints, 12), buffer=_Memory(address, stride * n_joints).view, strides=(stride, 8))
-
-
-class _Memory:
-    """A read-only buffer over memory owned by pinocchio's data, which the engine keeps alive."""
-
-    def __init__(self, address: int, size: int) -> None:
-        interface = {"shape": (size // 8,), "typestr": "<f8", "data": (address, True), "version": 3}
-        self.__array_interface__ = interface
-
-    @property
-    def view(self) -> np.ndarray:
-        return np.asarray(self)
 
 
 def locate_frame(robot: RobotModel, name: str) -> tuple[int, Float[np.ndarray, "4 4"]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -26,12 +27,12 @@ class ConvexPiece:
     kind: str = "obstacle"
     exact: Primitive | None = None
 
-    @property
+    @cached_property
     def lower(self) -> Float[np.ndarray, "3"]:
         """Lower corner of the axis-aligned bounding box [m]."""
         return np.asarray(self.vertices.min(axis=0))
 
-    @property
+    @cached_property
     def upper(self) -> Float[np.ndarray, "3"]:
         """Upper corner of the axis-aligned bounding box [m]."""
         return np.asarray(self.vertices.max(axis=0))

@@ -70,11 +70,14 @@ class AffineRows:
         """
         m, k, n = blocks.shape
         dense = blocks.reshape(m, k * n)
-        rows, columns = np.nonzero(dense)
+        is_stored = dense != 0.0
+        counts = is_stored.sum(axis=1)
         indptr = np.zeros(m + 1, dtype=np.int32)
-        np.cumsum(np.bincount(rows, minlength=m), out=indptr[1:])
-        indices = (columns + n * np.asarray(first)[rows]).astype(np.int32)
-        jacobian = sparse.csr_array((dense[rows, columns], indices, indptr), shape=(m, n_waypoints * n))
+        np.cumsum(counts, out=indptr[1:])
+        at = np.flatnonzero(is_stored)
+        # An entry at column c of row r stands at k n r + c here, and in column n first + c of the Jacobian.
+        indices = (at + np.repeat(n * np.asarray(first) - k * n * np.arange(m), counts)).astype(np.int32)
+        jacobian = sparse.csr_array((dense.ravel()[at], indices, indptr), shape=(m, n_waypoints * n))
         return AffineRows(np.asarray(value, dtype=float), jacobian)
 
 

@@ -5,9 +5,11 @@ import pytest
 from planar_arm import write_planar_arm
 from stranger import Stranger
 
+from costs.kinematics import locate_links
 from service import planner
 from service import verify as verifier
 from service.body.monitor import Monitor
+from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import GoalRequest, Options, PlanRequest, PoseGoalRequest
@@ -15,7 +17,7 @@ from service.result.attempt import Attempt
 from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare
-from service.tasks.reach import Goal
+from service.tasks.reach import Goal, bring_to_goal
 
 TABLE = {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}
 POST = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 2.0, "position": [0.5, 0.45, 1.0]}
@@ -317,3 +319,26 @@ def test_options_starts_limits_the_guesses_of_a_pose(tmp_path, starts, tried):
     guesses = [solver.body.nominal + 0.1 * k for k in range(6)]
     assert not solver.solve_pose("goal pose", guesses, goal.constraints(0)).is_feasible
     assert monitor.count_attempts("goal pose") == tried
+
+
+def _body_and_goal(position: list[float]) -> tuple[WholeBody, Goal]:
+    setup = prepare(atlas(tool_at(position)))
+    body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims())
+    assert setup.request.goal is not None
+    return body, Goal.of(body, setup.request.goal)
+
+
+def test_a_posture_brought_to_the_goal_has_its_feet_and_tool_in_place_and_is_balanced():
+    body, goal = _body_and_goal([0.55, 0.3, 1.2])
+    (q,) = bring_to_goal(body, goal)
+    placed = locate_links(body.engine, q, ["l_tool", *(foot.link for foot in body.planted)])
+    np.testing.assert_allclose(placed["l_tool"][:3, 3], [0.55, 0.3, 1.2], atol=1e-3)
+    for foot in body.planted:
+        np.testing.assert_allclose(placed[foot.link], foot.pose_world_link, atol=1e-3)
+    com = body.engine(q[None]).com[0, :2]
+    np.testing.assert_allclose(com, body.polygon.vertices.mean(axis=0), atol=1e-3)
+    assert np.all((q >= body.robot.lower) & (q <= body.robot.upper))
+
+
+def test_no_posture_is_brought_to_a_goal_out_of_reach():
+    assert list(bring_to_goal(*_body_and_goal([3.0, 0.0, 1.0]))) == []

@@ -12,7 +12,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.verify import Motion, Phase, PlantedContact
-from service.verify.forces.dynamics import compute_forces, list_sample_times
+from service.verify.forces.dynamics import compute_forces, compute_inverse_dynamics, list_sample_times
 from service.verify.timeline import find_time, find_times
 
 FEET = ("l_foot", "r_foot")
@@ -99,3 +99,19 @@ def test_samples_lie_on_both_sides_of_every_jump(atlas: RobotModel) -> None:
     assert times[-1] == 2.0
     assert np.diff(times).max() <= 0.3
     assert np.sum(np.abs(times - 1.0) < 2e-7) == 2
+
+
+def test_forces_of_the_last_states_are_kept_and_those_of_others_are_not(atlas: RobotModel) -> None:
+    motion, rng = _squat(atlas, FEET), np.random.default_rng(3)
+    q = np.tile(atlas.postures["stand"], (2, 1))
+    v, a = rng.normal(size=(2, *q.shape))
+    first = compute_inverse_dynamics(motion, q, v, a)
+    assert compute_inverse_dynamics(motion, q.copy(), v.copy(), a.copy()) is first
+    assert not first.torque.flags.writeable
+    assert len(compute_inverse_dynamics(motion, q, v, a, has_jacobians=False).jacobians) == 0
+    a[1, 10] += 1e-9  # changed in place, as a caller might
+    other = compute_inverse_dynamics(motion, q, v, a)
+    data = atlas.model.createData()
+    np.testing.assert_allclose(other.torque[1], pin.rnea(atlas.model, data, q[1], v[1], a[1]), rtol=1e-12)
+    another = replace(motion, robot=replace(atlas, model=atlas.model.copy()))
+    assert compute_inverse_dynamics(another, q, v, a) is not other

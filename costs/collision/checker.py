@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from costs.collision.contacts import Contacts
 from costs.collision.pairs import PairMargins
 from costs.collision.shapes import make_convex, make_outer_convex, make_swept_convex
+from costs.collision.slabs import find_slabs, find_slabs_of_sets
 from costs.collision.sweep import BodyVertices, find_extent, share_gradient
 from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
@@ -25,6 +26,7 @@ _NUDGES = [
     for way in ((0.61, -0.48, 0.63), (-0.43, 0.71, -0.56), (0.37, 0.52, -0.77), (-0.8, -0.3, 0.52))
 ]
 _IDENTITY = coal.Transform3s()
+MANY = 20  # pairs of an interval whose boxes meet, from which extents along other directions save more than they take
 
 
 class SweptCollisionChecker:
@@ -46,7 +48,8 @@ class SweptCollisionChecker:
         self._still = [make_outer_convex(body) for body in robot.bodies]
         self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
         self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
-        self._functors: dict[tuple[bool, int, int], coal.ComputeDistance] = {}
+        self._slab_low, self._slab_high = find_slabs_of_sets([piece.vertices for piece in scene.pieces])
+        self._functors: dict[tuple[bool, int], dict[int, coal.ComputeDistance]] = {}
         self._request = coal.DistanceRequest()
         self._request.enable_signed_distance = True
         self._result = coal.DistanceResult()
@@ -86,24 +89,17 @@ class SweptCollisionChecker:
     def _find_world_contacts(
         self, world: Float[np.ndarray, "T B V 3"], first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> Contacts:
-        poll()
         if not self._pieces:
             return Contacts.none()
-        low, high = find_extent(world)
-        low, high = np.minimum(low[first], low[second]), np.maximum(high[first], high[second])
-        reach = self.margins.world + self.buffer
-        near = np.ones((len(first), *reach.shape), dtype=bool)
-        for axis in range(3):
-            near &= low[:, :, axis, None] <= self._upper[:, axis] + reach
-            near &= self._lower[:, axis] - reach <= high[:, :, axis, None]
-        interval, body, piece = np.nonzero(near)
-        query = reach[body, piece]
+        at_first, at_second = world[: len(first)], world[-len(second) :]
+        interval, body, piece = self._find_near_pieces(world, first, second)
+        query = self.margins.world[body, piece] + self.buffer
         keep, distance, normal, witness = self._measure(
-            world[first], world[second], interval, body, piece, query, is_self=False
+            at_first, at_second, interval, body, piece, query, is_self=False
         )
         interval, body, piece = interval[keep], body[keep], piece[keep]
-        at_first, at_second = world[first[interval], body], world[second[interval], body]
-        share, point_first, point_second = share_gradient(at_first, at_second, normal, witness)
+        vertices_first, vertices_second = at_first[interval, body], at_second[interval, body]
+        share, point_first, point_second = share_gradient(vertices_first, vertices_second, normal, witness)
         return Contacts(
             first=first[interval],
             second=second[interval],
@@ -116,6 +112,29 @@ class SweptCollisionChecker:
             normal=np.stack([normal, normal], axis=1),
             point=np.stack([point_first, point_second], axis=1),
         )
+
+    def _find_near_pieces(
+        self, world: Float[np.ndarray, "T B V 3"], first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
+    ) -> tuple[Int[np.ndarray, "c"], Int[np.ndarray, "c"], Int[np.ndarray, "c"]]:
+        """Find intervals, bodies and pieces whose extents come near along the axes, and of many along others too."""
+        poll()
+        low, high = find_extent(world)
+        low, high = np.minimum(low[first], low[second]), np.maximum(high[first], high[second])
+        reach = self.margins.world + self.buffer
+        near = np.ones((len(first), *reach.shape), dtype=bool)
+        for axis in range(3):
+            near &= low[:, :, axis, None] <= self._upper[:, axis] + reach
+            near &= self._lower[:, axis] - reach <= high[:, :, axis, None]
+        interval, body, piece = np.nonzero(near)
+        if len(interval) < MANY * len(first):
+            return interval, body, piece
+        low, high = find_slabs(world)
+        gap = np.maximum(
+            np.minimum(low[first], low[second])[interval, body] - self._slab_high[piece],
+            self._slab_low[piece] - np.maximum(high[first], high[second])[interval, body],
+        )
+        is_near = gap.max(axis=1) <= reach[body, piece]
+        return interval[is_near], body[is_near], piece[is_near]
 
     def _find_self_contacts(
         self,
@@ -172,22 +191,20 @@ class SweptCollisionChecker:
     def _find_near_pairs(
         self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Find intervals and self pairs whose bounding spheres come near as the relative centre moves on its chord."""
+        """Find intervals and self pairs in which the mover's sphere, on its chord, comes near the other body's box."""
         poll()
         if not len(self._pairs):
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
         bodies = self._bodies
         still, moving = self._pairs.T
-        centres = bodies.centres_in_world(kinematics)
-        joint = bodies.joint[still]
-        offset = centres[:, moving] - kinematics.position[:, joint]
-        relative = np.einsum("tplk,tpl->tpk", kinematics.rotation[:, joint], offset) - bodies.centre[still]
-        start, chord = relative[first], relative[second] - relative[first]
-        length = np.einsum("tpk,tpk->tp", chord, chord)
-        along = -np.einsum("tpk,tpk->tp", start, chord) / np.where(length < 1e-18, 1.0, length)
-        nearest = start + np.clip(along, 0.0, 1.0)[:, :, None] * chord
-        reach = bodies.radius[still] + bodies.radius[moving] + self.margins.own + self.buffer
-        is_near = np.einsum("tpk,tpk->tp", nearest, nearest) <= np.maximum(reach, 0.0) ** 2
+        centres, joint = bodies.centres_in_world(kinematics), bodies.joint
+        offset = centres[:, None] - kinematics.position[:, joint, None]
+        relative = np.matmul(offset, kinematics.rotation[:, joint])[:, still, moving]
+        start, end = relative[first], relative[second]
+        below = bodies.lower[still] - np.maximum(start, end)
+        gap = np.maximum(np.maximum(np.minimum(start, end) - bodies.upper[still], below), 0.0)
+        reach = bodies.radius[moving] + self.margins.own + self.buffer
+        is_near = (gap**2).sum(axis=2) <= np.maximum(reach, 0.0) ** 2
         intervals, pairs = np.nonzero(is_near)
         return intervals, pairs
 
@@ -208,19 +225,21 @@ class SweptCollisionChecker:
         normals: list[np.ndarray] = []
         witnesses: list[np.ndarray] = []
         result, request, clear = self._result, self._request, self._result.clear
-        written = (-1, -1)
+        counts = self._bodies.count.tolist()
+        written, functors = (-1, -1), dict[int, coal.ComputeDistance]()
         for row, (i, b, o, limit) in enumerate(
             zip(interval.tolist(), body.tolist(), other.tolist(), query.tolist(), strict=True)
         ):
             if written != (i, b):
-                column = 0 if is_self else b
-                count = int(self._bodies.count[b])
-                points = self._points[b]
+                column, count, points = 0 if is_self else b, counts[b], self._points[b]
                 points[:count] = at_first[i, column, :count]
                 points[count:] = at_second[i, column, :count]
-                written = (i, b)
+                written, functors = (i, b), self._functors.setdefault((is_self, b), {})
+            measure = functors.get(o)
+            if measure is None:
+                target = self._still[o] if is_self else self._pieces[o]
+                measure = functors[o] = coal.ComputeDistance(self._swept[b], target)
             clear()
-            measure = self._get_functor(is_self, b, o)
             distance = measure(_IDENTITY, _IDENTITY, request, result)
             if distance < -_ABSURD:
                 for nudge in _NUDGES:
@@ -240,11 +259,3 @@ class SweptCollisionChecker:
             np.array(normals).reshape(shape),
             np.array(witnesses).reshape(shape),
         )
-
-    def _get_functor(self, is_self: bool, body: int, other: int) -> coal.ComputeDistance:
-        key = (is_self, body, other)
-        functor = self._functors.get(key)
-        if functor is None:
-            target = self._still[other] if is_self else self._pieces[other]
-            functor = self._functors[key] = coal.ComputeDistance(self._swept[body], target)
-        return functor

@@ -24,10 +24,12 @@ class PoseChecker:
         self._pieces = [make_convex(piece.vertices) for piece in scene.pieces]
         self._middle = np.array([0.5 * (piece.lower + piece.upper) for piece in scene.pieces]).reshape(-1, 3)
         self._half = np.array([0.5 * (piece.upper - piece.lower) for piece in scene.pieces]).reshape(-1, 3)
-        self._margins = margins
+        self._pairs, self._own_margin = margins.self_pairs.tolist(), margins.own.tolist()
+        self._world_margin = margins.world.tolist()
         self._reach = np.maximum(self._bodies.radius[:, None] + margins.world, 0.0)
-        first, second = margins.self_pairs.T
-        self._own_reach = np.maximum(self._bodies.radius[first] + self._bodies.radius[second] + margins.own, 0.0)
+        self._first, self._second = np.ascontiguousarray(margins.self_pairs.T)
+        radius = self._bodies.radius
+        self._own_reach = np.maximum(radius[self._first] + radius[self._second] + margins.own, 0.0)
         self._squared_reach, self._squared_own_reach = self._reach**2, self._own_reach**2
         self._functors: dict[tuple[bool, int, int], coal.ComputeDistance] = {}
         self._request = coal.DistanceRequest()
@@ -41,8 +43,7 @@ class PoseChecker:
         gap -= self._half
         np.maximum(gap, 0.0, out=gap)
         squared = np.einsum("tbpk,tbpk->tbp", gap, gap)
-        first, second = self._margins.self_pairs.T
-        apart = centres[:, first] - centres[:, second]
+        apart = centres[:, self._first] - centres[:, self._second]
         own_squared = np.einsum("tpk,tpk->tp", apart, apart)
         pose, body, piece = np.nonzero(squared < self._squared_reach)
         own_pose, pair = np.nonzero(own_squared < self._squared_own_reach)
@@ -68,11 +69,11 @@ class PoseChecker:
         for row in order.tolist():
             if row < size:
                 t, b, other = poses[row], bodies[row], pieces[row]
-                there, margin, is_self = _IDENTITY, self._margins.world[b, other], False
+                there, margin, is_self = _IDENTITY, self._world_margin[b][other], False
             else:
                 t, k = own_poses[row - size], pairs[row - size]
-                b, other = self._margins.self_pairs[k].tolist()
-                there, margin, is_self = place(t, other), self._margins.own[k], True
+                b, other = self._pairs[k]
+                there, margin, is_self = place(t, other), self._own_margin[k], True
             self._result.clear()
             if self._get_functor(is_self, b, other)(place(t, b), there, self._request, self._result) < margin:
                 return False

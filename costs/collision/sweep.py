@@ -60,7 +60,7 @@ class BodyVertices:
     def centres_in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B 3"]:
         """Return the world coordinates of the bounding spheres' centres."""
         rotation = kinematics.rotation[:, self.joint]
-        return np.asarray(np.einsum("tbkl,bl->tbk", rotation, self.centre) + kinematics.position[:, self.joint])
+        return np.asarray((rotation @ self.centre[:, :, None])[..., 0] + kinematics.position[:, self.joint])
 
 
 def find_extent(points: Float[np.ndarray, "*m V 3"]) -> tuple[Float[np.ndarray, "*m 3"], Float[np.ndarray, "*m 3"]]:

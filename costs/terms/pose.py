@@ -20,22 +20,24 @@ OPPOSITE_SINE = 1e-4  # below it an axis counts as opposite its direction [rad]
 
 
 class _Frame:
-    """A frame carried by a joint (joint 0 is the world)."""
+    """A frame carried by a joint (joint 0 is the world, which does not move), moved by an offset (in the frame)."""
 
-    def __init__(self, robot: RobotModel, name: str | None) -> None:
-        self.joint: int = 0
-        self.pose_joint_frame: Float[np.ndarray, "4 4"] = np.eye(4)
-        if name is not None:
-            self.joint, self.pose_joint_frame = locate_frame(robot, name)
+    def __init__(self, robot: RobotModel, name: str | None, offset: Float[np.ndarray, "#S 4 4"] = _IDENTITY) -> None:
+        self.joint, pose_joint_frame = (0, np.eye(4)) if name is None else locate_frame(robot, name)
+        local = pose_joint_frame @ offset
+        self._rotation = np.ascontiguousarray(local[:, :3, :3])
+        self._position = np.ascontiguousarray(local[:, :3, 3])
 
     def pose(
-        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"], offset: Float[np.ndarray, "#S 4 4"] = _IDENTITY
+        self, kinematics: Kinematics, waypoints: Int[np.ndarray, "S"]
     ) -> tuple[Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
-        """Return world rotation and position of the frame moved by ``offset`` (in the frame)."""
-        local = self.pose_joint_frame @ offset
+        """Return world rotation and position at waypoints."""
+        if not self.joint:
+            count = len(waypoints)
+            return np.broadcast_to(self._rotation, (count, 3, 3)), np.broadcast_to(self._position, (count, 3))
         rotation = kinematics.rotation[waypoints, self.joint]
         position = kinematics.position[waypoints, self.joint]
-        return rotation @ local[:, :3, :3], np.einsum("skl,sl->sk", rotation, local[:, :3, 3]) + position
+        return rotation @ self._rotation, (rotation @ self._position[:, :, None])[:, :, 0] + position
 
 
 class FramePose(Residual[MotionState]):
@@ -68,12 +70,11 @@ class FramePose(Residual[MotionState]):
             offset: (4, 4) pose in the frame of what is brought to the target; the frame itself if None.
         """
         self._waypoints = np.asarray(waypoints)
-        self._target = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
         self._axes: Bool[np.ndarray, "6"] = np.asarray(axes, dtype=bool)
         self._turns = bool(self._axes[3:].any())
-        self._offset = _IDENTITY if offset is None else np.asarray(offset, dtype=float)[None]
-        self._frame = _Frame(robot, frame)
-        self._reference = _Frame(robot, reference)
+        self._frame = _Frame(robot, frame, _IDENTITY if offset is None else np.asarray(offset, dtype=float)[None])
+        given = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
+        self._reference = _Frame(robot, reference, given)
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         return np.asarray(self._error(state.kinematics)[0][:, self._axes].ravel())
@@ -81,28 +82,24 @@ class FramePose(Residual[MotionState]):
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics = state.kinematics
         error, target_rotation, position = self._error(kinematics)
-        joint, reference = self._frame.joint, self._reference.joint
         here = self._waypoints
         to_target = target_rotation.transpose(0, 2, 1)
-        same = np.full(len(here), joint)
-        linear = kinematics.point_jacobian(here, same, position)
-        if reference:
-            linear = linear - kinematics.point_jacobian(here, np.full(len(here), reference), position)
-        rows = to_target @ linear
+        of_twist = np.zeros((len(here), 6, 6))
+        of_twist[:, :3, :3] = to_target
+        of_twist[:, :3, 3:] = -to_target @ skew(position)
         if self._turns:
-            angular = kinematics.angular_jacobian(joint)[here]
-            if reference:
-                angular = angular - kinematics.angular_jacobian(reference)[here]
-            rows = np.concatenate([rows, log_derivative(error[:, 3:]) @ (to_target @ angular)], axis=1)
-        return make_waypoint_rows(error[:, self._axes], rows[:, self._axes[: rows.shape[1]]], here, kinematics)
+            of_twist[:, 3:, 3:] = log_derivative(error[:, 3:]) @ to_target
+        columns = of_twist[:, self._axes] @ kinematics.jacobian[here]
+        columns *= _relative_axes(kinematics, self._frame, self._reference)
+        return make_waypoint_rows(error[:, self._axes], kinematics.topology.add_followers(columns), here, kinematics)
 
     def _error(
         self, kinematics: Kinematics
     ) -> tuple[Float[np.ndarray, "S 6"], Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
-        rotation, position = self._frame.pose(kinematics, self._waypoints, self._offset)
-        target_rotation, target_position = self._reference.pose(kinematics, self._waypoints, self._target)
+        rotation, position = self._frame.pose(kinematics, self._waypoints)
+        target_rotation, target_position = self._reference.pose(kinematics, self._waypoints)
         to_target = target_rotation.transpose(0, 2, 1)
-        offset = np.einsum("skl,sl->sk", to_target, position - target_position)
+        offset = (to_target @ (position - target_position)[:, :, None])[:, :, 0]
         turn = log_rotation(to_target @ rotation) if self._turns else np.zeros_like(offset)
         return np.concatenate([offset, turn], axis=1), target_rotation, position
 
@@ -149,14 +146,15 @@ class AxisDirection(Residual[MotionState]):
         kinematics, here = state.kinematics, self._waypoints
         along, tangential, world_axis = self._components(kinematics)
         rotation, _ = self._reference.pose(kinematics, here)
-        angular = kinematics.angular_jacobian(self._frame.joint)[here]
-        angular = angular - kinematics.angular_jacobian(self._reference.joint)[here]
-        moved = -skew(world_axis) @ angular  # d(axis) relative to the reference, in the world
-        moved = rotation.transpose(0, 2, 1) @ moved
-        d_along = np.einsum("k,skn->sn", self._direction, moved)
-        d_tangential = np.einsum("ak,skn->san", self._tangents, moved)
+        # The change of the axis relative to the reference is a turn about the world's axes, then seen from there.
+        turned = -(rotation.transpose(0, 2, 1) @ skew(world_axis))
+        basis = np.concatenate([self._direction[None], self._tangents])
+        moved = basis @ turned @ kinematics.jacobian[here, 3:]
+        moved *= _relative_axes(kinematics, self._frame, self._reference)
+        moved = kinematics.topology.add_followers(moved)
+        d_along, d_tangential = moved[:, 0], moved[:, 1:]
         angle, unit, across = _deviation(along, tangential)
-        d_sine = np.einsum("sa,san->sn", unit, d_tangential)
+        d_sine = (unit[:, None] @ d_tangential)[:, 0]
         d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
         rows = across[:, None, None] * d_tangential
         rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
@@ -169,7 +167,7 @@ class AxisDirection(Residual[MotionState]):
         rotation, _ = self._frame.pose(kinematics, self._waypoints)
         reference, _ = self._reference.pose(kinematics, self._waypoints)
         world_axis = rotation @ self._axis
-        local = np.einsum("skl,sk->sl", reference, world_axis)
+        local = (world_axis[:, None] @ reference)[:, 0]
         return local @ self._direction, local @ self._tangents.T, world_axis
 
 
@@ -213,22 +211,30 @@ class PointHalfSpace(Residual[MotionState]):
             point: (3,) in the frame; its origin if None.
         """
         self._waypoints = np.asarray(waypoints)
-        self._frame = _Frame(robot, frame)
+        local = np.eye(4)[None].copy()
+        local[0, :3, 3] = np.zeros(3) if point is None else point
+        self._frame = _Frame(robot, frame, local)
         self._normal = _unit(normal)
         self._offset = float(offset)
-        self._local = np.eye(4)
-        self._local[:3, 3] = np.zeros(3) if point is None else point
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
-        _, position = self._frame.pose(state.kinematics, self._waypoints, self._local[None])
+        _, position = self._frame.pose(state.kinematics, self._waypoints)
         return np.asarray(position @ self._normal - self._offset)
 
     def linearize(self, state: MotionState) -> AffineRows:
         kinematics, here = state.kinematics, self._waypoints
-        _, position = self._frame.pose(kinematics, here, self._local[None])
+        _, position = self._frame.pose(kinematics, here)
         direction = np.broadcast_to(self._normal, position.shape)
         rows = kinematics.directional_jacobian(here, np.full(len(here), self._frame.joint), position, direction)
         return make_waypoint_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
+
+
+def _relative_axes(kinematics: Kinematics, frame: _Frame, reference: _Frame) -> Float[np.ndarray, "m"]:
+    """Return by axis 1 where it moves the frame alone, -1 where the reference alone, 0 where both or none."""
+    moves = kinematics.topology.moves
+    if not reference.joint:
+        return np.asarray(moves[frame.joint], dtype=float)
+    return np.asarray(moves[frame.joint].astype(float) - moves[reference.joint])
 
 
 def _unit(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

@@ -48,9 +48,8 @@ def linearize_holds(
         k = len(rows.value) // len(q)
         values.append(rows.value.reshape(len(q), k))
         # A row touches the columns of its own configuration only.
-        entries, own = rows.jacobian.tocoo(), np.zeros((len(rows.value), n))
-        entries.sum_duplicates()
-        own[entries.row, entries.col % n] = entries.data
+        entries, own = rows.jacobian, np.zeros((len(rows.value), n))
+        np.add.at(own, (np.repeat(np.arange(len(own)), np.diff(entries.indptr)), entries.indices % n), entries.data)
         jacobians.append(own.reshape(len(q), k, n))
     return np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
 

@@ -216,6 +216,16 @@ class WholeBody:
         ]
         return (*planted, *(hold for kept in self.kept for hold in kept.holds(self.robot)))
 
+    def hold_in_balance(self) -> tuple[Hold, ...]:
+        """Return the hold of the centre of mass over the middle of where the robot is held; none for a fixed base."""
+        if self.region is not None:
+            middle = self.region.region.vertices.mean(axis=0)
+        elif self.polygon is not None:
+            middle = self.polygon.vertices.mean(axis=0)
+        else:
+            return ()
+        return (lambda waypoints: CentreOfMassAt(middle, waypoints),)
+
     def keep_planted(
         self, contact: PlantedContact, waypoints: Int[np.ndarray, "S"], by: Float[np.ndarray, "3"] | None = None
     ) -> Residual[MotionState]:

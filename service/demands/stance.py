@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
+from costs.robot.work_space import borrow_data
 from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
 from service.start.overlaps import Overlap
@@ -68,7 +69,7 @@ class Stance:
         """
         if self.hull is None:
             return None
-        centre = pin.centerOfMass(self.robot.model, self.robot.model.createData(), first)
+        centre = pin.centerOfMass(self.robot.model, borrow_data(self.robot.model), first)
         is_unsettled = float(self.hull.margin(centre[None, :2])[0]) < self.margin_m + BALANCE_RESERVE
         margin = 0.0 if phase in UNSETTLED and is_unsettled else self.margin_m
         return SupportPolygon(self.hull.vertices, margin, self.height)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel
+from costs.robot.work_space import borrow_data
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget, Target
 
@@ -93,7 +94,7 @@ def _relative_pose(
     robot: RobotModel, q: Float[np.ndarray, "n"], link: str, reference: str | None
 ) -> Float[np.ndarray, "4 4"]:
     """Return ``pose_reference_link`` at one configuration."""
-    data = robot.model.createData()
+    data = borrow_data(robot.model)
     pin.framesForwardKinematics(robot.model, data, q)
     pose = data.oMf[robot.model.getFrameId(link)]
     if reference is not None:

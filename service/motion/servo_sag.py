@@ -11,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from costs.robot.work_space import borrow_data
 from costs.stopping import poll
 from service.verify import Motion, Phase, PlantedContact
 from service.verify.forces.dynamics import map_axes
@@ -117,11 +118,11 @@ def compute_sags(
     diagonal = np.full(n, _SMALL)
     for name, value in stiffness.items():
         diagonal[robot.joint_names.index(name)] = value
-    data = model.createData()
     weight = GRAVITY * sum(float(inertia.mass) for inertia in model.inertias[1:])
     ground = float(np.mean(np.concatenate([contact.points[:, 2] for contact in phase.contacts])))
     cases = list_load_cases(robot, q, phase.loads)
     cases = (cases[0], cases[-1]) if len(cases) > 1 else cases
+    data = borrow_data(model)
     sags = np.zeros((len(cases), len(q), 3))
     for i, row in enumerate(q):
         poll()
@@ -184,7 +185,7 @@ def _measure_margins(
     """Return the distance of the centre of mass inside the feet or the phase's regions [m]; None without either."""
     if phase.support is None and not phase.regions:
         return None
-    data = motion.robot.model.createData()
+    data = borrow_data(motion.robot.model)
     com = np.array([pin.centerOfMass(motion.robot.model, data, row)[:2] for row in q])
     inside = np.full(len(s), np.inf)
     if phase.support is not None:

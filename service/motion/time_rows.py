@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from costs.curve import Curve
 from costs.robot.model import RobotModel
+from costs.robot.work_space import borrow_data
 from costs.stopping import poll
 from service.verify.motion import SupportPolygon
 
@@ -167,7 +168,7 @@ def _compute_loads(
 ) -> Float[np.ndarray, "M n+6"]:
     """Return generalised forces, and the ground wrench about the world's origin without the mechanism's share."""
     model = robot.model
-    data = model.createData()
+    data = borrow_data(model)
     apart = {body.joint for body in robot.bodies if body.link in robot.mechanism_links}
     roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
     loads = np.zeros((len(q), model.nv + 6))

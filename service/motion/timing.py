@@ -324,6 +324,8 @@ def _compare_with_rest(
 
     torque, outside = measure(law, times)
     beyond = np.flatnonzero((torque > 0.0).any(axis=1) | (outside > -reserve_m))
+    if not len(beyond):
+        return np.zeros((0, len(rows) + 1)), np.zeros((0, len(rows) + 1))
     # The same poses at rest: a law that takes forever.
     still = TimeLaw(law.times * 1e6, law.path, law.speed * 1e-6)
     torque_still, outside_still = measure(still, times[beyond] * 1e6)

@@ -11,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from costs.robot.work_space import borrow_data
 from costs.scene import Scene
 from service.demands import list_planted_feet
 from service.demands.contacts.stances import ContactStance
@@ -157,7 +158,11 @@ def check_start(
     if soles and not is_balanced:
         problems += [f"start is not on the ground: {line}" for line in grounded.values()]
     elif soles:
-        problems += [f"start is out of balance: {line}" for line in find_standing_problems(robot, start, scene, soles)]
+        off_ground = list(grounded.values())
+        if not robot.is_floating:  # a fixed base needs no ground, the feet that it plants do
+            off_ground = [line for _, line in find_ground_problems(scene.pieces, soles)]
+        lines = find_standing_problems(robot, start, soles, off_ground)
+        problems += [f"start is out of balance: {line}" for line in lines]
     if program is None and request.options.timed and not robot.is_floating:
         problems += find_overloaded_joints(robot, start)
     if problems:
@@ -177,7 +182,7 @@ def find_overloaded_joints(robot: RobotModel, start: Float[np.ndarray, "n"]) -> 
     No time law makes such a motion possible, however slow.
     """
     still = np.zeros(robot.n)
-    torque = np.abs(pin.rnea(robot.model, robot.model.createData(), start, still, still))
+    torque = np.abs(pin.rnea(robot.model, borrow_data(robot.model), start, still, still))
     weak = np.flatnonzero((robot.effort > 0.0) & (torque > robot.effort))
     if not len(weak):
         return []

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from costs.allowance import BodyRef
 from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
+from costs.robot.work_space import borrow_data
 from costs.scene import ConvexPiece, Scene
 from service.start.standing import FLOOR_KIND
 from service.verify.ground import GROUND_TOLERANCE_M
@@ -103,7 +104,7 @@ def _find_hull_overlaps(
 ) -> list[tuple[Overlap, bool]]:
     """Return each overlap of hulls beyond the allowed depth, and whether the shapes overlap too."""
     things: list[LinkBody | ConvexPiece] = [*robot.bodies, *scene.pieces]
-    data = robot.model.createData()
+    data = borrow_data(robot.model)
     pin.forwardKinematics(robot.model, data, q)
     here = np.eye(4)
     poses = [data.oMi[thing.joint].homogeneous if isinstance(thing, LinkBody) else here for thing in things]

@@ -10,7 +10,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import LinkBody, RobotModel
-from costs.scene import ConvexPiece, Scene
+from costs.robot.work_space import borrow_data
+from costs.scene import ConvexPiece
 from costs.support import SupportPolygon
 from service.errors import RequestError
 from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, find_ground_gaps
@@ -24,19 +25,19 @@ LEAST_MASS_KG = 1e-3
 
 def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
     """Return the corners of a foot's sole in the world [m]: the vertices within 2 mm of its lowest at ``q``."""
-    vertices = np.vstack([v for body, v in place_bodies(robot, q) if body.link == link])
+    vertices = np.vstack([v for _, v in place_bodies(robot, q, link)])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
 
 
 def find_standing_problems(
-    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, soles: Mapping[str, Float[np.ndarray, "C 3"]]
+    robot: RobotModel, q: Float[np.ndarray, "n"], soles: Mapping[str, Float[np.ndarray, "C 3"]], off_ground: list[str]
 ) -> list[str]:
-    """Return one line per planted foot off the ground, and one if the centre of mass is outside the soles."""
-    problems = [line for _, line in find_ground_problems(scene.pieces, soles)]
+    """Return the lines about planted feet off the ground, and one if the centre of mass is outside the soles."""
+    problems = list(off_ground)
     weightless = _weightless_links(robot)
     if weightless:
         return [*problems, f"{', '.join(weightless)} of {robot.name} have shapes and no mass; balance needs all masses"]
-    com = pin.centerOfMass(robot.model, robot.model.createData(), q)
+    com = pin.centerOfMass(robot.model, borrow_data(robot.model), q)
     try:
         margin = float(SupportPolygon.of_soles(list(soles.values())).margin(com[None, :2])[0])
     except ValueError:
@@ -107,8 +108,11 @@ def check_masses(robot: RobotModel) -> None:
         )
 
 
-def place_bodies(robot: RobotModel, q: Float[np.ndarray, "n"]) -> list[tuple[LinkBody, Float[np.ndarray, "V 3"]]]:
-    """Return every body with its vertices in the world at ``q`` [m]."""
-    data = robot.model.createData()
+def place_bodies(
+    robot: RobotModel, q: Float[np.ndarray, "n"], link: str | None = None
+) -> list[tuple[LinkBody, Float[np.ndarray, "V 3"]]]:
+    """Return every body, or those of a link, with its vertices in the world at ``q`` [m]."""
+    data = borrow_data(robot.model)
     pin.forwardKinematics(robot.model, data, q)
-    return [(b, b.vertices @ data.oMi[b.joint].rotation.T + data.oMi[b.joint].translation) for b in robot.bodies]
+    chosen = [body for body in robot.bodies if link is None or body.link == link]
+    return [(b, b.vertices @ data.oMi[b.joint].rotation.T + data.oMi[b.joint].translation) for b in chosen]

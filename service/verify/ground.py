@@ -174,9 +174,9 @@ def find_ground_gaps(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexP
     A surface is the upper side of a piece; where a corner is inside a piece, its height is negative.
     """
     gaps = np.full(len(corners), np.inf)
+    lowest, highest = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     for piece in pieces:
-        low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
-        if np.any(corners[:, :2].max(axis=0) < low[:2]) or np.any(corners[:, :2].min(axis=0) > high[:2]):
+        if (highest < piece.lower[:2]).any() or (lowest > piece.upper[:2]).any():
             continue
         gap = corners[:, 2] - find_top(piece.vertices, corners[:, :2])
         gaps = np.where(np.abs(gap) < np.abs(gaps), gap, gaps)

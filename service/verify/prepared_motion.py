@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
+from costs.robot.work_space import borrow_data
 from costs.stopping import poll
 from service.verify.curve_bounds import RateBounds, Rates, position_range
 from service.verify.joint_chain import JointTree
@@ -40,7 +41,7 @@ class Placements:
 
 
 class ForwardKinematics:
-    """Forward kinematics with the memory it reuses."""
+    """Forward kinematics at many configurations."""
 
     def __init__(self, model: pin.Model) -> None:
         """Prepare for configurations of this model.
@@ -49,14 +50,7 @@ class ForwardKinematics:
             VerifyError: when pinocchio keeps its placements in another way than they are read here.
         """
         self._model = model
-        self._data = model.createData()
-        # pinocchio keeps the placements side by side (12 doubles each, rotation column by column):
-        # one strided view reads them all at once, hundreds of times faster than element by element.
-        first = self._data.oMi[0].rotation
-        block = first.T.reshape(-1)
-        self._view = np.lib.stride_tricks.as_strided(block, shape=(model.njoints, 12), strides=(96, 8))
-        if not np.shares_memory(self._view, first):
-            raise VerifyError("pinocchio's joint placements cannot be read as one block")
+        _view_placements(model, borrow_data(model))
 
     def at(self, configurations: Float[np.ndarray, "S n"]) -> Placements:
         """Return joint placements at every configuration.
@@ -64,16 +58,32 @@ class ForwardKinematics:
         Raises:
             VerifyError: when a configuration is not finite or has the wrong length.
         """
-        q, model, data, view = np.ascontiguousarray(configurations, dtype=float), self._model, self._data, self._view
+        q, model = np.ascontiguousarray(configurations, dtype=float), self._model
         if q.ndim != 2 or q.shape[1] != model.nq or not np.all(np.isfinite(q)):
             raise VerifyError(f"configurations must be finite and have {model.nq} columns, got shape {q.shape}")
-        block = np.empty((len(q), model.njoints, 12))
+        data = borrow_data(model)
+        view, block = _view_placements(model, data), np.empty((len(q), model.njoints, 12))
         for row, configuration in zip(block, q, strict=True):
             poll()
             pin.forwardKinematics(model, data, configuration)
             row[:] = view
         rotation = np.swapaxes(block[..., :9].reshape(len(q), model.njoints, 3, 3), -1, -2)
         return Placements(np.ascontiguousarray(rotation), np.ascontiguousarray(block[..., 9:]))
+
+
+def _view_placements(model: pin.Model, data: pin.Data) -> Float[np.ndarray, "J 12"]:
+    """Return a live view of all joint placements: 12 doubles each, the rotation column by column.
+
+    One strided view reads them all at once, hundreds of times faster than element by element.
+
+    Raises:
+        VerifyError: when pinocchio keeps them in another way.
+    """
+    first = data.oMi[0].rotation
+    view = np.lib.stride_tricks.as_strided(first.T.reshape(-1), shape=(model.njoints, 12), strides=(96, 8))
+    if not np.shares_memory(view, first):
+        raise VerifyError("pinocchio's joint placements cannot be read as one block")
+    return view
 
 
 class PreparedMotion:

@@ -58,13 +58,13 @@ def check_coverage(
 
 def _count_pairs(table: PairTable) -> tuple[int, int]:
     """Count the pairs of links, and of a link and a piece, of which some bodies were checked."""
-    solids, links, pieces = table.solids, set(), set()
-    for mover, holder in np.stack([table.mover, table.holder], axis=1).tolist():
-        if holder < table.n_bodies:
-            links.add(frozenset((solids[mover].link, solids[holder].link)))
-        else:
-            pieces.add((solids[mover].link, holder))
-    return len(links), len(pieces)
+    number = {link: k for k, link in enumerate(dict.fromkeys(solid.link for solid in table.solids))}
+    link = np.array([number[solid.link] for solid in table.solids], dtype=int)
+    is_own = table.holder < table.n_bodies
+    first, second = link[table.mover[is_own]], link[table.holder[is_own]]
+    links = np.minimum(first, second) * len(number) + np.maximum(first, second)
+    pieces = link[table.mover[~is_own]] * len(table.solids) + table.holder[~is_own]
+    return len(np.unique(links)), len(np.unique(pieces))
 
 
 def _no_pair_check(coverage: Coverage) -> Check:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
+from costs.robot.work_space import borrow_data
 from costs.stopping import poll
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.contact_forces import ContactShare, Joints, list_unit_wrenches
@@ -119,6 +121,18 @@ class InverseDynamics:
     jacobians: Float[np.ndarray, "S 6 m"]
 
 
+class _Last(threading.local):
+    """States of the last inverse dynamics of a thread, and the result."""
+
+    model: pin.Model | None = None  # kept, so that no other model has its identity
+    choice: tuple[int, frozenset[int], bool] | None = None
+    states: tuple[np.ndarray, ...] = ()
+    inverse: InverseDynamics | None = None
+
+
+_LAST = _Last()
+
+
 def compute_inverse_dynamics(
     motion: Motion,
     q: Float[np.ndarray, "S n"],
@@ -127,10 +141,13 @@ def compute_inverse_dynamics(
     *,
     has_jacobians: bool = True,
 ) -> InverseDynamics:
-    """Return the forces of a motion at given states."""
+    """Return the forces of a motion at given states; those of the last states are kept: a law was timed by them."""
     model: pin.Model = motion.robot.model
-    data = model.createData()
+    data = borrow_data(model)
     apart = find_mechanism_joints(motion)
+    states, choice = (q, v, a), (id(model), apart, has_jacobians)
+    if _LAST.inverse is not None and _LAST.choice == choice and all(map(np.array_equal, _LAST.states, states)):
+        return _LAST.inverse
     roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
     torque, wrench = np.empty((len(q), model.nv)), np.zeros((len(q), 6))
     jacobians = np.empty((len(q) if has_jacobians else 0, 6, model.nvExtended))
@@ -142,7 +159,13 @@ def compute_inverse_dynamics(
         for joint in roots:
             # The parent of a root is the world, so its placement in its parent is the one in the world.
             wrench[k] += data.liMi[joint].act(data.f[joint]).vector
-    return InverseDynamics(torque, wrench, jacobians)
+    for array in (torque, wrench, jacobians):
+        array.flags.writeable = False
+    inverse = InverseDynamics(torque, wrench, jacobians)
+    if len(q):
+        _LAST.inverse, _LAST.choice, _LAST.model = inverse, choice, model
+        _LAST.states = (q.copy(), v.copy(), a.copy())
+    return inverse
 
 
 def _share_in_cones(
@@ -205,7 +228,7 @@ def _carried_torques(
     model: pin.Model, joint: int, wrench: Float[np.ndarray, "S 6"], jacobians: Float[np.ndarray, "S 6 m"]
 ) -> Float[np.ndarray, "S n"]:
     """Return the generalised forces of a wrench on what a joint carries, about the world's origin."""
-    return np.asarray(np.einsum("sij,si->sj", jacobians, wrench) @ map_axes(model, joint))
+    return np.asarray(np.matmul(wrench[:, None], jacobians)[:, 0] @ map_axes(model, joint))
 
 
 def map_axes(model: pin.Model, joint: int) -> Float[np.ndarray, "m n"]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.curve import Curve
 from costs.robot.model import RobotModel
+from costs.robot.work_space import borrow_data
 from service.verify.forces.equilibrium import list_slid_loads, list_turned_loads
 from service.verify.motion import HandLoad, Motion, VerifyError
 
@@ -52,7 +53,7 @@ def list_load_wrenches(
         column = int(model.joints[moving].idx_q)
         span = bound_coordinate(motion.curve, column, first, last)
         q[column] = 0.0
-    data = model.createData()
+    data = borrow_data(model)
     pin.framesForwardKinematics(model, data, q)
     corners = [_corners_of(motion.robot, data, load, moving, span) for load in loads]
     wrenches = [np.zeros((1, 6))]
@@ -133,10 +134,12 @@ def list_load_cases(
 
     The force of a load that slides acts where the tool is on the slide.
     """
-    model, data = robot.model, robot.model.createData()
+    if not loads:
+        return (LoadCase(np.zeros((len(q), 6)), ()),)
+    model, data = robot.model, borrow_data(robot.model)
     joints = [int(model.frames[model.getFrameId(load.tool)].parentJoint) for load in loads]
     forces, points = np.zeros((2, len(loads), len(q), 3))
-    for k, row in enumerate(q if loads else ()):
+    for k, row in enumerate(q):
         pin.framesForwardKinematics(model, data, row)
         for index, load in enumerate(loads):
             pose = data.oMf[model.getFrameId(load.link)]
