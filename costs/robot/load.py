@@ -25,7 +25,7 @@ from costs.robot.mesh.hull import (
     make_outer_hull,
     thicken_flat_points,
 )
-from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
+from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
 from costs.robot.urdf import Urdf, format_urdf, make_pinocchio_xml, merge_notes, parse_urdf
@@ -34,7 +34,7 @@ from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0
 STILL = 1e-6  # range that counts as none [rad, m]
-Root = Literal["floating", "fixed"]
+Root = Literal["floating", "planar", "fixed"]
 
 
 def load_files(
@@ -60,11 +60,13 @@ def build_robot(
     srdf_where: str,
 ) -> RobotModel:
     """Build a robot from the texts of its files; ``*_where`` name them in messages."""
-    urdf = parse_urdf(urdf_source, urdf_where, locked_joints)
+    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, is_planar=root == "planar")
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
     names = _name_coordinates(model, urdf_where)
     notes = [*urdf.notes, *srdf.notes]
+    if srdf.is_planar and root == "fixed" and PLANAR_NAMES[0] not in names:
+        notes.append(f"the SRDF's joint '{srdf.virtual_joint}' is planar; `robot.root: planar` lets the base move")
     limits = _collect_limits(urdf, names, notes)
     meshes = _MeshFiles(roots, {}, {})
     meshes.read(urdf, urdf_where)
@@ -92,7 +94,7 @@ def build_robot(
         is_floating=root == "floating",
         groups={name: tuple(j for j in names if j in joints) for name, joints in srdf.groups.items() if joints},
         link_groups=srdf.link_groups,
-        postures={name: _read_posture(srdf, name, names, limits) for name in srdf.states},
+        postures={name: _read_posture(srdf, name, names, limits, root == "floating") for name in srdf.states},
         ignored_pairs=frozenset(reasons),
         fixed_links=frozenset(link for link in urdf.links if find_body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
@@ -105,13 +107,13 @@ def build_robot(
 
 
 def build_pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
-    """Build the robot's joints and masses, the base as a composite joint if it is free.
+    """Build the robot's joints and masses, a floating base as a composite joint.
 
     Raises:
         RobotError: no joint moves.
     """
     xml = make_pinocchio_xml(urdf)
-    if root == "fixed":
+    if root != "floating":
         model = pin.buildModelFromXML(xml)
     else:
         base = pin.JointModelComposite(pin.JointModelTranslation())
@@ -275,7 +277,7 @@ def _read_points(
 
 
 def _read_posture(
-    srdf: Srdf, state: str, names: Sequence[str], limits: Mapping[str, Float[np.ndarray, "n"]]
+    srdf: Srdf, state: str, names: Sequence[str], limits: Mapping[str, Float[np.ndarray, "n"]], is_floating: bool
 ) -> Float[np.ndarray, "n"]:
     """Return the configuration of a named state; other joints are at 0, clipped into their limits."""
     values = srdf.states[state]
@@ -283,7 +285,13 @@ def _read_posture(
     for column, name in enumerate(names):
         if name in values:
             posture[column] = values[name][0]
-    if names[0] == BASE_NAMES[0] and srdf.virtual_joint in values:
+    if srdf.virtual_joint not in values:
+        return posture
+    if srdf.is_planar:
+        for name, value in zip(PLANAR_NAMES, values[srdf.virtual_joint], strict=True):
+            if name in names:
+                posture[names.index(name)] = value
+    elif is_floating:
         x, y, z, qx, qy, qz, qw = values[srdf.virtual_joint]
         # The quaternion may have any length but zero, which ``parse_srdf`` refuses.
         yaw_pitch_roll = pin.rpy.matrixToRpy(pin.Quaternion(qw, qx, qy, qz).normalized().matrix())[::-1]

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from costs.contact import Contact
 from costs.primitive import Primitive
 
+PLANAR_NAMES = ("base_x", "base_y", "base_yaw")
 BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 
@@ -124,6 +125,11 @@ class RobotModel:
     contacts: Mapping[str, Contact] = field(default_factory=dict)
     hands: Mapping[str, RobotHand] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the base slides and turns on a plane: the first coordinates are ``PLANAR_NAMES``."""
+        return not self.is_floating and self.joint_names[: len(PLANAR_NAMES)] == PLANAR_NAMES
 
     @property
     def n(self) -> int:
