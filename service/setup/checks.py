@@ -130,7 +130,7 @@ def check_start(
     """
     if stance is not None:
         return _check_stance_start(robot, start, scene, stance)
-    is_balanced = program is None or program.is_balanced
+    is_balanced = (program is None or program.is_balanced) and robot.can_balance
     feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
     grounded = dict(find_ground_problems(scene.pieces, feet)) if robot.is_floating else {}
     # A sole inside the floor is reported only once, as a floor that is too high.
