@@ -29,10 +29,11 @@ from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, Ro
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
 from costs.robot.urdf import Urdf, format_urdf, make_pinocchio_xml, merge_notes, parse_urdf
-from costs.robot.urdf_elements import Joint, Shape
+from costs.robot.urdf_elements import LONG_M, Joint, Shape
 from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0
+PACKAGE_SCHEMES = ("package://", "model://")
 STILL = 1e-6  # range that counts as none [rad, m]
 Root = Literal["floating", "planar", "fixed"]
 
@@ -211,6 +212,8 @@ def _make_bodies(
                 notes.append(
                     f"link '{link}': a flat face with very many corners is replaced by one with fewer around it"
                 )
+            if shape.kind == "mesh" and (size := float(np.ptp(vertices, axis=0).max())) > LONG_M:
+                notes.append(f"link '{link}': a mesh of {size:.3g} m is read as it is; is it in millimetres?")
             name = link if index == 0 else f"{link}/{index}"
             round_shape = make_round_shape(shape.kind, shape.size)
             exact = None if round_shape is None else round_shape.move(pose)
@@ -252,8 +255,8 @@ class _MeshFiles:
         key, path = resolve_mesh(shape.uri, self.roots, where)
         if self.files.setdefault(key, path) != path:
             raise RobotError(f"{where}: mesh '{shape.uri}' names another file than '{key}' elsewhere; rename one")
-        if "://" not in shape.uri:
-            # A path with '..' would leave the folder a result is written to.
+        if not shape.uri.startswith(PACKAGE_SCHEMES):
+            # A path with '..' and an absolute one would leave the folder a result is written to.
             shape.element.set("filename", key)
         if path not in self.digests:
             self.digests[path] = hashlib.sha256(read_bytes(path, where)).hexdigest()

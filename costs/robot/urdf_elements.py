@@ -12,9 +12,11 @@ from lxml import etree
 from costs.names import would_do
 from costs.robot.errors import RobotError
 from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
-from costs.robot.xmlfile import MADE_HERE, parse_number, parse_numbers, read_attribute
+from costs.robot.xmlfile import MADE_HERE, parse_limit, parse_number, parse_numbers, read_attribute
 
 MOVABLE = ("revolute", "continuous", "prismatic")
+MOST_LIMIT = 1e4  # limits of position beyond it on both sides count as none [rad, m]
+MANY_RAD, LONG_M = 30.0, 20.0  # positions and sizes beyond them may be in another unit
 DEFAULT_VELOCITY = 1.0
 """Velocity limit of the joints of a file that gives none to any of them [rad/s, m/s]."""
 
@@ -53,11 +55,21 @@ def parse_shape(element: etree._Element, where: str, notes: list[str]) -> Shape 
     elif kind in ("cylinder", "capsule"):
         text = f"{read_attribute(shape, 'radius', where)} {read_attribute(shape, 'length', where)}"
         size = parse_numbers(text, 2, f"{where}: {kind} radius and length")
+    elif kind == "ellipsoid":
+        axes = [parse_number(read_attribute(shape, key, where), f"{where}: ellipsoid {key}") for key in "abc"]
+        kind, size = "box", 2.0 * np.array(axes)
+        notes.append(f"{where}: an ellipsoid is taken as the box around it")
+        parent = shape.getparent()
+        made = etree.SubElement(parent, "box", size=format_numbers(size))
+        parent.remove(shape)
+        shape = made
     elif kind == "mesh":
         uri = read_attribute(shape, "filename", where)
         size = parse_numbers(shape.get("scale", "1 1 1"), 3, f"{where}: mesh scale")
     else:
         raise RobotError(f"{where}: shape <{kind}> is not known; use box, sphere, cylinder, capsule or mesh")
+    if kind != "mesh" and size.max() > LONG_M:
+        notes.append(f"{where}: a {kind} of {size.max():g} m is read as it is; are these millimetres?")
     if kind == "mesh" and np.any(size == 0.0):
         raise RobotError(f"{where}: mesh scale {shape.get('scale')!r} flattens the mesh; no factor may be 0")
     if kind != "mesh" and np.all(size >= 0.0) and not np.any(size > 0.0):
@@ -222,8 +234,7 @@ def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[
         # A follower without a range of its own goes as far as the joint that it follows.
         is_open = element.find("mimic") is not None and limit.get("lower") is None and limit.get("upper") is None
         if joint.kind != "continuous" and not is_open:
-            lower = parse_number(limit.get("lower", "0"), f"{where}: limit lower")
-            upper = parse_number(limit.get("upper", "0"), f"{where}: limit upper")
+            lower, upper = _read_range(joint, limit, where, notes)
         velocity = _read_limit(limit, "velocity", where, notes)
         effort = _read_limit(limit, "effort", where, notes)
         if limit.get("acceleration") is not None:
@@ -242,6 +253,19 @@ def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[
                    acceleration=acceleration, mimic=mimic)  # fmt: skip
 
 
+def _read_range(joint: Joint, limit: etree._Element, where: str, notes: list[str]) -> tuple[float, float]:
+    """Return lower and upper limit of a joint's position; add a note about limits that hardly can be meant."""
+    lower, upper = (parse_limit(limit.get(key, "0"), f"{where}: limit {key}") for key in ("lower", "upper"))
+    if lower <= -MOST_LIMIT and upper >= MOST_LIMIT:
+        return -np.inf, np.inf
+    if joint.mimic is None and lower == upper and limit.get(MADE_HERE) is None:
+        notes.append(f"{where}: its limits are {lower:g} and {upper:g}, so that it does not move; state its range")
+    unit, most, other = ("m", LONG_M, "millimetres") if joint.kind == "prismatic" else ("rad", MANY_RAD, "degrees")
+    if limit.get(MADE_HERE) is None and max(abs(lower), abs(upper)) > most and max(-lower, upper) < np.inf:
+        notes.append(f"{where}: limits of {lower:g} to {upper:g} {unit} are read as they are; are these {other}?")
+    return lower, upper
+
+
 def _read_limit(limit: etree._Element, key: str, where: str, notes: list[str]) -> float:
     """Return a limit of speed or force; infinity where the file does not state it, with a note unless it is ours."""
     text = limit.get(key)
@@ -249,7 +273,7 @@ def _read_limit(limit: etree._Element, key: str, where: str, notes: list[str]) -
         if limit.get(MADE_HERE) is None:
             notes.append(f"{where}: no {key} limit is given; it counts as unlimited")
         return float(np.inf)
-    return parse_number(text, f"{where}: limit {key}")
+    return parse_limit(text, f"{where}: limit {key}")
 
 
 def _fix_element(element: etree._Element, pose: Float[np.ndarray, "4 4"]) -> None:
