@@ -273,7 +273,7 @@ def _read_limit(limit: etree._Element, key: str, where: str, notes: list[str]) -
         if limit.get(MADE_HERE) is None:
             notes.append(f"{where}: no {key} limit is given; it counts as unlimited")
         return float(np.inf)
-    return parse_limit(text, f"{where}: limit {key}")
+    return parse_number(text, f"{where}: limit {key}")
 
 
 def _fix_element(element: etree._Element, pose: Float[np.ndarray, "4 4"]) -> None:
