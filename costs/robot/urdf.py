@@ -20,6 +20,7 @@ from costs.robot.urdf_elements import (
     MOVABLE,
     Joint,
     Shape,
+    check_locked_positions,
     find_stopped_joints,
     follow_leaders,
     lock_joints,
@@ -92,6 +93,8 @@ def parse_urdf(
         joint = parse_joint(element, where, notes)
         joints[joint.name] = joint
     joints = follow_leaders(_give_speeds(joints, notes), where, notes)
+    if is_robot:
+        check_locked_positions(joints, locked_joints, where)
     joints = lock_joints(tree, joints, find_stopped_joints(joints.values(), notes) | dict(locked_joints), where)
     links = {}
     for element in link_elements:

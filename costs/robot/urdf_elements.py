@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from costs.robot.errors import RobotError
 from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
 from costs.robot.xmlfile import MADE_HERE, parse_limit, parse_number, parse_numbers, read_attribute
 
+LOCK_TOLERANCE = 1e-3  # of a locked position beyond the limits [rad, m]
 MOVABLE = ("revolute", "continuous", "prismatic")
 MOST_LIMIT = 1e4  # limits of position beyond it on both sides count as none [rad, m]
 MANY_RAD, LONG_M = 30.0, 20.0  # positions and sizes beyond them may be in another unit
@@ -187,6 +189,23 @@ def find_stopped_joints(joints: Iterable[Joint], notes: list[str]) -> dict[str, 
             stopped[joint.name] = float(np.clip(0.0, joint.lower, joint.upper))
             notes.append(f"joint '{joint.name}' has a velocity limit of 0: fixed at {stopped[joint.name]:g}")
     return stopped
+
+
+def check_locked_positions(joints: Mapping[str, Joint], locked: Mapping[str, float], where: str) -> None:
+    """Refuse positions of locked joints beyond their limits (RobotError)."""
+    for name, position in locked.items():
+        joint = joints.get(name)
+        if joint is None or joint.kind not in MOVABLE or not np.isfinite(position):
+            continue
+        if joint.lower - LOCK_TOLERANCE <= position <= joint.upper + LOCK_TOLERANCE:
+            continue
+        turned = math.radians(position)
+        is_in_degrees = joint.kind != "prismatic" and joint.lower <= turned <= joint.upper
+        hint = f"; joints are in radians, are these degrees? Use {turned:.6g}" if is_in_degrees else ""
+        raise RobotError(
+            f"{where}: locked joint '{name}' at {position:g} is outside its limits; expected {joint.lower:g} to "
+            f"{joint.upper:g}{hint}"
+        )
 
 
 def lock_joints(

@@ -111,7 +111,9 @@ def _drop_namespaces(root: etree._Element, where: str) -> None:
             element.tag = f"{{{DRAKE if prefix == 'drake' else prefix}}}{local}"
         name = etree.QName(element)
         if name.namespace is not None and name.namespace.rstrip("/").endswith("xacro"):
-            stem = where.rsplit("/", 1)[-1].split(".", 1)[0] or "robot"
+            name = where.rsplit("/", 1)[-1]
+            stem = name.split(".", 1)[0] or "robot"
+            stem += ".expanded" * (name == f"{stem}.urdf")  # not onto itself
             raise RobotError(
                 f"{where}: is a xacro file; expand it first: xacro {where} > {stem}.urdf (pip install xacro)"
             )

@@ -55,8 +55,12 @@ def resolve_mesh(uri: str, roots: Sequence[Path], where: str) -> tuple[str, Path
             return key, path
     folders = ", ".join(str(root) for root in roots) or "none"
     if escaped:
-        raise RobotError(f"{where}: mesh '{uri}' lies outside the package folders ({folders}); add its folder to them")
-    raise RobotError(f"{where}: mesh '{uri}' not found in the package folders ({folders}); add its folder to them")
+        raise RobotError(
+            f"{where}: mesh '{uri}' lies outside the package folders ({folders}); add its folder to package_dirs"
+        )
+    raise RobotError(
+        f"{where}: mesh '{uri}' not found in the package folders ({folders}); add its folder to package_dirs"
+    )
 
 
 def find_package_folders(urdf: Path) -> tuple[Path, ...]:
