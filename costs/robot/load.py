@@ -206,7 +206,9 @@ def _make_bodies(
             inside = f"{where}: link '{link}'"
             points = _read_points(shape, meshes, hulls, inside)
             pose = frame.placement.homogeneous @ shape.pose_link_shape
-            vertices = find_hull_vertices(points @ pose[:3, :3].T + pose[:3, 3], inside)
+            vertices = points @ pose[:3, :3].T + pose[:3, 3]
+            if shape.kind != "mesh":  # a mesh's points are the vertices of its hull already
+                vertices = find_hull_vertices(vertices, inside)
             if shape.kind == "mesh" and has_crowded_vertex(vertices):
                 vertices = make_outer_hull(vertices)
                 notes.append(
