@@ -73,7 +73,7 @@ export class App implements Player {
     });
     document.body.append(this.header.element, viewport);
 
-    const z = floorHeight(result);
+    const z = floorHeight(result, motion);
     this.goal = new Goal(result, motion);
     const subject = this.subject(z);
     this.stage = new Stage(viewport, subject);
