@@ -10,7 +10,8 @@ import pytest
 from robot_files import CUBE_OBJ
 
 from costs.robot import RobotModel, load_robot
-from service import parse_request, plan
+from service import certify, load_request, parse_request, plan, read_trajectory, write_result
+from service.replay.replay import verify_result
 
 INERTIA = '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>'
 COLLADA = """<?xml version="1.0" encoding="utf-8"?>
@@ -212,3 +213,16 @@ def test_a_unit_that_can_hardly_be_meant_becomes_a_note(tmp_path: Path, old: str
 def test_models_of_simulators_are_named(tmp_path: Path, root: str, kind: str) -> None:
     with pytest.raises(Exception, match=rf"the root element is <{root}> \({kind}\); it must be <robot>"):
         _load(_write(tmp_path, f"<{root}/>"))
+
+
+def test_what_was_planned_without_package_folders_is_verified_and_certified_without_them(tmp_path: Path) -> None:
+    urdf = _write(tmp_path, ANYBOTICS)
+    path = tmp_path / "request.yaml"
+    path.write_text(f"robot: {{urdf: {urdf}}}\ngoal: {{joints: {{LF_HAA: -0.5}}}}\n")
+    request = load_request(path)
+    result = plan(request)
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    write_result(result, tmp_path / "out")
+    assert verify_result(tmp_path / "out", path)["verdict"] == "CERTIFIED"
+    outcome = certify(read_trajectory(tmp_path / "out" / "trajectory.csv"), request)
+    assert outcome.is_certified, outcome.failures

@@ -123,7 +123,10 @@ def build_pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
     if model.nq == 0:
         kinds = Counter(joint.kind for joint in urdf.joints.values())
         count = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none"
-        raise RobotError(f"{where}: no joint moves (joints: {count}); a robot has at least one that does")
+        raise RobotError(
+            f"{where}: no joint moves (joints: {count}); a robot has at least one that does, or a base that robot.root "
+            "makes planar or floating"
+        )
     model = let_follow(model, {j.name: j.mimic for j in urdf.joints.values() if j.mimic is not None}, where)
     for frame in model.frames:
         # A joint may have the name of a link; frames of that name are then those of links.

@@ -111,7 +111,7 @@ def certify(
         _refuse_tasks(request)
         timed = timed and request.options.timed
         request = replace(request, options=replace(request.options, timed=timed))
-        setup = prepare(request, announce, robot, should_stop, checks_start=False)
+        setup = prepare(request, announce, robot, should_stop, checks_start=False, finds_package=True)
         poll()
         timings["prepare"] = time.perf_counter() - started
         announce("read trajectory")
