@@ -15,8 +15,11 @@ from costs.robot import RobotModel, load_robot
 from costs.scene import Scene
 from service.demands.scene import make_floor
 from service.errors import RequestError
+from service.planner import plan
+from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.result.motion_json import file_positions
+from service.result.output import write_result
 from service.setup.prepare import PlanSetup, prepare
 from service.setup.world import build_obstacles
 from service.start.configuration import make_start_configuration
@@ -323,11 +326,17 @@ NO_MASS = '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" i
 
 
 @pytest.mark.parametrize("inertial", ["", NO_MASS])
-def test_a_robot_that_has_to_balance_and_weighs_nothing_is_refused(tmp_path: Path, inertial: str) -> None:
+def test_a_robot_on_feet_that_weighs_nothing_is_planned_without_balance(tmp_path: Path, inertial: str) -> None:
     asked = {"robot": {"urdf": str(_post(tmp_path, inertial)), "root": "floating"}, "goal": {"joints": {"turn": 0.5}}}
-    asked["options"] = {"feet": ["foot"]}
-    (line,) = _problems(tmp_path, **asked)
-    assert line.startswith("robot.urdf: the links of stele have 0 kg in all")
+    request = parse_request({**asked, "options": {"feet": ["foot"]}, "scene": {"floor": 0.0}}, folder=tmp_path)
+    result = plan(request)
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    assert "the links of stele have 0 kg in all: its balance and its torques are not checked" in " ".join(result.notes)
+    assert result.certificate is not None
+    assert result.certificate.coverage.not_checked == ("torques (no link names a mass)", "balance in 'reach'")
+    assert not any(check.name.startswith("balance") for check in result.certificate.checks)
+    write_result(result, tmp_path / "out")
+    assert verify_result(tmp_path / "out")["verdict"] == "CERTIFIED"
 
 
 def test_a_robot_that_is_bolted_down_needs_no_masses(tmp_path: Path) -> None:

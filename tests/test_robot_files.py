@@ -68,6 +68,9 @@ def test_a_xacro_file_is_refused_with_the_command_that_expands_it(tmp_path: Path
     path.write_text(text)
     with pytest.raises(RobotError, match=r"expand it first: xacro .*arm\.urdf\.xacro > arm\.urdf"):
         load_robot(urdf=path)
+    path = write_urdf(tmp_path, text)
+    with pytest.raises(RobotError, match=r"xacro .*robot\.urdf > robot\.expanded\.urdf"):
+        load_robot(urdf=path)
     with pytest.raises(RobotError, match="the file is a xacro template"):
         _load(tmp_path, two_links().replace('xyz="0 0 1" rpy', 'xyz="0 0 ${h}" rpy'))
 

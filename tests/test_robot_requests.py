@@ -91,6 +91,12 @@ def test_locked_joints_are_fixed_and_unknown_ones_refused(tmp_path: Path) -> Non
     assert locked.joint_names == ("turn", "left")
     with pytest.raises(RequestError, match="locked joint 'bent' is not a movable joint; expected turn, bend"):
         load_requested_robot(_request(tmp_path, {"locked": {"bent": 0.5}}))
+    with pytest.raises(RequestError, match=r"'bend' at 30 is outside its limits; expected -3 to 3.* Use 0\.523599"):
+        load_requested_robot(_request(tmp_path, {"locked": {"bend": 30.0}}))
+    with pytest.raises(RequestError, match=r"'left' at 0\.5 is outside its limits; expected 0 to 0\.04$"):
+        load_requested_robot(_request(tmp_path, {"locked": {"left": 0.5}}))
+    with pytest.raises(RequestError, match=r"goal\.joints\.turn: robot\.locked fixes this joint"):
+        prepare(_request(tmp_path, {"locked": {"turn": 0.5}}))
 
 
 def test_torques_are_left_out_where_the_request_says_so(tmp_path: Path) -> None:

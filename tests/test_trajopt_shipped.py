@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from trajopt_robots import write_slider, write_two_arms
 
-from service import PlanResult, plan
-from service.request.schema import RobotRequest
+from service import PlanResult, RequestError, plan
+from service.trajopt.json_fields import parse_document
 from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
 DATA = Path(__file__).parent / "data" / "trajopt"
@@ -88,8 +88,6 @@ def test_a_ball_keeps_its_distance_from_balls(tmp_path: Path) -> None:
 
 
 def test_a_ball_inside_balls_at_its_start_is_told_so(tmp_path: Path) -> None:
-    from service import RequestError
-
     robot = write_slider(tmp_path, "spherebot", '<sphere radius="0.5"/>', ((0.0, 0.0, 0.0),))
     with pytest.raises(RequestError, match="start is in collision"):
         _plan(tmp_path, "tesseract_simple_collision_test", robot)
@@ -101,7 +99,45 @@ def test_a_problem_is_planned_without_times_or_without_torques(tmp_path: Path) -
     result = plan(load_trajopt_request(DATA / "tesseract_box_cast_test.json", files))
     assert result.verdict.value == "CERTIFIED", result.explanation
     assert result.velocities is None
-    if "torque" not in RobotRequest.__dataclass_fields__:
-        pytest.skip("requests have no robot.torque yet")
     files = TrajoptFiles(str(robot), robot.with_suffix(".srdf"), checks_torque=False)
     assert load_trajopt_request(DATA / "tesseract_box_cast_test.json", files).robot.torque is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("original_point_normal1", "line 5: no valid JSON: a comma before '}'; remove it"),
+        ("original_request1", "line 13: no valid JSON: the text ends before its brackets are closed"),
+        ("original_request_example", "key 'COMMENT_initialization' is given twice"),
+    ],
+)
+def test_the_originals_sketches_of_a_format_say_why_they_are_no_problems(tmp_path: Path, name: str, words: str) -> None:
+    with pytest.raises(RequestError) as caught:
+        _plan(tmp_path, name, write_two_arms(tmp_path))
+    assert str(caught.value) == f"{name}.json: {words}"
+
+
+def test_a_sketch_with_valid_syntax_gets_a_line_for_each_key_that_no_version_of_trajopt_reads(tmp_path: Path) -> None:
+    text = (DATA / "original_request_example.json").read_text().replace("COMMENT_initialization", "COMMENT_1", 1)
+    (tmp_path / "sketch.json").write_text(text.replace("COMMENT_initialization", "COMMENT_2", 1))
+    robot = write_two_arms(tmp_path)
+    with pytest.raises(RequestError) as caught:
+        plan(load_trajopt_request(tmp_path / "sketch.json", TrajoptFiles(str(robot), robot.with_suffix(".srdf"))))
+    lines = str(caught.value).splitlines()
+    for words in ("basic_info.n_steps", "basic_info.num_timesteps", "constraints[0].type", "constraints[1].type"):
+        assert any(words in line for line in lines), (words, lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a": 1, // why\n}', "a comment"),
+        ('{"a": [1, 2,]}', "a comma before ']'; remove it"),
+        ('{"a": tru}', "Expecting value"),
+        ("", "the text ends before its brackets are closed"),
+    ],
+)
+def test_syntax_that_other_readers_tolerate_is_explained(text: str, words: str) -> None:
+    with pytest.raises(RequestError, match="line 1: no valid JSON") as caught:
+        parse_document(text, "problem.json")
+    assert words in str(caught.value)

@@ -87,6 +87,21 @@ def test_the_page_draws_every_kind_of_thing_without_complaint(browser, pages):
     assert browser.requests() == [pages["certified"]]
 
 
+def test_the_ground_is_below_a_robot_without_floor_and_soles(browser, tmp_path):
+    grounds = []
+    for shift in (-1.0, -3.0, 50.0):
+        result, placements = make_result()
+        result["phases"] = [{**phase, "contacts": []} for phase in result["phases"]]
+        result["pieces"] = [piece for piece in result["pieces"] if piece["kind"] != "floor"]
+        poses = placements.poses + np.array([0, 0, shift, 0, 0, 0, 0])
+        write_viewer(result, LinkPlacements(placements.links, poses), tmp_path / "page.html")
+        browser.open((tmp_path / "page.html").as_uri())
+        grounds.append(browser.run("window.__viewer.ground"))
+    assert grounds[0] < 0.0
+    assert grounds[1] == pytest.approx(grounds[0] - 2.0, abs=0.01)
+    assert grounds[2] == 0.0
+
+
 def test_robot_pixels_are_where_the_hands_are_projected(browser, pages):
     browser.open(pages["certified"] + "#t=0&theme=dark&layers=robot,floor&camera=front")
     left, right = (colour_at(browser, link) for link in ("l_hand", "r_hand"))

@@ -15,7 +15,7 @@ from costs.robot.mechanism_urdf import (
 )
 from costs.robot.mesh import find_package_folders
 from costs.robot.mesh.visual import VisualMesh
-from costs.robot.model import BASE_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
+from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_robot_visuals
 from costs.robot.srdf import format_srdf
 from costs.robot.still import StillShape, read_object_shapes
@@ -23,6 +23,7 @@ from costs.robot.still import StillShape, read_object_shapes
 __all__ = [
     "BASE_NAMES",
     "PATCH_DEFAULTS",
+    "PLANAR_NAMES",
     "STOP_ROUNDING",
     "AttachedBody",
     "LinkBody",

@@ -25,16 +25,17 @@ from costs.robot.mesh.hull import (
     make_outer_hull,
     thicken_flat_points,
 )
-from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
+from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
 from costs.robot.urdf import Urdf, format_urdf, make_pinocchio_xml, merge_notes, parse_urdf
-from costs.robot.urdf_elements import Joint, Shape
+from costs.robot.urdf_elements import LONG_M, Joint, Shape
 from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0
+PACKAGE_SCHEMES = ("package://", "model://")
 STILL = 1e-6  # range that counts as none [rad, m]
-Root = Literal["floating", "fixed"]
+Root = Literal["floating", "planar", "fixed"]
 
 
 def load_files(
@@ -60,11 +61,13 @@ def build_robot(
     srdf_where: str,
 ) -> RobotModel:
     """Build a robot from the texts of its files; ``*_where`` name them in messages."""
-    urdf = parse_urdf(urdf_source, urdf_where, locked_joints)
+    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, is_planar=root == "planar")
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
     names = _name_coordinates(model, urdf_where)
     notes = [*urdf.notes, *srdf.notes]
+    if srdf.is_planar and root == "fixed" and PLANAR_NAMES[0] not in names:
+        notes.append(f"the SRDF's joint '{srdf.virtual_joint}' is planar; `robot.root: planar` lets the base move")
     limits = _collect_limits(urdf, names, notes)
     meshes = _MeshFiles(roots, {}, {})
     meshes.read(urdf, urdf_where)
@@ -92,7 +95,7 @@ def build_robot(
         is_floating=root == "floating",
         groups={name: tuple(j for j in names if j in joints) for name, joints in srdf.groups.items() if joints},
         link_groups=srdf.link_groups,
-        postures={name: _read_posture(srdf, name, names, limits) for name in srdf.states},
+        postures={name: _read_posture(srdf, name, names, limits, root == "floating") for name in srdf.states},
         ignored_pairs=frozenset(reasons),
         fixed_links=frozenset(link for link in urdf.links if find_body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
@@ -105,13 +108,13 @@ def build_robot(
 
 
 def build_pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
-    """Build the robot's joints and masses, the base as a composite joint if it is free.
+    """Build the robot's joints and masses, a floating base as a composite joint.
 
     Raises:
         RobotError: no joint moves.
     """
     xml = make_pinocchio_xml(urdf)
-    if root == "fixed":
+    if root != "floating":
         model = pin.buildModelFromXML(xml)
     else:
         base = pin.JointModelComposite(pin.JointModelTranslation())
@@ -120,7 +123,10 @@ def build_pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
     if model.nq == 0:
         kinds = Counter(joint.kind for joint in urdf.joints.values())
         count = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none"
-        raise RobotError(f"{where}: no joint moves (joints: {count}); a robot has at least one that does")
+        raise RobotError(
+            f"{where}: no joint moves (joints: {count}); a robot has at least one that does, or a base that robot.root "
+            "makes planar or floating"
+        )
     model = let_follow(model, {j.name: j.mimic for j in urdf.joints.values() if j.mimic is not None}, where)
     for frame in model.frames:
         # A joint may have the name of a link; frames of that name are then those of links.
@@ -203,12 +209,16 @@ def _make_bodies(
             inside = f"{where}: link '{link}'"
             points = _read_points(shape, meshes, hulls, inside)
             pose = frame.placement.homogeneous @ shape.pose_link_shape
-            vertices = find_hull_vertices(points @ pose[:3, :3].T + pose[:3, 3], inside)
+            vertices = points @ pose[:3, :3].T + pose[:3, 3]
+            if shape.kind != "mesh":  # a mesh's points are the vertices of its hull already
+                vertices = find_hull_vertices(vertices, inside)
             if shape.kind == "mesh" and has_crowded_vertex(vertices):
                 vertices = make_outer_hull(vertices)
                 notes.append(
                     f"link '{link}': a flat face with very many corners is replaced by one with fewer around it"
                 )
+            if shape.kind == "mesh" and (size := float(np.ptp(vertices, axis=0).max())) > LONG_M:
+                notes.append(f"link '{link}': a mesh of {size:.3g} m is read as it is; is it in millimetres?")
             name = link if index == 0 else f"{link}/{index}"
             round_shape = make_round_shape(shape.kind, shape.size)
             exact = None if round_shape is None else round_shape.move(pose)
@@ -250,8 +260,8 @@ class _MeshFiles:
         key, path = resolve_mesh(shape.uri, self.roots, where)
         if self.files.setdefault(key, path) != path:
             raise RobotError(f"{where}: mesh '{shape.uri}' names another file than '{key}' elsewhere; rename one")
-        if "://" not in shape.uri:
-            # A path with '..' would leave the folder a result is written to.
+        if not shape.uri.startswith(PACKAGE_SCHEMES):
+            # A path with '..' and an absolute one would leave the folder a result is written to.
             shape.element.set("filename", key)
         if path not in self.digests:
             self.digests[path] = hashlib.sha256(read_bytes(path, where)).hexdigest()
@@ -275,7 +285,7 @@ def _read_points(
 
 
 def _read_posture(
-    srdf: Srdf, state: str, names: Sequence[str], limits: Mapping[str, Float[np.ndarray, "n"]]
+    srdf: Srdf, state: str, names: Sequence[str], limits: Mapping[str, Float[np.ndarray, "n"]], is_floating: bool
 ) -> Float[np.ndarray, "n"]:
     """Return the configuration of a named state; other joints are at 0, clipped into their limits."""
     values = srdf.states[state]
@@ -283,7 +293,13 @@ def _read_posture(
     for column, name in enumerate(names):
         if name in values:
             posture[column] = values[name][0]
-    if names[0] == BASE_NAMES[0] and srdf.virtual_joint in values:
+    if srdf.virtual_joint not in values:
+        return posture
+    if srdf.is_planar:
+        for name, value in zip(PLANAR_NAMES, values[srdf.virtual_joint], strict=True):
+            if name in names:
+                posture[names.index(name)] = value
+    elif is_floating:
         x, y, z, qx, qy, qz, qw = values[srdf.virtual_joint]
         # The quaternion may have any length but zero, which ``parse_srdf`` refuses.
         yaw_pitch_roll = pin.rpy.matrixToRpy(pin.Quaternion(qw, qx, qy, qz).normalized().matrix())[::-1]

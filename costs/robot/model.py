@@ -13,6 +13,8 @@ from jaxtyping import Float
 from costs.contact import Contact
 from costs.primitive import Primitive
 
+LEAST_MASS_KG = 1e-3  # of all links together; less counts as no mass
+PLANAR_NAMES = ("base_x", "base_y", "base_yaw")
 BASE_NAMES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 
 
@@ -124,6 +126,16 @@ class RobotModel:
     contacts: Mapping[str, Contact] = field(default_factory=dict)
     hands: Mapping[str, RobotHand] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the base slides and turns on a plane: the first coordinates are ``PLANAR_NAMES``."""
+        return not self.is_floating and self.joint_names[: len(PLANAR_NAMES)] == PLANAR_NAMES
+
+    @property
+    def can_balance(self) -> bool:
+        """Whether the links have masses, without which there is no centre of mass."""
+        return float(pin.computeTotalMass(self.model)) >= LEAST_MASS_KG
 
     @property
     def n(self) -> int:

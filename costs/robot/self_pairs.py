@@ -108,8 +108,9 @@ def count_contacts(
     bodies: Sequence[LinkBody],
     pairs: Iterable[tuple[str, str]],
     poses: Float[np.ndarray, "N n"],
+    solids: Sequence[coal.Convex] | None = None,
 ) -> Mapping[tuple[str, str], int]:
-    """Count in how many of ``poses`` each link pair overlaps."""
+    """Count in how many of ``poses`` each link pair overlaps; ``solids`` are the bodies' hulls, if made already."""
     counts = dict.fromkeys(pairs, 0)
     if not counts:
         return counts
@@ -117,7 +118,7 @@ def count_contacts(
     wanted &= np.triu(np.ones_like(wanted), 1)
     boxes = np.array([[body.vertices.min(axis=0), body.vertices.max(axis=0)] for body in bodies])
     middle, half = 0.5 * (boxes[:, 0] + boxes[:, 1]), 0.5 * (boxes[:, 1] - boxes[:, 0])
-    solids = [convex(body.vertices) for body in bodies]
+    solids = [convex(body.vertices) for body in bodies] if solids is None else solids
     data = model.createData()
     for pose in poses:
         pin.forwardKinematics(model, data, pose)
@@ -157,9 +158,10 @@ def derive_ignored_pairs(
     links = sorted({body.link for body in bodies})
     rest = [pair for pair in (sort_pair(a, b) for a, b in combinations(links, 2)) if pair not in fixed]
     # A pair apart in one of the first poses can hardly overlap in nearly all: the many poses are for the few left.
-    first = count_contacts(model, bodies, rest, draw_poses(model, lower, upper, 20))
+    solids = [convex(body.vertices) for body in bodies]
+    first = count_contacts(model, bodies, rest, draw_poses(model, lower, upper, 20), solids)
     suspects = [pair for pair in rest if first[pair] >= 0.8 * 20]
-    counts = count_contacts(model, bodies, suspects, draw_poses(model, lower, upper, N_POSES, seed=1))
+    counts = count_contacts(model, bodies, suspects, draw_poses(model, lower, upper, N_POSES, seed=1), solids)
     reasons.update((pair, "Always") for pair in suspects if counts[pair] >= ALWAYS_FRACTION * N_POSES)
     return reasons
 

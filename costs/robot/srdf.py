@@ -23,8 +23,9 @@ class Srdf:
     Attributes:
         groups: names of the movable joints by group, unordered.
         link_groups: link names by group, for groups that name links or chains.
-        states: joint values by state name (a floating virtual joint: x y z qx qy qz qw).
+        states: joint values by state name (a virtual joint: x y z qx qy qz qw, or x y yaw if it is planar).
         virtual_joint: name of the joint between world and root link, or "".
+        is_planar: whether that joint is planar.
         disabled_pairs: link pairs (sorted) not to check, with the reason that the file gives ("" if none).
         notes: names that the URDF does not have, which are left out.
     """
@@ -33,12 +34,13 @@ class Srdf:
     link_groups: Mapping[str, tuple[str, ...]]
     states: Mapping[str, Mapping[str, tuple[float, ...]]]
     virtual_joint: str
+    is_planar: bool
     disabled_pairs: Mapping[tuple[str, str], str]
     notes: tuple[str, ...] = ()
 
 
 ROOT_JOINT = "root_joint"
-EMPTY = Srdf({}, {}, {}, "", {})
+EMPTY = Srdf({}, {}, {}, "", False, {})
 
 
 def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
@@ -53,11 +55,13 @@ def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
     names = list(reader.elements)
     virtual = tree.find("virtual_joint")
     virtual_name = "" if virtual is None else read_attribute(virtual, "name", where)
+    is_planar = virtual is not None and virtual.get("type") == "planar"
     return Srdf(
         groups={name: reader.find_joints(name, ()) for name in names},
         link_groups={name: links for name in names if (links := reader.find_links(name, ()))},
-        states=_read_states(tree, where, urdf, virtual_name, notes),
+        states=_read_states(tree, where, urdf, (virtual_name, 3 if is_planar else 7), notes),
         virtual_joint=virtual_name,
+        is_planar=is_planar,
         disabled_pairs={
             pair: element.get("reason", "")
             for element in tree.findall("disable_collisions")
@@ -139,9 +143,13 @@ class _GroupReader:
 
 
 def _read_states(
-    tree: etree._Element, where: str, urdf: Urdf, virtual: str, notes: list[str]
+    tree: etree._Element, where: str, urdf: Urdf, virtual_joint: tuple[str, int], notes: list[str]
 ) -> Mapping[str, Mapping[str, tuple[float, ...]]]:
-    """Read joint values by state name; states of one name (for several groups) are merged."""
+    """Read joint values by state name; states of one name (for several groups) are merged.
+
+    ``virtual_joint`` is the name of the joint below the root link, and the number of its values.
+    """
+    virtual, n_virtual = virtual_joint
     states: dict[str, dict[str, tuple[float, ...]]] = {}
     for element in tree.findall("group_state"):
         name = read_attribute(element, "name", where)
@@ -153,11 +161,11 @@ def _read_states(
                 continue  # the base, as others call it
             if joint != virtual and not _is_known("joint", joint, urdf.joints, notes):
                 continue
-            count = 7 if joint == virtual else 1
+            count = n_virtual if joint == virtual else 1
             values[joint] = tuple(
                 parse_numbers(read_attribute(item, "value", inside), count, f"{inside}: joint '{joint}'")
             )
-            if joint == virtual and math.hypot(*values[joint][3:]) < 1e-6:
+            if joint == virtual and count == 7 and math.hypot(*values[joint][3:]) < 1e-6:
                 raise RobotError(f"{inside}: joint '{joint}': the quaternion is zero; write x y z qx qy qz qw")
     return states
 

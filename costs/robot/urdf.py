@@ -14,12 +14,13 @@ from lxml import etree
 from costs.names import would_do
 from costs.robot.errors import RobotError
 from costs.robot.poses import format_numbers, make_origin, parse_origin
-from costs.robot.urdf_bases import expand_bases
+from costs.robot.urdf_bases import expand_bases, put_on_plane
 from costs.robot.urdf_elements import (
     DEFAULT_VELOCITY,
     MOVABLE,
     Joint,
     Shape,
+    check_locked_positions,
     find_stopped_joints,
     follow_leaders,
     lock_joints,
@@ -56,10 +57,13 @@ class Urdf:
     notes: tuple[str, ...] = ()
 
 
-def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float], *, is_robot: bool = True) -> Urdf:
+def parse_urdf(
+    text: str, where: str, locked_joints: Mapping[str, float], *, is_robot: bool = True, is_planar: bool = False
+) -> Urdf:
     """Read and check a URDF; ``locked_joints`` become fixed at the given position [rad or m].
 
-    A robot may have planar and floating joints as its base, an object or mechanism may not.
+    A robot may have planar and floating joints as its base, an object or mechanism may not.  With ``is_planar`` its
+    root link gets a planar base.
 
     Raises:
         RobotError: for anything pinocchio would crash on, load from elsewhere or misread in silence.
@@ -72,6 +76,8 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float], *, is_
         tree.set("name", name)
         notes.append(f"the file does not name the robot; it is called '{name}'")
     if is_robot:
+        if is_planar:
+            put_on_plane(tree, where, notes)
         expand_bases(tree, where, notes)
     link_elements = tree.findall("link")
     if not link_elements:
@@ -87,6 +93,8 @@ def parse_urdf(text: str, where: str, locked_joints: Mapping[str, float], *, is_
         joint = parse_joint(element, where, notes)
         joints[joint.name] = joint
     joints = follow_leaders(_give_speeds(joints, notes), where, notes)
+    if is_robot:
+        check_locked_positions(joints, locked_joints, where)
     joints = lock_joints(tree, joints, find_stopped_joints(joints.values(), notes) | dict(locked_joints), where)
     links = {}
     for element in link_elements:

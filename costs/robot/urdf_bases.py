@@ -1,4 +1,7 @@
-"""Joints of mobile and flying bases, rewritten: ``planar`` as three joints, ``floating`` left out."""
+"""Joints of mobile and flying bases, rewritten: ``planar`` as three joints, ``floating`` left out.
+
+A robot that a request puts on a plane gets a planar joint of its own below its root link.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,14 @@ import numpy as np
 from lxml import etree
 
 from costs.robot.errors import RobotError
+from costs.robot.model import PLANAR_NAMES
 from costs.robot.poses import format_numbers
 from costs.robot.xmlfile import MADE_HERE, parse_numbers, read_attribute
 
 PLANAR_RANGE_M = 10.0
 PLANAR_VELOCITY = 1.0  # of a joint without limits [m/s, rad/s]
+PLANAR_ACCELERATION = 1.0  # [m/s^2, rad/s^2]
+PLANE_LINK = "base_plane"
 
 
 def expand_bases(tree: etree._Element, where: str, notes: list[str]) -> None:
@@ -31,6 +37,36 @@ def expand_bases(tree: etree._Element, where: str, notes: list[str]) -> None:
             _drop_floating(tree, joint, where, notes)
 
 
+def put_on_plane(tree: etree._Element, where: str, notes: list[str]) -> None:
+    """Let the robot's root link slide and turn on the world's ground plane, by joints of its own, in place.
+
+    The joints are ``base_x``, ``base_y`` and ``base_yaw``.  A tree without a single root is left as it is.
+
+    Raises:
+        RobotError: the URDF itself has a planar joint at its root.
+    """
+    children = {child.get("link") for child in tree.iterfind("joint/child")}
+    roots = [name for link in tree.findall("link") if (name := link.get("name")) and name not in children]
+    if len(roots) != 1:
+        return
+    for joint in tree.findall("joint"):
+        parent = joint.find("parent")
+        if joint.get("type") == "planar" and parent is not None and parent.get("link") == roots[0]:
+            raise RobotError(
+                f"{where}: joint '{joint.get('name')}' is a planar base already; leave robot.root out, or make it fixed"
+            )
+    etree.SubElement(tree, "link", name=PLANE_LINK)
+    made = etree.SubElement(tree, "joint", name="base", type="planar")
+    etree.SubElement(made, "parent", link=PLANE_LINK)
+    etree.SubElement(made, "child", link=roots[0])
+    etree.SubElement(made, "axis", xyz="0 0 1")
+    _split_planar(tree, made, where, [])
+    notes.append(
+        f"robot.root planar: {', '.join(PLANAR_NAMES)} move the base on the plane z = 0, within {PLANAR_RANGE_M:g} m, "
+        f"at most {PLANAR_VELOCITY:g} m/s and rad/s, {PLANAR_ACCELERATION:g} m/s^2 and rad/s^2"
+    )
+
+
 def _split_planar(tree: etree._Element, joint: etree._Element, where: str, notes: list[str]) -> None:
     name = read_attribute(joint, "name", where)
     inside = f"{where}: joint '{name}'"
@@ -44,7 +80,11 @@ def _split_planar(tree: etree._Element, joint: etree._Element, where: str, notes
     along_x = along_x - (along_x @ normal) * normal
     along_x /= np.linalg.norm(along_x)
     limit = joint.find("limit")
-    velocity = (None if limit is None else limit.get("velocity")) or repr(PLANAR_VELOCITY)
+    stated = {} if limit is None else dict(limit.attrib)
+    speeds = {
+        "velocity": stated.get("velocity") or repr(PLANAR_VELOCITY),
+        "acceleration": stated.get("acceleration") or repr(PLANAR_ACCELERATION),
+    }
     middle = [f"{name}_x_link", f"{name}_y_link"]
     parent, child = joint.find("parent"), joint.find("child")
     if parent is None or child is None:
@@ -63,7 +103,7 @@ def _split_planar(tree: etree._Element, joint: etree._Element, where: str, notes
             made.append(origin)
         etree.SubElement(made, "axis", xyz=format_numbers(direction))
         reach = {} if kind == "continuous" else {"lower": repr(-PLANAR_RANGE_M), "upper": repr(PLANAR_RANGE_M)}
-        etree.SubElement(made, "limit", {**reach, "velocity": velocity, MADE_HERE: "true"})
+        etree.SubElement(made, "limit", {**reach, **speeds, MADE_HERE: "true"})
         tree.insert(place + k, made)
     for link in middle:
         etree.SubElement(tree, "link", name=link)

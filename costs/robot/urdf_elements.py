@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +13,12 @@ from lxml import etree
 from costs.names import would_do
 from costs.robot.errors import RobotError
 from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
-from costs.robot.xmlfile import MADE_HERE, parse_number, parse_numbers, read_attribute
+from costs.robot.xmlfile import MADE_HERE, parse_limit, parse_number, parse_numbers, read_attribute
 
+LOCK_TOLERANCE = 1e-3  # of a locked position beyond the limits [rad, m]
 MOVABLE = ("revolute", "continuous", "prismatic")
+MOST_LIMIT = 1e4  # limits of position beyond it on both sides count as none [rad, m]
+MANY_RAD, LONG_M = 30.0, 20.0  # positions and sizes beyond them may be in another unit
 DEFAULT_VELOCITY = 1.0
 """Velocity limit of the joints of a file that gives none to any of them [rad/s, m/s]."""
 
@@ -53,11 +57,21 @@ def parse_shape(element: etree._Element, where: str, notes: list[str]) -> Shape 
     elif kind in ("cylinder", "capsule"):
         text = f"{read_attribute(shape, 'radius', where)} {read_attribute(shape, 'length', where)}"
         size = parse_numbers(text, 2, f"{where}: {kind} radius and length")
+    elif kind == "ellipsoid":
+        axes = [parse_number(read_attribute(shape, key, where), f"{where}: ellipsoid {key}") for key in "abc"]
+        kind, size = "box", 2.0 * np.array(axes)
+        notes.append(f"{where}: an ellipsoid is taken as the box around it")
+        parent = shape.getparent()
+        made = etree.SubElement(parent, "box", size=format_numbers(size))
+        parent.remove(shape)
+        shape = made
     elif kind == "mesh":
         uri = read_attribute(shape, "filename", where)
         size = parse_numbers(shape.get("scale", "1 1 1"), 3, f"{where}: mesh scale")
     else:
         raise RobotError(f"{where}: shape <{kind}> is not known; use box, sphere, cylinder, capsule or mesh")
+    if kind != "mesh" and size.max() > LONG_M:
+        notes.append(f"{where}: a {kind} of {size.max():g} m is read as it is; are these millimetres?")
     if kind == "mesh" and np.any(size == 0.0):
         raise RobotError(f"{where}: mesh scale {shape.get('scale')!r} flattens the mesh; no factor may be 0")
     if kind != "mesh" and np.all(size >= 0.0) and not np.any(size > 0.0):
@@ -177,6 +191,23 @@ def find_stopped_joints(joints: Iterable[Joint], notes: list[str]) -> dict[str, 
     return stopped
 
 
+def check_locked_positions(joints: Mapping[str, Joint], locked: Mapping[str, float], where: str) -> None:
+    """Refuse positions of locked joints beyond their limits (RobotError)."""
+    for name, position in locked.items():
+        joint = joints.get(name)
+        if joint is None or joint.kind not in MOVABLE or not np.isfinite(position):
+            continue
+        if joint.lower - LOCK_TOLERANCE <= position <= joint.upper + LOCK_TOLERANCE:
+            continue
+        turned = math.radians(position)
+        is_in_degrees = joint.kind != "prismatic" and joint.lower <= turned <= joint.upper
+        hint = f"; joints are in radians, are these degrees? Use {turned:.6g}" if is_in_degrees else ""
+        raise RobotError(
+            f"{where}: locked joint '{name}' at {position:g} is outside its limits; expected {joint.lower:g} to "
+            f"{joint.upper:g}{hint}"
+        )
+
+
 def lock_joints(
     tree: etree._Element, joints: dict[str, Joint], locked: dict[str, float], where: str
 ) -> dict[str, Joint]:
@@ -222,8 +253,7 @@ def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[
         # A follower without a range of its own goes as far as the joint that it follows.
         is_open = element.find("mimic") is not None and limit.get("lower") is None and limit.get("upper") is None
         if joint.kind != "continuous" and not is_open:
-            lower = parse_number(limit.get("lower", "0"), f"{where}: limit lower")
-            upper = parse_number(limit.get("upper", "0"), f"{where}: limit upper")
+            lower, upper = _read_range(joint, limit, where, notes)
         velocity = _read_limit(limit, "velocity", where, notes)
         effort = _read_limit(limit, "effort", where, notes)
         if limit.get("acceleration") is not None:
@@ -240,6 +270,19 @@ def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[
                  parse_number(mimic_element.get("offset", "0"), f"{where}: mimic offset"))  # fmt: skip
     return replace(joint, lower=lower, upper=upper, velocity=velocity, effort=effort,
                    acceleration=acceleration, mimic=mimic)  # fmt: skip
+
+
+def _read_range(joint: Joint, limit: etree._Element, where: str, notes: list[str]) -> tuple[float, float]:
+    """Return lower and upper limit of a joint's position; add a note about limits that hardly can be meant."""
+    lower, upper = (parse_limit(limit.get(key, "0"), f"{where}: limit {key}") for key in ("lower", "upper"))
+    if lower <= -MOST_LIMIT and upper >= MOST_LIMIT:
+        return -np.inf, np.inf
+    if joint.mimic is None and lower == upper and limit.get(MADE_HERE) is None:
+        notes.append(f"{where}: its limits are {lower:g} and {upper:g}, so that it does not move; state its range")
+    unit, most, other = ("m", LONG_M, "millimetres") if joint.kind == "prismatic" else ("rad", MANY_RAD, "degrees")
+    if limit.get(MADE_HERE) is None and max(abs(lower), abs(upper)) > most and max(-lower, upper) < np.inf:
+        notes.append(f"{where}: limits of {lower:g} to {upper:g} {unit} are read as they are; are these {other}?")
+    return lower, upper
 
 
 def _read_limit(limit: etree._Element, key: str, where: str, notes: list[str]) -> float:

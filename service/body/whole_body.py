@@ -115,7 +115,7 @@ class WholeBody:
             PlantedContact(link, pose, np.asarray((sole_corners(robot, q, link) - pose[:3, 3]) @ pose[:3, :3]))
             for link, pose in poses.items()
         )
-        polygon = SupportPolygon.of_soles([foot.points for foot in planted]) if planted else None
+        polygon = SupportPolygon.of_soles([foot.points for foot in planted]) if planted and robot.can_balance else None
         return WholeBody(robot, scene, engine, planted, polygon, q, aims)
 
     def with_robot(self, robot: RobotModel, nominal: Float[np.ndarray, "n"]) -> WholeBody:

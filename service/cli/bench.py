@@ -37,7 +37,7 @@ def bench_command(
         problem_set = read_problems(problems, BenchRobot(urdf, srdf, package_root), options, limit)
         if not problem_set:
             raise RequestError(f"{problems} holds no problems")
-        rows = run_bench(problem_set, load_requested_robot(problem_set[0].request), out, report)
+        rows = run_bench(problem_set, load_requested_robot(problem_set[0].request, finds_package=True), out, report)
     summary = summarize_scenes(rows)
     if as_json:
         print_json({"results": str(out), "table": [dict(zip(COLUMNS, line, strict=True)) for line in summary]})

@@ -35,7 +35,7 @@ def robots_command(
         list[Path] | None, typer.Option(help="Folder that package:// starts in; repeatable.", metavar="FOLDER")
     ] = None,
     root: Annotated[
-        str | None, typer.Option(help="Base: floating or fixed, by default fixed for a URDF.", metavar="ROOT")
+        str | None, typer.Option(help="Base: floating, planar or fixed, by default fixed for a URDF.", metavar="ROOT")
     ] = None,
     write_srdf: Annotated[
         Path | None, typer.Option(help="With check: write an SRDF that leaves out the pairs.", metavar="FILE")

@@ -157,7 +157,7 @@ class _Promises:
 
 def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
     request, robot, start, feet = demands.request, demands.robot, demands.start, demands.feet
-    is_balanced = demands.program is None or demands.program.is_balanced
+    is_balanced = (demands.program is None or demands.program.is_balanced) and robot.can_balance
     stance = Stance.of(
         robot, start, feet, request.options.balance_margin_m, is_balanced and not demands.changes_contacts
     )

@@ -164,7 +164,7 @@ def _rebuild_task(
 def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request_from: str) -> tuple[RobotModel, str]:
     """Return the robot and its source; only a user's request has robot files read again."""
     if is_given or (request.robot.urdf is None and request.robot.name in bundled_robots()):
-        return attach_bodies(load_requested_robot(request), request), request_from
+        return attach_bodies(load_requested_robot(request, finds_package=is_given), request), request_from
     links = {body.link for body in record.robot.bodies}
     missing = [attached.name for attached in request.attached if attached.name not in links]
     if missing:

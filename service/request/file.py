@@ -87,7 +87,7 @@ def read_plain_request(path: Path) -> dict[str, Any]:
     try:
         data = _read_yaml(_read_text(path))
     except RequestError as error:
-        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
+        raise RequestError([f"{path.name or path}: {problem}" for problem in error.problems]) from None
     if not isinstance(data, Mapping):
         raise RequestError(f"{path.name}: a mapping is needed, got {shown(data)}")
     return dict(data)
@@ -102,7 +102,7 @@ def load_section(kind: type[T], path: Path) -> T:
     try:
         return parse_section(kind, _read_yaml(_read_text(path)))
     except RequestError as error:
-        raise RequestError([f"{path.name}: {problem}" for problem in error.problems]) from None
+        raise RequestError([f"{path.name or path}: {problem}" for problem in error.problems]) from None
 
 
 def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:

@@ -58,9 +58,10 @@ def check_goal_and_keep(robot: RobotModel, request: PlanRequest) -> None:
     """
     goal, problems = request.goal, []
     if goal is not None:
-        problems += find_unknown_joints(robot, goal.joints, "goal.joints") or find_limit_violations(
-            robot, goal.joints, "goal.joints"
-        )
+        locked = [name for name in goal.joints if name in request.robot.locked]
+        problems += [f"goal.joints.{name}: robot.locked fixes this joint; name it in one of them" for name in locked]
+        free = {name: value for name, value in goal.joints.items() if name not in locked}
+        problems += find_unknown_joints(robot, free, "goal.joints") or find_limit_violations(robot, free, "goal.joints")
         if goal.posture is not None and goal.posture not in robot.postures:
             known = would_do(goal.posture, robot.postures) or "no postures; give goal.joints"
             problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
@@ -131,7 +132,7 @@ def check_start(
     """
     if stance is not None:
         return _check_stance_start(robot, start, scene, stance)
-    is_balanced = program is None or program.is_balanced
+    is_balanced = (program is None or program.is_balanced) and robot.can_balance
     feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
     grounded = dict(find_ground_problems(scene.pieces, feet)) if robot.is_floating else {}
     # A sole inside the floor is reported only once, as a floor that is too high.

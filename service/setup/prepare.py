@@ -113,10 +113,10 @@ def prepare(
         with _timed(timings, "load_robot"):
             robot = load_requested_robot(request, finds_package=finds_package)
     robot = attach_bodies(robot, request)
-    check_masses(robot)
+    weightless = check_masses(robot, holds_something=request.task is not None)
     check_names(request, robot, TakenNames.of(robot, request))
     start, notes, program = _resolve_and_check(robot, request)
-    notes += (*robot.notes, *check_units(request, robot, start))
+    notes += (*weightless, *robot.notes, *check_units(request, robot, start))
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)
     announce("perceive scene")

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.robot import BASE_NAMES, RobotModel, read_joint_axis
+from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel, read_joint_axis
 from service.errors import RequestError, would_do
 from service.request.contacts import PostureRequest
 from service.request.schema import StartRequest
@@ -35,11 +35,34 @@ def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Fl
     for name, position in positions.items():
         q[robot.joint_names.index(name)] = position
     if start.base is not None:
-        if not robot.is_floating:
-            raise RequestError("start.base: this robot's base is fixed; leave it out, or give robot.root: floating")
-        q[:3] = start.base.position
-        q[3:6] = _yaw_pitch_roll(start.base.quaternion_wxyz)
+        _place_base(robot, q, start)
     return _snap_to_limits(robot, q, notes)
+
+
+def _place_base(robot: RobotModel, q: Float[np.ndarray, "n"], start: StartRequest) -> None:
+    """Write ``start.base`` into a configuration (RequestError: the base is fixed, or cannot be there)."""
+    if start.base is None:
+        return
+    if not (robot.is_floating or robot.is_planar):
+        raise RequestError(
+            "start.base: this robot's base is fixed; leave it out, or give robot.root: floating, or planar for a URDF"
+        )
+    yaw, pitch, roll = _yaw_pitch_roll(start.base.quaternion_wxyz)
+    x, y, z = start.base.position
+    if robot.is_floating:
+        q[:6] = (x, y, z, yaw, pitch, roll)
+        return
+    given = [name for name in PLANAR_NAMES if name in start.positions_by_joint]
+    if given:
+        raise RequestError(f"start.base: start.joints gives {given[0]} already; leave one of them out")
+    if max(abs(pitch), abs(roll)) > SNAP_TOLERANCE:
+        tilt = math.degrees(max(abs(pitch), abs(roll)))
+        raise RequestError(f"start.base.quaternion_wxyz: {tilt:.1f} deg of tilt; a planar base turns about z only")
+    if abs(z) > SNAP_TOLERANCE:
+        raise RequestError(
+            f"start.base.position: a height of {z:g} m; a planar base stays at 0; place the scene relative to it"
+        )
+    q[: len(PLANAR_NAMES)] = (x, y, yaw)
 
 
 def make_posture(robot: RobotModel, posture: PostureRequest, path: str) -> Float[np.ndarray, "n"]:

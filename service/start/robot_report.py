@@ -26,7 +26,7 @@ def describe_robot(robot: RobotModel) -> dict[str, Any]:
     first = 6 if robot.is_floating else 0
     return {
         "name": robot.name,
-        "base": "floating" if robot.is_floating else "fixed",
+        "base": "floating" if robot.is_floating else "planar" if robot.is_planar else "fixed",
         "mass_kg": float(pin.computeTotalMass(model)),
         "joints": [_describe_joint(robot, column) for column in range(first, robot.n)],
         "followers": _list_followers(robot),

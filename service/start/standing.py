@@ -20,7 +20,6 @@ FEET_GROUP = "feet"
 SOLE_BAND_M = 0.002  # height above a foot's lowest vertex up to which vertices belong to its sole
 FLOOR_KIND = "floor"
 LARGEST_SHIFT_M = 0.03  # uncertainty of a scanned floor's height
-LEAST_MASS_KG = 1e-3
 
 
 def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
@@ -98,14 +97,22 @@ def find_ground_problems(
             yield link, f"{describe_gap(worst, link)}; {most}: move start.base, or leave it out"
 
 
-def check_masses(robot: RobotModel) -> None:
-    """Refuse a floating robot without mass, which cannot balance (RequestError)."""
+def check_masses(robot: RobotModel, *, holds_something: bool) -> tuple[str, ...]:
+    """Return a note where a floating robot has no mass, so that its balance is not checked.
+
+    Raises:
+        RequestError: such a robot is to carry loads or to change its contacts (``holds_something``).
+    """
+    if not robot.is_floating or robot.can_balance:
+        return ()
     mass = float(pin.computeTotalMass(robot.model))
-    if robot.is_floating and not mass >= LEAST_MASS_KG:
+    line = f"the links of {robot.name} have {mass:g} kg in all"
+    if holds_something:
         raise RequestError(
-            f"robot.urdf: the links of {robot.name} have {mass:g} kg in all, and a floating robot keeps its balance "
-            "by their masses; give the links <inertial>, or set robot.root to fixed"
+            f"robot.urdf: {line}, and this task keeps the balance of a floating robot by their masses; give the links "
+            "<inertial>"
         )
+    return (f"{line}: its balance and its torques are not checked; the feet stay where they are",)
 
 
 def place_bodies(

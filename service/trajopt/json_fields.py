@@ -45,7 +45,7 @@ def parse_document(text: str, name: str) -> dict[str, Any]:
         if _measure_depth(data) > MAX_DEPTH:
             raise RecursionError
     except json.JSONDecodeError as error:
-        raise RequestError(f"{name}: line {error.lineno}: no valid JSON: {error.msg}") from None
+        raise RequestError(f"{name}: line {error.lineno}: no valid JSON: {_explain_syntax(error)}") from None
     except RecursionError:
         raise RequestError(f"{name}: nested deeper than {MAX_DEPTH} levels") from None
     except ValueError as error:
@@ -235,6 +235,21 @@ class Fields:
             return True
         self.refuse(path, f"a text is needed, got {shown(value)}")
         return False
+
+
+def _explain_syntax(error: json.JSONDecodeError) -> str:
+    """Return what is wrong at the place of a syntax error, and how to mend what other readers of JSON tolerate."""
+    before, rest = error.doc[: error.pos].rstrip(), error.doc[error.pos :].lstrip()
+    if not rest:
+        return "the text ends before its brackets are closed"
+    if rest.startswith(("//", "/*", "#")):
+        return f"a comment ({shown(rest.splitlines()[0])}); remove it"
+    # Since Python 3.13 the place of a comma too many is the comma.
+    if rest.startswith(","):
+        before, rest = f"{before},", rest[1:].lstrip()
+    if before.endswith(",") and rest.startswith(("}", "]")):
+        return f"a comma before {rest[0]!r}; remove it"
+    return error.msg
 
 
 def _refuse_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

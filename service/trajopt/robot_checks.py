@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from costs.robot import BASE_NAMES, RobotModel
+from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel
 from service.errors import would_do
 from service.trajopt.problem import (
     CartVelTerm,
@@ -20,7 +20,6 @@ from service.trajopt.problem import (
 )
 
 ACTIVE, BASE = "active", "base"
-PLANAR_BASE = ("base_x", "base_y", "base_yaw")
 PATH = "basic_info.manip"
 MAX_PARTS = 100  # each unknown part is compared with all known names
 
@@ -29,7 +28,7 @@ def parse_manip(robot: RobotModel, manip: str) -> tuple[tuple[int, ...], tuple[s
     """Return the coordinates named by ``manip``, in its order, and one line per error.
 
     Parts are joined by ``+``: a group of the SRDF (``leftarm`` also finds ``left_arm``), a joint, ``base`` (x, y and
-    yaw of a free base), or ``active`` (every joint, then the six coordinates of a free base).
+    yaw of a free or planar base), or ``active`` (every joint, then the six coordinates of a free base).
     """
     names: list[str] = []
     problems: list[str] = []
@@ -57,7 +56,7 @@ def _find_joints(robot: RobotModel, part: str) -> tuple[str, ...] | None:
     if part in robot.joint_names:
         return (part,)
     if part == BASE and BASE not in robot.groups:
-        return PLANAR_BASE if robot.is_floating else ()
+        return PLANAR_NAMES if robot.is_floating or robot.is_planar else ()
     if robot.groups.get(part):
         return tuple(robot.groups[part])
     if part == ACTIVE:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from costs.array_cache import ArrayCache, Parts, split_points
 
-VERSION = "1"
+VERSION = "2"
 """To be raised whenever the same files give other hulls or pairs."""
 
 MAX_BYTES = 256 * 2**20

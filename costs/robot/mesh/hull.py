@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import highspy
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import linprog
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csc_array
 from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot.errors import RobotError
@@ -33,6 +33,8 @@ _COUNTS = (32, 40, 48)
 _TARGET_EXCESS = 3e-3
 _RELATIVE_TARGET = 0.02
 _ITERATIONS = 12
+_GAIN = 0.01  # share of the excess; four steps in a row that gain less end the optimisation
+_FEW_GAINS = 4
 _FACE_ROWS = 3
 _EXCESS_ROWS = 6
 
@@ -93,17 +95,19 @@ def _reduce(corners: bytes) -> Float[np.ndarray, "W 3"]:
     planes = ConvexHull(vertices).equations
     points = _choose_inner_points(vertices, target)
     best, best_excess = points, np.inf
-    step = 0.01 * float(np.ptp(vertices, axis=0).max())
+    step, n_idle = 0.01 * float(np.ptp(vertices, axis=0).max()), 0
+    solver = _make_solver()
     for _ in range(_ITERATIONS):
-        points = points + _find_best_move(points, vertices, planes, step)
+        points = points + _find_best_move(solver, points, vertices, planes, step)
         points = points[ConvexHull(points).vertices]
         outer = _scale_around(points, vertices)
         excess = _measure_excess(outer, planes)
+        n_idle = 0 if excess < (1.0 - _GAIN) * best_excess else n_idle + 1
         if excess < best_excess:
             best, best_excess = outer, excess
         else:
             step *= 0.6
-        if best_excess <= target:
+        if best_excess <= target or n_idle == _FEW_GAINS:
             break
     return best
 
@@ -133,7 +137,16 @@ def _choose_tetrahedron(vertices: Float[np.ndarray, "V 3"]) -> list[int]:
     return chosen
 
 
+def _make_solver() -> highspy.Highs:
+    """Return a solver for programmes of some hundred rows, which presolve would only delay."""
+    solver = highspy.Highs()
+    solver.silent()
+    solver.setOptionValue("presolve", "off")
+    return solver
+
+
 def _find_best_move(
+    solver: highspy.Highs,
     points: Float[np.ndarray, "W 3"],
     vertices: Float[np.ndarray, "V 3"],
     planes: Float[np.ndarray, "F 4"],
@@ -158,17 +171,35 @@ def _find_best_move(
     values = np.concatenate([face_values, planes[plane, :3].ravel(), np.full(len(plane), -1.0)])
     limits = np.concatenate([face_limits, -height[point, plane]])
     matrix = coo_array((values, (rows, columns)), shape=(len(limits), n_unknowns)).tocsc()
-    cost = np.zeros(n_unknowns)
-    cost[-1] = 1.0
-    bounds = [(-step, step)] * points.size + [(None, None)]
-    solution = linprog(  # type: ignore[call-overload]  # the stubs know of no sparse rows
-        cost, A_ub=matrix, b_ub=limits, bounds=bounds, method="highs", options={"presolve": False}
-    )
-    if solution.x is None:
+    unknowns = _minimise_last(solver, matrix, limits, step)
+    if unknowns is None:
         # No move of this size gets every face outside: go outwards from the centre and let the scaling do the rest.
         outward = points - vertices.mean(axis=0)
         return np.asarray(step * outward / np.linalg.norm(outward, axis=1, keepdims=True))
-    return np.asarray(solution.x[:-1].reshape(-1, 3))
+    return np.asarray(unknowns[:-1].reshape(-1, 3))
+
+
+def _minimise_last(
+    solver: highspy.Highs, matrix: csc_array, limits: Float[np.ndarray, "m"], step: float
+) -> Float[np.ndarray, "k"] | None:
+    """Minimise the last unknown subject to ``matrix @ x <= limits``; the others stay within ``step`` of 0.
+
+    Return None where there is no solution.
+    """
+    program = highspy.HighsLp()
+    program.num_row_, program.num_col_ = matrix.shape
+    bound = np.append(np.full(matrix.shape[1] - 1, step), highspy.kHighsInf)
+    program.col_cost_ = np.append(np.zeros(matrix.shape[1] - 1), 1.0)
+    program.col_lower_, program.col_upper_ = -bound, bound
+    program.row_lower_, program.row_upper_ = np.full(matrix.shape[0], -highspy.kHighsInf), limits
+    rows = program.a_matrix_
+    rows.format_ = highspy.MatrixFormat.kColwise
+    rows.start_, rows.index_, rows.value_ = matrix.indptr, matrix.indices, matrix.data
+    solver.passModel(program)
+    solver.run()
+    if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        return None
+    return np.array(solver.getSolution().col_value)
 
 
 def _make_face_rows(
@@ -177,11 +208,11 @@ def _make_face_rows(
     """Make rows, columns, values and right-hand sides that keep the highest vertices below every face."""
     hull = ConvexHull(points)
     normals = hull.equations[:, :3]
-    height = vertices @ normals.T + hull.equations[:, 3]
-    highest = np.argpartition(-height, _FACE_ROWS - 1, axis=0)[:_FACE_ROWS]
-    face = np.tile(np.arange(len(normals)), (len(highest), 1)).ravel()
+    height = normals @ vertices.T + hull.equations[:, 3:]
+    highest = np.argpartition(-height, _FACE_ROWS - 1, axis=1)[:, :_FACE_ROWS]
+    face = np.repeat(np.arange(len(normals)), highest.shape[1])
     vertex = highest.ravel()
-    above = height[vertex, face]
+    above = height[face, vertex]
     corners = points[hull.simplices[face]]
     foot = vertices[vertex] - above[:, None] * normals[face]
     weights = _compute_barycentric(foot, corners)

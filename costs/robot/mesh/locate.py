@@ -10,6 +10,7 @@ from costs.robot.errors import RobotError
 from costs.robot.xmlfile import parse_xml, read_xml_text
 
 SCHEMES = ("package", "model")
+FILE = "file"  # an absolute path
 MOST_FOLDERS = 2000  # subfolders of a package folder that are searched for a package.xml
 _PACKAGE_FILE = "package.xml"
 _LEVELS_UP = 5
@@ -20,19 +21,25 @@ def resolve_mesh(uri: str, roots: Sequence[Path], where: str) -> tuple[str, Path
 
     ``package://name/rest`` (or ``model://``) is searched as ``root/name/rest``, as ``root/rest`` where root is itself
     the package, and in the subfolder of a root whose ``package.xml`` has the name; anything else as a path relative to
-    a root. The key is the path a result folder stores the mesh under.
+    a root. An absolute path, also as ``file://``, must lie inside a root. The key is the path a result folder stores
+    the mesh under.
 
     Raises:
-        RobotError: for ``file://`` and other schemes, absolute paths, paths that leave all roots (also through symbolic
-            links) and files that are not there.
+        RobotError: for other schemes, paths that leave all roots (also through symbolic links) and files that are not
+            there.
     """
+    if "$(" in uri or "${" in uri:
+        raise RobotError(f"{where}: mesh '{uri}' is an expression of xacro; expand the file with the command xacro")
     scheme, separator, rest = uri.partition("://")
-    if separator and scheme not in SCHEMES:
+    if separator and scheme not in (*SCHEMES, FILE):
         raise RobotError(f"{where}: mesh '{uri}': {scheme}:// is refused; use package:// or a relative path")
+    separator = "" if scheme == FILE else separator
     # A third slash is common in package:// and means nothing.
-    relative = PurePosixPath(rest.removeprefix("/") if separator else uri)
-    if relative.is_absolute() or "\\" in uri or "\0" in uri:
-        raise RobotError(f"{where}: mesh '{uri}' is not a relative path; use package:// or a relative path")
+    relative = PurePosixPath(rest.removeprefix("/") if separator else rest or uri)
+    if "\\" in uri or "\0" in uri:
+        raise RobotError(f"{where}: mesh '{uri}' has a '\\'; write paths with '/'")
+    if separator and relative.is_absolute():
+        raise RobotError(f"{where}: mesh '{uri}' has an absolute path in {scheme}://; name the package it lies in")
     if separator and ".." in relative.parts:
         raise RobotError(f"{where}: mesh '{uri}': '..' is refused in package://; name the package it lies in")
     real_roots = [root.resolve() for root in roots]
@@ -43,12 +50,17 @@ def resolve_mesh(uri: str, roots: Sequence[Path], where: str) -> tuple[str, Path
         if home is None:
             escaped = True
         elif path.is_file():
-            key = relative.as_posix() if ".." not in relative.parts else path.relative_to(home).as_posix()
+            is_plain = not relative.is_absolute() and ".." not in relative.parts
+            key = relative.as_posix() if is_plain else path.relative_to(home).as_posix()
             return key, path
     folders = ", ".join(str(root) for root in roots) or "none"
     if escaped:
-        raise RobotError(f"{where}: mesh '{uri}' lies outside the package folders ({folders}); add its folder to them")
-    raise RobotError(f"{where}: mesh '{uri}' not found in the package folders ({folders}); add its folder to them")
+        raise RobotError(
+            f"{where}: mesh '{uri}' lies outside the package folders ({folders}); add its folder to package_dirs"
+        )
+    raise RobotError(
+        f"{where}: mesh '{uri}' not found in the package folders ({folders}); add its folder to package_dirs"
+    )
 
 
 def find_package_folders(urdf: Path) -> tuple[Path, ...]:

@@ -111,7 +111,7 @@ def certify(
         _refuse_tasks(request)
         timed = timed and request.options.timed
         request = replace(request, options=replace(request.options, timed=timed))
-        setup = prepare(request, announce, robot, should_stop, checks_start=False)
+        setup = prepare(request, announce, robot, should_stop, checks_start=False, finds_package=True)
         poll()
         timings["prepare"] = time.perf_counter() - started
         announce("read trajectory")
@@ -278,7 +278,7 @@ def _make_motion(points: _Points, setup: PlanSetup, kind: str, *, timed: bool, s
         curve=curve,
         law=make_even_law(s) if timed else None,
         phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
-        waived=list_waived_checks(is_timed=timed, is_balanced=True),
+        waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
     )
 
 

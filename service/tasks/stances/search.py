@@ -155,7 +155,15 @@ def find_stance(
     if request.resume is not None:
         raise RequestError("resume: the robot stands where the motion was interrupted; leave it out")
     monitor = Monitor(limit_s, should_stop, on_progress)
-    setup = prepare(request, lambda step: monitor.report(step, 0.02), robot, monitor.is_over, see, checks_start=False)
+    setup = prepare(
+        request,
+        lambda step: monitor.report(step, 0.02),
+        robot,
+        monitor.is_over,
+        see,
+        checks_start=False,
+        finds_package=True,
+    )
     if not setup.robot.is_floating:
         raise RequestError(
             f"robot: the base of {setup.robot.name} is fixed and plants no feet; expected a robot that stands"

@@ -38,6 +38,7 @@ export class App implements Player {
   readonly movables: Movables;
   readonly marks: Marks;
   readonly goal: Goal;
+  readonly ground: number; // its height
   readonly labels: Labels;
   readonly poses?: Poses;
   readonly help: HTMLElement;
@@ -73,7 +74,7 @@ export class App implements Player {
     });
     document.body.append(this.header.element, viewport);
 
-    const z = floorHeight(result);
+    const z = this.ground = floorHeight(result, motion);
     this.goal = new Goal(result, motion);
     const subject = this.subject(z);
     this.stage = new Stage(viewport, subject);

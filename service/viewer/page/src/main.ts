@@ -98,6 +98,7 @@ function start(): void {
     get duration(): number { return app.end - app.start; },
     plots: app.timeline.plots.map((plot) => plot.lines),
     gaps: app.result.gaps,
+    ground: app.ground,
     get busy(): boolean { return app.stage.isBusy; },
     get frames(): number { return app.stage.frames; },
     get drawCalls(): number { return app.stage.renderer.info.render.calls; },

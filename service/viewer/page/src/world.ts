@@ -43,8 +43,27 @@ void main() {
 
 const isFloor = (piece: NamedHull): boolean => piece.kind === "floor";
 
-// Height of the floor under the robot: under the soles, else the top of the floor pieces, else zero.
-export function floorHeight(result: Result): number {
+const LOOKS = 12; // times at which the robot's lowest point is looked for
+
+// Lowest point of the robot along its motion; 0 without a motion.
+function lowestPoint(result: Result, motion: Motion): number {
+  let lowest = 0;
+  const corner = new Vector3();
+  for (const body of motion.nFrames > 0 ? result.bodies : []) {
+    const link = motion.links.indexOf(body.link);
+    for (let k = 0; k < LOOKS && link >= 0; k++) {
+      const pose = motion.matrix(link, motion.start + (k / (LOOKS - 1)) * (motion.end - motion.start));
+      for (let i = 0; i < body.hull.vertices.length; i += 3) {
+        lowest = Math.min(lowest, corner.fromArray(body.hull.vertices, i).applyMatrix4(pose).z);
+      }
+    }
+  }
+  return lowest;
+}
+
+// Height of the floor under the robot: under the soles, else the top of the floor pieces, else zero, or lower where the
+// robot reaches below: legs that hang from a fixed pelvis are not under the ground.
+export function floorHeight(result: Result, motion: Motion): number {
   const soles = result.phases.flatMap((phase) => phase.contacts ?? []).flatMap((contact) => contact.sole ?? []);
   if (soles.length > 0) return Math.min(...soles.map((corner) => corner[2]));
   const tops = result.pieces.filter(isFloor).map((piece) => {
@@ -52,7 +71,7 @@ export function floorHeight(result: Result): number {
     for (let i = 2; i < piece.hull.vertices.length; i += 3) top = Math.max(top, piece.hull.vertices[i]);
     return top;
   });
-  return tops.length > 0 ? Math.min(...tops) : 0;
+  return tops.length > 0 ? Math.min(...tops) : lowestPoint(result, motion);
 }
 
 // The hull with only the edges of its top face: a slab's thickness is of no interest.
