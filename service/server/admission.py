@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from bisect import bisect_left, insort
 from collections import Counter, deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
@@ -37,22 +38,22 @@ class Durations:
 
     _seconds: dict[str, deque[float]] = field(default_factory=dict)
     _relative: deque[float] = field(default_factory=lambda: deque(maxlen=MEAN_OVER))  # to the mean of their kind
-    _means: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_MEANS))  # of the relative durations
-    _slowness: float = 1.0
+    _means: deque[float] = field(default_factory=deque)  # of the relative durations
+    _sorted_means: list[float] = field(default_factory=list)
 
     def add(self, kind: str, seconds: float) -> None:
         """Add the duration of a finished request."""
         known = self._seconds.setdefault(kind, deque(maxlen=MAX_DURATIONS))
         if len(known) >= MIN_DURATIONS:
             self._relative.append(seconds / max(fmean(known), LEAST_S))
-            self._means.append(fmean(self._relative))
-            self._slowness = min(max(_percentile(self._means, SLOW), 1.0), MAX_SLOWNESS)
+            self._add_mean(fmean(self._relative))
         known.append(seconds)
 
     @property
     def slowness(self) -> float:
         """Relative duration of consecutive requests in a slow period: 1 to ``MAX_SLOWNESS``."""
-        return self._slowness
+        slow = _percentile(self._sorted_means, SLOW) if self._sorted_means else 1.0
+        return min(max(slow, 1.0), MAX_SLOWNESS)
 
     def mean(self, kind: str) -> float:
         """Return the expected duration of the next request [s]."""
@@ -62,12 +63,18 @@ class Durations:
     def quickest(self, kind: str) -> float:
         """Return the ``QUICKEST`` percentile of a kind [s]; 0 with fewer than ``MIN_DURATIONS``."""
         known = self._seconds.get(kind, ())
-        return _percentile(known, QUICKEST) if len(known) >= MIN_DURATIONS else 0.0
+        return _percentile(sorted(known), QUICKEST) if len(known) >= MIN_DURATIONS else 0.0
+
+    def _add_mean(self, mean: float) -> None:
+        self._means.append(mean)
+        insort(self._sorted_means, mean)
+        if len(self._means) > MAX_MEANS:
+            del self._sorted_means[bisect_left(self._sorted_means, self._means.popleft())]
 
 
-def _percentile(values: Collection[float], share: float) -> float:
-    """Return the value that ``share`` percent do not exceed; twenty times faster than numpy for a few hundred."""
-    return sorted(values)[min(int(0.01 * share * len(values)), len(values) - 1)]
+def _percentile(values: Sequence[float], share: float) -> float:
+    """Return the value of a sorted list that ``share`` percent do not exceed."""
+    return values[min(int(0.01 * share * len(values)), len(values) - 1)]
 
 
 @dataclass(frozen=True)
