@@ -183,3 +183,64 @@ def test_a_reservation_that_is_not_used_ends() -> None:
     admission.leave(tickets.pop(), 1.0)
     time.now += 10.0
     assert _serve_for(admission, "greedy")
+
+
+def test_each_refused_call_of_a_client_has_a_place_reserved() -> None:
+    admission = Admission(2, 2, clock=(time := _Time()))
+    tickets = [admission.enter("valve", Place("greedy")) for _ in range(4)]
+    first, second = (_delay_for(admission, "polite") for _ in range(2))
+    assert first < second
+    for _ in range(2):
+        admission.leave(tickets.pop(), 1.0)
+    time.now += second
+    for _ in range(2):
+        assert not _serve_for(admission, "greedy")
+        assert _serve_for(admission, "polite")
+        admission.enter("valve", Place("polite"))
+
+
+def test_a_place_that_is_late_is_kept_for_the_client_whose_turn_it_is() -> None:
+    admission = Admission(1, 1, clock=(time := _Time()))
+    tickets = [admission.enter("valve", Place("greedy")) for _ in range(2)]
+    delay, delay_of_other = _delay_for(admission, "polite"), _delay_for(admission, "newcomer")
+    while time.now < delay_of_other:  # nothing ends
+        time.now += delay
+        delay = _delay_for(admission, "polite")
+    admission.leave(tickets.pop(), 1.0)
+    assert not _serve_for(admission, "newcomer")
+    time.now += delay
+    assert _serve_for(admission, "polite")
+
+
+def test_a_second_reservation_waits_for_the_first_of_others() -> None:
+    admission = Admission(4, 4, clock=_Time())
+    for _ in range(8):
+        admission.enter("valve", Place("other"))
+    greedy = [_delay_for(admission, "greedy") for _ in range(2)]
+    polite = _delay_for(admission, "polite")
+    assert greedy[0] < greedy[1]
+    assert polite == pytest.approx(greedy[1])  # which was told before there was a polite client
+    admission.leave(1, 1.0)
+    admission.leave(2, 1.0)
+    assert not _serve_for(admission, "newcomer")  # the places of the first two
+
+
+def test_batch_requests_leave_places_to_interactive_ones() -> None:
+    admission = Admission(2, 6, clock=_Time())
+    n_batch = 0
+    while _is_free(admission, Place("night", Lane.BATCH)):
+        admission.enter("valve", Place("night", Lane.BATCH))
+        n_batch += 1
+    assert n_batch == 6
+    for _ in range(2):
+        assert _serve_for(admission, "operator")
+        admission.enter("valve", Place("operator"))
+    assert admission.is_full()
+
+
+def _is_free(admission: Admission, place: Place) -> bool:
+    try:
+        admission.check("valve", None, place)
+    except Refusal:
+        return False
+    return True

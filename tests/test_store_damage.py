@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import shutil
 import sqlite3
 import tarfile
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from service.server.plan_files import _open_members
 from service.store import (
     CloudStore,
     DamagedError,
@@ -30,10 +32,10 @@ HASHES = ("p" * 64, "c" * 64)
 PAGE_SHA = hashlib.sha256(PAGE).hexdigest()
 
 
-def _make_archive() -> bytes:
+def _make_archive(page: bytes = PAGE) -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
-        for name, data in {"result.json": b"{}" * 300, "viewer.html": PAGE}.items():
+        for name, data in {"result.json": b"{}" * 300, "viewer.html": page}.items():
             member = tarfile.TarInfo(name)
             member.size = len(data)
             archive.addfile(member, io.BytesIO(data))
@@ -161,6 +163,59 @@ def test_a_changed_page_is_neither_served_nor_approved(tmp_path: Path) -> None:
         for use in (lambda: store.plans.open_archive(plan_id), lambda: _add_review(store, plan_id)):
             with pytest.raises(DamagedError, match="its files are damaged on this server's disk; plan it again"):
                 use()
+
+
+def _put_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def _put_endless(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("/dev/zero")
+
+
+def _put_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def _put_link(path: Path) -> None:
+    """Move the file, which stays as it was, behind a link."""
+    path.rename(path.with_name("elsewhere"))
+    path.symlink_to("elsewhere")
+
+
+@pytest.mark.parametrize(
+    "replace", [_put_pipe, _put_endless, _put_folder, _put_link, Path.unlink, lambda path: os.truncate(path, 2**40)]
+)
+def test_what_has_taken_an_archives_place_is_neither_waited_for_nor_read_without_end(
+    tmp_path: Path, replace: Callable[[Path], object]
+) -> None:
+    with Store(tmp_path) as store:
+        plan_id = _finish(store, "r1")
+        replace(tmp_path / "archives" / plan_id)
+        for use in (lambda: store.plans.open_archive(plan_id), lambda: _add_review(store, plan_id)):
+            with pytest.raises(DamagedError, match=f"plan {plan_id}: its files .* on this server's disk"):
+                use()
+
+
+def test_an_archive_that_changes_while_it_is_read_is_refused_at_its_end(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        plan_id = store.plans.begin("ann", "r1", "a" * 64, "goal").plan_id
+        content = _make_archive(PAGE * 100)
+        store.plans.finish(plan_id, "CERTIFIED", b"reply", *HASHES, content, PAGE_SHA)
+        path = tmp_path / "archives" / plan_id
+        with store.plans.open_archive(plan_id) as file:
+            assert file.read(100) == content[:100]
+            file.finish()
+        files = _open_members(store, plan_id)
+        assert next(files)[0] == "result.json"
+        with path.open("r+b") as other:
+            other.seek(150_000)
+            other.write(b"?")
+        with pytest.raises(DamagedError, match="its files are damaged"):
+            list(files)
 
 
 def test_a_damaged_scene_is_removed_and_can_be_built_again(tmp_path: Path) -> None:

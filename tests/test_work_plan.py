@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from perception import Cloud, Perceived, memory, perceive
-from service.proto.planner.v1.planner_pb2 import PlanProgress
+from service.proto.planner.v1.planner_pb2 import PlanProgress, PlanResponse
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, MotionResult
 from service.request.file import parse_request
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
@@ -34,7 +34,7 @@ class _Control:
         return NOW
 
     def report(self, event: bytes) -> None:
-        self.told.append(PlanProgress.FromString(event))
+        self.told.append(PlanResponse.FromString(event).progress)
 
 
 def test_progress_tells_iterations_with_merit_penalty_and_violations() -> None:

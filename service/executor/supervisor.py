@@ -18,6 +18,7 @@ from typing import Any, Generic, TypeVar
 from service.executor.job import LOG, ExecutorError, JobRecord, Lane, StopReason, WorkerDied
 from service.executor.job_queue import JobQueue
 
+CHECK_LATER_S = 0.01  # after a job's end, if nothing waits for its worker
 FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0  # after a failed start, twice as long after each in a row
 _HOPELESS = 3  # failures in a row
 
@@ -308,7 +309,10 @@ class Supervisor(ABC, Generic[W]):
             record.set_returned(payload)
         elif record is not None:
             record.set_raised(payload)
-        self._loop.call_soon(self._check)
+        if self._queue.n_queued or self._is_closing:
+            self._loop.call_soon(self._check)
+        else:  # this thread must not delay the one that waits for the result
+            self._loop.call_later(CHECK_LATER_S, self._check)
 
     def _kill_overdue(self, worker: W) -> None:
         """Kill the worker of a job that was asked to stop and did not."""

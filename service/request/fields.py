@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sized
 from dataclasses import fields
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, JsonValue, StrictStr, model_validator
@@ -139,7 +140,7 @@ class Section:
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
         if isinstance(data, dict):
-            known = [f.name for f in fields(cls) if f.name != "folder"]  # type: ignore[arg-type]
+            known = _keys_of(cls)  # type: ignore[arg-type]  # a class can be hashed
             for key in data:
                 if key not in known:
                     raise PydanticCustomError(
@@ -148,6 +149,11 @@ class Section:
                         {"key": shown(key), "known": would_do(key, known)},
                     )
         return data
+
+
+@cache
+def _keys_of(section: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(section) if field.name != "folder")
 
 
 def find_repeated(names: Iterable[str]) -> list[str]:

@@ -111,7 +111,8 @@ def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
     Raises:
         RequestError: one line per problem.
     """
-    return dataclasses.replace(parse_section(PlanRequest, data), folder=Path(folder))
+    request, path = parse_section(PlanRequest, data), Path(folder)
+    return request if request.folder == path else dataclasses.replace(request, folder=path)  # which checks it again
 
 
 def parse_section(kind: type[T], data: object) -> T:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import time
+from bisect import bisect_left, insort
 from collections import Counter, deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
 import grpc
 
-from service.executor import NOBODY, Place
+from service.executor import NOBODY, Lane, Place
 from service.server.refusals import refuse_overload
 from service.trust.rpc import Refusal
 
@@ -37,22 +38,22 @@ class Durations:
 
     _seconds: dict[str, deque[float]] = field(default_factory=dict)
     _relative: deque[float] = field(default_factory=lambda: deque(maxlen=MEAN_OVER))  # to the mean of their kind
-    _means: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_MEANS))  # of the relative durations
-    _slowness: float = 1.0
+    _means: deque[float] = field(default_factory=deque)  # of the relative durations
+    _sorted_means: list[float] = field(default_factory=list)
 
     def add(self, kind: str, seconds: float) -> None:
         """Add the duration of a finished request."""
         known = self._seconds.setdefault(kind, deque(maxlen=MAX_DURATIONS))
         if len(known) >= MIN_DURATIONS:
             self._relative.append(seconds / max(fmean(known), LEAST_S))
-            self._means.append(fmean(self._relative))
-            self._slowness = min(max(_percentile(self._means, SLOW), 1.0), MAX_SLOWNESS)
+            self._add_mean(fmean(self._relative))
         known.append(seconds)
 
     @property
     def slowness(self) -> float:
         """Relative duration of consecutive requests in a slow period: 1 to ``MAX_SLOWNESS``."""
-        return self._slowness
+        slow = _percentile(self._sorted_means, SLOW) if self._sorted_means else 1.0
+        return min(max(slow, 1.0), MAX_SLOWNESS)
 
     def mean(self, kind: str) -> float:
         """Return the expected duration of the next request [s]."""
@@ -62,12 +63,18 @@ class Durations:
     def quickest(self, kind: str) -> float:
         """Return the ``QUICKEST`` percentile of a kind [s]; 0 with fewer than ``MIN_DURATIONS``."""
         known = self._seconds.get(kind, ())
-        return _percentile(known, QUICKEST) if len(known) >= MIN_DURATIONS else 0.0
+        return _percentile(sorted(known), QUICKEST) if len(known) >= MIN_DURATIONS else 0.0
+
+    def _add_mean(self, mean: float) -> None:
+        self._means.append(mean)
+        insort(self._sorted_means, mean)
+        if len(self._means) > MAX_MEANS:
+            del self._sorted_means[bisect_left(self._sorted_means, self._means.popleft())]
 
 
-def _percentile(values: Collection[float], share: float) -> float:
-    """Return the value that ``share`` percent do not exceed; twenty times faster than numpy for a few hundred."""
-    return sorted(values)[min(int(0.01 * share * len(values)), len(values) - 1)]
+def _percentile(values: Sequence[float], share: float) -> float:
+    """Return the value of a sorted list that ``share`` percent do not exceed."""
+    return values[min(int(0.01 * share * len(values)), len(values) - 1)]
 
 
 @dataclass(frozen=True)
@@ -83,10 +90,12 @@ class _Reservation:
     """A place in the queue that is kept for a refused client which comes back in time.
 
     Attributes:
+        place: whose it is.
         due: from when on [s].
         until: to when [s].
     """
 
+    place: Place
     due: float
     until: float
 
@@ -97,8 +106,9 @@ class Admission:
 
     A waiting request shall begin within the time that ``queue_limit`` usual requests take, also in a slow period: the
     more durations vary, the fewer requests may wait. Clients share the places; one that is alone may use all of them,
-    and the last quarter is for those below their share. A refused client is told when to come back, and a place is
-    reserved for it then.
+    and the last quarter is for those below their share. Batch requests leave a quarter to interactive ones. A refused
+    client is told when to come back, and a place is reserved for it then: one for each refused request up to its share
+    of the places. Reservations are served in turns, the first of each client before the second of any.
 
     Attributes:
         workers: number of requests that run at a time.
@@ -112,7 +122,7 @@ class Admission:
     durations: Durations = field(default_factory=Durations)
     clock: Callable[[], float] = time.monotonic
     _open: dict[int, _Request] = field(default_factory=dict)  # by ticket
-    _reserved: dict[str, _Reservation] = field(default_factory=dict)  # by client, in order of their refusals
+    _reserved: list[_Reservation] = field(default_factory=list)  # in order of the refusals
     _last_seen: dict[str, float] = field(default_factory=dict)  # by client, when it last had an open request
     _tickets: int = 0
 
@@ -158,17 +168,16 @@ class Admission:
             Refusal: RESOURCE_EXHAUSTED with a delay, or DEADLINE_EXCEEDED.
         """
         self._drop_expired()
-        client = place.owner
+        client, n_places = place.owner, self._n_places
         n_own = sum(request.place.owner == client for request in self._open.values())
-        n_clients = len({client, *self._reserved, *self._last_seen, *(r.place.owner for r in self._open.values())})
-        share = math.ceil(self._n_places / n_clients)
-        reservation = self._reserved.get(client)
-        is_due = reservation is not None and self.clock() >= reservation.due - EARLY_S
-        others = self._reserved.keys() - {client}
-        n_held = 0 if is_due else min(len(others), max(1, self._n_places // 2))
-        if self._n_free - n_held < 1:
-            raise self._refuse(client, is_due)
-        if n_clients > 1 and n_own >= share and self._n_free - n_held <= self._n_places // 4:
+        reserved = {reservation.place.owner for reservation in self._reserved}
+        n_clients = len({client, *reserved, *self._last_seen, *(r.place.owner for r in self._open.values())})
+        share = math.ceil(n_places / n_clients)
+        due = self._find_due(client)
+        n_held = min(self._n_ahead(client, due), max(1, n_places // 2))
+        if self._n_free - n_held < 1 or self._is_full_for(place.lane):
+            raise self._refuse(place, due, max(share - n_own, 1))
+        if n_clients > 1 and n_own >= share and self._n_free - n_held <= n_places // 4:
             delay = self._place_every_s * n_clients
             raise refuse_overload(
                 f"{n_own} requests of this client run or wait, which is its share beside {n_clients - 1} other "
@@ -188,7 +197,8 @@ class Admission:
         """Add a request, which uses its client's reservation; returns the ticket for ``leave``."""
         self._tickets += 1
         self._open[self._tickets] = _Request(kind, place)
-        self._reserved.pop(place.owner, None)
+        used = self._find_due(place.owner) or next((r for r in self._reserved if r.place.owner == place.owner), None)
+        self._reserved = [reservation for reservation in self._reserved if reservation is not used]
         return self._tickets
 
     def leave(self, ticket: int, seconds: float | None) -> None:
@@ -212,16 +222,54 @@ class Admission:
         requests = list(self._open.values())[: self.workers]
         return fmean([self.durations.mean(request.kind) for request in requests] or [FIRST_GUESS_S]) / self.workers
 
-    def _refuse(self, client: str, is_due: bool) -> Refusal:
-        """Make the refusal of a full queue, and reserve a place for the client."""
+    def _find_due(self, client: str) -> _Reservation | None:
+        """Return the client's first reservation whose time has come."""
+        now = self.clock() + EARLY_S
+        return next((r for r in self._reserved if r.place.owner == client and r.due <= now), None)
+
+    def _n_ahead(self, client: str, own: _Reservation | None) -> int:
+        """Return how many reservations of others go before one of a client, None for one that it would get now."""
+        turns = Counter[str]()
+        before: list[int] = []  # turns of the others' reservations
+        after: list[int] = []
+        turn: int | None = None
+        for reservation in self._reserved:
+            owner = reservation.place.owner
+            turns[owner] += 1
+            if reservation is own:
+                turn = turns[client]
+            elif owner != client and not self._is_full_for(reservation.place.lane):
+                (before if turn is None else after).append(turns[owner])
+        turn = turns[client] + 1 if turn is None else turn
+        return sum(other <= turn for other in before) + sum(other < turn for other in after)
+
+    def _is_full_for(self, lane: Lane) -> bool:
+        """Whether requests of a lane have all places that they may have."""
+        if lane is not Lane.BATCH:
+            return False  # they may have all
+        n_batch = sum(request.place.lane is Lane.BATCH for request in self._open.values())
+        return n_batch >= self._n_places - self._n_places // 4
+
+    def _refuse(self, place: Place, due: _Reservation | None, most: int) -> Refusal:
+        """Make the refusal of a full queue; the client gets a reservation, or its ``due`` one a later time.
+
+        Args:
+            place: whose request is refused.
+            due: its client's reservation that could not be used.
+            most: greatest number of its reservations.
+        """
         now = self.clock()
-        reservation = self._reserved.get(client)
-        if reservation is None or is_due:
-            n_ahead = list(self._reserved).index(client) if is_due else len(self._reserved)
+        own = [reservation for reservation in self._reserved if reservation.place.owner == place.owner]
+        if due is None and own and (len(own) >= most or len(self._reserved) >= MAX_RESERVATIONS):
+            reservation = own[-1]
+        else:
+            n_ahead = self._n_ahead(place.owner, due) + (len(own) if due is None else own.index(due))
             delay = max((n_ahead + 0.5) * self._place_every_s, SHORTEST_DELAY_S)
-            reservation = _Reservation(now + delay, now + 2.0 * delay + RESERVED_S)
-            if len(self._reserved) < MAX_RESERVATIONS or is_due:
-                self._reserved[client] = reservation  # keeps its position if it had one
+            reservation = _Reservation(place, now + delay, now + 2.0 * delay + RESERVED_S)
+            if due is not None:  # keeps its turn
+                self._reserved = [reservation if other is due else other for other in self._reserved]
+            elif len(self._reserved) < MAX_RESERVATIONS:
+                self._reserved.append(reservation)
         delay = max(reservation.due - now, SHORTEST_DELAY_S)
         load = f"requests running: {self.running}, waiting: {self.queued}"
         work = self.expected_wait_s()
@@ -231,7 +279,7 @@ class Admission:
 
     def _drop_expired(self) -> None:
         now = self.clock()
-        self._reserved = {client: place for client, place in self._reserved.items() if place.until > now}
+        self._reserved = [reservation for reservation in self._reserved if reservation.until > now]
         self._last_seen = {client: then for client, then in self._last_seen.items() if now - then < REMEMBERED_S}
 
 

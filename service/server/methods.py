@@ -36,7 +36,7 @@ class Servicer:
     clouds: CloudHandlers
     queries: QueryHandlers
 
-    def Plan(self, message: wire.PlanRequest, context: Context) -> AsyncIterator[wire.PlanResponse]:
+    def Plan(self, message: wire.PlanRequest, context: Context) -> AsyncIterator[wire.PlanResponse | bytes]:
         return self.plan.plan(message, context)
 
     async def UploadCloud(
@@ -109,8 +109,8 @@ def _make_reader(kind: type[Message]) -> Callable[[bytes], Message | UnreadableM
     return read
 
 
-def _serialize(message: Message) -> bytes:
-    return message.SerializeToString()
+def _serialize(message: Message | bytes) -> bytes:
+    return message if isinstance(message, bytes) else message.SerializeToString()
 
 
 async def _check(request: Message | UnreadableMessage, context: Context) -> Message:
@@ -172,8 +172,8 @@ def _take_stream(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Cal
     return call
 
 
-def _stream_responses(behaviour: Callable[[Any, Context], AsyncIterator[Message]]) -> Callable[[Any, Context], Any]:
-    async def call(request: Any, context: Context) -> AsyncIterator[Message]:
+def _stream_responses(behaviour: Callable[[Any, Context], AsyncIterator[Any]]) -> Callable[[Any, Context], Any]:
+    async def call(request: Any, context: Context) -> AsyncIterator[Message | bytes]:
         try:
             async for message in behaviour(await _check(request, context), context):
                 yield message

@@ -6,7 +6,7 @@ import asyncio
 import tarfile
 from collections.abc import AsyncIterator, Iterator
 from functools import partial
-from typing import IO
+from typing import IO, cast
 
 from service.proto.planner.v1.result_pb2 import FileChunk
 from service.store import Store
@@ -60,9 +60,16 @@ def _split(store: Store, plan_id: str) -> Iterator[FileChunk]:
 
 
 def _open_members(store: Store, plan_id: str) -> Iterator[tuple[str, int, IO[bytes]]]:
-    """Yield path, size and content of each file; the content is read before the next."""
-    with store.plans.open_archive(plan_id) as file, tarfile.open(fileobj=file, mode="r:") as archive:
-        for member in archive:
-            content = archive.extractfile(member)
-            if content is not None:
-                yield member.name, member.size, content
+    """Yield path, size and content of each file; the content is read before the next.
+
+    Raises:
+        NotStoredError: the plan has no files.
+        DamagedError: its files are not what was stored, or have changed since they were opened.
+    """
+    with store.plans.open_archive(plan_id) as file:
+        with tarfile.open(fileobj=cast(IO[bytes], file), mode="r|") as archive:
+            for member in archive:
+                content = archive.extractfile(member)
+                if content is not None:
+                    yield member.name, member.size, content
+        file.finish()

@@ -17,7 +17,6 @@ from service.executor import Lane, Place
 from service.proto.planner.v1.planner_pb2 import (
     PRIORITY_BATCH,
     PlanAccepted,
-    PlanFinished,
     PlanRequest,
     PlanResponse,
     Priority,
@@ -39,7 +38,7 @@ from service.store import PlanRecord, PlanState, Store
 from service.telemetry import bind
 from service.trust import current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
-from service.wire.results import add_request_hash
+from service.wire.results import add_request_hash, encode_finished
 from service.work.plan import PlanAnswer, PlanTask, Refused, run_plan
 
 _LOG = structlog.get_logger("scopt.server")
@@ -76,8 +75,8 @@ class PlanHandler:
         self._tasks: set[asyncio.Task[None]] = set()
         self.running = RunningPlans()
 
-    async def plan(self, message: PlanRequest, context: Context) -> AsyncIterator[PlanResponse]:
-        """Yield the progress of a plan, its result and its files.
+    async def plan(self, message: PlanRequest, context: Context) -> AsyncIterator[PlanResponse | bytes]:
+        """Yield the progress of a plan, its result and its files; some responses are serialized already.
 
         Raises:
             Refusal: the request was not accepted, or has no result.
@@ -91,7 +90,7 @@ class PlanHandler:
         if plan is None:
             accepted.is_known = True
             yield PlanResponse(accepted=accepted)
-            yield PlanResponse(finished=PlanFinished(plan_id=record.plan_id, result=parse_result(record)))
+            yield encode_finished(record.plan_id, record.reply)
         else:
             with plan.watch(deadline) as is_first:
                 accepted.is_known = not is_first
@@ -224,7 +223,7 @@ class PlanHandler:
             accepted.make_task(deadline),
             deadline=None,
             budget_s=accepted.request.options.time_limit_s,
-            on_event=plan.report_progress,
+            on_event=plan.report,
             is_typical=_is_typical,
             place=accepted.place,
             is_accepted=is_accepted,
@@ -257,9 +256,7 @@ class PlanHandler:
                 raise Refusal(grpc.StatusCode.CANCELLED, "stopped before there was a plan")
             reply = add_request_hash(answer.reply, accepted.sha256)
             await self._store_answer(plan.plan_id, answer, reply)
-            finished = PlanFinished(plan_id=plan.plan_id)
-            finished.result.MergeFromString(reply)
-            plan.end(finished)
+            plan.end(encode_finished(plan.plan_id, reply))
         except Exception as error:
             self._give_up(plan, error)
             return

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanProgress, PlanQueued, PlanResponse
+from service.proto.planner.v1.planner_pb2 import PlanQueued, PlanResponse
 from service.server.jobs import JobHandle, JobRunner
 from service.trust.rpc import Refusal
 
@@ -17,7 +17,7 @@ class RunningPlan:
     """One plan from its acceptance to its end.
 
     A watcher gets the newest state, not every state: a slow reader misses steps and delays nobody. The plan is stopped
-    when the last watcher leaves before the end.
+    when the last watcher leaves before the end. States are serialized ``PlanResponse``s, which the server passes on.
 
     Args:
         jobs: runner of its jobs.
@@ -30,13 +30,13 @@ class RunningPlan:
         self.plan_id = ""
         self._jobs = jobs
         self._handle: JobHandle[Any] | None = None
-        self._latest: PlanResponse | None = None
+        self._latest = b""
         self._version = 0
         self._changed = asyncio.Event()
         self._deadlines: list[float] = []  # of the watchers
         self._was_watched = self._is_stopping = False
         self._left = asyncio.Event()  # no watcher is there
-        self._end: PlanFinished | Refusal | None = None
+        self._end: bytes | Refusal | None = None
         self._end_callbacks: list[Callable[[], object]] = [jobs.add_listener(self._report_position)]
 
     @property
@@ -56,11 +56,13 @@ class RunningPlan:
             handle.cancel()
         self._report_position()
 
-    def report_progress(self, event: bytes) -> None:
-        """Pass a worker's event on, a serialized ``PlanProgress``."""
-        self._report(PlanResponse(progress=PlanProgress.FromString(event)))
+    def report(self, response: bytes) -> None:
+        """Set the newest state."""
+        self._latest = response
+        self._version += 1
+        self._wake()
 
-    def end(self, end: PlanFinished | Refusal) -> None:
+    def end(self, end: bytes | Refusal) -> None:
         """End the plan with its result, or with a refusal if there is none."""
         self._end = end
         self.discard()
@@ -99,7 +101,7 @@ class RunningPlan:
                 if self._handle is not None:
                     self._handle.cancel()
 
-    async def events(self) -> AsyncIterator[PlanResponse]:
+    async def events(self) -> AsyncIterator[bytes]:
         """Yield the states from now on, up to the end.
 
         Raises:
@@ -107,14 +109,14 @@ class RunningPlan:
         """
         seen = 0
         while self._end is None:
-            if self._version > seen and self._latest is not None:
+            if self._version > seen:
                 seen = self._version
                 yield self._latest
             else:
                 await self._changed.wait()
         if isinstance(self._end, Refusal):
             raise self._end
-        yield PlanResponse(finished=self._end)
+        yield self._end
 
     def add_end_callback(self, callback: Callable[[], object]) -> None:
         """Call ``callback`` at the end, before the watchers learn of it."""
@@ -138,12 +140,8 @@ class RunningPlan:
         position = None if self._handle is None else self._jobs.queue_position(self._handle)
         if position is not None:
             wait = self._jobs.admission.wait_at(position)
-            self._report(PlanResponse(queued=PlanQueued(place=position, expected_wait_s=wait)))
-
-    def _report(self, response: PlanResponse) -> None:
-        self._latest = response
-        self._version += 1
-        self._wake()
+            queued = PlanQueued(place=position, expected_wait_s=wait)
+            self.report(PlanResponse(queued=queued).SerializeToString())
 
     def _wake(self) -> None:
         # All current waiters hold this event; later waiters get the new one.

@@ -8,14 +8,15 @@ import tarfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from service.errors import shown
+from service.store.archive import PlanArchive
 from service.store.database import UNREADABLE_ROW, Database, seal_plan
 from service.store.errors import DamagedError, NotStoredError, ReviewRefusedError, TooLargeError
 from service.store.folder import LockedFolder
 from service.store.records import PlanRecord, PlanState, StoreLimits
-from service.store.seals import CHUNK_BYTES, SEAL, compute_seal, hash_bytes, hash_chunks, hash_file
+from service.store.seals import SEAL, compute_seal, hash_bytes, hash_file
 
 PAGE_NAME = "viewer.html"  # member of an archive
 MAX_RESUMED = 2  # restarts after which a plan is begun again; it may be the one that ends the server
@@ -170,7 +171,7 @@ class Plans:
         if _read(db, plan.plan_id) != plan:
             raise ReviewRefusedError("the plan was reviewed by somebody else meanwhile; review it again")
 
-    def open_archive(self, plan_id: str) -> BinaryIO:
+    def open_archive(self, plan_id: str) -> PlanArchive:
         """Open the archive of a plan; it stays readable if the plan is deleted meanwhile.
 
         Raises:
@@ -183,13 +184,12 @@ class Plans:
         """Check the archive of a plan, if it has one.
 
         Raises:
-            NotStoredError: it cannot be read.
             DamagedError: it is not what was stored.
         """
         if plan.archive_bytes:
             self._open_archive(plan).close()
 
-    def _open_archive(self, plan: PlanRecord) -> BinaryIO:
+    def _open_archive(self, plan: PlanRecord) -> PlanArchive:
         plan_id = plan.plan_id
         if plan.state is not PlanState.FINISHED:
             raise NotStoredError(f"plan {plan_id} has not finished; there are no files yet")
@@ -199,17 +199,12 @@ class Plans:
                 "(with_files; out= of the Python client)"
             )
         try:
-            file = (self._archives.path / plan_id).open("rb")
+            return PlanArchive(self._archives.path / plan_id, plan.archive_bytes, plan.archive_sha256)
         except OSError as error:
-            raise NotStoredError(f"plan {plan_id}: its archive cannot be read ({error.strerror})") from None
-        try:
-            if hash_chunks(iter(lambda: file.read(CHUNK_BYTES), b"")) != plan.archive_sha256:
-                raise DamagedError(f"plan {plan_id}: its files are damaged on this server's disk; plan it again")
-            file.seek(0)
-        except BaseException:
-            file.close()
-            raise
-        return file
+            self.get(plan_id)  # it may have been deleted meanwhile
+            raise DamagedError(
+                f"plan {plan_id}: its files cannot be read on this server's disk ({error.strerror}); plan it again"
+            ) from None
 
     def _list_resumable(self, db: sqlite3.Connection) -> Iterator[PlanRecord]:
         """Yield the open plans that are begun again; the others become lost."""
@@ -233,6 +228,8 @@ class Plans:
             ids = db.execute("SELECT plan_id FROM plans WHERE archive_bytes > 0 AND archive_sha256 = ''").fetchall()
             for (plan_id,) in ids:
                 path = self._archives.path / plan_id
+                if not path.is_file():
+                    continue  # reported when it is read
                 try:
                     hashes = hash_file(path), _hash_page(path)
                 except (OSError, tarfile.TarError):

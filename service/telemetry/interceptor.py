@@ -52,21 +52,13 @@ class TelemetryInterceptor(Interceptor):
             # The status is known only now: the handler may return before it learns that the client has gone.
             context.add_done_callback(ended)  # type: ignore[arg-type]
             try:
-                async with _hide_errors(method, context):
-                    yield
+                yield
+            except grpc.aio.BaseError:  # an abort, or misuse of gRPC, which it reports itself
+                raise
+            except Exception as error:
+                await refuse(context, log_incident(error, method=method))
             finally:
                 bound = contextvars.copy_context()
-
-
-@asynccontextmanager
-async def _hide_errors(method: str, context: Context) -> AsyncIterator[None]:
-    """Turn an unexpected exception into INTERNAL without its text."""
-    try:
-        yield
-    except grpc.aio.BaseError:  # an abort, or misuse of gRPC, which it reports itself
-        raise
-    except Exception as error:
-        await refuse(context, log_incident(error, method=method))
 
 
 def _log(method: str, context: Context, code: grpc.StatusCode, seconds: float) -> None:

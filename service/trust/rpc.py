@@ -8,6 +8,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, aclosing
+from functools import cached_property, partial
 from typing import Any, NoReturn, TypeAlias
 
 import grpc
@@ -80,15 +81,24 @@ def deadline_of(context: Context) -> float | None:
 class Interceptor(grpc.aio.ServerInterceptor, ABC):  # type: ignore[type-arg]
     """Base of interceptors: ``wrap_call`` surrounds every call of a known method."""
 
+    @cached_property
+    def _handlers(self) -> dict[str, Handler]:
+        """Wrapped handlers by method: those of the methods of the server, which stay the same."""
+        return {}
+
     async def intercept_service(
         self,
         continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Handler]],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Handler:
         """Return the method's handler with ``wrap_call`` around each of its calls."""
-        handler = await continuation(handler_call_details)
         method = handler_call_details.method
-        return _wrap_handler(handler, lambda context: self.wrap_call(method, context)) if handler else handler
+        if method not in self._handlers:
+            handler = await continuation(handler_call_details)
+            if not handler:  # None for an unknown method
+                return handler
+            self._handlers[method] = _wrap_handler(handler, partial(self.wrap_call, method))
+        return self._handlers[method]
 
     @abstractmethod
     def wrap_call(self, method: str, context: Context) -> AbstractAsyncContextManager[None]:

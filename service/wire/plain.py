@@ -97,6 +97,7 @@ def _value_of_struct(value: Value) -> Any:
             return None
 
 
+@cache
 def _prefix(enum: EnumDescriptor) -> str:
     """Return the prefix of an enum's values: ``FREE_AXIS_`` for ``FreeAxis``."""
     words = "".join(f"_{letter}" if letter.isupper() else letter for letter in enum.name)

@@ -11,6 +11,7 @@ from google.protobuf.message import Message
 from jaxtyping import Float
 
 from service.json_data import to_json_data
+from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanResponse
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
 from service.proto.planner.v1.result_pb2 import Check, MotionResult, Trajectory
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
@@ -58,6 +59,12 @@ def add_request_hash(reply: bytes, sha256: str) -> bytes:
     return reply + MotionResult(request_sha256=sha256).SerializeToString()  # of a repeated field the last one counts
 
 
+def encode_finished(plan_id: str, reply: bytes) -> bytes:
+    """Return a serialized ``PlanResponse`` with the end of a plan; the reply, a ``MotionResult``, is not parsed."""
+    finished = PlanFinished(plan_id=plan_id).SerializeToString() + _encode_part(PlanFinished, "result", reply)
+    return _encode_part(PlanResponse, "finished", finished)
+
+
 def encode_verdict(name: str) -> VerdictMessage:
     """Return the wire's number of a verdict."""
     return cast(VerdictMessage, VerdictMessage.Value(f"VERDICT_{name}"))
@@ -102,8 +109,13 @@ def _fill_trajectory(message: Trajectory, result: PlanResult, motion: Motion) ->
 def _set_numbers(message: Message, name: str, values: Float[np.ndarray, "..."]) -> None:
     """Append to a field of doubles by its encoding, ten times as fast as number by number."""
     data = np.ascontiguousarray(values, dtype="<f8").tobytes()
-    number = message.DESCRIPTOR.fields_by_name[name].number
-    message.MergeFromString(_encode_varint(number << 3 | 2) + _encode_varint(len(data)) + data)
+    message.MergeFromString(_encode_part(type(message), name, data))
+
+
+def _encode_part(kind: type[Message], name: str, data: bytes) -> bytes:
+    """Return the encoding of a field whose content is preceded by its length: a message or packed numbers."""
+    number = kind.DESCRIPTOR.fields_by_name[name].number
+    return _encode_varint(number << 3 | 2) + _encode_varint(len(data)) + data
 
 
 def _encode_varint(value: int) -> bytes:

@@ -1,4 +1,4 @@
-"""Planning in a worker: progress and answer are serialized messages of the wire."""
+"""Planning in a worker: progress and answer are serialized messages of the wire, which the server passes on."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from service.errors import RequestError
 from service.executor import Control
 from service.executor.job import JobCancelled
 from service.planner import plan
-from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress
+from service.proto.planner.v1.planner_pb2 import Iteration, PlanProgress, PlanResponse
 from service.request.schema import PlanRequest
 from service.result.folder import VIEWER_NAME
 from service.result.output import write_result
@@ -120,7 +120,7 @@ def stops_with(control: Control) -> Iterator[None]:
 
 
 def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
-    """Plan a request; reports serialized ``PlanProgress``."""
+    """Plan a request; reports serialized ``PlanResponse``s with its progress."""
     request = task.request
     damaged = find_damaged_uploads(task.files)
     if damaged:
@@ -191,7 +191,7 @@ class _ProgressReporter:
     def report_step(self, name: str, fraction: float) -> None:
         """Report the begin of a step."""
         self._step, self._fraction = name, max(fraction, self._fraction)
-        self._control.report(PlanProgress(step=name, fraction=self._fraction).SerializeToString())
+        self._send(PlanProgress(step=name, fraction=self._fraction))
 
     def report_iteration(self, step: str, names: tuple[str, ...], trial: Trial, x: Float[np.ndarray, "T n"]) -> None:
         """Report a trial step of the optimiser."""
@@ -210,8 +210,10 @@ class _ProgressReporter:
         if self._with_waypoints:
             iteration.joint_names.extend(names)
             iteration.waypoints.extend(x.ravel())
-        progress = PlanProgress(step=step, fraction=self._fraction, iteration=iteration)
-        self._control.report(progress.SerializeToString())
+        self._send(PlanProgress(step=step, fraction=self._fraction, iteration=iteration))
+
+    def _send(self, progress: PlanProgress) -> None:
+        self._control.report(PlanResponse(progress=progress).SerializeToString())
 
 
 def _limit_time(request: PlanRequest, left: float, with_files: bool = False) -> PlanRequest:

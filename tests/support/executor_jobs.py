@@ -137,6 +137,18 @@ def stuck_in_native_code(control: Control) -> None:
     ctypes.PyDLL(None).sleep(600)
 
 
+def mark_and_never_poll(folder: Path) -> None:
+    append_mark(folder, "run")
+    while True:
+        time.sleep(0.01)
+
+
+def mark_and_keep_the_lock(folder: Path) -> None:
+    """Hold the interpreter's lock in a call that does not return."""
+    append_mark(folder, "run")
+    ctypes.PyDLL(None).sleep(600)
+
+
 def keep_the_lock_once(folder: Path) -> int:
     """Wait without end in native code that keeps the interpreter's lock, if this is the first attempt."""
     append_mark(folder, "run")
