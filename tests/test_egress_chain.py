@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from egress_car import car, phases, solver, stages, task
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from tiny_robots import PLANAR, chain
 
@@ -135,6 +136,24 @@ def test_the_shipped_phases_link_from_the_seat_to_standing_with_room_for_errors_
     for stance, pose in zip(found.stances, found.poses, strict=True):
         for contact in stance.contacts:
             assert np.abs(place_points(robot, pose.q, contact) - contact.points).max() <= 1e-4
+    on_feet = [(name, pose) for name, pose in named if is_on_feet_alone(robot, pose)]
+    assert len(on_feet) == 6
+    for name, pose in on_feet:
+        assert measure_balance(robot, pose) > 0.02, name
+
+
+def is_on_feet_alone(robot, pose):
+    feet = {robot.model.frames[robot.model.getFrameId(foot)].parentJoint for foot in robot.link_groups["feet"]}
+    return {int(joint) for joint in pose.points.places.joint} <= feet
+
+
+def measure_balance(robot, pose):
+    """How far the centre of mass is inside the hull of the contact points [m]."""
+    corners = pose.places[ConvexHull(pose.places[:, :2]).vertices, :2]
+    edges = np.roll(corners, -1, axis=0) - corners
+    off = pin.centerOfMass(robot.model, robot.model.createData(), pose.q)[:2] - corners
+    across = edges[:, 0] * off[:, 1] - edges[:, 1] * off[:, 0]
+    return float((across / np.linalg.norm(edges, axis=1)).min())
 
 
 def test_poses_of_drawn_places_make_a_sequence():

@@ -96,3 +96,30 @@ def test_the_margin_of_the_capture_point_is_measured_before_the_feet_are_alone(r
     assert moved.margin_m < still.margin_m - 0.02
     assert run(make_feet(reference, list_phases(reference, True, True)), sight, 0.01).margin_m is None
     assert run(feet, see(reference), 0.01).margin_m is None
+
+
+def test_the_body_moves_against_its_error_before_the_feet_are_alone(reference):
+    phases = list_phases(reference, True, False)
+    v = np.array([-0.05, 0.02, 0.0])  # of the base: the capture point is behind the plan's and left of it
+    state = run(make_feet(reference, phases), see(reference, v=v), 0.2)
+    assert state.landings["l_foot"].stage is Stage.BALANCING
+    np.testing.assert_allclose(state.trim[:2], -0.2 * SETTINGS.trim_gain * state.balance.error, rtol=0.02)
+    assert state.trim[0] > 0.001 > -0.0003 > state.trim[1]
+    assert state.trim[2] == 0.0
+    far = run(make_feet(reference, phases), see(reference, v=10.0 * v), 2.0)
+    assert np.linalg.norm(far.trim) == pytest.approx(SETTINGS.trim_m)
+
+
+def test_the_body_keeps_to_the_plan_where_no_contact_leaves_the_feet_alone(reference):
+    for held in ((False, False), (True, True), (True,)):
+        state = run(make_feet(reference, list_phases(reference, *held)), see(reference, v=(-0.05, 0.0, 0.0)), 0.2)
+        np.testing.assert_array_equal(state.trim, 0.0)
+
+
+def test_the_body_goes_back_to_the_plan_slowly_once_the_feet_are_alone(reference):
+    feet = make_feet(reference, list_phases(reference, True, False))
+    sight = see(reference, v=(-0.05, 0.0, 0.0))
+    state = before = run(feet, sight, 0.2)
+    for _ in range(1000):
+        state = feet.step(state, replace(sight, phase=1))
+    np.testing.assert_allclose(state.trim, np.exp(-1.0 / SETTINGS.trim_fade_s) * before.trim, rtol=1e-3)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot.poses import matrix_rpy
@@ -15,10 +14,11 @@ from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
 from service.execution.estimator import PelvisEstimate, PelvisEstimator, SensorNoise
-from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
+from service.execution.filters import PidGains
 from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
 from service.execution.guards import Finding, Guards, GuardSettings, Severity
+from service.execution.hand_correction import HandCorrection
 from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
 from service.execution.pose_control import BODY, Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
@@ -32,7 +32,6 @@ from service.verify.polygons import describe_inside
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
 HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
-HAND_CUTOFF_HZ = 3.0  # of the low-pass filter of the hands' measured errors
 CONTINUE_TOLERANCE = 0.02  # between the last command and the start of another plan [rad, m]
 
 
@@ -175,15 +174,13 @@ class Execution:
         tools = sorted({load.tool for phase in reference.phases for load in phase.loads}) if self._has_forces else []
         self._meter = ForceMeter(robot, driver.joint_names, tools, driver.period_s)
         self._forces = None
-        self._hands = tuple(robot.link_groups.get("hands", ())) if self._has_forces else ()
-        if settings.hand_gains is None or self._yielding.arms:
-            self._hands = ()  # a hand that is moved near what the arms hold on to presses the robot off it
-        self._corrections = {hand: PidState.zero((3,)) for hand in self._hands}
-        self._corrected = {hand: np.zeros(3) for hand in self._hands}
-        self._hand_errors: dict[str, np.ndarray] = {}
-        self._hand_share = find_share(HAND_CUTOFF_HZ, HAND_CYCLES * driver.period_s)
+        # A hand that is moved near what the arms hold on to presses the robot off it.
+        is_free = self._has_forces and settings.hand_gains is not None and not self._yielding.arms
+        hands = robot.link_groups.get("hands", ()) if is_free else ()
+        gains = settings.hand_gains or PidGains(kp=0.0)
+        self._hands = HandCorrection(robot, hands, gains, HAND_CYCLES * driver.period_s)
+        self._hand_states = self._hands.start()
         self._estimator = None
-        self._data = robot.model.createData()
         if self._has_forces:
             self._estimator = PelvisEstimator(robot, driver.joint_names, driver.period_s, settings.noise)
             if self._estimate is None:
@@ -277,7 +274,7 @@ class Execution:
         self._step_yielding()
         self._n_cycles += 1
         if self._n_cycles % HAND_CYCLES == 0:
-            self._correct_hands(phase, reading, wanted, HAND_CYCLES * period)
+            self._step_hands(phase, reading, wanted)
         control = time.perf_counter()
         self.command = self.controller.step(
             self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
@@ -406,37 +403,21 @@ class Execution:
             q[:3], q[3:6] = self._estimate.position, matrix_rpy(self._estimate.rotation)[::-1]
         return q
 
-    def _place(self, q: Float[np.ndarray, "n"]) -> None:
-        pin.framesForwardKinematics(self.reference.robot.model, self._data, q)
-
-    def _correct_hands(
-        self, phase: ReferencePhase, reading: RobotReading, wanted: ReferenceState, period_s: float
-    ) -> None:
-        """Advance the corrections of hands that are measured elsewhere than the plan has them."""
-        gains = self.settings.hand_gains
-        if not self._hands or gains is None or self._estimate is None or phase.loads:
+    def _step_hands(self, phase: ReferencePhase, reading: RobotReading, wanted: ReferenceState) -> None:
+        """Advance the corrections of the hands, unless they press on a mechanism."""
+        if not self._hand_states or self._estimate is None or phase.loads:
             return
-        model, landing = self.reference.robot.model, self._list_landing()
-        self._place(wanted.configuration)
-        places = {hand: self._data.oMf[model.getFrameId(hand)].translation.copy() for hand in self._hands}
-        self._place(self._read_configuration(reading, wanted))
-        for hand in self._hands:
-            if holds_arm(model, hand, (*phase.contacts, *landing)):
-                continue  # it would press on what it holds
-            shift = self._shifts.get(hand)
-            target = places[hand] if shift is None else places[hand] + shift.offset
-            error = target - self._data.oMf[model.getFrameId(hand)].translation
-            error = low_pass(self._hand_errors.get(hand), error, self._hand_share)
-            self._hand_errors[hand] = error
-            output, state = step_pid(gains, self._corrections[hand], error, period_s)
-            self._corrections[hand], self._corrected[hand] = state, output
+        model, touched = self.reference.robot.model, (*phase.contacts, *self._list_landing())
+        held = [hand for hand in self._hands.hands if holds_arm(model, hand, touched)]
+        measured = self._read_configuration(reading, wanted)
+        self._hand_states = self._hands.step(self._hand_states, wanted.configuration, measured, self._shifts, held)
 
     def list_shifts(self) -> Mapping[str, Shift]:
         """Return the displacements of all targets: the operator's, of corrected hands, and of feet on the ground."""
         shifts = dict(self._shifts)
-        for hand, correction in self._corrected.items():
+        for hand, corrected in self._hand_states.items():
             own = shifts.get(hand, Shift.zero())
-            shifts[hand] = Shift(own.offset + correction, own.speed, own.goal)
+            shifts[hand] = Shift(own.offset + corrected.offset, own.speed, own.goal)
         body = self._pressed if self._feet_state is None else self._pressed + self._feet_state.trim
         if body.any():
             shifts[BODY] = Shift(body, np.zeros(3), body)

@@ -55,8 +55,8 @@ class BalanceSettings:
         if not (self.gain > 1.0 and least >= 0.0 and self.trim_fade_s > 0.0):
             raise ExecutionError(
                 f"balance: gain {self.gain:g}, edge_m {self.edge_m:g}, trim_gain {self.trim_gain:g}, trim_m "
-                f"{self.trim_m:g}, trim_fade_s {self.trim_fade_s:g}, least_m {self.least_m:g}; expected a gain above 1, a "
-                "positive time, and 0 or more"
+                f"{self.trim_m:g}, trim_fade_s {self.trim_fade_s:g}, least_m {self.least_m:g}; expected a gain above "
+                "1, a positive time, and 0 or more"
             )
 
 

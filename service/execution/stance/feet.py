@@ -156,9 +156,7 @@ class Feet:
         leave = now - {contact.link for contact in feet} - ankles
         return feet if leave and {contact.link for contact in feet} <= ankles & now else ()
 
-    def _find_margin(
-        self, phase: ReferencePhase, remaining: Sequence[PlantedContact], sight: Sight
-    ) -> float | None:
+    def _find_margin(self, phase: ReferencePhase, remaining: Sequence[PlantedContact], sight: Sight) -> float | None:
         """Return the margin of the capture point at the end of a phase after which feet are alone [m]."""
         if self._control is None or not remaining or sight.time_s < phase.end_s - RELEASE_S:
             return None

@@ -309,8 +309,8 @@ def _keep_reserve(
 ) -> list[Cost[LoadedState]]:
     """Return a cost of forces of feet near the edges of friction and caps, where nothing but feet carries the robot.
 
-    A robot that sags in its servos, or whose surfaces are a little elsewhere, then does not tip: both feet are loaded at
-    all of their points.  With hands or trunk in contact it is held anyway.
+    All points of both feet are then loaded, so that a robot that sags in its servos, or whose surfaces are a little
+    elsewhere, does not tip.  Hands or trunk in contact hold it anyway.
     """
     if not {contact.link for contact in contacts} <= set(robot.link_groups.get(FEET_GROUP, ())):
         return []
