@@ -1,11 +1,12 @@
 """Certified plans carried out in physics: how many robots stand, how far they slip and sag, and why the others fall.
 
 ``python -m benchmarks.physics [--reaches N] [--valves N] [--doors N] [--examples NAME ...] [--seed S] [--long]
-[--feed-forward K] [--noise K] [--each] [--out FILE]``
+[--feed-forward K] [--noise K] [--track MS] [--only TEXT] [--each] [--out FILE]``
 
 The examples are the files of ``examples/requests``; reaches are those of ``benchmarks.whole_body`` among 60 boxes,
 valves and doors those of ``benchmarks.tasks`` from the place that ``scopt stance`` finds.  ``--long`` plans 160
-reaches, 24 valves and 16 doors.
+reaches, 24 valves and 16 doors.  ``--track MS`` also carries every plan out with online pose control every MS
+milliseconds, guards included.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ import json
 import statistics
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -27,14 +29,19 @@ from benchmarks.task_cases import Case, make_doors, make_valves
 from benchmarks.tasks import stand
 from costs.robot import RobotModel, load_robot
 from service.errors import ServiceError
+from service.execution.execution import Execution
+from service.execution.reference import PlannedReference
+from service.execution.tracking import track
 from service.planner import plan
 from service.request.file import load_request, parse_request, request_hash
 from service.request.schema import PlanRequest
 from service.result.result import Verdict
 from service.simulation.options import SimulationOptions
-from service.simulation.report import make_report
+from service.simulation.report import ABORT_AFTER_S, make_report
 from service.simulation.run import execute_motion
+from service.simulation.stand import stand_in_physics
 from service.tasks.stances.search import find_stance
+from service.verify import Motion
 
 REQUESTS = Path(__file__).parent.parent / "examples" / "requests"
 SLOW = ("egress",)  # plans for minutes
@@ -43,7 +50,8 @@ N_REACHES, N_VALVES, N_DOORS = 12, 4, 2
 LONG_REACHES, LONG_VALVES, LONG_DOORS = 160, 24, 16
 PLAN_LIMIT_S, STANCE_LIMIT_S, OPEN_DEG = 60.0, 30.0, 45.0
 HEADER = (
-    "plans", "certified", "stood", "slip [mm]", "hand [mm]", "margin [mm]", "turned", "x real time",
+    "plans", "certified", "stood", "slip [mm]", "hand [mm]", "margin [mm]", "turned", "force/abort", "above", "tracked",
+    "x real time",
 )  # fmt: skip
 
 
@@ -58,6 +66,9 @@ class Run:
         slip_m, hand_m: farthest that a foot slipped and a hand was from its place.
         planned_margin_m, margin_m: balance margin on level soles, planned and in physics; None elsewhere.
         share: least share of a mechanism's travel, or None.
+        force_share: largest force of a hand on a mechanism relative to its abort threshold, or None.
+        exceeded_s: longest time above that threshold.
+        tracked: verdict of the plan carried out with online pose control, and the reason of an abort; empty: not done.
         times_real_time: of the simulation, by processor time.
         notes: of the simulation.
     """
@@ -71,6 +82,9 @@ class Run:
     planned_margin_m: float | None = None
     margin_m: float | None = None
     share: float | None = None
+    force_share: float | None = None
+    exceeded_s: float = 0.0
+    tracked: str = ""
     times_real_time: float = 0.0
     notes: tuple[str, ...] = ()
 
@@ -80,8 +94,15 @@ class Run:
         return self.verdict in ("STOOD", "FELL")
 
 
-def run_plan(group: str, name: str, request: PlanRequest, robot: RobotModel | None, options: SimulationOptions) -> Run:
-    """Plan one request and carry it out."""
+def run_plan(
+    group: str,
+    name: str,
+    request: PlanRequest,
+    robot: RobotModel | None,
+    options: SimulationOptions,
+    track_ms: int = 0,
+) -> Run:
+    """Plan one request and carry it out; with online pose control too unless ``track_ms`` is 0."""
     try:
         result = plan(request, robot=robot)
         if result.verdict is not Verdict.CERTIFIED or result.motion is None:
@@ -89,9 +110,11 @@ def run_plan(group: str, name: str, request: PlanRequest, robot: RobotModel | No
         made = make_report(
             execute_motion(result.motion, result.request, result.verdict.value, request_hash(result.request), options)
         )
+        tracked = follow_plan(result.motion, result.request, options, track_ms) if track_ms else ""
     except ServiceError as error:
         return Run(group, name, "ERROR", str(error).splitlines()[0])
     shares = [joint["share"] for joint in made["mechanism"]]
+    loads = [load for phase in made["phases"] for load in phase["loads"]]
     return Run(
         group=group,
         name=name,
@@ -102,22 +125,34 @@ def run_plan(group: str, name: str, request: PlanRequest, robot: RobotModel | No
         planned_margin_m=made["balance"]["planned_margin_m"],
         margin_m=made["balance"]["margin_m"],
         share=min(shares) if shares else None,
+        force_share=max((load["peak_n"] / load["abort_n"] for load in loads), default=None),
+        exceeded_s=max((load["exceeded_s"] for load in loads), default=0.0),
+        tracked=tracked,
         times_real_time=made["times_real_time"],
         notes=tuple(made["notes"]),
     )
 
 
-def list_plans(arguments: argparse.Namespace, robot: RobotModel) -> Iterator[tuple[str, str, PlanRequest]]:
-    """Yield group, name and request of every plan."""
+def follow_plan(motion: Motion, request: PlanRequest, options: SimulationOptions, period_ms: int) -> str:
+    """Carry out a motion with online pose control in physics; return the verdict and the reason of an abort."""
+    reference = PlannedReference(motion)
+    report = track(Execution(reference, stand_in_physics(reference, request, options, period_ms)))
+    return f"{report.verdict} {report.reason}".strip()
+
+
+def list_plans(
+    arguments: argparse.Namespace, robot: RobotModel
+) -> Iterator[tuple[str, str, Callable[[], PlanRequest]]]:
+    """Yield group and name of every plan, and what makes its request."""
     for path in sorted(REQUESTS.glob("*.yaml")):
         if path.stem in arguments.examples or (not arguments.examples and path.stem not in SLOW):
-            yield "examples", path.stem, load_request(path)
+            yield "examples", path.stem, partial(load_request, path)
     for scene in islice(crowded_scenes(robot, BOXES, is_pose=False, seed=arguments.seed), arguments.reaches):
-        yield "reaches", scene.name, scene.request
+        yield "reaches", scene.name, partial(copy.copy, scene.request)
     for case in make_valves(arguments.valves, arguments.seed):
-        yield "valves", case.name, _place(case)
+        yield "valves", case.name, partial(_place, case)
     for case in make_doors(arguments.doors, arguments.seed, OPEN_DEG):
-        yield "doors", case.name, _place(case)
+        yield "doors", case.name, partial(_place, case)
 
 
 def _place(case: Case) -> PlanRequest:
@@ -134,7 +169,7 @@ def summary(group: str, runs: Sequence[Run]) -> tuple[str, ...]:
     stood = [run for run in done if run.verdict == "STOOD"]
     cells = [group, str(len(runs)), str(len(done)), f"{len(stood)}/{len(done)}"]
     if not stood:
-        return (*cells, "-", "-", "-", "-", "-")
+        return (*cells, "-", "-", "-", "-", "-", "-", "-", "-")
     for key in ("slip_m", "hand_m"):
         values = [1e3 * getattr(run, key) for run in stood]
         cells.append(f"{statistics.median(values):.1f} ({max(values):.1f})")
@@ -142,6 +177,11 @@ def summary(group: str, runs: Sequence[Run]) -> tuple[str, ...]:
     shares = [100.0 * run.share for run in stood if run.share is not None]
     cells.append(f"{statistics.median(margins):.0f} ({min(margins):.0f})" if margins else "-")
     cells.append(f"{statistics.median(shares):.0f} % ({min(shares):.0f} %)" if shares else "-")
+    forces = [run.force_share for run in stood if run.force_share is not None]
+    cells.append(f"{statistics.median(forces):.2f} ({max(forces):.2f})" if forces else "-")
+    cells.append(str(sum(run.exceeded_s > ABORT_AFTER_S for run in stood)) if forces else "-")
+    followed = [run for run in done if run.tracked]
+    cells.append(f"{sum(run.tracked == 'TRACKED' for run in followed)}/{len(followed)}" if followed else "-")
     return (*cells, f"{statistics.median(run.times_real_time for run in done):.1f}")
 
 
@@ -156,6 +196,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--long", action="store_true", help="200 plans")
     parser.add_argument("--feed-forward", type=float, default=1.0)
     parser.add_argument("--noise", type=float, default=0.0)
+    parser.add_argument("--track", type=int, default=0, metavar="MS", help="with online pose control too")
+    parser.add_argument("--only", default="", help="plans whose name contains this")
     parser.add_argument("--each", action="store_true", help="print a line per plan")
     parser.add_argument("--out", type=Path, help="file for all runs as JSON")
     given = parser.parse_args(arguments)
@@ -168,11 +210,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = SimulationOptions(feed_forward=given.feed_forward, noise=given.noise, seed=given.seed)
     runs: list[Run] = []
     began = time.perf_counter()
-    for group, name, request in list_plans(given, robot):
-        runs.append(run_plan(group, name, request, robot if group == "reaches" else None, options))
+    for group, name, make_request in list_plans(given, robot):
+        if given.only not in name:
+            continue
+        request = make_request()
+        own = robot if group == "reaches" else None
+        runs.append(run_plan(group, name, request, own, options, given.track))
         if given.each:
             run = runs[-1]
-            print(f"{run.verdict:<10} {group:<9} {name}  {run.cause or '; '.join(run.notes)}", flush=True)
+            words = "; ".join(part for part in (run.cause, *run.notes, run.tracked) if part)
+            print(f"{run.verdict:<10} {group:<9} {name}  {words}", flush=True)
     groups: dict[str, list[Run]] = defaultdict(list)
     for run in runs:
         groups[run.group].append(run)

@@ -7,13 +7,14 @@ import pytest
 
 from service.errors import ExecutionError
 from service.execution.guards import Guards, GuardSettings, Severity
-from service.execution.reference import LoadLimits, ReferencePhase
+from service.execution.hands.load_limits import LoadLimits
+from service.execution.reference import ReferencePhase
 from service.verify import PlantedContact
 
 PERIOD = 1e-2
 SOLE = np.array([[-0.1, -0.05, 0.0], [0.1, -0.05, 0.0], [0.1, 0.05, 0.0], [-0.1, 0.05, 0.0]])
 FOOT = {link: PlantedContact(link, np.eye(4), SOLE, force_cap_n=500.0) for link in ("l_foot", "r_foot")}
-LOAD = LoadLimits("l_tool", "wheel", 40.0, 200.0)
+LOAD = LoadLimits("l_tool", ("wheel",), 40.0, 200.0)
 SWING = ReferencePhase("swing", 0.0, 1.0, (FOOT["l_foot"],), ())
 STAND = ReferencePhase("stand", 1.0, 2.0, (FOOT["l_foot"], FOOT["r_foot"]), ())
 TURN = replace(STAND, name="turn", loads=(LOAD,))

@@ -25,6 +25,7 @@ from service.result.output import write_result
 from service.result.result import Verdict
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
+from service.simulation.report import find_longest_stretch
 from service.simulation.resistance import MechanismPhysics, read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.simulation.run import execute_folder
@@ -162,7 +163,9 @@ def test_a_valve_turns_as_far_as_planned_and_stays_when_the_hand_is_away(tmp_pat
     assert abs(wheel["end"]) >= 0.95 * abs(wheel["planned"])
     (load,) = (load for phase in made["phases"] for load in phase["loads"])
     assert load["expected_n"] < load["abort_n"] < load["cap_n"]
-    assert 0.5 * load["expected_n"] < load["peak_n"]
+    # The plan knows the friction of the peg: without it the hand is drawn to the hub and presses 1.25 times as hard.
+    assert 0.95 * load["expected_n"] < load["peak_n"] < 1.1 * load["expected_n"]
+    assert (load["exceeded_s"], load["is_exceeded"]) == (0.0, False)
     check_folder(folder)  # a later plan may replace the folder, simulation.json included
     # Without the hand the wheel's friction holds it.
     assert result.motion is not None
@@ -173,6 +176,13 @@ def test_a_valve_turns_as_far_as_planned_and_stays_when_the_hand_is_away(tmp_pat
     for _ in range(300):
         robot.command(JointCommand(state.q, np.zeros_like(state.q), state.tau))
     assert abs(robot.mechanism["valve_turn"]) < 1e-3
+
+
+def test_the_longest_time_above_a_threshold_is_that_without_interruption() -> None:
+    times = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    over = np.array([True, True, False, True, True, True, False])
+    assert find_longest_stretch(times, over) == pytest.approx(0.2)
+    assert find_longest_stretch(times, ~over) == 0.0
 
 
 def test_the_driver_reads_what_sensors_would(reached: Path) -> None:

@@ -105,7 +105,7 @@ def _list_rows(phase: Mapping[str, Any]) -> list[tuple[str, ...]]:
     rows = []
     for load in phase["loads"]:
         forces = (f"{load[key]:.0f} N" for key in ("peak_n", "expected_n", "abort_n"))
-        rows.append((*head, *forces, f"{load['tool']} on {load['link']}"))
+        rows.append((*head, *forces, f"{load['tool']} on {', '.join(load['links'])}"))
         head = ("", "", "", "")
     return rows
 

@@ -20,6 +20,7 @@ from service.verify import HandLoad
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
 LARGEST_OPENING = np.deg2rad(170.0)
+LEAF_ACCELERATION = 1.0  # slow enough for the mass of a leaf to add little to what opens it [rad/s^2]
 STOP_ROUNDING = 1e-3  # by which a joint may pass its stop at 0 [rad, m]
 LEVER_STOP = np.deg2rad(60.0)
 BEYOND_RELEASE = np.deg2rad(5.0)  # by which the lever is turned further than it needs
@@ -29,12 +30,12 @@ LEAST_GRIP = 0.1  # of a lever from its spindle: 20 N for 2 N m [m]
 GRIP_FROM_END = 0.02  # [m]
 LINE_OUT, LINE_UP = 0.09, 0.04  # of the lines that lead to a handle and away from it [m]
 TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
-HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(25.0), np.deg2rad(20.0)
+HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(20.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
 PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
 ABOVE_LEVER = 3e-3  # of the hand's front, which leans [m]
 PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg leans [m]
-PEG_ACROSS = np.deg2rad(40.0)  # between the peg behind a pull handle and the leaf
+PEG_ACROSS = np.deg2rad(30.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
 TORQUE_SHARE = 0.9  # of the joints before the hand; the rest is for the motion [-]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
@@ -101,6 +102,7 @@ class Door:
                 lower=-STOP_ROUNDING,
                 upper=LARGEST_OPENING,
                 start=max(geometry.ajar, 0.0),  # seen with noise
+                acceleration=LEAF_ACCELERATION,
             )
         ]
         if handle is None or HANDLE_LINK not in bodies:
@@ -216,7 +218,7 @@ def _open_at_handle(
             )
         )
     count = max(int(np.ceil((choice.first - start[0]) / OPEN_STEP)) + 1, 3)
-    loads = (*held.open_loads(on_leaf), *(held.press_loads() if presses else ()))
+    loads = held.open_loads(on_leaf, presses=presses)
     phases.append(
         PhaseSpec(
             "open", pressed, opened, on_leaf, held.touches, loads,
@@ -301,6 +303,7 @@ class HandleHold:
         offset: (3,) from which a line leads to the handle [m].
         tilt: largest lean of the hand from ``axis`` [rad].
         touches: pairs that may touch.
+        lean: largest angle between the leaf and a peg behind a bar, which draws the hand along the leaf [rad].
     """
 
     door: Door
@@ -311,6 +314,7 @@ class HandleHold:
     offset: Float[np.ndarray, "3"]
     tilt: float
     touches: tuple[Allowance, ...]
+    lean: float = 0.0
 
     def at_rest(self, start: Float[np.ndarray, "k"]) -> HandMotion:
         """Return the hold that moves with the handle; with the leaf where the handle has no joint of its own."""
@@ -337,13 +341,25 @@ class HandleHold:
         moves = np.cross(door.spindle_axis, self.contact) / arm
         return (HandLoad(self.tool, HANDLE_LINK, self.contact, door.lever_nm / arm * moves),)
 
-    def open_loads(self, on_leaf: HandMotion) -> tuple[HandLoad, ...]:
-        """Return what moves the leaf."""
+    def open_loads(self, on_leaf: HandMotion, *, presses: bool) -> tuple[HandLoad, ...]:
+        """Return what moves the leaf, and keeps the handle where it releases if ``presses``.
+
+        What presses a bar pushes the leaf as well: the larger force does both.
+        """
         door, place = self.door, on_leaf.place
         flat = place - (place @ UP) * UP
         arm = float(np.linalg.norm(flat))
         moves = np.cross(door.geometry.hinge_axis, flat) / arm
-        return (HandLoad(self.tool, LEAF_LINK, place, door.hinge_nm / arm * moves),)
+        force = door.hinge_nm / arm
+        if presses and door.has_push_bar:
+            return (HandLoad(self.tool, LEAF_LINK, place, max(force, door.push_bar_n) * moves),)
+        load = HandLoad(self.tool, LEAF_LINK, place, force * moves)
+        if not self.lean:
+            return (load, *(self.press_loads() if presses else ()))
+        # A bar presses square to a peg that leans: what turns the leaf is only a part of the force.
+        along = np.cross(moves, door.geometry.hinge_axis)
+        along = along * np.sign(along @ self.axis)
+        return (load, HandLoad(self.tool, LEAF_LINK, place, force * np.tan(self.lean) * along))
 
     def _motion(self, link: str, place: Float[np.ndarray, "3"]) -> HandMotion:
         return HandMotion(
@@ -389,7 +405,8 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
         behind = -np.cos(PEG_ACROSS) * normal - np.sin(PEG_ACROSS) * towards
         place = at_grip + peg * behind
         hooked = (_allow(hand.hook, LEAF_LINK, "bar"),)
-        return HandleHold(door, hand.peg, place, place, axis, -LINE_OUT * axis, float(PULL_TILT), hooked)
+        lean = float(PEG_ACROSS + PULL_TILT)
+        return HandleHold(door, hand.peg, place, place, axis, -LINE_OUT * axis, float(PULL_TILT), hooked, lean)
     touches: tuple[Allowance, ...] = (
         _allow(hand.hook, HANDLE_LINK, "lever"),
         _allow(hand.link, HANDLE_LINK, "lever"),

@@ -10,8 +10,8 @@ import numpy as np
 
 from costs.allowance import Allowance, BodyRef
 from service.demands.grip import make_finger_targets, make_grip_allowances, place_grip
-from service.demands.hands import Hand
-from service.demands.peg import make_peg_allowances, place_peg
+from service.demands.hands import HOLD_FRICTION, Hand
+from service.demands.peg import PegPlace, make_peg_allowances, place_peg
 from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.demands.wheel import Mode, Wheel, wrap_angle
 from service.request.names import VALVE_LINK
@@ -28,7 +28,7 @@ PEG_TOLERANCE = 1e-3  # largest distance of the peg's middle from its place in t
 GRIP_TOLERANCE = 1.5e-3  # the same of a gripper [m]
 FINGER_WAYPOINTS = 4  # of a phase in which fingers open or close
 PEG_RESERVE = 5e-4  # of the peg's allowances, for the curve between the waypoints [m]
-TORQUE_SHARE = 0.87  # of the joints before the hand; the rest is for the motion [-]
+TORQUE_SHARE = 0.8  # of the joints before the hand; the rest is for the motion [-]
 THROUGH = 1.0  # depth with which a pair does not count [m]
 AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
 TURN_STEP = np.deg2rad(20.0)  # between waypoints
@@ -180,7 +180,7 @@ def _make_peg_stroke(
     touches = make_peg_allowances(wheel, hand, held)
     line = find_hold(wheel, choice, "hook", stroke.sense)
     motion = replace(line, offset=None)
-    load = HandLoad(hand.peg, VALVE_LINK, held.place, stroke.torque_nm / held.arm * held.push)
+    loads = list_peg_loads(wheel, hand, held, stroke.torque_nm)
     return (
         PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
         PhaseSpec(
@@ -188,7 +188,7 @@ def _make_peg_stroke(
         ),
         PhaseSpec(
             f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step=POSE_AT_WHEEL,
-            n_waypoints=count_waypoints(stroke), loads=(load,), also=(make_circle(wheel, motion),),
+            n_waypoints=count_waypoints(stroke), loads=loads, also=(make_circle(wheel, motion),),
             guess_touches=(Allowance(BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), THROUGH),),
             torque_share=TORQUE_SHARE,
             depth_reserve_m=PEG_RESERVE,
@@ -198,6 +198,22 @@ def _make_peg_stroke(
             depth_reserve_m=PEG_RESERVE,
         ),
     )  # fmt: skip
+
+
+def list_peg_loads(wheel: Wheel, hand: Hand, held: PegPlace, torque_nm: float) -> tuple[HandLoad, ...]:
+    """Return what a peg exerts on a wheel that it turns: its pressure, and the friction beside it.
+
+    The hand does not turn with the wheel, so that the peg's side slides on the spoke, by its radius times the angle.
+    What touches moves outwards on the wheel whatever the sense of the turn; so does the friction on it, and the hand is
+    drawn towards the hub.  The pressure is at the peg's side, and the friction acts along the spoke's face: where the
+    peg's own middle is beyond that face, friction takes some of the torque.
+    """
+    against = HOLD_FRICTION * hand.peg_radius if held.spoke is None else 0.0
+    pressure = torque_nm / (held.arm - against)
+    out = np.cross(held.push, np.cross(held.place, held.push))
+    out = out - (out @ wheel.axis) * wheel.axis
+    friction = HOLD_FRICTION * pressure / np.linalg.norm(out) * out
+    return tuple(HandLoad(hand.peg, VALVE_LINK, held.place, force) for force in (pressure * held.push, friction))
 
 
 def _make_grip_stroke(

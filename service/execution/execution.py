@@ -19,6 +19,7 @@ from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
 from service.execution.guards import Finding, Guards, GuardSettings, Severity
 from service.execution.hand_correction import HandCorrection
+from service.execution.hands.relief import HandRelief, ReliefSettings
 from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
 from service.execution.pose_control import BODY, Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
@@ -29,6 +30,7 @@ from service.execution.stance.touchdown import TouchdownSettings
 from service.execution.yielding import ArmYield, Yielding, YieldSettings, bound_forces, holds_arm, press_trunk
 from service.verify import PlantedContact
 from service.verify.polygons import describe_inside
+from service.verify.timeline import list_phases
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
 HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
@@ -48,6 +50,7 @@ class ExecutionSettings:
         shifts: how fast operator's displacements of targets come.
         hand_gains: PID control that corrects where the hands are measured to be [m per m]; None for none.  It rests
             while hands press on a mechanism, and in plans that plant arms.
+        relief: of hands that press on a mechanism; None to hold them as stiff as the servos are.
         load_gain: speed at which both feet, while they alone are planted, move up and down against each other per
             newton by which they share the weight otherwise than planned; 0 for none [m/(N s)].
         yielding: of arms in contact; None to hold them as stiff as the servos are.
@@ -61,6 +64,7 @@ class ExecutionSettings:
     balance: BalanceSettings | None = field(default_factory=BalanceSettings)
     shifts: ShiftLimits = field(default_factory=ShiftLimits)
     hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.0, ki=2.0, limit=0.05))
+    relief: ReliefSettings | None = field(default_factory=ReliefSettings)
     load_gain: float = 4e-5
     yielding: YieldSettings | None = field(default_factory=YieldSettings)
     noise: SensorNoise = field(default_factory=SensorNoise)
@@ -180,6 +184,9 @@ class Execution:
         gains = settings.hand_gains or PidGains(kp=0.0)
         self._hands = HandCorrection(robot, hands, gains, HAND_CYCLES * driver.period_s)
         self._hand_states = self._hands.start()
+        relief = settings.relief or ReliefSettings(gain=0.0)
+        self._relief = HandRelief(robot, list_phases(reference.motion), hands, relief)
+        self._relieved: dict[str, np.ndarray] = {}
         self._estimator = None
         if self._has_forces:
             self._estimator = PelvisEstimator(robot, driver.joint_names, driver.period_s, settings.noise)
@@ -404,8 +411,17 @@ class Execution:
         return q
 
     def _step_hands(self, phase: ReferencePhase, reading: RobotReading, wanted: ReferenceState) -> None:
-        """Advance the corrections of the hands, unless they press on a mechanism."""
-        if not self._hand_states or self._estimate is None or phase.loads:
+        """Advance the corrections of the hands; those that press on a mechanism give way instead."""
+        if not self._hand_states or self._estimate is None or self._forces is None:
+            return
+        self._relieved = self._relief.step(
+            self._relieved,
+            self.state.phase,
+            wanted.configuration,
+            self._forces.hands,
+            HAND_CYCLES * self.driver.period_s,
+        )
+        if phase.loads:
             return
         model, touched = self.reference.robot.model, (*phase.contacts, *self._list_landing())
         held = [hand for hand in self._hands.hands if holds_arm(model, hand, touched)]
@@ -417,7 +433,8 @@ class Execution:
         shifts = dict(self._shifts)
         for hand, corrected in self._hand_states.items():
             own = shifts.get(hand, Shift.zero())
-            shifts[hand] = Shift(own.offset + corrected.offset, own.speed, own.goal)
+            relieved = self._relieved.get(hand, np.zeros(3))
+            shifts[hand] = Shift(own.offset + corrected.offset + relieved, own.speed, own.goal)
         body = self._pressed if self._feet_state is None else self._pressed + self._feet_state.trim
         if body.any():
             shifts[BODY] = Shift(body, np.zeros(3), body)

@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
 from costs.robot import BASE_NAMES, RobotModel
 from service.errors import ResultError
 from service.execution.ground_forces import carry_motion
+from service.execution.hands.load_limits import LoadLimits, limit_loads
 from service.replay.replay import read_motion
 from service.result.folder import read_result, result_path
-from service.verify import HandLoad, Motion, Phase, PlantedContact
-from service.verify.forces.contact_forces import Joints
-from service.verify.forces.dynamics import (
-    compute_inverse_dynamics,
-    find_limited_joints,
-    list_levers,
-    make_contact_share,
-    map_axes,
-)
-from service.verify.forces.hand_loads import list_load_cases
+from service.verify import Motion, Phase, PlantedContact
 from service.verify.frame_paths import find_mechanism_joints
 from service.verify.timeline import find_times, list_phases
 
@@ -33,30 +24,6 @@ TABLE_STEP_S = 2e-3  # of desired positions, which are read linearly between
 FORCE_STEP_S = 0.02  # of torques and contact forces
 BLEND_S = 0.4  # before a contact leaves and after it came, during which its force goes and comes
 LOAD_RAMP_S = 0.2  # in which the feed-forward of a load comes and goes
-MOST_LOAD = 10.0  # largest cap of a load, in units of the expected one
-
-
-@dataclass(frozen=True)
-class LoadLimits:
-    """Force of a hand on a mechanism's link during a phase.
-
-    Attributes:
-        tool: frame of the robot that presses.
-        link: the mechanism's link.
-        expected_n: the force that the plan expects, at most.
-        cap_n: the force up to which ground and joints hold the robot, with all other loads as expected.
-        abort_n: the force at which to stop: half-way between the two.
-    """
-
-    tool: str
-    link: str
-    expected_n: float
-    cap_n: float
-
-    @property
-    def abort_n(self) -> float:
-        """Force at which to stop: half-way between the expected force and the cap [N]."""
-        return 0.5 * (self.expected_n + self.cap_n)
 
 
 @dataclass(frozen=True)
@@ -67,7 +34,7 @@ class ReferencePhase:
         name: as in the plan.
         begin_s, end_s: its ends on the plan's clock.
         contacts: links planted throughout, with their poses and points.
-        loads: forces of the hands on the mechanism.
+        loads: forces of the hands on the mechanism, one entry per tool.
     """
 
     name: str
@@ -300,62 +267,6 @@ def check_executable(motion: Motion) -> TimeLaw:
     if bare:
         raise ResultError(f"phase '{bare[0]}' plants no link; a floating robot would fall")
     return motion.law
-
-
-def limit_loads(motion: Motion, phase: Phase) -> tuple[LoadLimits, ...]:
-    """Return expected force and cap of each load of a phase; the cap is that of the phase's weakest of five samples."""
-    if not phase.loads:
-        return ()
-    s = np.linspace(phase.first, phase.last, 5)
-    return tuple(
-        LoadLimits(load.tool, load.link, float(np.linalg.norm(load.force)), _find_cap(motion, phase, k, s))
-        for k, load in enumerate(phase.loads)
-    )
-
-
-def _find_cap(motion: Motion, phase: Phase, index: int, s: Float[np.ndarray, "S"]) -> float:
-    """Return the largest force of one load that ground and torques hold at rest at all samples [N]."""
-    load = phase.loads[index]
-    size = float(np.linalg.norm(load.force))
-    q = motion.curve(s)
-    zero = np.zeros_like(q)
-    inverse = compute_inverse_dynamics(motion, q, zero, zero)
-    others = replace(phase, loads=tuple(other for k, other in enumerate(phase.loads) if k != index))
-    rest, torque = _apply_loads(motion, others.loads, q, inverse.wrench, inverse.torque, inverse.jacobians, 1.0)
-    full, loaded = _apply_loads(motion, (load,), q, rest, torque, inverse.jacobians, MOST_LOAD)
-    limited = find_limited_joints(motion)
-    effort = motion.robot.effort[limited]
-    if not phase.contacts:
-        own, more = np.abs(torque[:, limited]), np.abs((loaded - torque)[:, limited])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            part = np.where(more > 0.0, (effort - own) / more, np.inf)
-        return size * MOST_LOAD * float(np.clip(part.min(initial=1.0), 0.0, 1.0))
-    share = make_contact_share(motion, phase)
-    levers = list_levers(motion.robot.model, phase, inverse.jacobians)
-    parts = []
-    for k in range(len(q)):
-        rows = np.stack([torque[k, limited], (loaded - torque)[k, limited]])
-        joints = Joints(rows, np.stack([levers[k][limited]] * 2), effort)
-        parts.append(share.find_part(rest[k], full[k] - rest[k], joints))
-    return size * MOST_LOAD * float(np.nan_to_num(np.min(parts), nan=0.0))
-
-
-def _apply_loads(
-    motion: Motion,
-    loads: tuple[HandLoad, ...],
-    q: Float[np.ndarray, "S n"],
-    wrench: Float[np.ndarray, "S 6"],
-    torque: Float[np.ndarray, "S n"],
-    jacobians: Float[np.ndarray, "S 6 n"],
-    share: float,
-) -> tuple[Float[np.ndarray, "S 6"], Float[np.ndarray, "S n"]]:
-    """Return the ground's wrench and the torques with loads added at a share of their size."""
-    model: pin.Model = motion.robot.model
-    wrench, torque = wrench.copy(), torque.copy()
-    for joint, part in list_load_cases(motion.robot, q, loads)[-1].parts:
-        wrench -= share * part
-        torque -= share * np.einsum("sij,si->sj", jacobians, part) @ map_axes(model, joint)
-    return wrench, torque
 
 
 def _interpolate(

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from costs.robot import RobotHand, RobotModel, read_joint_axis
 from costs.robot.servo import DAMPING_S, default_stiffness, list_servo_joints
+from service.demands.hands import HOLD_FRICTION
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
@@ -29,7 +30,6 @@ MECHANISM_DAMPING = 0.2  # [N m s/rad, N s/m]
 # Of the world's surfaces: with MuJoCo's defaults the feet turn in the floor almost as easily as the robot tips.
 STIFF: Mapping[str, list[float]] = {"solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
 HELD_BY_FRICTION = 0.9999  # impedance of dry friction in joints: what it holds does not creep
-MECHANISM_FRICTION = 0.3  # between a hand and what it moves
 SELF_FRICTION = 0.5  # between links of the robot
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
 LEAST_VOLUME = 1e-9  # of a hull that gets a shape [m^3]
@@ -483,7 +483,7 @@ class _Builder:
     def _add_geom(self, body: Any, name: str, owner: tuple[str, str], **fields: Any) -> None:
         kind = owner[0]
         of_world = max(self.options.friction + self.perturbation.friction, 0.0)
-        friction = {"robot": SELF_FRICTION, "mechanism": MECHANISM_FRICTION, "world": of_world}[kind]
+        friction = {"robot": SELF_FRICTION, "mechanism": HOLD_FRICTION, "world": of_world}[kind]
         body.add_geom(
             name=f"{kind}:{name}",
             contype=1 if kind == "robot" else 0,

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from costs.robot import RobotModel
+from service.execution.guards import GuardSettings
 from service.execution.reference import PlannedReference, ReferencePhase
 from service.result.motion_json import file_columns, file_positions
 from service.simulation.run import Execution, Record
@@ -28,6 +30,7 @@ BEFORE_FALL_S = 3.0  # in which the cause of a fall is looked for
 EARLIER_S = 0.5  # before a fall without an unusual event, when the centre of mass is reported
 LEAST_SHARE = 0.9  # of a mechanism's planned travel; less is named
 LEAST_TRAVEL = 1e-3  # of a mechanism's joint that counts as moved [rad, m]
+ABORT_AFTER_S = GuardSettings().hold_s  # above its threshold a hand's force aborts an execution [s]
 TRACK_PERIOD_S = 0.02
 
 
@@ -132,24 +135,33 @@ def _smooth(values: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
     return np.convolve(values, np.ones(width) / width, mode="same") if len(values) else values
 
 
+def find_longest_stretch(times: Float[np.ndarray, "S"], is_over: Bool[np.ndarray, "S"]) -> float:
+    """Return the longest time for which something holds without interruption, from sample to sample [s]."""
+    longest, began = 0.0, None
+    for time_s, over in zip(times.tolist(), is_over.tolist(), strict=True):
+        began = (time_s if began is None else began) if over else None
+        longest = max(longest, 0.0 if began is None else time_s - began)
+    return longest
+
+
 def _report_phase(execution: Execution, phase: ReferencePhase) -> dict[str, Any]:
     record, reference = execution.record, execution.reference
     rows = _rows(record, phase)
     ground = np.sum([wrench[:, 2] for wrench in record.wrenches.values()], axis=0) if record.wrenches else None
     loads = []
-    carried = {link: _smooth(_sum_forces(record, link)) for link in {load.link for load in phase.loads}}
     for load in phase.loads:
-        part = carried[load.link][rows]
-        peak = float(part.max(initial=0.0))
+        force = measure_hand_force(reference.robot, record, load.tool)[rows]
+        exceeded = find_longest_stretch(record.times[rows], force > load.abort_n)
         loads.append(
             {
                 "tool": load.tool,
-                "link": load.link,
+                "links": list(load.links),
                 "expected_n": load.expected_n,
                 "cap_n": load.cap_n,
                 "abort_n": load.abort_n,
-                "peak_n": peak,
-                "is_exceeded": peak > load.abort_n,
+                "peak_n": float(force.max(initial=0.0)),
+                "exceeded_s": exceeded,
+                "is_exceeded": exceeded > ABORT_AFTER_S,
             }
         )
     error = np.abs(record.configuration - record.planned)[np.ix_(rows, reference.joint_columns)]
@@ -165,13 +177,15 @@ def _report_phase(execution: Execution, phase: ReferencePhase) -> dict[str, Any]
     }
 
 
-def _sum_forces(record: Record, link: str) -> Float[np.ndarray, "S"]:
-    """Return the force of the robot on a mechanism's link, of all its links together [N]."""
-    total = np.zeros(len(record.times))
-    for (_, other), force in record.mechanism_force.items():
-        if other == link:
+def measure_hand_force(robot: RobotModel, record: Record, tool: str) -> Float[np.ndarray, "S"]:
+    """Return the size of the force of hand, rod and fingers of a tool on the mechanism, mean of 60 ms [N]."""
+    model: pin.Model = robot.model
+    carrier = int(model.frames[model.getFrameId(tool)].parentJoint)
+    total = np.zeros((len(record.times), 3))
+    for (frame, _), force in record.mechanism_force.items():
+        if carrier in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint]):
             total += force
-    return total
+    return np.asarray(np.linalg.norm([_smooth(column) for column in total.T], axis=0))
 
 
 def _measure_slips(
@@ -367,10 +381,10 @@ def _find_cause(
     for span in reference.phases:
         rows = _rows(record, span)
         for load in span.loads:
-            force = _smooth(_sum_forces(record, load.link))
+            force = measure_hand_force(reference.robot, record, load.tool)
             high = [row for row in rows.tolist() if force[row] > load.abort_n and record.times[row] < fell]
             if high:
-                events.append((float(record.times[high[0]]), f"the force on {load.link} passed {load.abort_n:.0f} N"))
+                events.append((float(record.times[high[0]]), f"the force of {load.tool} passed {load.abort_n:.0f} N"))
     recent = sorted(event for event in events if event[0] > fell - BEFORE_FALL_S)
     words = f"fell at {fell:.2f} s in phase '{phase}'"
     if not recent:
@@ -422,8 +436,9 @@ def _write_notes(report: Mapping[str, Any]) -> Iterator[str]:
         for load in phase["loads"]:
             if load["is_exceeded"]:
                 yield (
-                    f"the force on {load['link']} in phase '{phase['name']}' reached {load['peak_n']:.0f} N; the plan "
-                    f"expects {load['expected_n']:.0f} N and stops at {load['abort_n']:.0f} N"
+                    f"{load['tool']} pressed {' and '.join(load['links'])} in phase '{phase['name']}' with up to "
+                    f"{load['peak_n']:.0f} N, for {load['exceeded_s']:.2f} s with more than {load['abort_n']:.0f} N, "
+                    f"at which an executor stops; the plan expects {load['expected_n']:.0f} N"
                 )
     for slip in report["slip"]:
         if slip["worst_m"] > SLIP_M:

@@ -271,6 +271,18 @@ class SimulatedRobot:
             for (first, second), force in zip(pairs.tolist(), forces, strict=True)
         ]
 
+    def list_grip_forces(self) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
+        """Return per closed gripper its tool, the link that it holds, and the force on the tool in world axes [N]."""
+        data, forces = self.data, []
+        rows = np.asarray(data.efc_id)[: data.nefc]
+        is_equality = np.asarray(data.efc_type)[: data.nefc] == int(self.mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        for phase, grips in zip(self.model.motion.phases, self.model.grips, strict=True):
+            for index, load in zip(grips, phase.loads if grips else (), strict=True):
+                held = np.flatnonzero(is_equality & (rows == index))
+                if len(held):
+                    forces.append((load.tool, load.link, np.array(data.efc_force[held])))
+        return forces
+
     def measure_contact_wrenches(self) -> dict[str, Float[np.ndarray, "6"]]:
         """Return the true wrench of the world on every planted link at its origin, world axes [N, N m].
 

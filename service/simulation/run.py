@@ -27,6 +27,7 @@ SAMPLE_STEPS = 20  # steps of the physics between two records
 FALLEN_M = 0.25  # of the base below its planned height [m]
 FALLEN_TILT = float(np.deg2rad(30.0))  # of the base against its planned pose
 SHOWN_AFTER_FALL_S = 0.5  # that the simulation goes on, for those who look at it
+_Samples = dict[tuple[str, str], dict[int, np.ndarray]]  # by pair, values by number of the sample
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Record:
         configuration, planned: (S, n) true and planned configurations of the plan's model.
         torque_share: (S, k) servo torques relative to the effort limits.
         planned_wrenches, wrenches: by planted link (S, 6), planned and true [N, N m].
-        mechanism_force: by robot link and mechanism link (S,) size of the force between them [N].
+        mechanism_force: by robot frame and mechanism link (S, 3) force on the mechanism, world axes [N]; a closed
+            gripper is named by its tool.
         touches: by (robot link, piece or robot link) (S,) size of the force between them [N].
         computing_s: processor time of the physics and its commands.
         fell_at_s: when the robot fell, or None.
@@ -50,7 +52,7 @@ class Record:
     torque_share: Float[np.ndarray, "S k"]
     planned_wrenches: dict[str, Float[np.ndarray, "S 6"]]
     wrenches: dict[str, Float[np.ndarray, "S 6"]]
-    mechanism_force: dict[tuple[str, str], Float[np.ndarray, "S"]]
+    mechanism_force: dict[tuple[str, str], Float[np.ndarray, "S 3"]]
     touches: dict[tuple[str, str], Float[np.ndarray, "S"]]
     computing_s: float
     fell_at_s: float | None
@@ -152,8 +154,8 @@ class _Watch:
         self._shares: list[np.ndarray] = []
         self._wrenches: list[dict[str, np.ndarray]] = []
         self._planned_wrenches: list[dict[str, np.ndarray]] = []
-        self._pairs: dict[tuple[str, str], dict[int, float]] = {}
-        self._moved: dict[tuple[str, str], dict[int, float]] = {}
+        self._pairs: _Samples = {}
+        self._moved: _Samples = {}
 
     def look(self, time_s: float, state: ReferenceState) -> None:
         """Record one sample."""
@@ -167,10 +169,12 @@ class _Watch:
         sums: dict[tuple[str, str], np.ndarray] = {}
         for first, second, force in robot.list_pair_forces():
             sums[first, second] = sums.get((first, second), np.zeros(3)) + force
+        for tool, link, force in robot.list_grip_forces():
+            sums[tool, link] = force
         moved = robot.model.motion.mechanism_links
         for (link, other), force in sums.items():
             table = self._moved if other in moved else self._pairs
-            table.setdefault((link, other), {})[k] = float(np.linalg.norm(force))
+            table.setdefault((link, other), {})[k] = -force if other in moved else np.asarray(np.linalg.norm(force))
         if self.fell_at_s is None and self.reference.robot.is_floating:
             pose, wanted = robot.pose_world_base, state.pose_world_base
             tilt = np.arccos(np.clip(float(pose[:3, 2] @ wanted[:3, 2]), -1.0, 1.0))
@@ -182,10 +186,12 @@ class _Watch:
         """Return the samples as arrays."""
         n = len(self._times)
 
-        def spread(table: dict[tuple[str, str], dict[int, float]]) -> dict[tuple[str, str], np.ndarray]:
+        def spread(
+            table: dict[tuple[str, str], dict[int, np.ndarray]], *width: int
+        ) -> dict[tuple[str, str], np.ndarray]:
             arrays = {}
             for pair, values in table.items():
-                arrays[pair] = np.zeros(n)
+                arrays[pair] = np.zeros((n, *width))
                 arrays[pair][list(values)] = list(values.values())
             return arrays
 
@@ -197,7 +203,7 @@ class _Watch:
             torque_share=np.stack(self._shares),
             planned_wrenches={link: np.stack([w[link] for w in self._planned_wrenches]) for link in links},
             wrenches={link: np.stack([w[link] for w in self._wrenches]) for link in links},
-            mechanism_force=spread(self._moved),
+            mechanism_force=spread(self._moved, 3),
             touches=spread(self._pairs),
             computing_s=computing_s,
             fell_at_s=self.fell_at_s,
