@@ -90,8 +90,8 @@ class RayGroup:
         if not len(cells):
             return np.zeros(0, dtype=np.int64)
         first, counts = self.borders[cells], (self.borders[1:] - self.borders[:-1])[cells]
-        before = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        return np.asarray(np.repeat(first - before, counts) + np.arange(int(counts.sum())))
+        until = np.cumsum(counts)
+        return np.asarray(np.repeat(first - until + counts, counts) + np.arange(int(until[-1])))
 
 
 @dataclass(frozen=True)
@@ -105,16 +105,24 @@ class SightIndex:
     rays: Sightlines
     groups: tuple[RayGroup, ...]
 
-    def passing(self, places: Float[np.ndarray, "K 3"], radius: float) -> Sightlines:
-        """Return rays that pass a position within about ``radius`` [m] and do not end well before it."""
+    def passing(self, places: Float[np.ndarray, "K 3"], radius: float, most: int | None = None) -> Sightlines:
+        """Return rays that pass a position within about ``radius`` [m] and do not end well before it.
+
+        Args:
+            most: if there are more, every k-th of them is returned, at most this many in all.
+        """
         centre = places.mean(axis=0)
         size = radius + float(np.linalg.norm(places - centre, axis=1).max())
         if self.groups:
             parts = [self._of_group(group, places, radius, centre, size) for group in self.groups]
-            return self.rays.select(np.concatenate(parts))
+            numbers = parts[0] if len(parts) == 1 else np.concatenate(parts)
+            if most is not None and len(numbers) > most:
+                numbers = numbers[:: -(-len(numbers) // most)]
+            return self.rays.select(numbers)
         along = ((centre - self.rays.start) * self.rays.direction).sum(axis=1)
         rays = self.rays.select((along > -size) & (self.rays.length > along - size))
-        return rays.select(_nearest(rays, places) <= radius)
+        rays = rays.select(_nearest(rays, places) <= radius)
+        return rays if most is None else rays.thin(most)
 
     def _of_group(
         self,
@@ -142,13 +150,16 @@ def _in_cones(group: RayGroup, offset: Float[np.ndarray, "K 3"], radius: float) 
     half = np.arcsin(np.minimum(radius / distance, 1.0))
     middle = towards.mean(axis=0)
     middle /= max(float(np.linalg.norm(middle)), 1e-9)
-    widest = min(float((np.arccos(np.clip(towards @ middle, -1.0, 1.0)) + half).max()), np.pi)
-    off = np.arccos(np.clip(group.middles @ middle, -1.0, 1.0))
+    widest = min(float((_angle(towards @ middle) + half).max()), np.pi)
+    off = _angle(group.middles @ middle)
     cells = np.flatnonzero(off <= widest + group.spreads)
-    off = off[cells, None] if len(offset) == 1 else np.arccos(np.clip(group.middles[cells] @ towards.T, -1.0, 1.0))
-    spreads = group.spreads[cells, None]
-    is_within = (off + spreads <= half).any(axis=1)
-    is_open = (off <= half + spreads).any(axis=1) & ~is_within
+    if len(offset) == 1:
+        is_within = off[cells] + group.spreads[cells] <= half
+        is_open = ~is_within
+    else:
+        off, spreads = _angle(group.middles[cells] @ towards.T), group.spreads[cells, None]
+        is_within = (off + spreads <= half).any(axis=1)
+        is_open = (off <= half + spreads).any(axis=1) & ~is_within
     open_rays = group.list_rays(cells[is_open])
     near, least = group.directions.take(open_rays, 0), np.cos(half)
     # Blocks fit into the processor's cache.
@@ -156,8 +167,13 @@ def _in_cones(group: RayGroup, offset: Float[np.ndarray, "K 3"], radius: float) 
     blocks = [np.zeros(0, dtype=bool)]
     for i in range(0, len(near), size):
         poll()
-        blocks.append((near[i : i + size] @ towards.T >= least).any(axis=1))
+        is_near = near[i : i + size] @ towards.T >= least
+        blocks.append(is_near[:, 0] if len(offset) == 1 else is_near.any(axis=1))
     return np.concatenate([group.list_rays(cells[is_within]), open_rays[np.concatenate(blocks)]])
+
+
+def _angle(cosine: Float[np.ndarray, "*K"]) -> Float[np.ndarray, "*K"]:
+    return np.asarray(np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0)))
 
 
 def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "N"]:

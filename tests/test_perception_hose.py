@@ -11,8 +11,8 @@ from perception.detect.hose.tips import find_tips
 from perception.detect.hose.tube import (
     STRAIGHT,
     Tube,
-    meet_tubes,
-    misfits,
+    meet_tube,
+    misfit_of,
     refine_tube,
     settle_tube,
     square_to,
@@ -99,23 +99,23 @@ def test_a_wall_is_seen_in_the_directions_in_which_more_rays_end_on_it_than_pass
 
 
 def test_rays_meet_a_tube_on_its_wall_in_its_mouth_or_not_at_all() -> None:
-    met = meet_tubes(rays_to((2.0, 0.0, 1.0), (1.03, 0.0, 1.0), (2.0, 0.2, 1.0), start=(0.0, 0.0, 1.0)), [UP_FRONT])
-    assert met.into[0].tolist() == [True, True, False]
-    assert met.through[0].tolist() == [True, True, False]
-    assert met.depth[0, 0] == pytest.approx(1.0 + STRAIGHT)
-    from_above = meet_tubes(rays_to((1.02, 0.0, 0.5), (1.05, 0.0, 0.5), start=(1.02, 0.0, 2.0)), [UP_FRONT])
-    assert from_above.on[0].tolist() == [True, True]
-    assert from_above.depth[0, 0] == pytest.approx(0.96)
-    ahead = meet_tubes(rays_to((0.9, 0.0, 0.5), start=(0.9, 0.0, 2.0)), [UP_FRONT])
+    met = meet_tube(rays_to((2.0, 0.0, 1.0), (1.03, 0.0, 1.0), (2.0, 0.2, 1.0), start=(0.0, 0.0, 1.0)), UP_FRONT)
+    assert met.into.tolist() == [True, True, False]
+    assert met.through.tolist() == [True, True, False]
+    assert met.depth[0] == pytest.approx(1.0 + STRAIGHT)
+    from_above = meet_tube(rays_to((1.02, 0.0, 0.5), (1.05, 0.0, 0.5), start=(1.02, 0.0, 2.0)), UP_FRONT)
+    assert from_above.on.tolist() == [True, True]
+    assert from_above.depth[0] == pytest.approx(0.96)
+    ahead = meet_tube(rays_to((0.9, 0.0, 0.5), start=(0.9, 0.0, 2.0)), UP_FRONT)
     assert not ahead.on.any()
     assert not ahead.into.any()
-    assert ahead.outside[0, 0] == pytest.approx(0.1)
-    slanted = meet_tubes(rays_to((1.5, 0.0, 0.5), start=(0.5, 0.0, 1.5)), [UP_FRONT])
+    assert ahead.outside[0] == pytest.approx(0.1)
+    slanted = meet_tube(rays_to((1.5, 0.0, 0.5), start=(0.5, 0.0, 1.5)), UP_FRONT)
     # It goes in through the middle at 45 degrees and ends where the wall's inside is a radius down.
-    assert slanted.into[0, 0]
-    assert not slanted.through[0, 0]
-    assert slanted.depth[0, 0] == pytest.approx(np.sqrt(2.0) * (0.5 + 0.04))
-    assert slanted.across[0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert slanted.into[0]
+    assert not slanted.through[0]
+    assert slanted.depth[0] == pytest.approx(np.sqrt(2.0) * (0.5 + 0.04))
+    assert slanted.across[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def hollow_rays(tube: Tube, seed: int = 0) -> tuple[Sightlines, np.ndarray]:
@@ -125,10 +125,10 @@ def hollow_rays(tube: Tube, seed: int = 0) -> tuple[Sightlines, np.ndarray]:
     aim = tube.mouth + rng.uniform(-0.12, 0.12, (1500, 3)) - start
     way = aim / np.linalg.norm(aim, axis=1, keepdims=True)
     rays = Sightlines(np.tile(start, (len(way), 1)), way, 2.0 / way[:, 0])
-    met = meet_tubes(rays, [tube])
-    mine = (met.on[0] | (met.into[0] & ~met.through[0])) & (met.along[0] > -STRAIGHT)
-    length = np.where(mine, met.depth[0] + rng.normal(0.0, 0.01, len(way)), rays.length)
-    seen = (met.outside[0] > 0.0) | mine | met.through[0]
+    met = meet_tube(rays, tube)
+    mine = (met.on | (met.into & ~met.through)) & (met.along > -STRAIGHT)
+    length = np.where(mine, met.depth + rng.normal(0.0, 0.01, len(way)), rays.length)
+    seen = (met.outside > 0.0) | mine | met.through
     return Sightlines(rays.start[seen], way[seen], length[seen]), mine[seen]
 
 
@@ -140,7 +140,7 @@ def test_the_tube_that_made_the_rays_explains_them_best_and_is_found_from_nearby
         Tube(tube.mouth, np.array([-1.0, 0.0, 0.0]), 0.04),
         Tube(tube.mouth, tube.axis, 0.055),
     ]
-    assert misfits(rays, mine, [tube, *others]).argmin() == 0
+    assert all(misfit_of(rays, mine, tube) < misfit_of(rays, mine, other) for other in others)
     axis = np.array([-0.9, 0.4, 0.2]) / np.linalg.norm([-0.9, 0.4, 0.2])
     found = Tube(tube.mouth + np.array([0.01, -0.01, 0.01]), axis, 0.045)
     for _ in range(3):
@@ -154,8 +154,8 @@ def test_evidence_tells_an_open_end_from_one_stopped_up() -> None:
     tube = Tube(np.array([0.8, 0.0, 1.1]), np.array([-0.8, 0.6, 0.0]), 0.04)
     rays, _ = hollow_rays(tube)
     assert weigh_tube(rays, tube).open > 0.8
-    plane = meet_tubes(rays, [tube])
-    stopped = Sightlines(rays.start, rays.direction, np.where(plane.into[0], plane.plane[0], rays.length))
+    plane = meet_tube(rays, tube)
+    stopped = Sightlines(rays.start, rays.direction, np.where(plane.into, plane.plane, rays.length))
     assert weigh_tube(stopped, tube).open == 0.0
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.detect.shared.arithmetic import cross
+from perception.detect.shared.arithmetic import covariance, cross, quantiles
 from perception.detect.shared.nearby import Nearby
 from perception.detect.shared.slender import is_slender, variances_about
 
@@ -25,6 +25,7 @@ _BIN, _FINE = 0.04, 0.01
 _N_ALONG, _N_ACROSS = 15, 44
 _RING = 3
 _WIDTHS = (5, 10, 15)
+_EDGES = {width: np.unique(np.linspace(1, width - 1, 4).astype(np.int64)) for width in _WIDTHS}
 _ANGLES = np.radians(np.arange(0.0, 180.0, 12.0))
 _GAP = 6
 _NARROWEST, _WIDEST = 0.022, 0.17
@@ -150,7 +151,7 @@ def _best_at_seed(
         patch = offset[distance2 < radius**2]
         if len(patch) < 6:
             continue
-        values, vectors = np.linalg.eigh(np.cov(patch.T))
+        values, vectors = np.linalg.eigh(covariance(patch))
         # One row of a scan has no normal.
         if values[1] > _ROW * values[2]:
             break
@@ -161,7 +162,7 @@ def _best_at_seed(
     patch = offset[(distance2 < _SECOND_BALL**2) & (np.abs((offset - patch.mean(axis=0)) @ normal) < _THICK)]
     if len(patch) < 8:
         return None
-    normal, middle = np.linalg.eigh(np.cov(patch.T))[1][:, 0], patch.mean(axis=0)
+    normal, middle = np.linalg.eigh(covariance(patch))[1][:, 0], patch.mean(axis=0)
     flat = offset[np.abs((offset - middle) @ normal) < _THICK]
     first = cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
@@ -178,7 +179,7 @@ def _best_at_seed(
     np.cumsum(count, axis=2, out=total[:, :, 1:])
     best: tuple[float, int, tuple[int, int]] | None = None
     for width in _WIDTHS:
-        lows = _N_ACROSS // 2 - np.unique(np.linspace(1, width - 1, 4).astype(np.int64))
+        lows = _N_ACROSS // 2 - _EDGES[width]
         highs = lows + width
         inside = total[:, :, highs] - total[:, :, lows]
         beside = total[:, :, highs + _RING] - total[:, :, highs] + total[:, :, lows] - total[:, :, lows - _RING]
@@ -230,7 +231,7 @@ def _grow(
             return None
         chosen = points[members]
         place = chosen.mean(axis=0)
-        values, vectors = np.linalg.eigh(np.cov((chosen - place).T))
+        values, vectors = np.linalg.eigh(covariance(chosen))
         if values[1] > 0.5 * values[2]:
             return None
         axis, normal = vectors[:, 2] * np.sign(vectors[:, 2] @ axis), vectors[:, 0]
@@ -255,8 +256,8 @@ def _grow(
 
 def middle_and_half(spread: Float[np.ndarray, "K"]) -> tuple[float, float]:
     """Return a strip's middle and half width from its points' offsets across, outermost ignored [m]."""
-    left, right = np.percentile(spread, [4.0, 96.0])
-    return 0.5 * float(left + right), 0.5 * float(right - left) / 0.92
+    left, right = quantiles(spread, 0.04, 0.96)
+    return 0.5 * (left + right), 0.5 * (right - left) / 0.92
 
 
 def _clear(
@@ -340,7 +341,7 @@ def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> flo
 def _refit(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
     """Return the strip fitted to some of its points: length, width and direction."""
     middle = members.mean(axis=0)
-    vectors = np.linalg.eigh(np.cov((members - middle).T))[1]
+    vectors = np.linalg.eigh(covariance(members))[1]
     axis = vectors[:, 2] * np.sign(vectors[:, 2] @ strip.axis)
     normal = vectors[:, 0] * np.sign(vectors[:, 0] @ strip.normal)
     side = cross(normal, axis)

@@ -14,7 +14,7 @@ from perception.detect.hose.tube import (
     STRAIGHT,
     Tube,
     TubeEvidence,
-    misfits,
+    misfit_of,
     refine_tube,
     settle_tube,
     square_to,
@@ -67,7 +67,7 @@ class _Candidate:
     Attributes:
         rays: rays that pass near its mouth.
         mine: (N,) rays that ended on the object the tube must explain.
-        misfit: mean squared residual of these rays (:func:`misfits`).
+        misfit: mean squared residual of these rays (:func:`misfit_of`).
     """
 
     tube: Tube
@@ -151,9 +151,9 @@ def _candidate(index: SightIndex, tip: Tip) -> _Candidate:
     across = np.linalg.norm(offset - along[:, None] * tip.axis, axis=1)
     mine = (along > -_BESIDE) & (along < 2.0 * _LONGER) & (across < tip.radius + _LONGER)
     some = np.arange(0, len(rays), max(1, len(rays) // _FOR_RANKING))
-    misfit = misfits(rays.select(some), mine[some], tubes)
-    best = int(np.argmin(misfit))
-    return _Candidate(tubes[best], rays, np.asarray(mine), float(misfit[best]))
+    few, of_few = rays.select(some), mine[some]
+    misfit, best = min((misfit_of(few, of_few, tube), i) for i, tube in enumerate(tubes))
+    return _Candidate(tubes[best], rays, np.asarray(mine), misfit)
 
 
 def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
@@ -170,7 +170,7 @@ def _drop_duplicates(candidates: list[_Candidate]) -> list[_Candidate]:
 def _fit(candidate: _Candidate) -> _Candidate:
     """Return the candidate with its tube fitted to its rays."""
     tube = refine_tube(candidate.rays, candidate.mine, candidate.tube)
-    return replace(candidate, tube=tube, misfit=float(misfits(candidate.rays, candidate.mine, [tube])[0]))
+    return replace(candidate, tube=tube, misfit=misfit_of(candidate.rays, candidate.mine, tube))
 
 
 def _fit_again(candidate: _Candidate) -> _Candidate:

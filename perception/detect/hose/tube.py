@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,7 +64,7 @@ class Tube:
 
 @dataclass(frozen=True)
 class Meeting:
-    """Intersections of N rays with B tubes.
+    """Intersections of N rays with a tube.
 
     Attributes:
         on: the ray meets the outside of the wall.
@@ -78,64 +77,62 @@ class Meeting:
         across: distance from the axis at which the ray crosses the mouth's plane [m].
     """
 
-    on: Bool[np.ndarray, "B N"]
-    into: Bool[np.ndarray, "B N"]
-    through: Bool[np.ndarray, "B N"]
-    depth: Float[np.ndarray, "B N"]
-    plane: Float[np.ndarray, "B N"]
-    outside: Float[np.ndarray, "B N"]
-    along: Float[np.ndarray, "B N"]
-    across: Float[np.ndarray, "B N"]
+    on: Bool[np.ndarray, "N"]
+    into: Bool[np.ndarray, "N"]
+    through: Bool[np.ndarray, "N"]
+    depth: Float[np.ndarray, "N"]
+    plane: Float[np.ndarray, "N"]
+    outside: Float[np.ndarray, "N"]
+    along: Float[np.ndarray, "N"]
+    across: Float[np.ndarray, "N"]
 
 
-def meet_tubes(rays: Sightlines, tubes: Sequence[Tube]) -> Meeting:
-    """Return the intersection of each ray with each tube."""
+def meet_tube(rays: Sightlines, tube: Tube) -> Meeting:
+    """Return the intersection of each ray with a tube."""
     poll()
-    mouth, axis = np.stack([tube.mouth for tube in tubes]), np.stack([tube.axis for tube in tubes])
-    radius = np.array([tube.radius for tube in tubes])[:, None]
-    start = rays.start[None] - mouth[:, None]
-    rise = np.einsum("bnk,bk->bn", start, axis)
-    slope = axis @ rays.direction.T
-    square = np.maximum(1.0 - slope**2, _SLOPE)
-    lean = np.einsum("bnk,nk->bn", start, rays.direction) - rise * slope
+    radius = tube.radius
+    start = rays.start - tube.mouth
+    rise, slope = start @ tube.axis, rays.direction @ tube.axis
+    square = np.maximum(1.0 - slope * slope, _SLOPE)
+    lean = np.einsum("nk,nk->n", start, rays.direction) - rise * slope
     middle = -lean / square
-    side = np.sqrt(np.maximum(np.einsum("bnk,bnk->bn", start, start) - rise**2 - lean**2 / square, 0.0))
-    half = np.sqrt(np.maximum(radius**2 - side**2, 0.0) / square)
-    first, last = rise + (middle - half) * slope, rise + (middle + half) * slope
+    side = np.sqrt(np.maximum(np.einsum("nk,nk->n", start, start) - rise * rise + lean * middle, 0.0))
+    half = np.sqrt(np.maximum(radius**2 - side * side, 0.0) / square)
+    at_middle, by_half = rise + middle * slope, half * slope
+    first, last = at_middle - by_half, at_middle + by_half
     in_line = side < radius
     on = in_line & (first <= 0.0)
     into = in_line & (first > 0.0) & (last <= 0.0)
     steep = np.where(np.abs(slope) < _SLOPE, -_SLOPE, slope)
-    plane, bottom = -rise / steep, -(rise + STRAIGHT) / steep
-    through = into & (bottom < middle + half)
-    depth = np.where(on, middle - half, np.where(through, bottom, np.where(into, middle + half, middle)))
+    plane, bottom, exit_ = -rise / steep, -(rise + STRAIGHT) / steep, middle + half
+    through = into & (bottom < exit_)
+    depth = np.where(on, middle - half, np.where(through, bottom, np.where(into, exit_, middle)))
     # For a ray that passes before the mouth, the distance follows from its shift along the axis to meet the rim.
-    square_root = np.sqrt(square)
-    before = np.minimum(np.abs(first), np.abs(last)) * square_root
+    before = np.minimum(np.abs(first), np.abs(last)) * np.sqrt(square)
     outside = np.where(in_line, np.where(on | into, -np.minimum(radius - side, before), before), side - radius)
-    across = np.sqrt(square * (plane - middle) ** 2 + side**2)
+    across = np.sqrt(square * (plane - middle) ** 2 + side * side)
     return Meeting(on, into, through, depth, plane, outside, rise + depth * slope, across)
 
 
-def misfits(rays: Sightlines, mine: Bool[np.ndarray, "N"], tubes: Sequence[Tube]) -> Float[np.ndarray, "B"]:
-    """Return (B,) squared residuals of each tube, each bounded at three deviations, summed per ray of ``mine``.
+def misfit_of(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> float:
+    """Return a tube's squared residuals, each bounded at three deviations, summed per ray of ``mine``.
 
     Rays that meet the wall, outside or inside, should end at its depth; rays through the mouth may end deeper.
 
     Args:
         mine: (N,) rays that ended on the object to explain: they should meet the tube.
     """
-    met = meet_tubes(rays, tubes)
+    met = meet_tube(rays, tube)
     gap = rays.length - met.depth
     edge = (met.outside / _SIGMA_EDGE) ** 2
     ends = (np.where(met.through, np.minimum(gap, 0.0), gap) / _SIGMA_DEPTH) ** 2
-    radius = np.array([tube.radius for tube in tubes])[:, None]
-    to_rim = ((radius - met.across) / _SIGMA_EDGE) ** 2
-    explained = np.where(met.through, to_rim, np.where(met.on | met.into, ends, ends + edge))
-    other = np.where(met.on | met.into, np.minimum(ends, edge), 0.0)
+    to_rim = ((tube.radius - met.across) / _SIGMA_EDGE) ** 2
+    meets = met.on | met.into
+    explained = np.where(met.through, to_rim, np.where(meets, ends, ends + edge))
+    other = np.where(meets, np.minimum(ends, edge), 0.0)
     each = np.minimum(np.where(mine, explained, other), _WORST)
     counts = mine | ((met.along > -STRAIGHT - 1e-9) & (gap > -2.0 * NEAR_WALL))
-    return np.asarray(np.where(counts, each, 0.0).sum(axis=1) / max(1, int(mine.sum())))
+    return float(each[counts].sum()) / max(1, int(np.count_nonzero(mine)))
 
 
 def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tube:
@@ -144,10 +141,10 @@ def refine_tube(rays: Sightlines, mine: Bool[np.ndarray, "N"], tube: Tube) -> Tu
 
     def move(change: Float[np.ndarray, "6"]) -> Tube:
         axis = tube.axis + change[0] * across + change[1] * over
-        return Tube(tube.mouth + change[2:5], axis / np.linalg.norm(axis), max(tube.radius + change[5], _LEAST_RADIUS))
+        return Tube(tube.mouth + change[2:5], axis / np.sqrt(axis @ axis), max(tube.radius + change[5], _LEAST_RADIUS))
 
     def misfit(change: Float[np.ndarray, "6"]) -> float:
-        return float(misfits(rays, mine, [move(change)])[0])
+        return misfit_of(rays, mine, move(change))
 
     simplex = np.concatenate([np.zeros((1, 6)), np.diag(_STEPS)])
     best = minimize(
@@ -202,19 +199,19 @@ class TubeEvidence:
 
 def weigh_tube(rays: Sightlines, tube: Tube) -> TubeEvidence:
     """Return the evidence from the rays on, into and beside the end."""
-    met = meet_tubes(rays, [tube])
-    on, into, through = met.on[0], met.into[0], met.through[0]
-    gap = rays.length - met.depth[0]
+    met = meet_tube(rays, tube)
+    on, into, through = met.on, met.into, met.through
+    gap = rays.length - met.depth
     arrives = gap > -NEAR_WALL
-    straight = met.along[0] > -STRAIGHT
+    straight = met.along > -STRAIGHT
     should = (on | (into & ~through)) & arrives & straight
     hits = should & (gap < NEAR_WALL)
-    clear = should & (met.outside[0] < -_INSIDE)
-    core = into & (met.across[0] < _CORE * tube.radius) & (rays.length > met.plane[0] - NEAR_WALL)
-    deeper = rays.length > met.plane[0] + _DEEPER
-    inward = into & (rays.length > met.plane[0] - NEAR_WALL)
-    beside = ~on & ~into & (met.outside[0] > _AIR[0]) & (met.outside[0] < _AIR[1]) & straight & arrives
-    sector = _sectors(rays, tube, met.depth[0])
+    clear = should & (met.outside < -_INSIDE)
+    core = into & (met.across < _CORE * tube.radius) & (rays.length > met.plane - NEAR_WALL)
+    deeper = rays.length > met.plane + _DEEPER
+    inward = into & (rays.length > met.plane - NEAR_WALL)
+    beside = ~on & ~into & (met.outside > _AIR[0]) & (met.outside < _AIR[1]) & straight & arrives
+    sector = _sectors(rays, tube, met.depth)
     free, full = (
         np.bincount(sector[beside & mask], minlength=_N_SECTORS) for mask in (gap > NEAR_WALL, gap < NEAR_WALL)
     )

@@ -109,7 +109,7 @@ def _solve(
         now = 2.0 * (root - 1.0).sum(axis=1)
         better = now < cost
         weighted = jacobian / root[:, None]
-        gradient = np.where(better[:, None], np.einsum("bnm,bm->bn", weighted, residuals), gradient)
+        gradient = np.where(better[:, None], (weighted @ residuals[:, :, None])[:, :, 0], gradient)
         curvature = np.where(better[:, None, None], weighted @ jacobian.transpose(0, 2, 1), curvature)
         is_still = bool((np.abs(cost - now) < _STILL * now).all())
         best, cost = _choose(better, state, best), np.where(better, now, cost)
@@ -213,12 +213,6 @@ def _linearize(
     d0, d1, d2 = way[:, 0], way[:, 1], way[:, 2]
     speed = np.maximum(np.hypot(d1, d2), LEAST_SLOPE)
     side = (d1 * p2 - d2 * p1) / speed
-    # Derivatives of the ray in the bar's section (p1, p2, d1, d2) by tilts, offsets and turn.
-    unit, nil = np.ones_like(p0), np.zeros_like(p0)
-    moves = [(-p0, nil, -d0, nil), (nil, -p0, nil, -d0), (-unit, nil, nil, nil), (nil, -unit, nil, nil)]
-    if section == "box":
-        moves.append((p2, -p1, d2, -d1))
-    sign = np.sign(side)
     half1, half2 = state.halves[:, :1], state.halves[:, 1:]
     if section == "box":
         reach = (np.abs(d2) * half1 + np.abs(d1) * half2) / speed
@@ -230,33 +224,59 @@ def _linearize(
     edge_sign = np.where(hit, 1.0, -1.0)
     beyond = edge_sign * outside
     edge_weight = (counts & (beyond > -slack)) / (SIGMA_EDGE + np.maximum(-beyond, 0.0))
-    by_depth, by_edge = [], []
-    for a1, a2, b1, b2 in moves:
-        by_depth.append(slopes[0] * a1 + slopes[1] * a2 + slopes[2] * b1 + slopes[3] * b2)
-        faster = (d1 * b1 + d2 * b2) / speed**2
-        moved_side = (b1 * p2 + d1 * a2 - b2 * p1 - d2 * a1) / speed - side * faster
-        moved_reach = nil
-        if section == "box":
-            moved_reach = (np.sign(d2) * b2 * half1 + np.sign(d1) * b1 * half2) / speed - reach * faster
-        by_edge.append(sign * moved_side - moved_reach)
-    sizes_edge = [-np.abs(d2) / speed, -np.abs(d1) / speed] if section == "box" else [-unit]
-    # Order of the unknowns: tilts, shifts, sizes, turn.
-    depth_rows = np.stack([*by_depth[:4], *by_half, *by_depth[4:]], axis=1)
-    edge_rows = np.stack([*by_edge[:4], *sizes_edge, *by_edge[4:]], axis=1)
-    n = depth_rows.shape[1]
-    prior_rows = np.zeros((len(side), n, len(sizes_edge)))
-    prior_rows[:, np.arange(4, 4 + len(sizes_edge)), np.arange(len(sizes_edge))] = 1.0 / SIGMA_USUAL
-    weight = hit / SIGMA_DEPTH
-    residuals = [
-        (depth - rays.length) * weight,
-        edge_weight * np.maximum(beyond, 0.0),
-        (state.halves - usual)[:, : len(sizes_edge)] / SIGMA_USUAL,
-    ]
-    jacobian = [depth_rows * weight[:, None], edge_rows * (edge_sign * edge_weight)[:, None], prior_rows]
-    return np.concatenate(residuals, axis=1), np.concatenate(jacobian, axis=2)
+    edge_slopes, edge_by_half = _edge_slopes(p1, p2, d1, d2, side, reach, speed, half1, half2, section)
+    place, way = (p0, p1, p2), (d0, d1, d2)
+    n_rays, n_sizes = side.shape[1], len(by_half)
+    weights = hit / SIGMA_DEPTH, edge_sign * edge_weight
+    residuals = np.empty((len(side), 2 * n_rays + n_sizes))
+    jacobian = np.zeros((len(side), 7 if section == "box" else 5, residuals.shape[1]))
+    residuals[:, :n_rays] = (depth - rays.length) * weights[0]
+    residuals[:, n_rays : 2 * n_rays] = edge_weight * np.maximum(beyond, 0.0)
+    residuals[:, 2 * n_rays :] = (state.halves - usual)[:, :n_sizes] / SIGMA_USUAL
+    for k, (weight, rows, sizes) in enumerate(
+        zip(weights, (slopes, edge_slopes), (by_half, edge_by_half), strict=True)
+    ):
+        moves = _by_moves(rows, place, way, section)
+        # Order of the unknowns: tilts, shifts, sizes, turn.
+        for i, row in enumerate((*moves[:4], *sizes, *moves[4:])):
+            np.multiply(row, weight, out=jacobian[:, i, k * n_rays : (k + 1) * n_rays])
+    for i in range(n_sizes):
+        jacobian[:, 4 + i, 2 * n_rays + i] = 1.0 / SIGMA_USUAL
+    return residuals, jacobian
 
 
 _Rows = Float[np.ndarray, "B N"]
+
+
+def _by_moves(
+    by: tuple[_Rows, ...], place: tuple[_Rows, _Rows, _Rows], way: tuple[_Rows, _Rows, _Rows], section: Section
+) -> list[_Rows]:
+    """Return derivatives by a bar's tilts (2), offsets (2) and, of a box, its turn.
+
+    Args:
+        by: derivatives by the ray's place and direction in the section: p1, p2, d1, d2.
+        place, way: a point of each ray and its direction in the bar's frame.
+    """
+    (p0, p1, p2), (d0, d1, d2) = place, way
+    moves = [-(by[0] * p0 + by[2] * d0), -(by[1] * p0 + by[3] * d0), -by[0], -by[1]]
+    if section == "box":
+        moves.append(by[0] * p2 - by[1] * p1 + by[2] * d2 - by[3] * d1)
+    return moves
+
+
+def _edge_slopes(
+    p1: _Rows, p2: _Rows, d1: _Rows, d2: _Rows, side: _Rows, reach: _Rows, speed: _Rows,
+    half1: Float[np.ndarray, "B 1"], half2: Float[np.ndarray, "B 1"], section: Section,
+) -> tuple[tuple[_Rows, _Rows, _Rows, _Rows], list[_Rows]]:  # fmt: skip
+    """Return derivatives of each ray's distance from the outline by p1, p2, d1, d2, and those by the half sizes."""
+    sign, lean1, lean2 = np.sign(side), d1 / speed, d2 / speed
+    by_way1, by_way2 = sign * (p2 - side * lean1), sign * (-p1 - side * lean2)
+    by_half = [np.full_like(side, -1.0)]
+    if section == "box":
+        by_way1 -= np.sign(d1) * half2 - reach * lean1
+        by_way2 -= np.sign(d2) * half1 - reach * lean2
+        by_half = [-np.abs(lean2), -np.abs(lean1)]
+    return (-sign * lean2, sign * lean1, by_way1 / speed, by_way2 / speed), by_half
 
 
 def _box_entry(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.detect.shared.arithmetic import cross, median_of_known
+from perception.detect.shared.arithmetic import cross, median_of_known, quantiles
 from perception.detect.shared.bars import (
     SIGMA_DEPTH,
     SIGMA_EDGE,
@@ -130,7 +130,7 @@ def starts_about(
     """Return at most ``most`` start bars with their half sizes [m]: first the best turn of every size."""
     across = cross(sample.away, run.axis)
     seen = (sample.rays.ends - run.place)[sample.mine] @ across
-    low, high = np.percentile(seen, [4, 96])
+    low, high = quantiles(seen, 0.04, 0.96)
     frames, middles, size, side = [], [], [], []
     for i, half in enumerate(halves):
         for turn in _turns(half, section):
@@ -139,7 +139,7 @@ def starts_about(
             reach, deep = np.abs(frame[1:] @ np.stack([across, sample.away], axis=1)).T @ half
             # Points of other objects may be in the tube too, so the bar may be anywhere in the points' extent.
             room = high - low - 2.0 * reach
-            n = int(np.clip(np.ceil(room / _OFFSET) + 1, 1, _MOST_OFFSETS))
+            n = int(min(max(np.ceil(room / _OFFSET) + 1, 1), _MOST_OFFSETS))
             places = np.linspace(low + reach, high - reach, n) if n > 1 else np.array([0.5 * (low + high)])
             frames += [frame] * n
             middles.append(run.place + places[:, None] * across + deep * sample.away)

@@ -115,7 +115,8 @@ def cross_sections(
 ) -> BarCrossing:
     """Return the crossings of rays with P bars, given as frames, centres [m] and half sizes [m], arrays (P, N)."""
     poll()
-    start = frames @ rays.start.T - frames @ centres[:, :, None]
+    start = frames @ rays.start.T
+    start -= frames @ centres[:, :, None]
     way = frames @ rays.direction.T
     # Sums and maxima over two components are several times as slow as on the components one by one.
     p1, p2, d1, d2 = start[:, 1], start[:, 2], way[:, 1], way[:, 2]
@@ -127,7 +128,9 @@ def cross_sections(
     outside = np.abs(side) - reach
     # A ray that misses is moved sideways onto the outline, so that depth is continuous at its edge.
     excess = np.copysign(np.maximum(outside, 0.0), side)
-    m1, m2 = p1 - n1 * excess, p2 - n2 * excess
+    n1 *= excess
+    n2 *= excess
+    m1, m2 = p1 - n1, p2 - n2
     if section == "round":
         inside = np.minimum(np.abs(side), reach)
         depth = -(m1 * d1 + m2 * d2) / speed**2 - np.sqrt(np.maximum(reach**2 - inside**2, 0.0)) / speed
@@ -140,8 +143,8 @@ def _enter(
     place: Float[np.ndarray, "P N"], slope: Float[np.ndarray, "P N"], half: Float[np.ndarray, "P 1"]
 ) -> Float[np.ndarray, "P N"]:
     """Return the distance along each ray at which it enters the slab between ``-half`` and ``half`` [m]."""
-    slope = np.where(np.abs(slope) < _LEAST_ENTRY, np.copysign(_LEAST_ENTRY, slope), slope)
-    return np.asarray((-np.copysign(half, slope) - place) / slope)
+    steep = np.copysign(np.maximum(np.abs(slope), _LEAST_ENTRY), slope)
+    return np.asarray((np.copysign(half, -steep) - place) / steep)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
+from perception.detect.shared.arithmetic import covariance
 from perception.detect.shared.nearby import Nearby
 from perception.detect.shared.slender import slim_places
 
@@ -163,7 +164,7 @@ def _grow(nearby: Nearby, line: Line) -> Line | None:
         if len(members) < 8:
             return None
         place = members.mean(axis=0)
-        new = np.linalg.eigh(np.cov((members - place).T))[1][:, 2]
+        new = np.linalg.eigh(covariance(members))[1][:, 2]
         axis = new * np.sign(new @ axis)
     along, apart = _about(local, place, axis)
     inside = apart < line.radius

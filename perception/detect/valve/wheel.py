@@ -46,6 +46,7 @@ _SECTORS, _COMPLETE = 24, (0.35, 0.75)
 # Band of a rim: bins of its edges, how far its edges are searched from a circle, and its greatest half width [m].
 _BAND_BIN, _BAND_WITHIN, _WIDEST = 0.006, 0.07, 0.055
 _SOLID_INSIDE, _EDGE_BINS = 0.2, 4
+_LEFT_OUT = 6  # bins before an edge that are compared with those behind it
 _INNER, _NARROW = 0.4, 0.001  # weights of the inner edge's contrast and of each bin of width
 _SURE = 0.8
 _SOLID = 0.8
@@ -191,21 +192,23 @@ def _start_at(circle: Circle, index: SightIndex) -> _Start:
 
     The circle of a flat rim may lie anywhere between its edges; the rays tell where these are.
     """
-    near = index.passing(circle.centre[None], circle.radius + _BAND_WITHIN + 0.09).thin(_FEW_RAYS)
+    near = index.passing(circle.centre[None], circle.radius + _BAND_WITHIN + 0.09, _FEW_RAYS)
     place, crossing = cross_plane(near, circle.centre, circle.axis)
     behind = near.length - crossing
     known = behind > -_BEHIND
     solid = known & (np.abs(behind) < _BEHIND)
-    distance = np.hypot(*place.T)
+    distance = np.sqrt(place[:, 0] ** 2 + place[:, 1] ** 2)
     n_bins = int((circle.radius + _BAND_WITHIN + 0.09) / _BAND_BIN) + 1
     inside = distance < n_bins * _BAND_BIN
     of_ray = (distance[inside] / _BAND_BIN).astype(np.int64)
-    total = np.concatenate([[0], np.cumsum(np.bincount(of_ray, known[inside], n_bins))])
-    hits = np.concatenate([[0], np.cumsum(np.bincount(of_ray, solid[inside], n_bins))])
+    # Bins left of the first are empty, so that edges need no limit.
+    total, hits = np.zeros(_LEFT_OUT + n_bins + 1), np.zeros(_LEFT_OUT + n_bins + 1)
+    np.cumsum(np.bincount(of_ray, known[inside], n_bins), out=total[_LEFT_OUT + 1 :])
+    np.cumsum(np.bincount(of_ray, solid[inside], n_bins), out=hits[_LEFT_OUT + 1 :])
 
     def share(first: Int[np.ndarray, "K"], last: Int[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
         """Return the share of the rays between two edges that end there; NaN without rays."""
-        first, last = np.clip(first, 0, n_bins), np.clip(last, 0, n_bins)
+        first, last = first + _LEFT_OUT, last + _LEFT_OUT
         n = total[last] - total[first]
         return np.where(n > 0, (hits[last] - hits[first]) / np.maximum(n, 1), np.nan)
 
@@ -220,9 +223,9 @@ def _start_at(circle: Circle, index: SightIndex) -> _Start:
     if not len(inner):
         return _Start(Ring(circle.centre, circle.axis, circle.radius, 0.015, 0.012), 0.0, circle.score)
     on = share(inner, outer)
-    contrast = np.nan_to_num(on - share(outer + 1, outer + 6))
+    contrast = np.nan_to_num(on - share(outer + 1, outer + _LEFT_OUT))
     # The inner edge shows by the openings; a solid wheel has none, and any narrow band at its outer edge will do.
-    edge = np.nan_to_num(on - share(inner - 6, inner - 1))
+    edge = np.nan_to_num(on - share(inner - _LEFT_OUT, inner - 1))
     best = int(np.argmax(contrast + _INNER * edge - _NARROW * (outer - inner)))
     promise = float(np.clip(contrast[best], 0.0, 1.0))
     if edge[best] < _SOLID_INSIDE:
@@ -279,7 +282,7 @@ def _examine(start: Ring, index: SightIndex, floor: FloorPlane | None, is_hinted
 
 def _rays_about(index: SightIndex, ring: Ring, beside: float = _BESIDE) -> Sightlines:
     """Return rays through and beside a ring, with space for the ring to move."""
-    return index.passing(ring.centre[None], _WIDER * ring.radius + beside).thin(_MOST_RAYS)
+    return index.passing(ring.centre[None], _WIDER * ring.radius + beside, _MOST_RAYS)
 
 
 def _weigh(index: SightIndex, ring: Ring, floor: FloorPlane | None) -> _Weighed | None:
