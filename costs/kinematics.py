@@ -11,8 +11,8 @@ import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
 from costs.robot.model import RobotModel
-from costs.robot.work_space import borrow_work_space
 from costs.rotation import cross, skew
+from costs.work_space import borrow_work_space
 
 
 @dataclass(frozen=True)

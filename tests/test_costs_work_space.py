@@ -7,7 +7,7 @@ import pinocchio as pin
 from tiny_robots import PLANAR, SPATIAL, atlas, chain, random_configurations
 
 from costs.kinematics import KinematicsEngine
-from costs.robot.work_space import MOST_KEPT, borrow_data, borrow_work_space
+from costs.work_space import MOST_KEPT, borrow_data, borrow_work_space
 
 
 def test_a_model_has_one_work_space_in_a_thread_and_another_in_the_next():

@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
-from costs.robot.work_space import borrow_data
 from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
+from costs.work_space import borrow_data
 from service.start.overlaps import Overlap
 from service.start.standing import FEET_GROUP, FLOOR_KIND, sole_corners
 from service.verify import PlantedContact, SupportPolygon

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel
-from costs.robot.work_space import borrow_data
+from costs.work_space import borrow_data
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget, Target
 

@@ -11,8 +11,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from costs.robot.work_space import borrow_data
 from costs.stopping import poll
+from costs.work_space import borrow_data
 from service.verify import Motion, Phase, PlantedContact
 from service.verify.forces.dynamics import map_axes
 from service.verify.forces.hand_loads import list_load_cases

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 
 from costs.curve import Curve
 from costs.robot.model import RobotModel
-from costs.robot.work_space import borrow_data
 from costs.stopping import poll
+from costs.work_space import borrow_data
 from service.verify.motion import SupportPolygon
 
 # Share of the effort limit that is used at grid points, with a reserve for points between them.

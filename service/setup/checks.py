@@ -11,8 +11,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from costs.robot.work_space import borrow_data
 from costs.scene import Scene
+from costs.work_space import borrow_data
 from service.demands import list_planted_feet
 from service.demands.contacts.stances import ContactStance
 from service.errors import RequestError, would_do

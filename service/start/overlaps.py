@@ -13,8 +13,8 @@ from jaxtyping import Float
 from costs.allowance import BodyRef
 from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
-from costs.robot.work_space import borrow_data
 from costs.scene import ConvexPiece, Scene
+from costs.work_space import borrow_data
 from service.start.standing import FLOOR_KIND
 from service.verify.ground import GROUND_TOLERANCE_M
 from service.verify.solids import make_coal_convex

@@ -10,9 +10,9 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import LinkBody, RobotModel
-from costs.robot.work_space import borrow_data
 from costs.scene import ConvexPiece
 from costs.support import SupportPolygon
+from costs.work_space import borrow_data
 from service.errors import RequestError
 from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, find_ground_gaps
 

@@ -133,7 +133,7 @@ class _ProgramSearch:
         yield from self._around(start, end, TREES[1])
         for name, posture in posture_guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self.solve(path_via(start, self._move_free(posture), end, count))
-        for tree in TREES[2:4]:
+        for tree in TREES[2:5]:
             yield from self._around(start, end, tree)
 
     def make_plan(self, name: str, solved: Solved) -> TaskPlan:

@@ -56,17 +56,20 @@ NEAR, EVERYWHERE, IN_A_TURN = 0.8, float(np.pi), float(np.inf)
 NARROW = (2e-3, 0.05)
 MOST_NARROW = 400  # waypoints of such a path
 BARS = (2e-3, 0.1)  # between bars
-# LBKPIECE finds a way through shelves within some hundred checks. Between bars a tree near the ends, with little
-# clearance, has three times the success of one that draws everywhere, for the same time.
+# LBKPIECE finds a way through shelves, within some hundred checks. Between bars a tree near the ends, with little
+# clearance, has twice its success for the same time. They take turns.
 TREES = (
-    Tree(0, 700, "LBKPIECE1"),
-    Tree(1, 1500, "RRTConnect", NEAR, *BARS),
-    Tree(2, 1500, "RRTConnect", NEAR, *BARS),
-    Tree(3, 2000, "LBKPIECE1"),
-    Tree(4, 4000, "RRTConnect", IN_A_TURN, *NARROW),
-    Tree(5, 4000, "LBKPIECE1", NEAR, *NARROW),
-    Tree(6, 8000, "RRTConnect", EVERYWHERE, *NARROW),
+    Tree(0, 1000, "LBKPIECE1"),
+    Tree(1, 1000, "RRTConnect", NEAR, *BARS),
+    Tree(2, 2000, "LBKPIECE1"),
+    Tree(3, 1000, "RRTConnect", NEAR, *BARS),
+    Tree(4, 2000, "RRTConnect", NEAR, *BARS),
+    Tree(5, 2000, "RRTConnect", NEAR, *NARROW),
+    Tree(6, 4000, "RRTConnect", IN_A_TURN, *NARROW),
+    Tree(7, 4000, "LBKPIECE1", NEAR, *NARROW),
+    Tree(8, 8000, "RRTConnect", EVERYWHERE, *NARROW),
 )
+CHECKS_TO_OTHER_END, CHECKS_AMONG_SHRUNKEN = 2000, 4000  # of trees beside these
 LARGE_TREES = (
     Tree(0, 8000, "RRTConnect", IN_A_TURN, *NARROW),
     Tree(0, 8000, "LBKPIECE1", NEAR, *NARROW),
@@ -229,11 +232,11 @@ class _ReachSearch:
                         "straight line to a random posture at the goal",
                         self._solve(straight_path(body.nominal, end, waypoints), **QUICK),
                     )
-                    yield from self._around(end, Tree(number, TREES[2].most_checks, "RRTConnect"))
+                    yield from self._around(end, Tree(number, CHECKS_TO_OTHER_END, "RRTConnect"))
                     if solver.monitor.remaining_s() < reserve:
                         return
             end = ends[number % len(ends)]
-            yield from self._through_shrunken(end, Tree(number, TREES[4].most_checks), SHRINK[number % len(SHRINK)])
+            yield from self._through_shrunken(end, Tree(number, CHECKS_AMONG_SHRUNKEN), SHRINK[number % len(SHRINK)])
             if solver.monitor.remaining_s() < reserve:
                 return
             large = LARGE_TREES[number % len(LARGE_TREES)]

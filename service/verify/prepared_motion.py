@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from costs.robot.work_space import borrow_data
 from costs.stopping import poll
+from costs.work_space import borrow_data
 from service.verify.curve_bounds import RateBounds, Rates, position_range
 from service.verify.joint_chain import JointTree
 from service.verify.motion import Motion, VerifyError

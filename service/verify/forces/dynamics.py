@@ -11,8 +11,8 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 
 from costs.curve import TimeLaw
-from costs.robot.work_space import borrow_data
 from costs.stopping import poll
+from costs.work_space import borrow_data
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.contact_forces import ContactShare, Joints, list_unit_wrenches
 from service.verify.forces.hand_loads import list_load_cases

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from costs.curve import Curve
 from costs.robot.model import RobotModel
-from costs.robot.work_space import borrow_data
+from costs.work_space import borrow_data
 from service.verify.forces.equilibrium import list_slid_loads, list_turned_loads
 from service.verify.motion import HandLoad, Motion, VerifyError
 
