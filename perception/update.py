@@ -21,7 +21,7 @@ from perception.convex.standing import Ground
 from perception.convex.unknown import make_unknown_pieces
 from perception.convex.updated import Judge, Updated, update_pieces
 from perception.detect.shared.detection import Detection
-from perception.ground.floor import FloorPlane, find_floor_points, floor_pieces
+from perception.ground.floor import FloorPlane, floor_pieces
 from perception.ground.levels_again import may_be_level
 from perception.perceive import Perceived, drop_explained, find_meshes, list_boxes, see_past, take_out
 from perception.solids.match import KnownMesh
@@ -130,8 +130,7 @@ def _hold_against(
     # Points that kept pieces explain need no cleaning, but a mesh search needs all points cleaned.
     cleaned = len(known) > 0
     view = view_of(cropped, reach=earlier.reach, soles=soles, seed=earlier.seed, cleaned=cleaned, floors=levels)
-    is_floor = find_floor_points(view.near.points, view.floors, soles)
-    ground = view.near.points[is_floor]
+    ground = view.near.points[view.is_floor]
     is_level = partial(may_be_level, floors=view.floors if view.floors is levels else (), ground=ground)
     # Most new levels are found before pieces are made; others, such as one on an earlier object, only meanwhile.
     if is_level(view.obstacles, known=[piece.hull for piece in earlier.pieces]):
@@ -143,14 +142,14 @@ def _hold_against(
     matches = {**earlier.matches, **find_meshes(known, view, clock)}
     kept = drop_explained(view.obstacles, kept, matches)
     hulls = tuple(make_hull(piece.vertices, kept[:0]).simplified for piece in floors)
-    judge = None if cleaned else _judge(view.near, ~is_floor, kept)
+    judge = None if cleaned else _judge(view.near, ~view.is_floor, kept)
     made = update_pieces(
         earlier.pieces,
         view.obstacles[kept],
         view.starts[kept],
         see_past(earlier.detections, view.cloud.rays),
         earlier.seed,
-        Ground(hulls, ground, view.near.starts[is_floor]),
+        Ground(hulls, ground, view.near.starts[view.is_floor]),
         judge,
         is_level,
     )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from perception.cleaning.clean import Reach, first_of_equals, inside_hulls
 from perception.cleaning.doubts import crop_doubt, low_sensor_doubt, nothing_left
@@ -36,7 +36,7 @@ class View:
         seed: seed of the random choices of floor and pieces; the same scan and seed give the same result.
         notes: sentences for the user.
         n_own: number of points in reach on the robot itself.
-        n_floor: number of points of ``near`` on the floor.
+        is_floor: (N,) which points of ``near`` belong to the floor.
         robot_hulls: (V, 3) vertices of the robot's links in the world [m].
         soles: (S, 3) corners of the planted soles [m].
     """
@@ -50,7 +50,7 @@ class View:
     seed: int
     notes: tuple[str, ...]
     n_own: int = 0
-    n_floor: int = 0
+    is_floor: Bool[np.ndarray, "N"] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     robot_hulls: tuple[Float[np.ndarray, "V 3"], ...] = ()
     soles: tuple[Float[np.ndarray, "S 3"], ...] = ()
 
@@ -58,6 +58,11 @@ class View:
     def n_cropped(self) -> int:
         """Number of points out of reach."""
         return len(self.cloud.points) - len(self.near.points) - self.n_own
+
+    @property
+    def n_floor(self) -> int:
+        """Number of points of ``near`` on the floor."""
+        return int(np.count_nonzero(self.is_floor))
 
     @property
     def n_strays(self) -> int:
@@ -178,14 +183,14 @@ def view_of(
     if floors:
         lowest = np.min([level.height(near.starts[:, :2]) for level in floors], axis=0)
         notes = (*notes, *low_sensor_doubt(near.starts, lowest))
-    above = ~find_floor_points(near.points, floors, soles)
+    is_floor = find_floor_points(near.points, floors, soles)
+    above = ~is_floor
     kept = surface_points(near.points, near.starts, above) if cleaned else above
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
     notes = (*notes, *crop_doubt(cloud.points, len(near.points) + cropped.n_own, reach, missing))
     obstacles, starts = near.points[kept], near.starts[kept]
-    n_floor = int((~above).sum())
     return View(
-        *(cloud, near, floors, obstacles, starts, reach, seed, notes, cropped.n_own, n_floor),
+        *(cloud, near, floors, obstacles, starts, reach, seed, notes, cropped.n_own, is_floor),
         cropped.robot_hulls,
         tuple(soles),
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception import Perceived, find_floor_points
+from perception import Perceived
 from perception.convex.freespace import carve
 from service.viewer.html import render_page
 from service.viewer.payload import pack, pack_hull, quantize, thin_points
@@ -32,8 +32,7 @@ def render_scene(built: BuiltScene, title: str) -> str:
 def make_scene_payload(built: BuiltScene, title: str) -> dict[str, Any]:
     """Return everything the page draws, JSON-ready."""
     scene, perceived = built.data, built.perceived
-    is_floor = find_floor_points(perceived.view.near.points, perceived.view.floors)
-    points, owner = _assign_points(built, is_floor)
+    points, owner = _assign_points(built, perceived.view.is_floor)
     change = {name: how for how in ("stayed", "changed", "new") for name in scene.get("update", {}).get(how, ())}
     return {
         "title": title,
@@ -58,7 +57,7 @@ def make_scene_payload(built: BuiltScene, title: str) -> dict[str, Any]:
         "cloud": quantize(points),
         "owner": pack(owner, "u2"),
         "sensors": _list_sensors(perceived).tolist(),
-        "space": _make_space(perceived, is_floor),
+        "space": _make_space(perceived, perceived.view.is_floor),
     }
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from costs.stopping import poll
-from perception.detect.shared.arithmetic import covariance, cross, quantiles
+from perception.detect.shared.arithmetic import cross
 from perception.detect.shared.nearby import Nearby
 from perception.detect.shared.slender import is_slender, variances_about
 
@@ -151,7 +151,7 @@ def _best_at_seed(
         patch = offset[distance2 < radius**2]
         if len(patch) < 6:
             continue
-        values, vectors = np.linalg.eigh(covariance(patch))
+        values, vectors = np.linalg.eigh(np.cov(patch.T))
         # One row of a scan has no normal.
         if values[1] > _ROW * values[2]:
             break
@@ -162,7 +162,7 @@ def _best_at_seed(
     patch = offset[(distance2 < _SECOND_BALL**2) & (np.abs((offset - patch.mean(axis=0)) @ normal) < _THICK)]
     if len(patch) < 8:
         return None
-    normal, middle = np.linalg.eigh(covariance(patch))[1][:, 0], patch.mean(axis=0)
+    normal, middle = np.linalg.eigh(np.cov(patch.T))[1][:, 0], patch.mean(axis=0)
     flat = offset[np.abs((offset - middle) @ normal) < _THICK]
     first = cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
@@ -231,7 +231,7 @@ def _grow(
             return None
         chosen = points[members]
         place = chosen.mean(axis=0)
-        values, vectors = np.linalg.eigh(covariance(chosen))
+        values, vectors = np.linalg.eigh(np.cov((chosen - place).T))
         if values[1] > 0.5 * values[2]:
             return None
         axis, normal = vectors[:, 2] * np.sign(vectors[:, 2] @ axis), vectors[:, 0]
@@ -256,8 +256,8 @@ def _grow(
 
 def middle_and_half(spread: Float[np.ndarray, "K"]) -> tuple[float, float]:
     """Return a strip's middle and half width from its points' offsets across, outermost ignored [m]."""
-    left, right = quantiles(spread, 0.04, 0.96)
-    return 0.5 * (left + right), 0.5 * (right - left) / 0.92
+    left, right = np.percentile(spread, [4.0, 96.0])
+    return 0.5 * float(left + right), 0.5 * float(right - left) / 0.92
 
 
 def _clear(
@@ -341,7 +341,7 @@ def _misfit(bins: Int[np.ndarray, "B"], course: Float[np.ndarray, "B 3"]) -> flo
 def _refit(strip: Strip, members: Float[np.ndarray, "K 3"]) -> Strip:
     """Return the strip fitted to some of its points: length, width and direction."""
     middle = members.mean(axis=0)
-    vectors = np.linalg.eigh(covariance(members))[1]
+    vectors = np.linalg.eigh(np.cov((members - middle).T))[1]
     axis = vectors[:, 2] * np.sign(vectors[:, 2] @ strip.axis)
     normal = vectors[:, 0] * np.sign(vectors[:, 0] @ strip.normal)
     side = cross(normal, axis)

@@ -16,6 +16,7 @@ from perception.detect.hose.tube import (
     TubeEvidence,
     misfit_of,
     refine_tube,
+    settle_mouth,
     settle_tube,
     square_to,
     weigh_tube,
@@ -58,6 +59,8 @@ _FOOT_ABOUT = (0.02, 0.1)
 _NEAR_MOUTH = 0.04
 _LAYER = 0.025
 _N_SECTORS, _LEAST_SECTORS = 12, 5
+_TURNED = np.cos(np.radians(10.0))  # the least cosine between the axes of both fits
+_RAYS_INTO = (16.0, 40.0)  # rays into the middle of a mouth that show nothing, and enough to show whether it is open
 
 
 @dataclass(frozen=True)
@@ -205,15 +208,19 @@ def _judge(index: SightIndex, candidate: _Candidate, is_hinted: bool) -> _End:
     tube = candidate.tube
     rays = index.passing(np.stack([tube.mouth, tube.mouth - STRAIGHT * tube.axis]), 1.2 * tube.radius + _BESIDE)
     evidence = weigh_tube(rays, tube)
-    return _End(
-        settle_tube(rays, tube), candidate.misfit, evidence, _confidence(tube, candidate.misfit, evidence, is_hinted)
-    )
+    settled = settle_tube(rays, tube)
+    if settled.axis @ tube.axis < _TURNED:
+        # Few returns on one side of a wall let it turn; the rays that pass or enter tell which fit is right.
+        alternative = settle_mouth(rays, tube)
+        misfit, other = (misfit_of(candidate.rays, candidate.mine, one) for one in (settled, alternative))
+        settled = settled if misfit <= other else alternative
+    return _End(settled, candidate.misfit, evidence, _confidence(tube, candidate.misfit, evidence, is_hinted))
 
 
 def _confidence(tube: Tube, misfit: float, evidence: TubeEvidence, is_hinted: bool) -> float:
     """Return the product of all ratings, 0 to 1: wall, opening, free sides, depth residuals, usual radius, reach."""
     unseen = 0.8 if is_hinted else 0.4
-    sure = rising(float(evidence.n_open), 6.0, 16.0) * rising(evidence.entering, 0.2, 0.35)
+    sure = rising(float(evidence.n_open), *_RAYS_INTO) * rising(evidence.entering, 0.2, 0.35)
     is_open = 0.0 if np.isnan(evidence.open) else rising(evidence.open, 0.5, 0.75)
     would_show = 1.0 - np.exp(-max(evidence.n_hits, 1) / _TO_SHOW_ALL)
     is_open *= rising(-evidence.stopped, -0.4, -0.2) * rising(evidence.round / would_show, *_ALL_ABOUT)

@@ -21,7 +21,7 @@ _REPORTED = 0.05
 _LEAST_SEAT = 0.25
 # A sill below an opening is evidence for a vehicle too, and the doubt about a seat is mostly about its back.
 _SEAT_TRUST = 0.6
-_ROOF_UNSEEN = 0.7  # factor as for an unseen post: the height is then a guess
+_ROOF_UNSEEN = 0.45  # the height is then a guess, and a hit without a hint is not sure
 _HINT_TRUST = 0.7
 _LEAST_WIDTH = 0.35
 _MOST_WIDTH = 1.6
