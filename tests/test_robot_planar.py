@@ -10,7 +10,9 @@ import pytest
 from robot_files import joint, link, robot, write_urdf
 
 from costs.robot import RobotError, load_robot
-from service import RequestError, parse_request, plan, prepare, write_result
+from service import RequestError, certify, parse_request, plan, prepare, read_trajectory, write_result
+from service.errors import ResultError
+from service.execution.reference import PlannedReference
 from service.replay.replay import verify_result
 
 WIDE = '<limit lower="-2" upper="2" velocity="2" effort="60"/>'
@@ -57,6 +59,10 @@ def test_a_base_drives_around_a_wall_and_its_record_is_verified(tmp_path: Path) 
     folder = tmp_path / "out"
     write_result(result, folder)
     assert verify_result(folder)["verdict"] == "CERTIFIED"
+    outcome = certify(read_trajectory(folder / "trajectory.csv"), request)
+    assert outcome.is_certified, outcome.failures
+    with pytest.raises(ResultError, match=r"robot\.root is planar, and nothing drives the base"):
+        PlannedReference.read(folder)
 
 
 def test_a_start_pose_of_the_base_lies_in_the_plane(tmp_path: Path) -> None:

@@ -260,6 +260,8 @@ def check_executable(motion: Motion) -> TimeLaw:
         raise ResultError(f"robot '{robot.name}' has no masses; give its links an <inertial> in the URDF")
     first = len(BASE_NAMES) if robot.is_floating else 0
     last = robot.n - sum(int(robot.model.joints[joint].nv) for joint in apart)
+    if robot.is_planar:
+        raise ResultError(f"robot '{robot.name}': robot.root is planar, and nothing drives the base; expected fixed")
     weak = [robot.joint_names[k] for k in range(first, last) if not 0.0 < robot.effort[k] < np.inf]
     if weak:
         raise ResultError(f"robot '{robot.name}': joint '{weak[0]}' has no effort limit; give it one in the URDF")
