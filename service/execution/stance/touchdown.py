@@ -21,6 +21,7 @@ from service.execution.reference import ReferencePhase
 from service.execution.shift import Shift, ShiftLimits, step_shift
 
 MAX_TILT_RAD = 0.35
+SOLE_DEPTH = 5e-3  # of the points of a foot that are its sole, from the lowest one [m]
 
 
 class Stage(Enum):
@@ -43,12 +44,14 @@ class TouchdownSettings:
         lead_s: time before the planned touch from which the sole is tilted [s].
         free_s: time before the planned touch from which the ankle is free [s].
         torque_gain: share of the measured ankle torque that is fed back: ``K_f`` of eq. 8, with a desired torque of 0.
-        damping_share: of the servo's damping that a free ankle keeps, so that it does not swing.
+        damping_share: of the servo's damping that a free ankle keeps, so that the sole neither swings nor slaps down.
+        flat_rate: speed at which this damping turns the toe down after the touch [rad/s].
         touch_n: upright force at which the foot touches the ground [N].
         touch_s: time for which it must be exceeded [s].
         settle_s: time after the touch in which the sole comes flat, and then time in which the ankle becomes stiff [s].
         press_n: upright force with which a foot that has touched presses until it carries weight [N].
         press_gain: speed of its target per newton that it presses harder [m/(N s)].
+        press_speed: at most, downwards, of a foot that has touched [m/s].
         probe_speed: of the foot that looks for ground below its planned place [m/s].
         return_speed: of a lifted foot back to the plan's height [m/s].
         probe_m: how far the ground may be from where the plan has it [m].
@@ -56,17 +59,19 @@ class TouchdownSettings:
         limits: of the displacement of the foot.
     """
 
-    tilt_rad: float = 0.05
+    tilt_rad: float = 0.03
     tilt_rate: float = 0.25
     lead_s: float = 0.7
     free_s: float = 0.25
     torque_gain: float = 0.8
-    damping_share: float = 0.02
+    damping_share: float = 0.1
+    flat_rate: float = 0.2
     touch_n: float = 25.0
     touch_s: float = 0.004
     settle_s: float = 0.25
     press_n: float = 60.0
     press_gain: float = 1.2e-4
+    press_speed: float = 0.01
     probe_speed: float = 0.03
     return_speed: float = 0.015
     probe_m: float = 0.03
@@ -89,11 +94,13 @@ class Ankle:
         foot: link.
         joints: indices in the order of the commands: the last two joints above the foot.
         toe_up: (2,) change of the joints' angles per radian of toe-up tilt.
+        heel_m: by which the heel comes lower than the flat sole, per radian of that tilt [m].
     """
 
     foot: str
     joints: np.ndarray
     toe_up: Float[np.ndarray, "2"]
+    heel_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,21 @@ def find_ankle(robot: RobotModel, joint_names: Sequence[str], foot: str) -> Ankl
     columns = [model.joints[joint].idx_v for joint in above]
     # Toe up is a negative turn about the foot's y axis.
     toe_up = np.linalg.lstsq(turns[:, columns], np.array([0.0, -1.0, 0.0]), rcond=None)[0]
-    return Ankle(foot, np.array([list(joint_names).index(name) for name in names]), toe_up)
+    heel = measure_heel(robot, foot)
+    return Ankle(foot, np.array([list(joint_names).index(name) for name in names]), toe_up, heel)
+
+
+def measure_heel(robot: RobotModel, foot: str) -> float:
+    """Return how far the sole of a foot reaches behind the foot's frame, about which it tilts [m]; 0 without shape."""
+    model = robot.model
+    frame = model.frames[model.getFrameId(foot)]
+    place = frame.placement.inverse()
+    parts = [body.vertices.T for body in robot.bodies if body.link == foot]
+    if not parts:
+        return 0.0
+    points = place.rotation @ np.concatenate(parts, axis=1) + place.translation[:, None]
+    sole = points[:, points[2] < points[2].min() + SOLE_DEPTH]
+    return max(float(-sole[0].min()), 0.0)
 
 
 def find_landing(phases: Sequence[ReferencePhase], index: int, foot: str) -> ReferencePhase | None:
@@ -233,6 +254,8 @@ def step_touchdown(
     elif state.stage is Stage.SETTLED:
         offset = state.offset if state.is_sloped else state.offset - np.clip(state.offset, -step, step)
         state = replace(state, offset=offset, softness=max(state.softness - period_s / settings.settle_s, 0.0))
+    if state.stage is Stage.TILTED:  # the heel is then as high above the ground as the plan has the sole
+        state = replace(state, height=state.height.towards(np.array([0.0, 0.0, ankle.heel_m * state.tilt])))
     return replace(state, height=_move_height(settings, state, foot, left_s, period_s))
 
 
@@ -257,7 +280,8 @@ def _move_height(
     if state.stage is not Stage.FREE:
         return step_shift(state.height, settings.limits, period_s)
     speed = min(settings.press_gain * (foot.upright_n - settings.press_n), settings.limits.speed)
-    speed = max(speed, -settings.probe_speed) if foot.upright_n >= settings.touch_n else -settings.probe_speed
+    slowest = settings.press_speed if state.has_touched else settings.probe_speed
+    speed = max(speed, -slowest) if foot.upright_n >= settings.touch_n else -slowest
     if left_s > settings.free_s:
         speed = max(speed, 0.0)
     elif state.has_touched or left_s <= 0.0:
@@ -297,6 +321,8 @@ def soften(
     joints, soft = ankle.joints, state.softness
     q[joints] = (1.0 - soft) * (q[joints] + state.offset) + soft * reading.q[joints]
     qd[joints] += soft * (1.0 - settings.damping_share) * (reading.qd[joints] - qd[joints])
+    if state.has_touched and state.since_s < settings.settle_s:
+        qd[joints] -= soft * settings.damping_share * settings.flat_rate * ankle.toe_up
     if balancing is not None and state.stage is Stage.BALANCING:
         own = balancing
     else:
