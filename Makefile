@@ -60,7 +60,7 @@ coverage: $(READY)
 	$(PYTEST) --cov --cov-report=term
 
 test-ray: $(RAY_READY)
-	OMP_NUM_THREADS=1 $(RAY_VENV)/bin/python -m pytest tests/test_executor_ray.py tests/test_server_ray.py
+	OMP_NUM_THREADS=1 $(RAY_VENV)/bin/python -m pytest tests/executor/test_executor_ray.py tests/server/test_server_ray.py
 
 $(RAY_READY): pyproject.toml constraints.txt tools/setup.sh
 	@tools/setup.sh $(RAY_VENV) dev,ray

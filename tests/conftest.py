@@ -27,14 +27,20 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of
 # Time limits of plans count what this process computes, not what the machine does besides: no verdict depends on that.
 time.perf_counter = time.process_time
 
-# Test modules (`test_x.py`) and test functions (`test_x.py::test_y`) that `make test-fast` leaves out.
-SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text().split())
+# Test modules (`costs/test_x.py`) and test functions (`costs/test_x.py::test_y`) that `make test-fast` leaves out.
+TESTS = Path(__file__).parent
+SLOW = frozenset((TESTS / "slow.txt").read_text().split())
 SLOW_OVER_S = 2.0
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Do not even import a module of slow tests when these are not wanted."""
-    return True if config.option.markexpr == "not slow" and collection_path.name in SLOW else None
+    return True if config.option.markexpr == "not slow" and name_module(collection_path) in SLOW else None
+
+
+def name_module(path: Path) -> str:
+    """Return the path of a test module as ``slow.txt`` has it."""
+    return path.relative_to(TESTS).as_posix() if path.is_relative_to(TESTS) else path.name
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
@@ -42,10 +48,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that ``slow.txt`` lists; their files come first, so that no process waits long for another."""
     for item in items:
         function = getattr(item, "originalname", item.name)
-        if item.path.name in SLOW or f"{item.path.name}::{function}" in SLOW:
+        module = name_module(item.path)
+        if module in SLOW or f"{module}::{function}" in SLOW:
             item.add_marker("slow")
     files = {name.partition("::")[0] for name in SLOW}
-    items.sort(key=lambda item: item.path.name not in files)
+    items.sort(key=lambda item: name_module(item.path) not in files)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

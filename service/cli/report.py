@@ -12,7 +12,7 @@ from rich.text import Text
 SEEN_TOUCH_M = 1e-4  # smaller overlaps are those of feet that rest on a floor
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
 NAMED_LINKS = 3  # links without shape that are named in the verdict's line
-SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/test_cli_report.py compares them)
+SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/cli/test_cli_report.py compares them)
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {
     "CERTIFIED": "green",

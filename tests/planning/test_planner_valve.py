@@ -1,0 +1,189 @@
+"""Turning a valve: from the shipped scan, by a given circle, with either hand and in both modes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stranger import Stranger
+
+from service.demands.hands import PEG_RADIUS
+from service.errors import RequestError
+from service.planner import plan
+from service.request.file import load_request, parse_request
+from service.result.output import write_result
+from service.result.result import Verdict
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+TRUTH = json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())["valve"]
+
+
+def request(valve: dict, cloud: Path | None = None, start: str = "reach_ready", **more):
+    scene = {} if cloud is None else {"cloud": str(cloud)}
+    return parse_request(
+        {"robot": {"name": "atlas"}, "start": {"posture": start}, "scene": scene, "task": {"valve": valve}, **more}
+    )
+
+
+def given(centre=(0.68, 0.12, 1.1), radius=0.14, **more) -> dict:
+    return {"centre": list(centre), "axis": [-1.0, 0.0, 0.0], "radius": radius, **more}
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """The plan of the shipped request and scan, with its folder."""
+    result = plan(load_request(EXAMPLES / "requests" / "valve.yaml"))
+    folder = tmp_path_factory.mktemp("valve") / "out"
+    write_result(result, folder)
+    return result, Stranger(folder)
+
+
+def pair_of(allowance: dict) -> tuple:
+    """The two references of an allowance in a result."""
+    return tuple(tuple(allowance[key][part] for part in ("owner", "link", "body")) for key in ("first", "second"))
+
+
+def tool_path(stranger: Stranger, phase: str, frame: str) -> list:
+    """Placements of a tool at the samples of a phase, and half-way between them."""
+    part = next(p for p in stranger.data["phases"] if p["name"] == phase)
+    rows = stranger.positions[part["first"] : part["last"] + 1]
+    rows = np.concatenate([rows, 0.5 * (rows[1:] + rows[:-1])])
+    order = np.argsort(np.concatenate([np.arange(len(rows) // 2 + 1), np.arange(len(rows) // 2) + 0.5]))
+    return [stranger.placements(row)[frame] for row in rows[order]]
+
+
+def test_the_shipped_scan_gives_a_certified_turn(shipped):
+    result, _ = shipped
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert [phase.name for phase in result.motion.phases] == ["reach", "insert", "turn", "retract"]
+    assert result.figures["turned_deg"] == pytest.approx(360.0, abs=0.5)
+
+
+def test_the_peg_stays_at_its_place_in_the_wheel_within_1_mm(shipped):
+    result, stranger = shipped
+    seen = result.detections[0]
+    centre, axis, radius = np.array(seen["centre"]), np.array(seen["axis"]), seen["rim_radius"]
+    turns = []
+    for pose in tool_path(stranger, "turn", "l_peg"):
+        offset = pose.translation - centre
+        height = offset @ axis
+        turns.append((np.linalg.norm(offset - height * axis), height))
+        assert -pose.rotation[:, 2] @ axis > np.cos(np.deg2rad(3.0))
+    assert np.ptp(turns, axis=0).max() < 1e-3
+    inner = radius - seen["tube_radius"]
+    assert inner - 0.03 < np.mean(turns, axis=0)[0] < inner - 0.009
+    assert np.linalg.norm(centre - TRUTH["centre"]) < 0.01
+    assert abs(radius - TRUTH["rim_radius"]) < 5e-3
+
+
+def test_on_the_true_wheel_the_peg_presses_one_spoke_within_2_mm_and_keeps_clear_of_the_rim(shipped):
+    _, stranger = shipped
+    axis = np.array(TRUTH["axis"]) / np.linalg.norm(TRUTH["axis"])
+    right = np.cross([0.0, 0.0, 1.0], axis)
+    up = np.cross(axis, right)
+    part = next(p for p in stranger.data["phases"] if p["name"] == "turn")
+    angles = stranger.data["movables"][0]["angles"]
+    reach = TRUTH["spoke_radius"] + PEG_RADIUS
+    gaps = []
+    for row in range(part["first"], part["last"] + 1, 5):
+        poses = stranger.placements(stranger.positions[row])
+        first, last = poses["l_stub"].translation, poses["l_tool"].translation
+        rod = first + np.linspace(0.0, 1.0, 120)[:, None] * (last - first) - TRUTH["centre"]
+        x, y, z = rod @ right, rod @ up, rod @ axis
+        rim = np.hypot(np.hypot(x, y) - TRUTH["rim_radius"], z).min()
+        assert rim - TRUTH["tube_radius"] - PEG_RADIUS > 0.0
+        nearest = []
+        for angle in np.array(TRUTH["spoke_angles"]) + angles[row]:
+            along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+            beyond = along - np.clip(along, 0.0, TRUTH["rim_radius"])
+            nearest.append(np.sqrt(beyond**2 + across**2 + z**2).min() - reach)
+        gaps.append(nearest)
+    pressed, *others = np.array(gaps).T[np.argsort(np.min(gaps, axis=0))]
+    assert np.abs(pressed).max() < 2e-3
+    assert np.min(others) > 0.02
+
+
+def test_the_wheel_turns_with_the_peg_and_the_hook_touches_only_a_spoke_and_the_rim(shipped):
+    _, stranger = shipped
+    movable = stranger.data["movables"][0]
+    assert movable["angles"][0] == pytest.approx(0.0, abs=1e-9)
+    assert movable["angles"][-1] == pytest.approx(2.0 * np.pi, abs=2e-3)
+    touching = {pair_of(allowance) for phase in stranger.data["phases"] for allowance in phase["allowances"]}
+    rim = {body["name"] for body in movable["bodies"] if "rim" in body["name"]}
+    hook, feet = ("robot", "l_hook", None), [("robot", foot, None) for foot in ("l_foot", "r_foot")]
+    standing = {(foot, ("scene", None, "floor")) for foot in feet}
+    assert len(rim) == 20
+    of_robot = {pair for pair in touching if pair[0][0] == "robot"}
+    spokes = {pair[1] for pair in of_robot if pair[0] == hook and "/spoke/" in pair[1][2]}
+    assert len(spokes) == 1
+    assert of_robot == {(hook, ("mechanism", "valve", name)) for name in rim} | {(hook, *spokes)} | standing
+    assert {second for _, second in touching - of_robot} == {("scene", None, "stem")}
+    reach = stranger.data["phases"][0]
+    assert {pair_of(allowance) for allowance in reach["allowances"]} & of_robot == standing
+
+
+def test_dense_samples_of_the_turn_keep_clear_of_the_scene(shipped):
+    result, stranger = shipped
+    planted = {"l_foot", "r_foot"}
+    clearance, pair = stranger.closest(
+        stranger.rows(1, stride=12), lambda body, link, piece: link in planted and piece == "floor"
+    )
+    assert clearance >= result.certificate.min_clearance_m - 1e-6, pair
+
+
+def test_the_whole_body_helps(shipped):
+    _, stranger = shipped
+    moved = dict(zip(stranger.names, np.ptp(stranger.positions, axis=0), strict=True))
+    assert moved["base_x"] + moved["base_y"] + moved["base_z"] > 0.01
+    assert max(moved[name] for name in moved if name.startswith("back_")) > 0.05
+    assert max(moved[name] for name in moved if "_leg_" in name) > 0.05
+
+
+@pytest.mark.parametrize(
+    ("valve", "phases"),
+    [
+        (given(turn_deg=-90, hand="right", centre=(0.68, -0.12, 1.1)), 4),
+        (given(turn_deg=720), 8),
+    ],
+)
+def test_given_valves_are_turned_as_asked(valve, phases):
+    result = plan(request(valve))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert len(result.motion.phases) == phases
+    assert result.figures["turned_deg"] == pytest.approx(valve["turn_deg"], abs=1.0)
+
+
+def test_a_valve_out_of_reach_comes_with_the_shift_that_would_help():
+    result = plan(request(given(centre=(1.45, 0.12, 1.1), hand="left", turn_deg=90)))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert any("moving the pelvis" in line and "forward" in line for line in result.explanation), result.explanation
+    assert result.motion is not None
+
+
+def test_a_valve_beyond_any_reach_is_infeasible():
+    result = plan(request(given(centre=(5.0, 0.12, 1.1))))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert "cannot reach" in result.explanation[0]
+
+
+def test_a_scan_without_a_valve_says_so(shared_data):
+    result = plan(request({"turn_deg": 90}, shared_data / "scenes" / "door_a" / "scan0.pcd"))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert "no valve was found" in result.explanation[0]
+
+
+def test_the_valve_of_another_scan_is_turned(shared_data):
+    result = plan(request({"turn_deg": 360}, shared_data / "scenes" / "valve_a" / "scan0.pcd"))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.figures["turned_deg"] == pytest.approx(360.0, abs=0.5)
+
+
+def test_a_start_inside_the_wheel_is_told_with_link_and_depth():
+    with pytest.raises(RequestError, match=r"start is in collision: l_hook is 0\.00\d m inside valve/rim/\d+"):
+        plan(request(given(centre=(0.59, 0.1, 1.17), radius=0.2, turn_deg=-90)))
+
+
+def test_a_wheel_too_hard_to_turn_says_that_the_ground_does_not_hold():
+    result = plan(request(given(torque_nm=200.0)))
+    assert result.verdict is Verdict.NOT_FOUND
+    assert any("the ground does not hold the robot under the loads" in line for line in result.explanation)

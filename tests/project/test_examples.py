@@ -1,0 +1,93 @@
+"""The numbered examples run unchanged and print what their docstrings announce."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def run(name: str, folder: Path, *arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / name), *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_reach_a_pose_is_certified_and_leaves_a_viewer(tmp_path):
+    out = run("01_reach_a_pose.py", tmp_path)
+    assert out.startswith("CERTIFIED")
+    assert (tmp_path / out.splitlines()[-1]).is_file()
+
+
+def test_an_added_cost_lifts_the_elbow(tmp_path):
+    lines = run("02_add_a_cost.py", tmp_path).splitlines()
+    heights = [float(re.search(r"elbow (-?[\d.]+) m", line).group(1)) for line in lines]
+    assert heights[1] > heights[0] + 0.2
+    assert all("converged" in line for line in lines)
+
+
+def test_a_term_without_a_derivative_raises_the_elbow_of_a_certified_reach(tmp_path):
+    without, with_term, check = run("03_a_term_without_a_derivative.py", tmp_path).splitlines()
+    ends = [float(re.search(r"([\d.]+) m at the end", line).group(1)) for line in (without, with_term)]
+    assert ends[1] > ends[0] + 0.1
+    assert without.endswith("CERTIFIED")
+    assert with_term.endswith("CERTIFIED")
+    assert "agree with central differences" in check
+
+
+def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
+    lines = run("04_a_convex_term.py", tmp_path).splitlines()
+    found = [re.search(r"CERTIFIED, base moves ([\d.]+) mm, (\d+) joints", line).groups() for line in lines[:2]]
+    (free_base, all_joints), (held_base, few_joints) = ((float(base), int(count)) for base, count in found)
+    assert few_joints < all_joints
+    assert held_base < 7.5 < free_base
+    assert "is concave" in lines[2]
+
+
+def test_a_driver_is_told_a_plan_with_a_pause_and_a_moved_target(tmp_path):
+    lines = run("06_drive_a_robot.py", tmp_path).splitlines()
+    assert lines[0] == "CERTIFIED"
+    assert sum("l_arm_elx" in line for line in lines) >= 4
+    modes = [re.search(r" s  (\w+) +reach", line).group(1) for line in lines if "reach" in line]
+    assert modes == ["running", "paused", "running", "done"]
+    assert lines[-1].startswith("TRACKED")
+
+
+@pytest.fixture
+def planning_server(tmp_path):
+    """Address of a running server with one worker."""
+    program = "from service.cli.app import main; main()"
+    options = ["serve", "--listen", "127.0.0.1:0", "--workers", "1", "--drain", "0", "--data", str(tmp_path / "kept")]
+    process = subprocess.Popen([sys.executable, "-c", program, *options], stdout=subprocess.PIPE, text=True)
+    try:
+        yield process.stdout.readline().removeprefix("listening on ").strip()
+    finally:
+        process.terminate()
+        process.communicate(timeout=120)
+
+
+def test_a_client_watches_its_plan_and_reads_the_trajectory(tmp_path, planning_server):
+    lines = run("05_client.py", tmp_path, planning_server).splitlines()
+    assert any(re.fullmatch(r" *\d+ % reach", line) for line in lines)
+    assert any(re.fullmatch(r" +iteration \d+: merit .+", line) for line in lines)
+    assert lines[-3] == "CERTIFIED"
+    assert re.fullmatch(r"l_arm_elx -?[\d.]+ -> -?[\d.]+ rad in [\d.]+ s", lines[-2])
+    assert (tmp_path / lines[-1].split(" shows")[0]).is_file()
+    assert (EXAMPLES / "05_client.py").read_text().count("\n") < 60
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("[0-9]*.py")), ids=lambda path: path.name)
+def test_examples_are_short_and_say_what_the_reader_will_see(path):
+    text = path.read_text()
+    assert text.startswith('"""')
+    assert text.count("\n") < 100
