@@ -1,9 +1,9 @@
 """Atlas reaches over a table, first without and then with two terms written as CVXPY expressions.
 
-Prints the verdict, how far the base moves and which joints move, then the error for an expression that is not convex.
-The first term is a cost, the sum of absolute joint displacements: it leaves most joints at rest, while a sum of squares
-moves all of them a little.  The second is a constraint that keeps the base within 7 mm of its start.  Both enter every
-convex subproblem unchanged, not linearised, and Clarabel then solves the subproblem.
+Prints the verdict, how far the base moves and the joints turn in all, and which joints do, then the error for an
+expression that is not convex.  The first term is a cost, the sum of absolute joint displacements: it leaves joints at rest
+that a sum of squares moves a little.  The second is a constraint that keeps the base within 7 mm of its start.  Both enter
+every convex subproblem unchanged, not linearised, and Clarabel then solves the subproblem.
 """
 
 import sys
@@ -46,7 +46,9 @@ for name, own in (("without", None), ("with", terms)):
     turned = np.abs(q - q[0]).max(axis=0)
     moving = [joint for index, joint in enumerate(robot.joint_names) if joint.startswith(ARMS) and turned[index] > 0.02]
     base = 1e3 * np.linalg.norm(q[:, :3] - q[0, :3], axis=1).max()
-    print(f"{name} the terms: {result.verdict.value}, base moves {base:.1f} mm, {len(moving)} joints:", *moving)
+    total = sum(turned[robot.joint_names.index(joint)] for joint in moving)
+    figures = f"base moves {base:.1f} mm, {len(moving)} joints turn by {total:.2f} rad:"
+    print(f"{name} the terms: {result.verdict.value}, {figures}", *moving)
 
 try:
     ConvexExpression(robot.n, lambda q: cp.norm(q[:3]) >= 0.1)

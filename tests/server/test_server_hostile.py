@@ -403,7 +403,7 @@ ROBOTS = {
     ),
     "mesh by URL": (
         _with_mesh("file:///etc/passwd"),
-        "file:// is refused",
+        "lies outside the package folders",
     ),
     "mesh outside": (
         _with_mesh("package://../secret.xyz"),
