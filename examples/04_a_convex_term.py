@@ -1,9 +1,9 @@
 """Atlas reaches over a table, first without and then with two terms written as CVXPY expressions.
 
 Prints the verdict, how far the base moves and the joints turn in all, and which joints do, then the error for an
-expression that is not convex.  The first term is a cost, the sum of absolute joint displacements: it leaves joints at rest
-that a sum of squares moves a little.  The second is a constraint that keeps the base within 7 mm of its start.  Both enter
-every convex subproblem unchanged, not linearised, and Clarabel then solves the subproblem.
+expression that is not convex.  The first term is a cost, the sum of absolute joint displacements: it leaves joints at
+rest that a sum of squares moves a little.  The second is a constraint that keeps the base within 7 mm of its start.
+Both enter every convex subproblem unchanged, not linearised, and Clarabel then solves the subproblem.
 """
 
 import sys
