@@ -18,7 +18,7 @@ from service.execution.filters import PidGains
 from service.execution.forces import ForceMeter, MeasuredForces
 from service.execution.gains import PRESETS, PoseGains
 from service.execution.guards import Finding, Guards, GuardSettings, Severity
-from service.execution.hand_correction import HandCorrection
+from service.execution.hands.correction import HandCorrection
 from service.execution.hands.relief import HandRelief, ReliefSettings
 from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
 from service.execution.pose_control import BODY, Command, PoseController

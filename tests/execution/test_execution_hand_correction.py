@@ -6,7 +6,7 @@ import pytest
 
 from costs.robot import load_robot
 from service.execution.filters import PidGains
-from service.execution.hand_correction import HandCorrection
+from service.execution.hands.correction import HandCorrection
 from service.execution.shift import Shift
 
 PERIOD = 0.01
