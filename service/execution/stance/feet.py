@@ -36,7 +36,8 @@ class FeetState:
 
     Attributes:
         landings: state of every foot that has an ankle.
-        balance: what the ankles do for the balance; None while something else than the feet carries force.
+        balance: what the ankles do for the balance; None where they follow the plan, since others than the feet carry
+            force and go on doing so in the next phase.
         margin_m: of the capture point inside the feet, before other contacts leave them alone [m]; else None.
         trim: (3,) displacement of the body that brings the capture point to its place before the feet are alone [m].
     """
