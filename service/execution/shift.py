@@ -66,6 +66,12 @@ class Shift:
         return Shift(self.offset, self.speed, goal)
 
 
+def limit_length(vector: Float[np.ndarray, "3"], most: float) -> Float[np.ndarray, "3"]:
+    """Return a vector, shortened to a largest length if it is longer."""
+    size = float(np.linalg.norm(vector))
+    return vector if size <= most else vector * (most / size)
+
+
 def step_shift(shift: Shift, limits: ShiftLimits, period_s: float) -> Shift:
     """Return a displacement one period later.
 
@@ -79,9 +85,5 @@ def step_shift(shift: Shift, limits: ShiftLimits, period_s: float) -> Shift:
     if distance > 0.0:
         size = min(limits.speed, np.sqrt(limits.acceleration * distance), rate * distance)
         wanted = size / distance * left
-    change = wanted - shift.speed
-    size = float(np.linalg.norm(change))
-    if size > limits.acceleration * period_s:
-        change *= limits.acceleration * period_s / size
-    speed = shift.speed + change
+    speed = shift.speed + limit_length(wanted - shift.speed, limits.acceleration * period_s)
     return Shift(shift.offset + period_s * speed, speed, shift.goal)

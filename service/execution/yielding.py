@@ -17,6 +17,7 @@ from costs.robot import RobotModel
 from costs.robot.servo import default_stiffness
 from service.errors import ExecutionError
 from service.execution.guards import press_on
+from service.execution.shift import limit_length
 from service.verify import PlantedContact
 
 
@@ -168,8 +169,7 @@ def press_trunk(
         if excess:
             speed = _find_speed(settings, settings.softness, excess, force)
             offset = offset + period_s * speed * np.asarray(bound.contact.normal)
-    size = float(np.linalg.norm(offset))
-    return offset * min(1.0, settings.most_m / size) if size > 0.0 else offset
+    return limit_length(offset, settings.most_m)
 
 
 def _fade(offset: Float[np.ndarray, "k"], left: float) -> Float[np.ndarray, "k"]:

@@ -1,1 +1,1 @@
-"""Hands that press on a mechanism: how hard they may, and how they give way."""
+"""Hands: how hard they may press on a mechanism and how they give way, and the correction of those that are free."""

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from service.demands.hands import HOLD_FRICTION
 from service.errors import ExecutionError
+from service.execution.shift import limit_length
 from service.verify import HandLoad, Phase
 
 WORKING = 0.1  # cosine between a load and the way of its place from which on it moves the mechanism
@@ -103,8 +104,7 @@ class HandRelief:
             if own:
                 excess = self._find_excess(own, forces[own[0].load.tool])
                 moved = offsets.get(hand, np.zeros(3)) + period_s * self.settings.gain * excess
-                size = float(np.linalg.norm(moved))
-                made[hand] = moved * min(1.0, self.settings.most_m / size) if size > 0.0 else moved
+                made[hand] = limit_length(moved, self.settings.most_m)
         return made
 
     def _find_excess(self, loads: Sequence[_Load], force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
