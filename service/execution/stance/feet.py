@@ -28,6 +28,8 @@ from service.execution.stance.touchdown import (
 from service.verify import PlantedContact
 
 RELEASE_S = 0.1  # before the end of a phase, in which the margin is looked at [s]
+SEEK_SHARE = 0.5  # of the planned force of a foot, below which it is lowered beside other contacts
+SEEK_GAIN = 2e-4  # of its speed per newton of what is missing [m/(N s)]
 LEAST_RATE = 0.01  # of the plan's clock, for the time to the next touch
 
 
@@ -133,6 +135,8 @@ class Feet:
         held = {contact.link for contact in remaining or phase.contacts}
         if held == set(self.ankles) and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, sight)
+        elif held - set(self.ankles) and self.load_gain:
+            landings = self._seek_ground(landings, phase, sight)
         trim = self._step_trim(state.trim, balance, remaining)
         return FeetState(landings, balance, self._find_margin(phase, remaining, sight), trim)
 
@@ -244,4 +248,27 @@ class Feet:
             if made[foot].stage in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
                 own = -settings.probe_speed if measured[foot] < settings.touch_n else own
                 made[foot] = replace(made[foot], height=move_target(settings, made[foot].height, own, self.period_s))
+        return made
+
+    def _seek_ground(
+        self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight
+    ) -> dict[str, TouchdownState]:
+        """Lower the feet that carry much less than planned while others hold the robot too.
+
+        Hip, hands and chest can hold it so that a foot hangs above its ground, until they let go.
+        """
+        settings, made = self.settings, dict(states)
+        for contact in phase.contacts:
+            foot = contact.link
+            if foot not in made or made[foot].stage not in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
+                continue
+            measured, wanted = float(sight.forces[foot][2]), float(sight.wanted.contact_wrenches[foot][2])
+            least, most = SEEK_SHARE * wanted, wanted / SEEK_SHARE
+            speed = SEEK_GAIN * (measured - float(np.clip(measured, least, most)))
+            if wanted < settings.press_n or (speed > 0.0 and made[foot].height.offset[2] >= 0.0):
+                speed = 0.0
+            elif measured < settings.touch_n:
+                speed = -settings.probe_speed
+            speed = float(np.clip(speed, -settings.probe_speed, settings.probe_speed))
+            made[foot] = replace(made[foot], height=move_target(settings, made[foot].height, speed, self.period_s))
         return made

@@ -33,6 +33,7 @@ EFFORT = Settings(max_iterations=60, max_penalty_raises=3, patience=25)
 STRICT = 100.0  # factor of the first penalty where a solve ended with violations that are merely acceptable
 TURNS = (False,) * 3 + (True,) * 3  # rows of a frame's pose that are its orientation
 UPRIGHT_GROUP, FEET_GROUP, ARM_GROUPS = "upright", "feet", ("left_arm", "right_arm")
+ROOM_M = 0.015  # beyond it, kept where it is worth it: surfaces are rarely where a scan has them to the centimetre
 THROUGH_M = 0.04  # how deep a straight way between two poses may lead through something
 RESERVE_SHARE = 0.2  # of the mean force of the points of feet that are alone: error that each of them should bear
 RESERVE_WEIGHT = 2000.0  # of what is missing of it [cost/weight^2]
@@ -103,7 +104,7 @@ class PoseSolver:
             KeyError: the robot has no posture ``stand``.
         """
         body = WholeBody.standing(robot, scene, robot.postures["stand"], (), Aims(MARGIN_M))
-        return PoseSolver(replace(body, has_default_costs=False), torque_share, margin_n)
+        return PoseSolver(replace(body, has_default_costs=False, room_m=ROOM_M), torque_share, margin_n)
 
     def __reduce__(self) -> tuple[Callable[..., PoseSolver], tuple[object, ...]]:
         # The engine's data and model do not survive pickling together; another process makes its own.
