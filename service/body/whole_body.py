@@ -296,7 +296,7 @@ class WholeBody:
         inside: Residual[MotionState] | None = None
         margin = self.aims.balance_margin + BALANCE_RESERVE
         if regions:
-            inside = Joined([_keep_in_region(planned, everywhere, margin) for planned in regions])
+            inside = Joined([keep_in_region(planned, everywhere, margin) for planned in regions])
         elif self.polygon is not None:
             inside = CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)
         if inside is not None:
@@ -397,7 +397,7 @@ class WholeBody:
                     for planned in regions
                 ]
             )
-            inside = Joined([_keep_in_region(planned, everywhere, RESERVE_M) for planned in regions])
+            inside = Joined([keep_in_region(planned, everywhere, RESERVE_M) for planned in regions])
         elif self.polygon is not None:
             middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
             inside = CentreOfMassInPolygon(self.polygon, everywhere, RESERVE_M)
@@ -409,7 +409,7 @@ class WholeBody:
         return (comfort, Cost("balance for servos", Positive(inside), RESERVE_WEIGHT / len(everywhere)))
 
 
-def _keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
+def keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
     """Return the distance of the centre of mass outside a region, at the waypoints of its stretch [m]."""
     waypoints = everywhere[planned.first : planned.last + 1]
     return CentreOfMassInPolygon(planned.region.polygon, waypoints, margin + planned.shift_m)
