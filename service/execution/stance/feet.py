@@ -190,7 +190,12 @@ class Feet:
             for foot, landing in landings.items()
         }
         lead, made = self.settings.lead_s, dict(states)
-        moving = [foot for foot in self.ankles if balances or left[foot] <= lead or not states[foot].is_idle]
+        planted = {contact.link for contact in phase.contacts}
+        moving = [
+            foot
+            for foot in self.ankles
+            if balances or foot not in planted or left[foot] <= lead or not states[foot].is_idle
+        ]
         if moving:
             pin.forwardKinematics(self.robot.model, self._data, sight.q)
             pin.forwardKinematics(self.robot.model, self._plan, sight.wanted.configuration, sight.wanted.velocity)
