@@ -127,9 +127,11 @@ class Guards:
         contacts: Mapping[str, Float[np.ndarray, "3"]],
         expected: Mapping[str, Float[np.ndarray, "6"]],
     ) -> dict[tuple[str, str], Finding]:
-        """Return the links that press with more than their cap, or with much less than expected."""
+        """Return the links that press with more than their cap, or with much less than expected.
+
+        Where other links than feet hold the robot as well, a foot has time to find its ground until the next phase.
+        """
         limits, over = self.settings, {}
-        # Others hold the robot as well: the foot has time to find its ground, but the next phase needs it.
         is_held = any(contact.normal is not None for contact in phase.contacts)
         lost = Severity.WAIT if is_held else Severity.ABORT
         for contact in phase.contacts:

@@ -21,6 +21,7 @@ from service.execution.stance.touchdown import (
     TouchdownState,
     find_ankle,
     find_landing,
+    find_seek_speed,
     move_target,
     soften,
     step_touchdown,
@@ -28,8 +29,6 @@ from service.execution.stance.touchdown import (
 from service.verify import PlantedContact
 
 RELEASE_S = 0.1  # before the end of a phase, in which the margin is looked at [s]
-SEEK_SHARE = 0.5  # of the planned force of a foot, below which it is lowered beside other contacts
-SEEK_GAIN = 2e-4  # of its speed per newton of what is missing [m/(N s)]
 LEAST_RATE = 0.01  # of the plan's clock, for the time to the next touch
 
 
@@ -136,7 +135,7 @@ class Feet:
         if held == set(self.ankles) and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, sight)
         elif held - set(self.ankles) and self.load_gain:
-            landings = self._seek_ground(landings, phase, sight)
+            landings = self._seek_ground(state.landings, landings, phase, sight)
         trim = self._step_trim(state.trim, balance, remaining)
         return FeetState(landings, balance, self._find_margin(phase, remaining, sight), trim)
 
@@ -256,24 +255,25 @@ class Feet:
         return made
 
     def _seek_ground(
-        self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight
+        self,
+        before: Mapping[str, TouchdownState],
+        states: Mapping[str, TouchdownState],
+        phase: ReferencePhase,
+        sight: Sight,
     ) -> dict[str, TouchdownState]:
         """Lower the feet that carry much less than planned while others hold the robot too.
 
-        Hip, hands and chest can hold it so that a foot hangs above its ground, until they let go.
+        Hip, hands and chest can hold it so that a foot hangs above its ground, until they let go.  A foot that was
+        lowered goes up again, to the plan's height at most, where it carries much more than planned.  ``before`` is the
+        state of the cycle before.
         """
         settings, made = self.settings, dict(states)
-        for contact in phase.contacts:
-            foot = contact.link
-            if foot not in made or made[foot].stage not in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
+        for foot in {contact.link for contact in phase.contacts} & set(made):
+            state, wanted = made[foot], float(sight.wanted.contact_wrenches[foot][2])
+            if state.stage not in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
                 continue
-            measured, wanted = float(sight.forces[foot][2]), float(sight.wanted.contact_wrenches[foot][2])
-            least, most = SEEK_SHARE * wanted, wanted / SEEK_SHARE
-            speed = SEEK_GAIN * (measured - float(np.clip(measured, least, most)))
-            if wanted < settings.press_n or (speed > 0.0 and made[foot].height.offset[2] >= 0.0):
+            speed = find_seek_speed(settings, float(sight.forces[foot][2]), wanted)
+            if speed > 0.0 and state.height.offset[2] >= 0.0:
                 speed = 0.0
-            elif measured < settings.touch_n:
-                speed = -settings.probe_speed
-            speed = float(np.clip(speed, -settings.probe_speed, settings.probe_speed))
-            made[foot] = replace(made[foot], height=move_target(settings, made[foot].height, speed, self.period_s))
+            made[foot] = replace(state, height=move_target(settings, before[foot].height, speed, self.period_s))
         return made

@@ -55,6 +55,8 @@ class TouchdownSettings:
         probe_speed: of the foot that looks for ground below its planned place [m/s].
         return_speed: of a lifted foot back to the plan's height [m/s].
         avoid_gain: upward speed of a foot that meets something on its way, per newton of its force [m/(N s)].
+        seek_share: of the planned force of a planted foot, below which it looks for its ground beside other contacts.
+        seek_gain: downward speed of such a foot per newton that is missing, at most the probe's [m/(N s)].
         probe_m: how far the ground may be from where the plan has it [m].
         ground_rad: error of the ground's measured slope, to which the ankle does not stay adapted [rad].
         limits: of the displacement of the foot.
@@ -76,6 +78,8 @@ class TouchdownSettings:
     probe_speed: float = 0.03
     return_speed: float = 0.015
     avoid_gain: float = 4e-4
+    seek_share: float = 0.5
+    seek_gain: float = 2e-4
     probe_m: float = 0.03
     ground_rad: float = 0.03
     limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=20.0))
@@ -303,6 +307,19 @@ def _move_height(
     else:
         speed = 0.0
     return move_target(settings, state.height, speed, period_s)
+
+
+def find_seek_speed(settings: TouchdownSettings, upright_n: float, planned_n: float) -> float:
+    """Return the upward speed of a planted foot that carries much less or much more than planned [m/s].
+
+    Zero for a foot that the plan hardly loads, and within a factor ``1 / seek_share`` of the plan.
+    """
+    if planned_n < settings.press_n:
+        return 0.0
+    if upright_n < settings.touch_n:
+        return -settings.probe_speed
+    within = float(np.clip(upright_n, settings.seek_share * planned_n, planned_n / settings.seek_share))
+    return float(np.clip(settings.seek_gain * (upright_n - within), -settings.probe_speed, settings.probe_speed))
 
 
 def move_target(settings: TouchdownSettings, height: Shift, speed: float, period_s: float) -> Shift:
