@@ -18,8 +18,9 @@ from service.cli.run import cancellable, consoles, print_json, progress
 
 if TYPE_CHECKING:
     from service.execution.driver import RobotDriver
-    from service.execution.execution import Cycle, Execution, ExecutionSettings
+    from service.execution.execution import Cycle, Execution
     from service.execution.reference import PlannedReference
+    from service.execution.settings import ExecutionSettings
     from service.execution.tracking import Action
     from service.simulation.options import SimulationOptions
 
@@ -124,10 +125,10 @@ def _make_settings(gains: str, speed: float, abort_share: float, *, stiff: bool)
     from dataclasses import replace
 
     from service.errors import ExecutionError, would_do
-    from service.execution.execution import ExecutionSettings
     from service.execution.gains import PRESETS
     from service.execution.guards import GuardSettings
     from service.execution.machine import MachineSettings
+    from service.execution.settings import ExecutionSettings
 
     if gains not in PRESETS:
         raise ExecutionError(f"--gains: unknown preset {gains!r}; expected {would_do(gains, PRESETS)}")
