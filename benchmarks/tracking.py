@@ -21,10 +21,11 @@ import piqp
 from benchmarks.tables import print_table
 from costs.robot import RobotModel, load_robot
 from service.execution.box_qp import solve_box_qp
-from service.execution.execution import Execution, ExecutionSettings
+from service.execution.execution import Execution
 from service.execution.gains import PRESETS
 from service.execution.pose_control import Command, PoseController
 from service.execution.reference import PlannedReference
+from service.execution.settings import ExecutionSettings
 from service.execution.shift import Shift, ShiftLimits, step_shift
 from service.execution.tracking import KinematicRobot
 from service.planner import plan

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from service.errors import ExecutionError, RequestError, ResultError, ServiceError
     from service.execution.driver import JointCommand, RobotDriver, RobotReading
-    from service.execution.execution import Execution, ExecutionSettings
+    from service.execution.execution import Execution
     from service.execution.machine import Order
     from service.execution.reference import PlannedReference
+    from service.execution.settings import ExecutionSettings
     from service.execution.tracking import Action, track
     from service.planner import plan
     from service.replay.exchange.certify import CertifiedTrajectory, certify
@@ -77,7 +78,8 @@ _MODULES = {
     "replay.exchange.joint_trajectory": ("JointTrajectory",),
     "replay.exchange.read": ("read_trajectory",),
     "execution.driver": ("JointCommand", "RobotDriver", "RobotReading"),
-    "execution.execution": ("Execution", "ExecutionSettings"),
+    "execution.execution": ("Execution",),
+    "execution.settings": ("ExecutionSettings",),
     "execution.machine": ("Order",),
     "execution.reference": ("PlannedReference",),
     "execution.tracking": ("Action", "track"),

@@ -1,7 +1,7 @@
 """Terms of motion problems: the residuals of costs and constraints."""
 
 from costs.terms.balance import CartTableZmpInPolygon, CentreOfMassAt, CentreOfMassInPolygon
-from costs.terms.collision import SweptClearance
+from costs.terms.collision import Room, SweptClearance
 from costs.terms.contact_place import ContactPlace
 from costs.terms.displacement import FrameDisplacement
 from costs.terms.equilibrium import ContactForce, Equilibrium, FrictionPyramid, MechanismBalance
@@ -37,6 +37,7 @@ __all__ = [
     "PointHalfSpace",
     "Positive",
     "RequiredClearance",
+    "Room",
     "Scaled",
     "StaticTorque",
     "SweptClearance",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -47,3 +49,31 @@ class SweptClearance(Residual[MotionState]):
         if kinematics.n_waypoints == 1:
             return AffineRows.from_blocks(value, contacts.first, (sides[0] + sides[1])[:, None], 1)
         return AffineRows.from_blocks(value, contacts.first, np.stack(sides, axis=1), kinematics.n_waypoints)
+
+
+class Room(Residual[MotionState]):
+    """What is missing of a distance from the world beyond the margin, one row per contact that is nearer [m].
+
+    Pairs that may touch, whose margin is negative, have no rows.  As a squared cost it leads a motion through the
+    middle of the room that there is, so that surfaces may be a little elsewhere.
+    """
+
+    def __init__(self, robot: RobotModel, beyond: float) -> None:
+        """
+        Args:
+            robot: whose links keep away.
+            beyond: distance beyond the margin [m]; pairs within it must be among the state's contacts.
+        """
+        self._clearance, self._beyond = SweptClearance(robot, is_self=False), beyond
+
+    def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
+        return self._clearance.value(self._select(state))
+
+    def linearize(self, state: MotionState) -> AffineRows:
+        return self._clearance.linearize(self._select(state))
+
+    def _select(self, state: MotionState) -> MotionState:
+        contacts = state.contacts
+        wanted = contacts.margin + self._beyond
+        near = (contacts.margin > 0.0) & (contacts.distance < wanted)
+        return MotionState(state.kinematics, replace(contacts, margin=wanted).where(near))

@@ -27,6 +27,7 @@ from costs.terms import (
     JointDifference,
     JointTarget,
     Positive,
+    Room,
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Residual, Sense
@@ -48,6 +49,7 @@ UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
 RESERVE_M = 0.045  # balance margin that is enough for position servos, and a little for the curve between waypoints [m]
+ROOM_WEIGHT = 300.0  # of what is missing of the room, averaged over the waypoints [cost/m^2]
 RESERVE_WEIGHT = 2000.0  # of what is missing of it, averaged over the waypoints [cost/m^2]
 SAMPLING_CLEARANCE = 5e-3  # of a sampled start; the optimiser adds the rest of the margin [m]
 BASE_MOBILITY = 0.01  # of the base when a step is corrected: legs and arms move instead
@@ -78,6 +80,7 @@ class WholeBody:
         has_default_costs: whether to move smoothly and near the nominal posture.
         is_comfortable: whether to keep upright and well balanced besides, as far as these are worth it.
         wants_reserve: whether to keep a balance margin besides by which position servos may sag.
+        room_m: distance from the world beyond the margin that is kept as far as it is worth it; 0 for none [m].
         sight: distance beyond its margin at which a pair enters the problem [m].
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
@@ -97,6 +100,7 @@ class WholeBody:
     has_default_costs: bool = True
     is_comfortable: bool = True
     wants_reserve: bool = False
+    room_m: float = 0.0
     sight: float = 0.03
     releases: tuple[Release, ...] = ()
     touches: tuple[Allowance, ...] | None = None
@@ -292,7 +296,7 @@ class WholeBody:
         inside: Residual[MotionState] | None = None
         margin = self.aims.balance_margin + BALANCE_RESERVE
         if regions:
-            inside = Joined([_keep_in_region(planned, everywhere, margin) for planned in regions])
+            inside = Joined([keep_in_region(planned, everywhere, margin) for planned in regions])
         elif self.polygon is not None:
             inside = CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)
         if inside is not None:
@@ -311,6 +315,8 @@ class WholeBody:
             defaults = self._smoothness(n_waypoints)
         if self.has_default_costs and self.is_comfortable:
             defaults = (*defaults, *self._upright(everywhere), *self._comfort(everywhere, regions))
+        if self.room_m > 0.0:
+            defaults = (*defaults, Cost("room", Room(self.robot, self.room_m), ROOM_WEIGHT / n_waypoints))
         return Problem(
             lower,
             upper,
@@ -391,7 +397,7 @@ class WholeBody:
                     for planned in regions
                 ]
             )
-            inside = Joined([_keep_in_region(planned, everywhere, RESERVE_M) for planned in regions])
+            inside = Joined([keep_in_region(planned, everywhere, RESERVE_M) for planned in regions])
         elif self.polygon is not None:
             middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
             inside = CentreOfMassInPolygon(self.polygon, everywhere, RESERVE_M)
@@ -403,7 +409,7 @@ class WholeBody:
         return (comfort, Cost("balance for servos", Positive(inside), RESERVE_WEIGHT / len(everywhere)))
 
 
-def _keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
+def keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
     """Return the distance of the centre of mass outside a region, at the waypoints of its stretch [m]."""
     waypoints = everywhere[planned.first : planned.last + 1]
     return CentreOfMassInPolygon(planned.region.polygon, waypoints, margin + planned.shift_m)

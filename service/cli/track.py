@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from service.execution.driver import RobotDriver
     from service.execution.execution import Cycle, Execution
     from service.execution.reference import PlannedReference
+    from service.execution.settings import ExecutionSettings
     from service.execution.tracking import Action
     from service.simulation.options import SimulationOptions
 
@@ -73,23 +74,11 @@ def track_command(
     stdout, stderr = consoles()
     with progress(stderr, "verify plan") as report, cancellable(stderr) as should_stop, stops_when(should_stop):
         report("verify plan", 0.0)
-        from dataclasses import replace
-
-        from service.errors import ExecutionError, would_do
-        from service.execution.execution import Execution, ExecutionSettings
-        from service.execution.gains import PRESETS
-        from service.execution.guards import GuardSettings
-        from service.execution.machine import MachineSettings
-        from service.execution.replan import plan_rest, read_certified, write_state
+        from service.execution.execution import Execution
+        from service.execution.replan import read_certified
         from service.execution.tracking import KinematicRobot, track
 
-        if gains not in PRESETS:
-            raise ExecutionError(f"--gains: unknown preset {gains!r}; expected {would_do(gains, PRESETS)}")
-        settings = ExecutionSettings(
-            gains=PRESETS[gains], machine=MachineSettings(speed=speed), guards=GuardSettings(load_share=abort_share)
-        )
-        if stiff:
-            settings = replace(settings, touchdown=None)
+        settings = _make_settings(gains, speed, abort_share, stiff=stiff)
         actions = _list_actions(shift or [], pause or [], resume or [], abort, adjust)
         folder = result.parent if result.is_file() else result
         reference = read_certified(folder)
@@ -112,16 +101,9 @@ def track_command(
             report("track", min(cycle.state.time_s / max(execution.reference.duration_s, 1e-9), 1.0))
 
         def plan_again(execution: Execution, action: Action) -> PlannedReference:
-            phase = execution.reference.phases[execution.state.phase].name
-            report(f"plan again from {phase}", None)
+            report(f"plan again from {execution.reference.phases[execution.state.phase].name}", None)
             new = folder.parent / f"{folder.name}-rest" if rest is None else rest
-            new.parent.mkdir(parents=True, exist_ok=True)
-            state = new.parent / f".{new.name}.state.json"
-            write_state(execution, state)
-            try:
-                return plan_rest(folder, phase, state, {action.link: action.offset}, new, should_stop=should_stop)
-            finally:
-                state.unlink()
+            return _plan_again(execution, action, folder, new, should_stop)
 
         made = track(execution, actions, on_cycle=watch, replan=plan_again, settle_s=SETTLE_S if physics else 0.0)
         summary = {"result": str(folder), "physics": physics, "gains": gains, **made.to_dict(), "truth": truth}
@@ -132,6 +114,43 @@ def track_command(
     else:
         _print_track(stdout, summary)
     return made.verdict
+
+
+def _make_settings(gains: str, speed: float, abort_share: float, *, stiff: bool) -> ExecutionSettings:
+    """Return the settings that the options describe.
+
+    Raises:
+        ExecutionError: the preset of gains is unknown, or a number is out of range.
+    """
+    from dataclasses import replace
+
+    from service.errors import ExecutionError, would_do
+    from service.execution.gains import PRESETS
+    from service.execution.guards import GuardSettings
+    from service.execution.machine import MachineSettings
+    from service.execution.settings import ExecutionSettings
+
+    if gains not in PRESETS:
+        raise ExecutionError(f"--gains: unknown preset {gains!r}; expected {would_do(gains, PRESETS)}")
+    machine, guards = MachineSettings(speed=speed), GuardSettings(load_share=abort_share)
+    settings = ExecutionSettings(gains=PRESETS[gains], machine=machine, guards=guards)
+    return replace(settings, touchdown=None) if stiff else settings
+
+
+def _plan_again(
+    execution: Execution, action: Action, folder: Path, new: Path, should_stop: Callable[[], bool]
+) -> PlannedReference:
+    """Return the rest of a plan, planned again with a displaced target; it is written into the folder ``new``."""
+    from service.execution.replan import plan_rest, write_state
+
+    phase = execution.reference.phases[execution.state.phase].name
+    new.parent.mkdir(parents=True, exist_ok=True)
+    state = new.parent / f".{new.name}.state.json"
+    write_state(execution, state)
+    try:
+        return plan_rest(folder, phase, state, {action.link: action.offset}, new, should_stop=should_stop)
+    finally:
+        state.unlink()
 
 
 def _list_actions(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,61 +13,21 @@ from costs.robot.poses import matrix_rpy
 from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
-from service.execution.estimator import PelvisEstimate, PelvisEstimator, SensorNoise
-from service.execution.filters import PidGains
-from service.execution.forces import ForceMeter, MeasuredForces
-from service.execution.gains import PRESETS, PoseGains
-from service.execution.guards import Finding, Guards, GuardSettings, Severity
-from service.execution.hands.correction import HandCorrection
-from service.execution.hands.relief import HandRelief, ReliefSettings
-from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
-from service.execution.pose_control import BODY, Command, PoseController
+from service.execution.guards import Finding, Guards, Severity
+from service.execution.machine import ExecutionMachine, MachineState, Mode, Order
+from service.execution.pose_control import Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
-from service.execution.shift import Shift, ShiftLimits, step_shift
-from service.execution.stance.capture_point import BalanceSettings, find_turn_rates
-from service.execution.stance.feet import Feet, FeetState, Sight
-from service.execution.stance.touchdown import TouchdownSettings
-from service.execution.yielding import ArmYield, Yielding, YieldSettings, bound_forces, holds_arm, press_trunk
-from service.verify import PlantedContact
+from service.execution.reflexes import Reflexes, Senses
+from service.execution.sensing.estimator import PelvisEstimate, PelvisEstimator
+from service.execution.sensing.forces import ForceMeter, MeasuredForces
+from service.execution.settings import ExecutionSettings
+from service.execution.shift import Shift, step_shift
+from service.execution.stance.capture_point import find_turn_rates
 from service.verify.polygons import describe_inside
-from service.verify.timeline import list_phases
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
 HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
 CONTINUE_TOLERANCE = 0.02  # between the last command and the start of another plan [rad, m]
-
-
-@dataclass(frozen=True)
-class ExecutionSettings:
-    """Settings of an execution.
-
-    Attributes:
-        gains: of the pose control.
-        machine: of the plan's clock.
-        guards: limits of the guards.
-        touchdown: of feet that land; None lands them stiff, and their ankles follow the plan.
-        balance: of ankles while feet alone carry the robot; None for ankles that follow the plan.
-        shifts: how fast operator's displacements of targets come.
-        hand_gains: PID control that corrects where the hands are measured to be [m per m]; None for none.  It rests
-            while hands press on a mechanism, and in plans that plant arms.
-        relief: of hands that press on a mechanism; None to hold them as stiff as the servos are.
-        load_gain: speed at which both feet, while they alone are planted, move up and down against each other per
-            newton by which they share the weight otherwise than planned; 0 for none [m/(N s)].
-        yielding: of arms in contact; None to hold them as stiff as the servos are.
-        noise: of the sensors, for the pelvis estimator.
-    """
-
-    gains: PoseGains = PRESETS["follow"]
-    machine: MachineSettings = field(default_factory=MachineSettings)
-    guards: GuardSettings = field(default_factory=GuardSettings)
-    touchdown: TouchdownSettings | None = field(default_factory=TouchdownSettings)
-    balance: BalanceSettings | None = field(default_factory=BalanceSettings)
-    shifts: ShiftLimits = field(default_factory=ShiftLimits)
-    hand_gains: PidGains | None = field(default_factory=lambda: PidGains(kp=0.0, ki=2.0, limit=0.05))
-    relief: ReliefSettings | None = field(default_factory=ReliefSettings)
-    load_gain: float = 4e-5
-    yielding: YieldSettings | None = field(default_factory=YieldSettings)
-    noise: SensorNoise = field(default_factory=SensorNoise)
 
 
 @dataclass(frozen=True)
@@ -130,14 +90,11 @@ class Execution:
         if set(driver.joint_names) != set(reference.joint_names):
             other = sorted(set(driver.joint_names) ^ set(reference.joint_names))
             raise ExecutionError(f"the driver's joints are not those of the plan: {', '.join(other[:3])}")
-        self._feet_state: FeetState | None = None
-        self._pressed = np.zeros(3)
-        self._yields: dict[str, ArmYield] = {}
+        self._reflexes: Reflexes | None = None
         self._shifts: dict[str, Shift] = {}
         self._forces: MeasuredForces | None = None
         self._estimate: PelvisEstimate | None = None
         self._order: Order | None = None
-        self._n_cycles = 0
         self._load(reference, begin_s)
         start = reference.at(begin_s)
         self._check_start(start)
@@ -157,36 +114,12 @@ class Execution:
         self._guards = Guards(settings.guards)
         feet, reading = robot.link_groups.get("feet", ()), driver.read()
         self._has_forces = robot.is_floating and all(foot in reading.foot_wrenches for foot in feet) and len(feet) == 2
-        self._feet: Feet | None = None
-        if settings.touchdown is not None and self._has_forces:
-            self._feet = Feet(
-                robot,
-                driver.joint_names,
-                reference.phases,
-                driver.period_s,
-                settings.touchdown,
-                settings.balance,
-                settings.load_gain,
-                balance.list_margins() if balance is not None else [np.inf] * len(reference.phases),
-            )
-            self._feet_state = self._feet.start(self._feet_state)
-        planted = [contact for phase in reference.phases for contact in phase.contacts] if self._has_forces else []
-        self._yielding = Yielding(robot, driver.joint_names, planted if settings.yielding else [], settings.yielding)
-        ends = {*robot.link_groups.get("feet", ()), *self._yielding.arms}
-        self._trunk = {contact.link for contact in planted} - ends
-        self._yields = {**self._yielding.start(), **{k: v for k, v in self._yields.items() if k in self._yielding.arms}}
+        margins = balance.list_margins() if balance is not None else [np.inf] * len(reference.phases)
+        earlier = self._reflexes
+        self._reflexes = Reflexes(reference, driver, settings, margins, earlier) if self._has_forces else None
         tools = sorted({load.tool for phase in reference.phases for load in phase.loads}) if self._has_forces else []
         self._meter = ForceMeter(robot, driver.joint_names, tools, driver.period_s)
         self._forces = None
-        # A hand that is moved near what the arms hold on to presses the robot off it.
-        is_free = self._has_forces and settings.hand_gains is not None and not self._yielding.arms
-        hands = robot.link_groups.get("hands", ()) if is_free else ()
-        gains = settings.hand_gains or PidGains(kp=0.0)
-        self._hands = HandCorrection(robot, hands, gains, HAND_CYCLES * driver.period_s)
-        self._hand_states = self._hands.start()
-        relief = settings.relief or ReliefSettings(gain=0.0)
-        self._relief = HandRelief(robot, list_phases(reference.motion), hands, relief)
-        self._relieved: dict[str, np.ndarray] = {}
         self._estimator = None
         if self._has_forces:
             self._estimator = PelvisEstimator(robot, driver.joint_names, driver.period_s, settings.noise)
@@ -277,11 +210,8 @@ class Execution:
         phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
-        self._step_feet(reading, wanted)
-        self._step_yielding()
-        self._n_cycles += 1
-        if self._n_cycles % HAND_CYCLES == 0:
-            self._step_hands(phase, reading, wanted)
+        if self._reflexes is not None:
+            self._reflexes.step(self._see(reading, wanted), self._shifts)
         control = time.perf_counter()
         self.command = self.controller.step(
             self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
@@ -321,12 +251,6 @@ class Execution:
         phases, k = self.reference.phases, self.state.phase
         return phases[k], phases[k + 1] if k + 1 < len(phases) else None
 
-    def _list_landing(self) -> list[PlantedContact]:
-        """Return the contacts that the next phase adds."""
-        phase, following = self._current_phases()
-        held = {contact.link for contact in phase.contacts}
-        return [] if following is None else [contact for contact in following.contacts if contact.link not in held]
-
     def _check_start(self, start: ReferenceState) -> None:
         measured = self.driver.read().q
         off = np.abs(measured - start.configuration[self._columns])
@@ -349,58 +273,14 @@ class Execution:
 
     def _find_imbalance(self, following: ReferencePhase | None) -> tuple[Finding, ...]:
         """Return a finding if feet that are about to be alone could not hold the robot."""
-        settings, state = self.settings.balance, self._feet_state
-        if settings is None or state is None or state.margin_m is None or following is None:
-            return ()
-        if state.margin_m >= settings.release_m:
+        settings, margin = self.settings.balance, None if self._reflexes is None else self._reflexes.margin_m
+        if settings is None or margin is None or following is None or margin >= settings.release_m:
             return ()
         words = (
-            f"the capture point is {describe_inside(state.margin_m)} the feet; '{following.name}' needs it "
+            f"the capture point is {describe_inside(margin)} the feet; '{following.name}' needs it "
             f"{1e3 * settings.release_m:.0f} mm inside"
         )
         return (Finding(Severity.WAIT, "", 0.0, 0.0, words),)
-
-    def _step_feet(self, reading: RobotReading, wanted: ReferenceState) -> None:
-        """Advance the feet that come down, keep the balance, and share the weight."""
-        estimate, forces, state = self._estimate, self._forces, self._feet_state
-        if self._feet is None or state is None or estimate is None or forces is None:
-            return
-        q, v = self._read_configuration(reading, wanted), np.zeros(self.reference.robot.model.nv)
-        v[:3], v[self._columns] = estimate.speed, estimate.joint_speeds
-        v[3:6] = find_turn_rates(q[3:6], reading.imu_rotation @ reading.imu_angular_velocity)
-        machine, command = self.state, self.command.q
-        sight = Sight(machine.time_s, machine.rate, machine.phase, wanted, reading, q, v, command, forces.contacts)
-        self._feet_state = self._feet.step(state, sight)
-
-    def _step_yielding(self) -> None:
-        """Advance the arms and the trunk that press on something, or are about to."""
-        if self.settings.yielding is None or not self._has_forces or self._forces is None:
-            return
-        phase, following = self._current_phases()
-        kept = phase.contacts if following is None else following.contacts
-        leaving = {contact.link for contact in phase.contacts} - {contact.link for contact in kept}
-        bounds = bound_forces(
-            self.settings.yielding,
-            phase.contacts,
-            self._list_landing(),
-            leaving=leaving,
-            is_waiting=self.state.mode is Mode.WAITING,
-            expected=self._wanted.contact_wrenches,
-        )
-        held = {contact.link for contact in phase.contacts}  # the body does not follow what it sits on or leans on
-        trunk = {
-            link: replace(bound, least=0.0) if link in held else bound
-            for link, bound in bounds.items()
-            if link in self._trunk
-        }
-        self._pressed = press_trunk(
-            self.settings.yielding, self._pressed, trunk, self._forces.contacts, self.driver.period_s
-        )
-        if not self._yields:
-            return
-        self._yields = self._yielding.step(
-            self._yields, self.command.q, bounds, self._forces.contacts, self.driver.period_s
-        )
 
     def _read_configuration(self, reading: RobotReading, wanted: ReferenceState) -> Float[np.ndarray, "n"]:
         """Return the configuration that sensors and estimator show."""
@@ -410,48 +290,22 @@ class Execution:
             q[:3], q[3:6] = self._estimate.position, matrix_rpy(self._estimate.rotation)[::-1]
         return q
 
-    def _step_hands(self, phase: ReferencePhase, reading: RobotReading, wanted: ReferenceState) -> None:
-        """Advance the corrections of the hands; those that press on a mechanism give way instead."""
-        if not self._hand_states or self._estimate is None or self._forces is None:
-            return
-        self._relieved = self._relief.step(
-            self._relieved,
-            self.state.phase,
-            wanted.configuration,
-            self._forces.hands,
-            HAND_CYCLES * self.driver.period_s,
-        )
-        if phase.loads:
-            return
-        model, touched = self.reference.robot.model, (*phase.contacts, *self._list_landing())
-        held = [hand for hand in self._hands.hands if holds_arm(model, hand, touched)]
-        measured = self._read_configuration(reading, wanted)
-        self._hand_states = self._hands.step(self._hand_states, wanted.configuration, measured, self._shifts, held)
+    def _see(self, reading: RobotReading, wanted: ReferenceState) -> Senses:
+        """Return what the reflexes need to know in this cycle."""
+        assert self._estimate is not None
+        assert self._forces is not None
+        q, v = self._read_configuration(reading, wanted), np.zeros(self.reference.robot.model.nv)
+        v[:3], v[self._columns] = self._estimate.speed, self._estimate.joint_speeds
+        v[3:6] = find_turn_rates(q[3:6], reading.imu_rotation @ reading.imu_angular_velocity)
+        return Senses(self.state, wanted, reading, q, v, self.command.q, self._forces)
 
     def list_shifts(self) -> Mapping[str, Shift]:
-        """Return the displacements of all targets: the operator's, of corrected hands, and of feet on the ground."""
-        shifts = dict(self._shifts)
-        for hand, corrected in self._hand_states.items():
-            own = shifts.get(hand, Shift.zero())
-            relieved = self._relieved.get(hand, np.zeros(3))
-            shifts[hand] = Shift(own.offset + corrected.offset + relieved, own.speed, own.goal)
-        body = self._pressed if self._feet_state is None else self._pressed + self._feet_state.trim
-        if body.any():
-            shifts[BODY] = Shift(body, np.zeros(3), body)
-        landings = {} if self._feet_state is None else self._feet_state.landings
-        for foot, state in landings.items():
-            own, height = shifts.get(foot, Shift.zero()), state.height
-            shifts[foot] = Shift(own.offset + height.offset, own.speed + height.speed, own.goal)
-        return shifts
+        """Return the displacements of all targets: the operator's, and those of the reflexes."""
+        return self._shifts if self._reflexes is None else self._reflexes.list_shifts(self._shifts)
 
     def _send(self, wanted: ReferenceState, reading: RobotReading) -> JointCommand:
-        """Return the command for the driver: the pose control's, with the plan's torques and the ankles' laws."""
+        """Return the command for the driver: the pose control's, with the plan's torques and the reflexes' laws."""
         command = JointCommand(
             self.command.q[self._columns], self.command.qd[self._columns], wanted.tau[self._order_of_plan]
         )
-        for link, state in self._yields.items():
-            if state.offset.any():
-                command.q[self._yielding.arms[link].joints] += state.offset
-        if self._feet is None or self._feet_state is None:
-            return command
-        return self._feet.soften(self._feet_state, command, reading)
+        return command if self._reflexes is None else self._reflexes.alter(command, reading)

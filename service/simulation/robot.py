@@ -12,9 +12,10 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from service.execution.driver import JointCommand, RobotReading
-from service.simulation.model import TIME_STEP_S, PhysicsModel, import_mujoco
+from service.simulation.model import PhysicsModel, import_mujoco
 from service.simulation.options import SimulationOptions
 from service.simulation.resistance import SPRING_TRAVEL
+from service.simulation.spec import TIME_STEP_S
 
 # Standard deviations of the sensors at noise 1.
 POSITION_NOISE, SPEED_NOISE, TORQUE_NOISE = 1e-4, 1e-2, 0.01  # [rad], [rad/s], share of the effort

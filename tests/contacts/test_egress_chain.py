@@ -15,6 +15,7 @@ from tiny_robots import PLANAR, chain
 
 from costs.contact import GRAVITY, Contact
 from costs.scene import Scene
+from service.body.loaded_regions import plan_contact_region
 from service.body.whole_body import Aims, WholeBody
 from service.demands.contacts.stances import Surface
 from service.request.egress import WeightsRequest
@@ -173,7 +174,8 @@ def test_poses_of_drawn_places_make_a_sequence():
     graph = make_graph(solver(), poses)
     assert graph.layer.max() == 2
     sequence = next(find_sequences(solver(), poses))
-    assert sequence.cost == pytest.approx(graph.find_values()[graph.layer == 0].min())
+    cheapest = graph.find_values()[graph.layer == 0].min()
+    assert cheapest <= sequence.cost + 1e-9  # the cheapest of the graph may fail once kept contacts are the same points
     assert len(sequence.chain.stances) == 4
     assert sequence.slip_m >= 0.0
 
@@ -213,6 +215,21 @@ def test_a_bar_on_two_points_shares_its_weight_by_the_levers():
     expected = weight / 2.0 * (0.5 + 1.5) / 1.5
     np.testing.assert_allclose(pose.forces_n[:, 2], [weight - expected, expected], atol=0.02)
     np.testing.assert_allclose(pose.places[:, 0], [0.0, 1.5], atol=1e-4)
+
+
+def test_a_pose_on_known_places_keeps_the_centre_of_mass_off_the_edge_of_where_they_hold_it(linked, monkeypatch):
+    between, contacts = linked.transitions[-1], linked.stances[-2].contacts
+    robot, aims = solver().body.robot, [ContactAim.at(contact) for contact in contacts]
+    kept = [contact.planted for contact in contacts if contact.patch in between.kept]
+    region = plan_contact_region(robot, kept).region.polygon
+
+    def find_margin():
+        pose = solver().solve(aims, stages()[LAST - 1].shapes[0], linked.poses[-2].q, between.kept)
+        return region.margin(pin.centerOfMass(robot.model, robot.model.createData(), pose.q)[:2])[0]
+
+    held = find_margin()
+    monkeypatch.setattr("service.tasks.egress.poses.BALANCE_WEIGHT", 1e-9)
+    assert held > find_margin() + 5e-3
 
 
 def lower(surface: Surface, by: float) -> Surface:
@@ -276,7 +293,7 @@ def test_a_chain_that_breaks_says_where_and_why():
         else stage
         for stage in stages()[LAST - 1 : LAST + 1]
     ]
-    quick = replace(solver(), settings=replace(solver().settings, max_iterations=10))
+    quick = replace(solver(), settings=replace(solver().settings, max_iterations=20))
     broken = link_poses(quick, low)
     assert isinstance(broken, BrokenChain)
     assert broken.stage == 1

@@ -8,7 +8,7 @@ from tiny_robots import SPATIAL, Segment, atlas, atlas_with_wheel, chain
 
 from costs.collision import PairMargins, SweptCollisionChecker
 from costs.scene import ConvexPiece, Scene
-from costs.terms import SweptClearance
+from costs.terms import Room, SweptClearance
 
 ROBOTS = {"chain": (lambda: chain(SPATIAL), 0.2), "atlas": (atlas, 0.1), "atlas with a wheel": (atlas_with_wheel, 0.1)}
 STEP = 1e-6
@@ -174,3 +174,27 @@ def test_no_contacts_make_no_rows():
     )
     rows = SweptClearance(robot, is_self=False).linearize(state)
     assert rows.jacobian.shape == (0, 2 * robot.n)
+
+
+@pytest.mark.parametrize("n_waypoints", [1, 3])
+def test_room_is_the_clearance_of_nearer_world_contacts_with_a_larger_margin(n_waypoints):
+    robot, rng = atlas(), np.random.default_rng(5)
+    scene = random_scene(rng, 12, 0.8)
+    state = state_of(robot, checker_of(robot, scene, 0.02, buffer=0.1))(random_motion(robot, rng, n_waypoints, 0.1))
+    wider = state_of(robot, checker_of(robot, scene, 0.06, buffer=0.0))(state.kinematics.q)
+    room, clearance = Room(robot, 0.04), SweptClearance(robot, is_self=False)
+    assert len(room.value(state)) > 3
+    np.testing.assert_allclose(np.sort(room.value(state)), np.sort(clearance.value(wider)), atol=1e-9)
+    rows, expected = room.linearize(state), clearance.linearize(wider)
+    np.testing.assert_array_equal(rows.value, room.value(state))
+    order, other = np.argsort(rows.value), np.argsort(expected.value)
+    np.testing.assert_allclose(rows.jacobian.toarray()[order], expected.jacobian.toarray()[other], atol=1e-6)
+
+
+def test_room_is_not_asked_of_pairs_that_may_touch():
+    robot = chain(SPATIAL)
+    scene = random_scene(np.random.default_rng(19), 12, 0.8)
+    make_state = state_of(robot, checker_of(robot, scene, -0.003, buffer=0.5))
+    state = make_state(random_motion(robot, np.random.default_rng(19), 2, 0.2))
+    assert len(state.contacts) > 0
+    assert len(Room(robot, 0.1).value(state)) == 0

@@ -10,7 +10,7 @@ import pytest
 from costs.robot import load_robot
 from service.errors import ExecutionError
 from service.execution.driver import RobotReading
-from service.execution.estimator import PELVIS, PelvisEstimator, SensorNoise, find_toe
+from service.execution.sensing.estimator import PELVIS, PelvisEstimator, SensorNoise, find_toe
 
 PERIOD = 1e-2
 ROUND_S = 14.0  # after which the motion repeats

@@ -87,6 +87,33 @@ def test_a_planted_foot_that_lost_the_ground_looks_for_it(reference):
     assert height.offset[2] == pytest.approx(-0.5 * TouchdownSettings().probe_speed, rel=0.02)
 
 
+@pytest.mark.parametrize(("share", "speed"), [(0.0, -1.0), (0.3, -0.5), (0.6, 0.0), (1.5, 0.0), (3.0, 0.0)])
+def test_a_foot_that_carries_little_beside_a_hand_looks_for_its_ground(reference, share, speed):
+    settings, sight = TouchdownSettings(), see(reference)
+    planned = sight.wanted.contact_wrenches["r_foot"][2]
+    sight.forces["r_foot"][2] = share * planned
+    state = run(make_feet(reference, list_phases(reference, True, True)), sight).landings["r_foot"]
+    missing = (settings.seek_share - share) * planned
+    wanted = {-1.0: -settings.probe_speed, -0.5: -settings.seek_gain * missing, 0.0: 0.0}[speed]
+    assert state.height.offset[2] == pytest.approx(0.5 * max(wanted, -settings.probe_speed), rel=0.03)
+
+
+def test_a_foot_that_went_down_too_far_beside_a_hand_goes_back_up_to_the_plan(reference):
+    feet, sight = make_feet(reference, list_phases(reference, True, True)), see(reference)
+    planned = sight.wanted.contact_wrenches["r_foot"][2]
+    sight.forces["r_foot"][2] = 0.0
+    state = run(feet, sight, 0.3)
+    low = state.landings["r_foot"].height.offset[2]
+    sight.forces["r_foot"][2] = 4.0 * planned
+    heights = []
+    for _ in range(3000):
+        state = feet.step(state, sight)
+        heights.append(state.landings["r_foot"].height.offset[2])
+    assert low < -5e-3
+    assert np.diff(heights).min() > -3e-5  # it first has to stop
+    assert heights[-1] == pytest.approx(0.0, abs=5e-4)
+
+
 def test_the_margin_of_the_capture_point_is_measured_before_the_feet_are_alone(reference):
     feet = make_feet(reference, list_phases(reference, True, False))
     sight = replace(see(reference), time_s=reference.phases[0].end_s)

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from service.errors import ExecutionError
-from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
+from service.execution.sensing.filters import PidGains, PidState, find_share, low_pass, step_pid
 
 
 def run_pid(gains, errors, period=0.01):

@@ -52,6 +52,14 @@ def test_a_foot_that_lost_the_ground_aborts_after_the_hold_time():
     assert "the plan expects 750 N" in finding.sentence
 
 
+def test_a_foot_that_lost_the_ground_is_waited_for_while_others_than_feet_hold_the_robot():
+    seat = PlantedContact("pelvis", np.eye(4), SOLE, force_cap_n=500.0, normal=np.array([0.0, 0.0, 1.0]))
+    rise = replace(STAND, contacts=(*STAND.contacts, seat))
+    forces, expected = {"l_foot": 800.0, "r_foot": 0.0, "pelvis": 900.0}, {"r_foot": 750.0}
+    (finding,) = check_for(0.4, rise, None, forces, expected=expected)
+    assert (finding.severity, finding.link, finding.is_lost) == (Severity.WAIT, "r_foot", True)
+
+
 def test_a_foot_that_the_plan_hardly_loads_may_carry_nothing():
     assert check_for(1.0, STAND, None, {"l_foot": 1500.0, "r_foot": 0.0}, expected={"r_foot": 60.0}) == ()
 

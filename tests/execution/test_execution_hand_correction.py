@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 from costs.robot import load_robot
-from service.execution.filters import PidGains
 from service.execution.hands.correction import HandCorrection
+from service.execution.sensing.filters import PidGains
 from service.execution.shift import Shift
 
 PERIOD = 0.01

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
 from service.errors import ExecutionError
-from service.execution.estimator import make_pelvis_filter
-from service.execution.kalman import make_steady_filter, solve_riccati
+from service.execution.sensing.estimator import make_pelvis_filter
+from service.execution.sensing.kalman import make_steady_filter, solve_riccati
 
 
 @given(seed=st.integers(0, 100_000))

@@ -10,9 +10,10 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
 from contact_plans import plan_example
 
-from service.execution.execution import Execution, ExecutionSettings
+from service.execution.execution import Execution
 from service.execution.machine import Mode, Order
 from service.execution.reference import PlannedReference
+from service.execution.settings import ExecutionSettings
 from service.execution.stance.capture_point import BalanceSettings
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions

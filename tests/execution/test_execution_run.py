@@ -9,10 +9,11 @@ from small_plan import small_plan
 
 from costs.curve import Curve
 from service.errors import ExecutionError
-from service.execution.execution import Execution, ExecutionSettings
-from service.execution.forces import ForceMeter
+from service.execution.execution import Execution
 from service.execution.machine import MachineSettings, Mode, Order
 from service.execution.reference import PlannedReference
+from service.execution.sensing.forces import ForceMeter
+from service.execution.settings import ExecutionSettings
 from service.execution.tracking import Action, KinematicRobot, track
 from service.verify import Motion
 

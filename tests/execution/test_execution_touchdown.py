@@ -84,6 +84,27 @@ def test_a_foot_tilts_smoothly_on_its_way_down(ankle):
     assert {state.stage for state in states[1:]} == {Stage.TILTED}
 
 
+def test_a_foot_in_the_air_that_meets_something_goes_up_until_it_is_clear_and_comes_back(ankle):
+    edge = 0.008  # above the plan's path, between 0.2 and 0.6 s
+
+    def read(t, state):
+        depth = edge - float(state.height.offset[2]) if 0.2 <= t < 0.6 else 0.0
+        return FootReading(max(2e4 * depth, 0.0), 0.0, 0.0, np.zeros(2))
+
+    states = run(ankle, read, 2.0, lands=False)
+    heights = np.array([state.height.offset[2] for state in states])
+    passed = round(0.55 / PERIOD)
+    assert 2e4 * (edge - heights[passed]) < 2.0 * SETTINGS.touch_n
+    assert heights[: round(0.2 / PERIOD)].max() == 0.0
+    assert heights[-1] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_foot_that_has_not_left_the_ground_yet_is_not_raised(ankle):
+    states = run(ankle, FootReading(200.0, 0.0, 0.0, np.zeros(2)), 0.5, lands=False)
+    assert states[-1].height.offset[2] == 0.0
+    assert not states[-1].is_clear
+
+
 @pytest.mark.parametrize("foot", ["l_foot", "r_foot"])
 def test_the_heel_of_a_tilted_foot_comes_down_to_where_the_plan_has_its_sole(atlas, foot):
     ankle = find_ankle(atlas, atlas.joint_names[6:], foot)

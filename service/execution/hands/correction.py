@@ -10,7 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from service.execution.filters import PidGains, PidState, find_share, low_pass, step_pid
+from service.execution.sensing.filters import PidGains, PidState, find_share, low_pass, step_pid
 from service.execution.shift import Shift
 
 CUTOFF_HZ = 3.0  # of the low-pass filter of the measured errors

@@ -21,6 +21,7 @@ from service.execution.stance.touchdown import (
     TouchdownState,
     find_ankle,
     find_landing,
+    find_seek_speed,
     move_target,
     soften,
     step_touchdown,
@@ -133,6 +134,8 @@ class Feet:
         held = {contact.link for contact in remaining or phase.contacts}
         if held == set(self.ankles) and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, sight)
+        elif held - set(self.ankles) and self.load_gain:
+            landings = self._seek_ground(state.landings, landings, phase, sight)
         trim = self._step_trim(state.trim, balance, remaining)
         return FeetState(landings, balance, self._find_margin(phase, remaining, sight), trim)
 
@@ -186,7 +189,12 @@ class Feet:
             for foot, landing in landings.items()
         }
         lead, made = self.settings.lead_s, dict(states)
-        moving = [foot for foot in self.ankles if balances or left[foot] <= lead or not states[foot].is_idle]
+        planted = {contact.link for contact in phase.contacts}
+        moving = [
+            foot
+            for foot in self.ankles
+            if balances or foot not in planted or left[foot] <= lead or not states[foot].is_idle
+        ]
         if moving:
             pin.forwardKinematics(self.robot.model, self._data, sight.q)
             pin.forwardKinematics(self.robot.model, self._plan, sight.wanted.configuration, sight.wanted.velocity)
@@ -244,4 +252,28 @@ class Feet:
             if made[foot].stage in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
                 own = -settings.probe_speed if measured[foot] < settings.touch_n else own
                 made[foot] = replace(made[foot], height=move_target(settings, made[foot].height, own, self.period_s))
+        return made
+
+    def _seek_ground(
+        self,
+        before: Mapping[str, TouchdownState],
+        states: Mapping[str, TouchdownState],
+        phase: ReferencePhase,
+        sight: Sight,
+    ) -> dict[str, TouchdownState]:
+        """Lower the feet that carry much less than planned while others hold the robot too.
+
+        Hip, hands and chest can hold it so that a foot hangs above its ground, until they let go.  A foot that was
+        lowered goes up again, to the plan's height at most, where it carries much more than planned.  ``before`` is the
+        state of the cycle before.
+        """
+        settings, made = self.settings, dict(states)
+        for foot in {contact.link for contact in phase.contacts} & set(made):
+            state, wanted = made[foot], float(sight.wanted.contact_wrenches[foot][2])
+            if state.stage not in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
+                continue
+            speed = find_seek_speed(settings, float(sight.forces[foot][2]), wanted)
+            if speed > 0.0 and state.height.offset[2] >= 0.0:
+                speed = 0.0
+            made[foot] = replace(state, height=move_target(settings, before[foot].height, speed, self.period_s))
         return made

@@ -54,6 +54,9 @@ class TouchdownSettings:
         press_speed: at most, downwards, of a foot that has touched [m/s].
         probe_speed: of the foot that looks for ground below its planned place [m/s].
         return_speed: of a lifted foot back to the plan's height [m/s].
+        avoid_gain: upward speed of a foot that meets something on its way, per newton of its force [m/(N s)].
+        seek_share: of the planned force of a planted foot, below which it looks for its ground beside other contacts.
+        seek_gain: downward speed of such a foot per newton that is missing, at most the probe's [m/(N s)].
         probe_m: how far the ground may be from where the plan has it [m].
         ground_rad: error of the ground's measured slope, to which the ankle does not stay adapted [rad].
         limits: of the displacement of the foot.
@@ -74,6 +77,9 @@ class TouchdownSettings:
     press_speed: float = 0.01
     probe_speed: float = 0.03
     return_speed: float = 0.015
+    avoid_gain: float = 4e-4
+    seek_share: float = 0.5
+    seek_gain: float = 2e-4
     probe_m: float = 0.03
     ground_rad: float = 0.03
     limits: ShiftLimits = field(default_factory=lambda: ShiftLimits(speed=0.2, acceleration=20.0))
@@ -134,6 +140,7 @@ class TouchdownState:
         height: displacement of the foot's target along z.
         has_touched: whether the foot has found the ground.
         is_sloped: whether the ground has a slope of its own, to which the ankle stays adapted.
+        is_clear: whether the foot has been off the ground since it went up.
     """
 
     stage: Stage
@@ -145,6 +152,7 @@ class TouchdownState:
     height: Shift
     has_touched: bool
     is_sloped: bool
+    is_clear: bool = False
 
     @property
     def is_idle(self) -> bool:
@@ -229,14 +237,15 @@ def step_touchdown(
         left_s: time to the planned touch [s].
         period_s: of the cycle [s].
     """
-    pressed = state.pressed_s + period_s if foot.upright_n >= settings.touch_n else 0.0
-    state = replace(state, pressed_s=pressed, since_s=state.since_s + period_s)
+    touches = foot.upright_n >= settings.touch_n
+    pressed = state.pressed_s + period_s if touches else 0.0
+    state = replace(state, pressed_s=pressed, since_s=state.since_s + period_s, is_clear=state.is_clear and not planted)
     step = settings.tilt_rate * period_s
     if not lands and not planted:  # in the air: the foot goes back to its command
         offset = state.offset - np.clip(state.offset, -step, step)
-        slow = replace(settings.limits, speed=settings.return_speed)  # or it would press on ground that it leaves
-        height = step_shift(state.height.towards(np.zeros(3)), slow, period_s)
-        return replace(TouchdownState.stiff(), offset=offset, height=height)
+        is_clear = state.is_clear or not touches
+        height = _go_on_clear(settings, state, foot, period_s)
+        return replace(TouchdownState.stiff(), offset=offset, height=height, is_clear=is_clear)
     if planted and balances and (state.stage is not Stage.FREE or state.has_touched):
         soft = min(state.softness + period_s / settings.settle_s, 1.0)
         return replace(state, stage=Stage.BALANCING, softness=soft, offset=foot.ankle_off, tilt=0.0)
@@ -257,6 +266,15 @@ def step_touchdown(
     if state.stage is Stage.TILTED:  # the heel is then as high above the ground as the plan has the sole
         state = replace(state, height=state.height.towards(np.array([0.0, 0.0, ankle.heel_m * state.tilt])))
     return replace(state, height=_move_height(settings, state, foot, left_s, period_s))
+
+
+def _go_on_clear(settings: TouchdownSettings, state: TouchdownState, foot: FootReading, period_s: float) -> Shift:
+    """Return the displacement of a foot in the air: back to the plan, but up where it meets something on its way."""
+    if state.is_clear and foot.upright_n >= settings.touch_n:
+        speed = min(settings.avoid_gain * foot.upright_n, settings.limits.speed)
+        return move_target(settings, state.height, speed, period_s)
+    slow = replace(settings.limits, speed=settings.return_speed)  # or it would press on ground that it leaves
+    return step_shift(state.height.towards(np.zeros(3)), slow, period_s)
 
 
 def _step_free(settings: TouchdownSettings, state: TouchdownState, foot: FootReading, planted: bool) -> TouchdownState:
@@ -289,6 +307,19 @@ def _move_height(
     else:
         speed = 0.0
     return move_target(settings, state.height, speed, period_s)
+
+
+def find_seek_speed(settings: TouchdownSettings, upright_n: float, planned_n: float) -> float:
+    """Return the upward speed of a planted foot that carries much less or much more than planned [m/s].
+
+    Zero for a foot that the plan hardly loads, and within a factor ``1 / seek_share`` of the plan.
+    """
+    if planned_n < settings.press_n:
+        return 0.0
+    if upright_n < settings.touch_n:
+        return -settings.probe_speed
+    within = float(np.clip(upright_n, settings.seek_share * planned_n, planned_n / settings.seek_share))
+    return float(np.clip(settings.seek_gain * (upright_n - within), -settings.probe_speed, settings.probe_speed))
 
 
 def move_target(settings: TouchdownSettings, height: Shift, speed: float, period_s: float) -> Shift:

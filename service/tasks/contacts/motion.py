@@ -13,7 +13,8 @@ from service.body.task_plan import PlannedPhase, TaskPlan
 from service.demands.contacts.moved_places import list_movable, move_place
 from service.demands.contacts.stances import ContactPhase, ContactStance, list_contact_phases
 from service.tasks.contacts.known_motion import KnownMotion
-from service.tasks.contacts.walker import N_TRIES, PLAIN_TRIES, MissingPose, StuckError, Walker
+from service.tasks.contacts.pose_finder import MissingPose, PoseFinder, StuckError
+from service.tasks.contacts.walker import N_TRIES, PLAIN_TRIES, Walker
 
 MOST_MOVES = 4  # of places, until a missing pose counts as impossible
 LEAST_MOVE_M = 1e-3  # by which a place is moved
@@ -37,9 +38,10 @@ def plan_contact_motion(
     """
     if guesses is not None:
         solver = replace(solver, body=replace(solver.body, is_comfortable=False))
-    walker = Walker(solver, guesses or KnownMotion(), np.zeros(solver.body.robot.n), n_tries)
+    finder = PoseFinder(solver, guesses or KnownMotion(), np.zeros(solver.body.robot.n))
+    walker = Walker(finder, n_tries)
     course = _Course(walker, tuple(stances), finish is not None)
-    first = walker.stand_on(stances[0].contacts) if stances else None
+    first = finder.stand_on(stances[0].contacts) if stances else None
     try:
         course.go_through()
         if finish is not None:

@@ -17,13 +17,15 @@ from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.state import LoadedState, MotionState
+from costs.static_region import StaticRegionError
 from costs.stopping import poll
 from costs.terms import AxisDirection, ContactForce, FramePose, FrictionPyramid, JointTarget, PointHalfSpace, Positive
 from scopt import Cost, Residual, Settings, Status
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import FLAT_POINTS
+from service.body.loaded_regions import plan_contact_region
 from service.body.phases import straight_path
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import RESERVE_M, Aims, WholeBody, keep_in_region
 from service.request.egress import SideRequest, WeightsRequest
 from service.tasks.egress.aims import ContactAim
 
@@ -33,9 +35,11 @@ EFFORT = Settings(max_iterations=60, max_penalty_raises=3, patience=25)
 STRICT = 100.0  # factor of the first penalty where a solve ended with violations that are merely acceptable
 TURNS = (False,) * 3 + (True,) * 3  # rows of a frame's pose that are its orientation
 UPRIGHT_GROUP, FEET_GROUP, ARM_GROUPS = "upright", "feet", ("left_arm", "right_arm")
+ROOM_M = 0.015  # beyond it, kept where it is worth it: surfaces are rarely where a scan has them to the centimetre
 THROUGH_M = 0.04  # how deep a straight way between two poses may lead through something
 RESERVE_SHARE = 0.2  # of the mean force of the points of feet that are alone: error that each of them should bear
 RESERVE_WEIGHT = 2000.0  # of what is missing of it [cost/weight^2]
+BALANCE_WEIGHT = 2000.0  # of what is missing of the balance margin that is enough for servos [cost/m^2]
 LARGEST_LIMB = 10  # joints of a group that is a limb, not the whole body
 WAY_WAYPOINTS = 8  # at which that is measured
 TRIES = 8  # starts of a solve that has to succeed: the given ones, then these moved at random
@@ -103,7 +107,7 @@ class PoseSolver:
             KeyError: the robot has no posture ``stand``.
         """
         body = WholeBody.standing(robot, scene, robot.postures["stand"], (), Aims(MARGIN_M))
-        return PoseSolver(replace(body, has_default_costs=False), torque_share, margin_n)
+        return PoseSolver(replace(body, has_default_costs=False, room_m=ROOM_M), torque_share, margin_n)
 
     def __reduce__(self) -> tuple[Callable[..., PoseSolver], tuple[object, ...]]:
         # The engine's data and model do not survive pickling together; another process makes its own.
@@ -136,6 +140,7 @@ class PoseSolver:
         normals = {k: aim.normal for k, aim in enumerate(bearing)}
         places = [term for aim in aims for term in aim.make_constraints(robot)]
         costs = [*shape.make_costs(self.body, aims), *_face_surfaces(robot, aims, shape.weights.facing)]
+        costs += _keep_balanced(robot, bearing)
         relief = _relieve_arms(robot, contacts, normals, shape.weights.hand_forces)
         reserve = _keep_reserve(robot, contacts, normals)
         start = shape.nominal if guess is None else guess
@@ -302,6 +307,19 @@ def _relieve_arms(
     gain = np.repeat(np.array(is_arm, dtype=float), [len(contact.points) for contact in contacts])
     points = ContactPoints.of(robot, contacts, normals)
     return [Cost("forces on the arms", ContactForce(points, [0], gain=gain), weight)]
+
+
+def _keep_balanced(robot: RobotModel, bearing: Sequence[ContactAim]) -> list[Cost[MotionState]]:
+    """Return a cost of a centre of mass near the edge of where contacts hold the robot, once their places are known."""
+    contacts = [aim.fixed.planted for aim in bearing if aim.fixed is not None]
+    if len(contacts) < len(bearing):
+        return []
+    try:
+        region = plan_contact_region(robot, contacts)
+    except StaticRegionError:
+        return []
+    inside = keep_in_region(region, np.arange(1), RESERVE_M)
+    return [Cost("balance for servos", Positive(inside), BALANCE_WEIGHT)]
 
 
 def _keep_reserve(

@@ -17,6 +17,7 @@ from service.tasks.contacts.known_motion import KnownMotion
 from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.egress.chain import Chain
 from service.tasks.egress.plan import PosePlan, StageCount, describe_graph, plan_poses
+from service.tasks.egress.poses import ROOM_M
 
 KNOWN_TRIES = 2  # of a change of contacts in one sequence; then the next sequence is planned
 POSES_FROM, POSES_TO = 0.05, 0.2  # of the whole plan, for its progress
@@ -83,6 +84,7 @@ def _plan_motion(setup: PlanSetup, solver: PhaseSolver, chain: Chain) -> TaskPla
         {name: pose.q for name, pose in zip(names, chain.poses[1:], strict=True)},
     )
     finish = chain.poses[-1].q if ends_with_new_contacts(stances) else None
+    solver = replace(solver, body=replace(solver.body, room_m=ROOM_M))
     return plan_contact_motion(solver, stances, finish, guesses, KNOWN_TRIES)
 
 

@@ -13,7 +13,7 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.robot.poses import matrix_rpy
 from service.errors import ExecutionError
 from service.execution.driver import RobotReading
-from service.execution.filters import find_share, low_pass
+from service.execution.sensing.filters import find_share, low_pass
 
 FOOT_CUTOFF_HZ = 30.0
 HAND_CUTOFF_HZ = 5.0

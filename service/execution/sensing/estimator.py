@@ -12,8 +12,8 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from service.errors import ExecutionError
 from service.execution.driver import RobotReading
-from service.execution.filters import find_share, low_pass
-from service.execution.kalman import SteadyKalmanFilter, make_steady_filter
+from service.execution.sensing.filters import find_share, low_pass
+from service.execution.sensing.kalman import SteadyKalmanFilter, make_steady_filter
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 PELVIS = "pelvis"  # name of the reference point on the floating base itself

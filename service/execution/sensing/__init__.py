@@ -1,0 +1,1 @@
+"""What the sensors show: filters, measured forces, and where the pelvis is."""

@@ -1,0 +1,351 @@
+"""The parts of a physics model: bodies, shapes, joints, servos and equalities of a motion as MuJoCo's specification."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.robot import RobotHand, RobotModel, read_joint_axis
+from service.demands.hands import HOLD_FRICTION
+from service.errors import ResultError
+from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
+from service.simulation.options import SimulationOptions
+from service.simulation.perturb import Perturbation
+from service.simulation.resistance import MechanismPhysics
+from service.verify import Motion
+from service.verify.frame_paths import find_mechanism_joints
+
+TIME_STEP_S = 1e-3
+ARMATURE = 0.1  # of a joint of a robot of the reference mass [kg m^2]
+REFERENCE_MASS = 160.0  # of Atlas [kg]
+MECHANISM_DENSITY = 500.0  # of a mechanism's bodies [kg/m^3]
+MECHANISM_ARMATURE = 0.01  # [kg m^2, kg]
+# Of the world's surfaces: with MuJoCo's defaults the feet turn in the floor almost as easily as the robot tips.
+STIFF: Mapping[str, list[float]] = {"solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
+SELF_FRICTION = 0.5  # between links of the robot
+LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
+LEAST_VOLUME = 1e-9  # of a hull that gets a shape [m^3]
+IMU = "imu"
+SPOKE = "/spoke/"  # in the names of a wheel's bodies
+SPOKE_SIZE = (0.01, 0.05, 0.03)  # of an assumed spoke: across, along the radius, along the axis [m]
+SPOKE_APART = 0.01  # nearer places of loads share an assumed spoke [m]
+PEG_RADIUS = RobotHand.peg_radius + 5e-4  # from a peg's middle to what it presses [m]
+BASE = "base"  # the joint of a floating base
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Joint that follows another one: ``value = offset + ratio * leader``.
+
+    Attributes:
+        joint, leader: names.
+        column: of the leader in a configuration of the plan.
+        ratio, offset: [rad/rad], [rad] or the like for prismatic joints.
+    """
+
+    joint: str
+    leader: str
+    column: int
+    ratio: float
+    offset: float
+
+
+class SpecBuilder:
+    """MjSpec of a motion, part by part."""
+
+    def __init__(
+        self,
+        mujoco: Any,
+        motion: Motion,
+        physics: MechanismPhysics,
+        options: SimulationOptions,
+        perturbation: Perturbation,
+    ) -> None:
+        self.mujoco, self.motion, self.robot = mujoco, motion, motion.robot
+        self.physics, self.options, self.perturbation = physics, options, perturbation
+        self.spec = mujoco.MjSpec()
+        self.spec.compiler.balanceinertia = True
+        self.spec.compiler.degree = False
+        self.spec.option.timestep = TIME_STEP_S
+        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        self.spec.option.impratio = 10.0
+        self.apart = find_mechanism_joints(motion)
+        self.owner_of_geom: dict[str, tuple[str, str]] = {}
+        self.body_of_link: dict[str, str] = {}
+        model: pin.Model = self.robot.model
+        self.moved_columns = [int(model.joints[j].idx_q) for j in range(1, model.njoints) if j in self.apart]
+        mass = sum(float(model.inertias[j].mass) for j in range(1, model.njoints) if j not in self.apart)
+        self.armature = ARMATURE * mass / REFERENCE_MASS
+        self.base_link = ""
+
+    def add_world(self) -> None:
+        """Add the pieces of the scene: level floors as planes, others as hulls."""
+        floors = [find_level_top(piece.vertices) for piece in self.motion.scene.pieces if piece.kind == "floor"]
+        tops = [top for top in floors if top is not None]
+        for piece in self.motion.scene.pieces:
+            top = find_level_top(piece.vertices) if piece.kind == "floor" else None
+            moved = self.perturbation.places[piece.name]
+            if top is not None and top <= min(tops) + 1e-9:
+                middle = piece.vertices.mean(axis=0)
+                self._add_geom(
+                    self.spec.worldbody,
+                    piece.name,
+                    ("world", piece.name),
+                    type=self.mujoco.mjtGeom.mjGEOM_PLANE,
+                    size=[*(0.5 * np.ptp(piece.vertices[:, :2], axis=0)), 1.0],
+                    pos=[middle[0] + moved[0], middle[1] + moved[1], top + moved[2]],
+                )
+            else:
+                self._add_hull(self.spec.worldbody, piece.name, ("world", piece.name), piece.vertices + moved)
+
+    def add_joints(self) -> None:
+        """Add a body per joint of robot and mechanism, with its inertia, and a body per link with its shapes."""
+        model: pin.Model = self.robot.model
+        bodies = {0: self.spec.worldbody}
+        fixed = self.spec.worldbody.add_body(name="joint:fixed")
+        for joint in range(1, model.njoints):
+            place = model.jointPlacements[joint]
+            parent = bodies[int(model.parents[joint])]
+            body = parent.add_body(
+                name=f"joint:{model.names[joint]}", pos=np.array(place.translation), quat=_quaternion(place.rotation)
+            )
+            bodies[joint] = body
+            is_moved = joint in self.apart
+            self._add_inertia(body, joint, is_moved)
+            if self.robot.is_floating and joint == 1:
+                body.add_freejoint(name=BASE)
+            else:
+                self._add_joint(body, joint, is_moved)
+        carried: dict[str, Any] = {}
+        for link_body in self.robot.bodies:
+            holder = fixed if link_body.joint == 0 else bodies[link_body.joint]
+            is_moved = link_body.link in self.robot.mechanism_links
+            if link_body.link not in carried:
+                carried[link_body.link] = holder.add_body(name=f"link:{link_body.link}")
+                self.body_of_link[link_body.link] = f"link:{link_body.link}"
+            vertices = link_body.vertices
+            if is_moved:
+                vertices = shrink_hull(vertices, self.physics.growth_m)
+            owner = ("mechanism" if is_moved else "robot", link_body.link)
+            self._add_hull(carried[link_body.link], link_body.name, owner, vertices)
+        self._add_assumed_spokes(bodies)
+        bare = next((c.link for p in self.motion.phases for c in p.contacts if c.link not in carried), None)
+        if bare is not None:
+            raise ResultError(f"the plan plants '{bare}', which has no shape that could carry force")
+        base = bodies[1] if self.robot.is_floating else fixed
+        base.add_site(name=IMU)
+        for name, kind in (("gyro", "mjSENS_GYRO"), ("accelerometer", "mjSENS_ACCELEROMETER")):
+            self.spec.add_sensor(
+                name=name,
+                type=getattr(self.mujoco.mjtSensor, kind),
+                objtype=self.mujoco.mjtObj.mjOBJ_SITE,
+                objname=IMU,
+            )
+        at_base = [body.link for body in self.robot.bodies if body.joint == (1 if self.robot.is_floating else 0)]
+        self.base_link = at_base[0] if at_base else ""
+
+    def exclude_pairs(self) -> None:
+        """Exclude the pairs of links that the robot's description leaves out."""
+        for first, second in sorted(self.robot.ignored_pairs):
+            if first in self.body_of_link and second in self.body_of_link:
+                self.spec.add_exclude(bodyname1=self.body_of_link[first], bodyname2=self.body_of_link[second])
+
+    def add_servos(
+        self,
+        names: tuple[str, ...],
+        kp: Float[np.ndarray, "k"],
+        kd: Float[np.ndarray, "k"],
+        effort: Float[np.ndarray, "k"],
+    ) -> None:
+        """Add an actuator per joint: ``ctrl - kp q - kd qd``, within the effort."""
+        for name, p, d, most in zip(names, kp, kd, effort, strict=True):
+            actuator = self.spec.add_actuator(
+                name=name,
+                target=name,
+                trntype=self.mujoco.mjtTrn.mjTRN_JOINT,
+                gaintype=self.mujoco.mjtGain.mjGAIN_FIXED,
+                biastype=self.mujoco.mjtBias.mjBIAS_AFFINE,
+                forcerange=[-float(most), float(most)],
+                forcelimited=True,
+            )
+            actuator.gainprm[0] = 1.0
+            actuator.biasprm[:3] = [0.0, -float(p), -float(d)]
+
+    def add_latches(self) -> tuple[int, ...]:
+        """Add an equality per release that holds its joint at 0; return their indices."""
+        for release in self.motion.releases:
+            equality = self.spec.add_equality(
+                type=self.mujoco.mjtEq.mjEQ_JOINT, name1=release.joint, objtype=self.mujoco.mjtObj.mjOBJ_JOINT
+            )
+            equality.data[:5] = 0.0
+        return tuple(range(len(self.motion.releases)))
+
+    def add_grips(self) -> list[list[tuple[int, Float[np.ndarray, "6"]]]]:
+        """Add an equality per load of a closed gripper; return per phase their indices and anchors in both bodies."""
+        phases: list[list[tuple[int, np.ndarray]]] = [[] for _ in self.motion.phases]
+        if not self.physics.is_gripped:
+            return phases
+        index, model = len(self.motion.releases), self.robot.model
+        for phase, grips in zip(self.motion.phases, phases, strict=True):
+            for load in phase.loads:
+                tool, link = (model.frames[model.getFrameId(name)] for name in (load.tool, load.link))
+                anchors = np.concatenate([tool.placement.translation, link.placement.act(load.place)])
+                self.spec.add_equality(
+                    type=self.mujoco.mjtEq.mjEQ_CONNECT,
+                    objtype=self.mujoco.mjtObj.mjOBJ_BODY,
+                    name1=f"joint:{model.names[tool.parentJoint]}",
+                    name2=f"joint:{model.names[link.parentJoint]}",
+                    active=False,
+                )
+                grips.append((index, anchors))
+                index += 1
+        return phases
+
+    def add_followers(self) -> tuple[Follower, ...]:
+        """Add an equality per joint that follows another one: ``value = offset + ratio * leader``."""
+        followers = tuple(_list_followers(self.robot))
+        for follower in followers:
+            equality = self.spec.add_equality(
+                type=self.mujoco.mjtEq.mjEQ_JOINT,
+                name1=follower.joint,
+                name2=follower.leader,
+                objtype=self.mujoco.mjtObj.mjOBJ_JOINT,
+                **STIFF,
+            )
+            equality.data[:5] = [follower.offset, follower.ratio, 0.0, 0.0, 0.0]
+        return followers
+
+    def _add_assumed_spokes(self, bodies: Mapping[int, Any]) -> None:
+        """Add the spokes that a peg presses where the record shows none: a thin box before each place of a load."""
+        if not self.physics.has_assumed_spokes or any(SPOKE in body.name for body in self.robot.bodies):
+            return
+        model = self.robot.model
+        places: list[np.ndarray] = []
+        for load in (load for phase in self.motion.phases for load in phase.loads):
+            if any(np.linalg.norm(load.place - place) < SPOKE_APART for place in places):
+                continue
+            places.append(load.place)
+            frame = model.frames[model.getFrameId(load.link)]
+            push = load.force / np.linalg.norm(load.force)
+            axis = read_joint_axis(self.robot, int(frame.parentJoint))[3:]
+            along = np.cross(axis, push)
+            middle = load.place + (PEG_RADIUS + 0.5 * SPOKE_SIZE[0]) * push
+            name = f"assumed spoke {len(places)}"
+            self._add_geom(
+                bodies[int(frame.parentJoint)],
+                name,
+                ("mechanism", load.link),
+                type=self.mujoco.mjtGeom.mjGEOM_BOX,
+                size=[0.5 * side for side in SPOKE_SIZE],
+                pos=middle,
+                quat=_quaternion(np.column_stack([push, along / np.linalg.norm(along), axis])),
+            )
+
+    def _add_inertia(self, body: Any, joint: int, is_moved: bool) -> None:
+        body.explicitinertial = True
+        if is_moved:
+            volume, middle, spread = 0.0, np.zeros(3), np.full(3, LEAST_INERTIA)
+            parts = [b.vertices for b in self.robot.bodies if b.joint == joint]
+            volumes = [measure_volume(part) for part in parts]
+            volume = sum(volumes)
+            if volume > 0.0:
+                middle = np.sum([v * p.mean(axis=0) for v, p in zip(volumes, parts, strict=True)], axis=0) / volume
+                everything = np.concatenate(parts)
+                sides = np.ptp(everything, axis=0) ** 2
+                spread = (sides.sum() - sides) / 12.0  # of a box that contains them
+            mass = max(MECHANISM_DENSITY * volume, LEAST_MASS)
+            body.mass, body.ipos = mass, middle
+            body.inertia = np.maximum(mass * spread, LEAST_INERTIA)
+            body.gravcomp = 1.0  # the request's loads are all that a mechanism opposes
+            return
+        inertia = self.robot.model.inertias[joint]
+        factor = self.perturbation.masses[joint]
+        mass = factor * float(inertia.mass)
+        body.mass = max(mass, LEAST_MASS)
+        body.ipos = np.array(inertia.lever)
+        values, axes = np.linalg.eigh(factor * np.array(inertia.inertia))
+        if np.linalg.det(axes) < 0.0:
+            axes[:, 0] = -axes[:, 0]
+        body.inertia = np.maximum(values, LEAST_INERTIA)
+        body.iquat = _quaternion(axes)
+
+    def _add_joint(self, body: Any, joint: int, is_moved: bool) -> None:
+        model = self.robot.model
+        name = str(model.names[joint])
+        column = int(model.joints[joint].idx_q)
+        axis, is_follower = read_joint_axis(self.robot, joint), _is_follower(self.robot, joint)
+        if is_follower:  # its axis comes multiplied by its ratio
+            axis = axis / float(model.joints[joint].extract().scaling)
+        is_turning = bool(np.any(axis[3:]))
+        kind = self.mujoco.mjtJoint
+        low, high = float(self.robot.lower[column]), float(self.robot.upper[column])
+        limited = not is_follower and bool(np.isfinite([low, high]).all())
+        made = body.add_joint(
+            name=name,
+            type=kind.mjJNT_HINGE if is_turning else kind.mjJNT_SLIDE,
+            axis=axis[3:] if is_turning else axis[:3],
+            limited=limited,
+            range=[low, high] if limited else [0.0, 0.0],
+        )
+        if is_moved:
+            made.armature, made.frictionloss = MECHANISM_ARMATURE, self._resist(name)
+        else:
+            made.armature = 0.0 if is_follower else self.armature
+            made.frictionloss = 0.0 if is_follower else self.options.joint_friction * float(self.robot.effort[column])
+
+    def _resist(self, name: str) -> float:
+        resistance = self.physics.joints.get(name)
+        return 0.0 if resistance is None else resistance.friction
+
+    def _add_hull(self, body: Any, name: str, owner: tuple[str, str], vertices: Float[np.ndarray, "V 3"]) -> None:
+        if measure_volume(vertices) < LEAST_VOLUME:
+            return
+        mesh = self.spec.add_mesh(name=f"mesh:{name}")
+        mesh.uservert = np.asarray(vertices, dtype=float).ravel()
+        self._add_geom(body, name, owner, type=self.mujoco.mjtGeom.mjGEOM_MESH, meshname=f"mesh:{name}")
+
+    def _add_geom(self, body: Any, name: str, owner: tuple[str, str], **fields: Any) -> None:
+        kind = owner[0]
+        of_world = max(self.options.friction + self.perturbation.friction, 0.0)
+        friction = {"robot": SELF_FRICTION, "mechanism": HOLD_FRICTION, "world": of_world}[kind]
+        body.add_geom(
+            name=f"{kind}:{name}",
+            contype=1 if kind == "robot" else 0,
+            conaffinity=1,
+            priority=0 if kind == "robot" else 1,
+            friction=[friction, 0.005, 1e-4],
+            density=0.0,
+            condim=3,
+            **(STIFF if kind == "world" else {}),
+            **fields,
+        )
+        self.owner_of_geom[f"{kind}:{name}"] = owner
+
+
+def _is_follower(robot: RobotModel, joint: int) -> bool:
+    return bool(robot.model.joints[joint].shortname() == "JointModelMimic")
+
+
+def _list_followers(robot: RobotModel) -> list[Follower]:
+    """Return the joints that follow another one (URDF's ``mimic``)."""
+    followers = []
+    for joint in range(1, robot.model.njoints):
+        if _is_follower(robot, joint):
+            made = robot.model.joints[joint]
+            own, column = made.extract(), int(made.idx_q)
+            leader = robot.joint_names[column]
+            name = str(robot.model.names[joint])
+            followers.append(Follower(name, leader, column, float(own.scaling), float(own.offset)))
+    return followers
+
+
+def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """Return a rotation as (w, x, y, z)."""
+    xyzw = pin.Quaternion(np.asarray(rotation)).coeffs()
+    return np.array([xyzw[3], xyzw[0], xyzw[1], xyzw[2]])
