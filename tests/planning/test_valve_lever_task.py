@@ -203,7 +203,7 @@ def test_of_a_grip_that_points_at_the_sensor_the_end_is_enough_unless_rays_pass_
     starts = np.concatenate([np.tile(sensor, (len(points), 1)), side])
     length = np.linalg.norm(ends - starts, axis=1)
     index = index_of(Sightlines(starts, (ends - starts) / length[:, None], length))
-    tall, along = find_grip(points, np.eye(4), 0.2, 0.012, index)
+    tall, along = find_grip(points, np.eye(4), 0.2, 0.012, 0.002, index)
     assert (tall > 0.1) is (n_through == 0)
     assert along == pytest.approx(0.2, abs=0.005)
 

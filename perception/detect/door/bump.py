@@ -15,7 +15,7 @@ REACH = (0.4, 1.7)
 JAMB = 0.025
 _CELL = 0.01
 _STANDOFFS = (0.04, 0.055, 0.07)
-_HEIGHTS = (0.75, 1.3)
+HEIGHTS, LONG_SLACK = (0.75, 1.3), 0.15  # of a handle's middle above the floor; more for a long upright one [m]
 _DEEPEST = 0.12
 _MOST = 3.0  # bound on the vote of one ray [natural log odds]
 _BARS = ((0.05, 0.05), *((length, t) for length in (0.08, 0.11, 0.14, 0.18) for t in (0.02, 0.03, 0.05)))
@@ -150,8 +150,8 @@ def _best_box(grid: Float[np.ndarray, "U V"], face: DoorFace, zone: str, out: fl
         total = sums[a:, b:] - sums[:-a, b:] - sums[a:, :-b] + sums[:-a, :-b]
         along = np.arange(total.shape[0]) * _CELL
         middle = (np.arange(total.shape[1]) + 0.5 * b) * _CELL + REACH[0]
-        slack = 0.15 if size[1] > 0.1 else 0.0
-        fits = (middle > _HEIGHTS[0] - slack) & (middle < _HEIGHTS[1] + slack)
+        slack = LONG_SLACK if size[1] > 0.1 else 0.0
+        fits = (middle > HEIGHTS[0] - slack) & (middle < HEIGHTS[1] + slack)
         # Its outer end lies 2 to 18 cm from a side edge.
         from_low, from_high = along, face.width - along - size[0]
         if zone == "across":

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from perception.detect.door.bar import Bar, NearRays, fit_ball, fit_bar, rate_extensions
-from perception.detect.door.bump import JAMB, Bump, DoorFace, find_bumps, rays_towards
+from perception.detect.door.bump import HEIGHTS, JAMB, LONG_SLACK, Bump, DoorFace, find_bumps, rays_towards
 from perception.detect.door.profile import Rays
 from perception.detect.door.upright import Upright
 
@@ -26,6 +26,7 @@ _NEAR = 0.12
 _WENT_ON, _EDGE = 0.06, 0.06
 _TRUSTED = 0.5  # share of a fitted bar's likelihood that counts: the best of many bars fits noise as well
 _LEAST_BAR = 4.0  # length of a bar, in radii; shorter ones are knobs
+_SLACK = 0.03  # of a handle's middle, measured in the bump and in the fitted bar [m]
 _STEEPEST_LEVER, _FLATTEST_PULL = np.radians(55.0), np.radians(65.0)
 
 
@@ -101,8 +102,16 @@ def find_handle(
         prefer: side edge to search (-1 low, 1 high); 0 both.
     """
     face = DoorFace(plane, low, high, ground, float(np.clip(rms, 0.006, 0.02)))
-    seen = [_measure(face, rays, bump) for bump in find_bumps(face, rays, prefer)]
+    measured = (_measure(face, rays, bump) for bump in find_bumps(face, rays, prefer))
+    # A bar fitted to the rays about a bump may be a part of something else, far above or below it.
+    seen = [handle for handle in measured if _is_at_hand(handle, ground)]
     return max(seen, key=lambda handle: (handle.quality, handle.evidence), default=None)
+
+
+def _is_at_hand(handle: Handle, ground: float) -> bool:
+    """Return whether a handle's middle is at a height where doors have theirs."""
+    slack = _SLACK + (LONG_SLACK if handle.is_pull else 0.0)
+    return bool(HEIGHTS[0] - slack < handle.centre[1] - ground < HEIGHTS[1] + slack)
 
 
 @dataclass(frozen=True)

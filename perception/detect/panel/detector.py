@@ -37,6 +37,8 @@ _SAME_DEPTH = 0.1
 _ROUNDS = 3
 _MOST_OTHERS = 6  # reliefs that are no buttons, on a face that a refit may still make a panel
 _COLLAR = 0.01
+# Deviations of the scan's noise, height by which a button's middle exceeds its mean [m], share of rays above that.
+_NOISE, _DOMED, _ABOVE = 3.0, 0.01, 0.12
 _SMEAR = 0.1
 
 
@@ -110,7 +112,11 @@ def _examine(face: Face, index: SightIndex, is_hinted: bool) -> Detection | None
         relief = _discs(face, edges, ends)
         # A relief much lower than the noise is an uneven face, however many points it has.
         discs = [disc for disc in relief if disc.height > _LEAST_CLEAR * face.sigma]
-        buttons = [disc for disc in discs if _is_button(disc) and _stands_alone(disc, discs, ends)]
+        buttons = [
+            disc
+            for disc in discs
+            if _is_button(disc) and _is_level(disc, ends, face.sigma) and _stands_alone(disc, discs, ends)
+        ]
         if len(discs) - len(buttons) > _MOST_OTHERS:
             return None
     if not buttons:
@@ -141,7 +147,7 @@ def _went_past(face: Face, seen: FaceRays) -> Bool[np.ndarray, "N"]:
 
 def _discs(face: Face, edges: _Edges, ends: Float[np.ndarray, "K 3"]) -> list[Disc]:
     """Return raised discs of a face, without those much fainter than the clearest and smears of clearer ones."""
-    kept = ends[(ends[:, 2] > -3.0 * face.sigma) & (ends[:, 2] < _HEIGHTS[1] + 0.05)]
+    kept = ends[(ends[:, 2] > -_NOISE * face.sigma) & (ends[:, 2] < _HEIGHTS[1] + 0.05)]
     kept = np.column_stack([kept[:, :2], np.minimum(kept[:, 2], _HEIGHTS[1])])
     discs = find_discs(kept, edges.low, edges.high, face.sigma, _LEAST_GAIN)
     clearest = max((disc.gain for disc in discs), default=0.0)
@@ -170,6 +176,13 @@ def _is_button(disc: Disc) -> bool:
         and disc.roundness > 0.5
         and disc.around < 0.4
     )
+
+
+def _is_level(disc: Disc, ends: Float[np.ndarray, "K 3"], sigma: float) -> bool:
+    """Return whether hardly any ray ended well above a disc's mean height; over a bar before the face many did."""
+    height = ends[np.linalg.norm(ends[:, :2] - disc.centre, axis=1) < disc.radius, 2]
+    height = height[height > -_NOISE * sigma]
+    return bool((height > disc.height + _NOISE * sigma + _DOMED).sum() <= _ABOVE * len(height))
 
 
 def _stands_alone(disc: Disc, discs: list[Disc], ends: Float[np.ndarray, "K 3"]) -> bool:

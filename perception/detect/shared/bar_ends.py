@@ -27,6 +27,7 @@ _ON_FLOOR, _LEAST_SLOPE = 0.02, 0.05
 _MOST_HIDDEN = 0.1
 _NEAR, _BEYOND = 0.06, 0.08
 _DESCENDS = 0.05
+_DIGITS = 9
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ def likely_ends(rays: SurroundingRays, bar: Bar, floor: FloorPlane | None) -> Li
         height = _ON_FLOOR + max(0.0, float(floor.above(nearest.corners).min()))
         descent = float(bar.axis @ floor.normal)
         first, last = first.above(height, descent), last.above(height, -descent)
-    cut = replace(bar, first=middle - first.place, last=middle + last.place)
+    # An end lies where a ray crosses the bar: rounded, it is clearly before or behind that ray.
+    cut = replace(bar, first=round(middle - first.place, _DIGITS), last=round(middle + last.place, _DIGITS))
     return LikelyEnds(cut, (first.is_seen, last.is_seen), (first.hidden, last.hidden))
 
 

@@ -29,6 +29,7 @@ from perception.detect.shared.bars import (
 from perception.sightlines import Sightlines
 
 _STEPS = 6  # of the solver in each round
+_ROUNDING = 1e-9  # share of the costs by which a step must lower them
 _STILL = 1e-3  # share of the costs by which the last step may still lower them
 _AROUND = 0.04
 SIGMA_USUAL = 0.004
@@ -38,6 +39,7 @@ _SCALE = np.array([0.02, 0.02, 0.005, 0.005, 0.005, 0.005, 0.1])
 _LARGEST_STEP = np.array([0.15, 0.15, 0.03, 0.03, 0.02, 0.02, 0.4])
 _FIRST_DAMPING = 1e-2
 _SLACK = 0.03
+_DIGITS = 9
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def _solve(
         residuals, jacobian = _linearize(chosen, hit, counts, state, usual, section)
         root = np.sqrt(1.0 + residuals**2)
         now = 2.0 * (root - 1.0).sum(axis=1)
-        better = now < cost
+        better = now < (1.0 - _ROUNDING) * cost
         weighted = jacobian / root[:, None]
         gradient = np.where(better[:, None], (weighted @ residuals[:, :, None])[:, :, 0], gradient)
         curvature = np.where(better[:, None, None], weighted @ jacobian.transpose(0, 2, 1), curvature)
@@ -118,6 +120,7 @@ def _solve(
         damping = np.where(better, 0.3 * damping, 5.0 * damping)
         change = _step(gradient, curvature, damping)
         state = _move(best, change, section)
+    best = _round(best, section)
     moved = [
         replace(bar, frame=frame, centre=centre, half=(float(half[0]), float(half[1])))
         for bar, frame, centre, half in zip(bars, best.frames, best.centres, best.halves, strict=True)
@@ -176,6 +179,12 @@ def _choose(these: Bool[np.ndarray, "B"], new: _State, old: _State) -> _State:
         np.where(these[:, None], new.centres, old.centres),
         np.where(these[:, None], new.halves, old.halves),
     )
+
+
+def _round(state: _State, section: Section) -> _State:
+    """Return the bars rounded to nanometres, so that the order in which sums are made decides nothing afterwards."""
+    parts = (np.round(part, _DIGITS) for part in (state.frames, state.centres, state.halves))
+    return _move(_State(*parts), np.zeros((len(state.frames), 7)), section)
 
 
 def _move(state: _State, x: Float[np.ndarray, "B n"], section: Section) -> _State:

@@ -28,6 +28,7 @@ _LIKELY = 24
 _BLUR = 2.5
 _EDGEWISE = 0.7
 _LEAST_SQUARE = 0.05
+_DIGITS = 6  # of a misfit after the point
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ def _misfits(sample: Sample, crossing: BarCrossing, blur: float = 1.0) -> Float[
     gap = (sample.rays.length - crossing.depth) / (blur * SIGMA_DEPTH)
     on = gap**2 + (np.maximum(crossing.outside, 0.0) / (blur * SIGMA_EDGE)) ** 2
     off = (np.maximum(-crossing.outside, 0.0) / (blur * SIGMA_EDGE)) ** 2 * sort_rays(sample.rays, crossing).passed
-    return np.asarray(np.minimum(np.where(sample.mine, on, off), _WORST).sum(axis=1))
+    # Bars of equal misfit are in the order of their starts, whatever the last digits of the sums are.
+    return np.asarray(np.round(np.minimum(np.where(sample.mine, on, off), _WORST).sum(axis=1), _DIGITS))
 
 
 Start = tuple[Bar, tuple[float, float]]

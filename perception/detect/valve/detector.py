@@ -108,7 +108,8 @@ def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, view: View, *, h
         has_grip: whether a grip shows where the lever ends.
     """
     tilts = (lever.fit.spread[0], pipe.fit.spread[0])
-    joint = _find_joint(lever.bar, pipe.bar, tilts, index, view)
+    noise = lever.evidence.rms
+    joint = _find_joint(lever.bar, pipe.bar, tilts, noise, index, view)
     if joint is None:
         return None
     confidence = (
@@ -127,7 +128,7 @@ def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, view: View, *, h
         return None
     both = settle_joint(lever.bar, pipe.bar, joint.pivot.along, joint.axis, index, view.floor)
     tilts = (both.fits[0] or lever.fit).spread[0], (both.fits[1] or pipe.fit).spread[0]
-    again = _find_joint(both.lever, both.pipe, tilts, index, view)
+    again = _find_joint(both.lever, both.pipe, tilts, noise, index, view)
     if again is None or (again.pivot.far > again.pivot.along) != (joint.pivot.far > joint.pivot.along):
         return None
     far_seen = has_grip or (both.is_seen and lever.ends.seen[joint.pivot.far == lever.bar.last])
@@ -136,14 +137,20 @@ def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, view: View, *, h
     return _Lever(lever, both.lever, again, float(confidence), pipe)
 
 
-def _find_joint(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex, view: View) -> LeverJoint | None:
-    """Return the joint of a bar and a pipe; a bar along its pipe with a grip on one end is held at the other."""
+def _find_joint(
+    bar: Bar, pipe: Bar, tilts: tuple[float, float], noise: float, index: SightIndex, view: View
+) -> LeverJoint | None:
+    """Return the joint of a bar and a pipe; a bar along its pipe with a grip on one end is held at the other.
+
+    Args:
+        noise: standard deviation of the bar's returns along their rays [m].
+    """
     joint = joint_of(bar, pipe, tilts, index)
     if joint is None or joint.pivot.confidence >= _SURE_END or not are_parallel(bar, pipe):
         return joint
     ways = (joint, joint.turn_round(bar, pipe, tilts))
     length = abs(joint.pivot.far - joint.pivot.along)
-    has_grip = [find_grip(view.obstacles, way.pose(bar), length, bar.half[0], index)[0] > 0.0 for way in ways]
+    has_grip = [find_grip(view.obstacles, way.pose(bar), length, bar.half[0], noise, index)[0] > 0.0 for way in ways]
     if has_grip[0] == has_grip[1]:
         return joint
     held = ways[int(has_grip[1])]
@@ -170,7 +177,7 @@ def _settle_crank(valve: _Lever, view: View, index: SightIndex) -> tuple[_Lever,
 
     Rays that end on the grip would pull the bar towards it.
     """
-    grip = find_grip(view.obstacles, valve.pose, valve.length, valve.bar.half[0], index)
+    grip = _grip_of(valve, view, index)
     if grip[0] == 0.0:
         return valve, grip
     beside = index_of(index.rays.select(~is_about_grip(index.rays.ends, valve.pose, grip, valve.bar.half[0])))
@@ -178,8 +185,14 @@ def _settle_crank(valve: _Lever, view: View, index: SightIndex) -> tuple[_Lever,
     again = None if fitted is None else _join(fitted, valve.pipe, beside, view, has_grip=True)
     if again is None:
         return valve, grip
-    grip = find_grip(view.obstacles, again.pose, again.length, again.bar.half[0], index)
+    grip = _grip_of(again, view, index)
     return (again, grip) if grip[0] > 0.0 else (valve, (0.0, valve.length))
+
+
+def _grip_of(valve: _Lever, view: View, index: SightIndex) -> tuple[float, float]:
+    """Return length and distance of the grip at a lever's end, as ``find_grip`` does."""
+    noise = valve.fitted.evidence.rms
+    return find_grip(view.obstacles, valve.pose, valve.length, valve.bar.half[0], noise, index)
 
 
 def _as_a_lever(pivot: Pivot, radius: float) -> float:

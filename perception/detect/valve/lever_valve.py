@@ -17,6 +17,7 @@ _CUT, _CUT_BEFORE = 0.03, 0.035  # around bar and grip, and on the sensor's side
 _BEYOND_STEM = 0.004  # of the stem's end before the bar [m]
 _ROUND = 12
 _AT_GRIP, _LEAST_GRIP, _MOST_GRIP = 0.028, 0.04, 0.25  # from the grip's axis; length of a grip [m]
+_LIFTED = 3.0  # standard deviations by which noise lifts points
 _LAYER, _FEWEST_IN_LAYER = 0.02, 2  # in which a grip shows points
 _ABOUT_GRIP = 0.045  # from a grip that is roughly known [m]
 _USUAL_GRIP_RADIUS = 0.014
@@ -126,7 +127,12 @@ def is_about_grip(
 
 
 def find_grip(
-    points: Float[np.ndarray, "N 3"], pose: Float[np.ndarray, "4 4"], length: float, radius: float, index: SightIndex
+    points: Float[np.ndarray, "N 3"],
+    pose: Float[np.ndarray, "4 4"],
+    length: float,
+    radius: float,
+    noise: float,
+    index: SightIndex,
 ) -> tuple[float, float]:
     """Return length of the grip at the end of a bar, and the distance of its axis from the spindle; 0 without one [m].
 
@@ -138,6 +144,7 @@ def find_grip(
         pose: (4, 4) of the bar: origin at the spindle, x along it, z the spindle's axis towards the sensor.
         length: of the bar [m].
         radius: half its thickness [m].
+        noise: standard deviation of the returns along their rays; it alone lifts points off the bar [m].
         index: of the scan's rays.
     """
     local = (points - pose[:3, 3]) @ pose[:3, :3]
@@ -162,7 +169,7 @@ def find_grip(
             n_layers = int(beyond[0]) if len(beyond) else len(lows)
     within = local[local[:, 2] < radius + n_layers * _LAYER]
     tall = float(np.percentile(within[:, 2], 93)) if len(within) else 0.0
-    if tall < _LEAST_GRIP:
+    if tall < max(_LEAST_GRIP, radius + _LIFTED * noise):
         return 0.0, length
     return tall, float(np.median(within[within[:, 2] > 0.4 * tall, 0]))
 

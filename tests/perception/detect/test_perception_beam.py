@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,14 @@ from hypothesis import strategies as st
 from perception import CONFIDENT, Cloud, Detection, View, make_view, read_cloud
 from perception.detect.beam.detector import _continues, detect_beam, loose_points
 from perception.detect.beam.strips import _in_walls, find_strips
+from perception.detect.shared import bar_fit, bar_starts
 from perception.detect.shared.bar_fit import BarFit, _linearize, _move, _State, spread_between_edges
-from perception.detect.shared.bars import Bar, Section, SurroundingRays, cross_bar, sort_rays
+from perception.detect.shared.bars import Bar, BarCrossing, Section, SurroundingRays, cross_bar, sort_rays
 from perception.detect.shared.slender import is_slender
 from perception.detect.valve.lines import find_lines
 from perception.sightlines import Sightlines
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
+from perception.simulate.scenes import make_scene
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.6)
 SCANNER = Scanner(n_beams=541, fan_deg=160.0, n_lines=60)
@@ -66,6 +69,31 @@ def test_a_leaning_two_by_four_is_found_within_the_targets() -> None:
     assert np.allclose(found.pose_world_object[:3, :3] @ found.pose_world_object[:3, :3].T, np.eye(3), atol=1e-9)
     again = detect_beam(view)[0]
     assert np.array_equal(found.pose_world_object, again.pose_world_object)
+
+
+def test_rounding_errors_of_the_fits_do_not_change_the_hits_in_a_heap(monkeypatch: pytest.MonkeyPatch) -> None:
+    view = make_view(make_scene("debris_large_heap", 0).scan("solid"))
+    linearize, measure = bar_fit._linearize, bar_starts.cross_sections
+    expected = detect_beam(view)
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+
+        def blur(values: np.ndarray, rng: np.random.Generator = rng) -> np.ndarray:
+            return np.asarray(values * (1.0 + 2e-15 * rng.standard_normal(values.shape)))
+
+        def linearize_roughly(*given: Any) -> tuple[np.ndarray, ...]:
+            return tuple(blur(part) for part in linearize(*given))
+
+        def measure_roughly(*given: Any) -> BarCrossing:
+            return BarCrossing(*(blur(getattr(measure(*given), field.name)) for field in fields(BarCrossing)))
+
+        monkeypatch.setattr(bar_fit, "_linearize", linearize_roughly)
+        monkeypatch.setattr(bar_starts, "cross_sections", measure_roughly)
+        found = detect_beam(view)
+        assert len(found) == len(expected) > 5
+        for hit, other in zip(found, expected, strict=True):
+            assert np.allclose(hit.pose_world_object, other.pose_world_object, rtol=0.0, atol=1e-7)
+            assert hit.confidence == pytest.approx(other.confidence, abs=1e-6)
 
 
 def test_a_beam_whose_end_is_hidden_says_that_its_length_is_unknown() -> None:
