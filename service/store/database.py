@@ -15,6 +15,8 @@ from service.store.folder import PARTIAL
 from service.store.seals import compute_seal
 
 VERSION = 2
+CHECKPOINT_WRITES, CHECKPOINT_BYTES = 500, 32 * 2**20  # after which a checkpoint is due; of the write-ahead log
+LATEST_CHECKPOINT_PAGES = 50_000  # of 4 KiB, after which a write makes it itself, since nobody else does
 _APPLICATION_ID = 0x5C097001
 UNREADABLE_ROW = "a row of the store is damaged on this server's disk; its operator has to restore the store"
 
@@ -106,6 +108,7 @@ class Database:
         self.path = path
         self.write_error = ""
         self._lock = threading.RLock()
+        self._n_changes = 0  # rows that were changed before the last checkpoint
         with self._convert_errors():
             if not path.exists():
                 self._create()
@@ -133,6 +136,29 @@ class Database:
         with self.transaction() as db:
             db.execute("UPDATE totals SET n = n")
         self.write_error = ""
+
+    def checkpoint(self) -> None:
+        """Copy the write-ahead log into the database if enough has been written; transactions do not wait for it.
+
+        To be called periodically, in a thread: a checkpoint waits for the disk.
+
+        Raises:
+            DiskError: the file cannot be written.
+        """
+        n_changes = self._connection.total_changes
+        n_new = n_changes - self._n_changes
+        if n_new < CHECKPOINT_WRITES and not (n_new and self._log_bytes() > CHECKPOINT_BYTES):
+            return
+        with self._convert_errors(is_open=True), closing(sqlite3.connect(self.path, isolation_level=None)) as other:
+            other.execute("PRAGMA synchronous = NORMAL")
+            other.execute("PRAGMA wal_checkpoint(PASSIVE)")
+        self._n_changes = n_changes
+
+    def _log_bytes(self) -> int:
+        try:
+            return self.path.with_name(f"{self.path.name}-wal").stat().st_size
+        except OSError:
+            return 0
 
     @contextmanager
     def transaction(self, *, durable: bool = False) -> Iterator[sqlite3.Connection]:
@@ -215,7 +241,12 @@ class Database:
             )
         if execute("PRAGMA journal_mode = WAL").fetchone()[0] != "wal":
             raise StoreError(f"{self.path}: its file system has no shared memory; use a local disk")
-        for setting in ("synchronous = NORMAL", "foreign_keys = ON", "journal_size_limit = 8388608"):
+        for setting in (
+            "synchronous = NORMAL",
+            "foreign_keys = ON",
+            "journal_size_limit = 8388608",
+            f"wal_autocheckpoint = {LATEST_CHECKPOINT_PAGES}",
+        ):
             execute(f"PRAGMA {setting}")
         report = execute("PRAGMA quick_check(1)").fetchone()[0]
         if report != "ok":

@@ -75,6 +75,14 @@ class Store:
         self._database.probe()
         self._archives.probe()
 
+    def checkpoint(self) -> None:
+        """Move what was written into the database file if it is due; to be called periodically, in a thread.
+
+        Raises:
+            DiskError: the file cannot be written.
+        """
+        self._database.checkpoint()
+
     def stats(self) -> StoreStats:
         """Return number and size of the stored plans and scenes."""
         with self._database.transaction() as db:
