@@ -33,7 +33,7 @@ from service.server.requests import RequestReader
 from service.server.robots import KnownRobots, RobotFolder
 from service.server.settings import MAX_STREAMS, ServerSettings
 from service.store import CloudStore, Store
-from service.telemetry import Metrics, MetricsServer, PlanCounts, Spans, TelemetryInterceptor
+from service.telemetry import Later, Metrics, MetricsServer, PlanCounts, Spans, TelemetryInterceptor
 from service.trust import (
     UNIX,
     AccessInterceptor,
@@ -157,11 +157,12 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
         metrics.watch(pool=executor.stats, store=store, clouds=clouds)
         if endpoint.metrics is not None:
             stack.enter_context(MetricsServer(endpoint.metrics, metrics.registry, endpoint.is_metrics_remote))
-        counts = PlanCounts()
+        counts, later = PlanCounts(), Later()
+        stack.callback(later.finish)
 
         def count(kind: str, verdict: str, timings: Mapping[str, float]) -> None:
             counts.add(verdict, timings)
-            metrics.plan_finished(kind, verdict, timings)
+            later.call(metrics.plan_finished, kind, verdict, timings)
 
         calls, health = OpenCalls(), Health((SERVICE.full_name,))
         disk = DiskWatch(settings.data, store, clouds, health)
@@ -171,13 +172,13 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
             _LOG.warning("own robots override robots of scopt", names=list(robots.overriding))
         known = KnownRobots(robots)
         reader = RequestReader(settings, folders, clouds, store.scenes, robots, known)
-        plans = PlanHandler(reader, jobs, store, disk, count)
+        plans = PlanHandler(reader, jobs, store, disk, count, later)
         uploads = UploadHandler(clouds, disk, limiter, metrics.upload_finished)
         queries = QueryHandlers(settings, jobs, store, plans.running, robots, counts, endpoint.signer)
         uses_certificates = endpoint.tls is not None and endpoint.tls.client_ca is not None
         server = grpc.aio.server(
             interceptors=[
-                TelemetryInterceptor(metrics, endpoint.spans),
+                TelemetryInterceptor(metrics, endpoint.spans, later),
                 calls,
                 AccessInterceptor(endpoint.tokens, limiter, uses_certificates),
             ],
