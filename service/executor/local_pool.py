@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import os
 import pickle
 import socket
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager, suppress
 
 from service.executor import linux
-from service.executor.channel import Kind, Message, MessageReader, MessageWriter, ProcessOutput
+from service.executor.channel import Inbox, Kind, Message, MessageReader, MessageWriter, ProcessOutput
 from service.executor.fork_server import ForkServer
 from service.executor.job import LOG, JobRecord
 from service.executor.job_queue import JobQueue
@@ -157,6 +158,7 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
         self._server: ForkServer | None = None
         self._standbys: list[ForkServer] = []
         self._n_stopped = 0  # looks in a row at a stopped fork server
+        self._inbox = Inbox(self._loop, self._guard, self._read_ready)
         self._output = ProcessOutput("fork server")
         self._loop.add_reader(self._output.fd, self._output.read)
         self._loop.call_soon(self._watch)
@@ -168,7 +170,17 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
                 server.close()
         for worker in self.workers:
             worker.close()
+        self._inbox.close()
         self._output.close()
+
+    @contextmanager
+    def read_in(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
+        """Have a running event loop read what workers send while the body runs; to be used in its thread."""
+        self._inbox.lend(loop)
+        try:
+            yield
+        finally:
+            self._inbox.take_back()
 
     # Fork server.
 
@@ -289,7 +301,7 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
             self._note_failed_start(str(error))
             return
         self._note_started(worker)
-        self._loop.add_reader(worker.sock, self._read, worker)
+        self._inbox.add(worker.sock)
         self._loop.add_reader(worker.output.fd, self._read_output, worker)
         self._flush(worker)
 
@@ -314,7 +326,7 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
     # Sockets and output.
 
     def _stop_talking(self, worker: _WorkerProcess) -> None:
-        self._loop.remove_reader(worker.sock)
+        self._inbox.remove(worker.sock)
         self._loop.remove_writer(worker.sock)
 
     def _read_output(self, worker: _WorkerProcess) -> None:
@@ -327,6 +339,12 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
             self._loop.remove_writer(worker.sock)
         else:
             self._loop.add_writer(worker.sock, self._flush, worker)
+
+    def _read_ready(self, ready: Container[int]) -> None:
+        """Handle the messages of workers by the descriptors of their sockets."""
+        for worker in self.workers:
+            if worker.sock.fileno() in ready:
+                self._read(worker)
 
     def _read(self, worker: _WorkerProcess, everything: bool = False) -> None:
         """Handle a worker's messages; only the first ones, since other workers wait, unless ``everything`` is set."""
@@ -375,6 +393,9 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
         if limit is not None and worker.jobs_done + 1 >= limit:
             worker.is_retiring = not any(other.is_retiring for other in self.workers)  # at most one at a time
         self._finish_job(worker, message.kind is Kind.RETURNED, message.payload)
+
+    def _should_end(self, worker: _WorkerProcess) -> bool:
+        return super()._should_end(worker) or worker.is_retiring
 
     def _kill_overdue(self, worker: _WorkerProcess) -> None:
         self._read(worker)

@@ -234,6 +234,10 @@ class _RaySupervisor(Supervisor[_Actor]):
         except Exception as error:  # without a connection it ends with its cluster, or when that misses this pool
             LOG.warning("worker %d (pid %s) could not be killed: %s", actor.number, actor.pid, error)
 
+    def _should_end(self, actor: _Actor) -> bool:
+        limit = self._settings.recycle_after
+        return super()._should_end(actor) or (limit is not None and actor.jobs_done >= limit)
+
     def _describe_timeout(self, actor: _Actor) -> str:
         return f"{super()._describe_timeout(actor)}; has Ray a free CPU?"
 

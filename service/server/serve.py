@@ -193,6 +193,7 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
             _bind_port(server, f"{UNIX}{endpoint.socket}", None)
         if not await asyncio.to_thread(executor.wait_ready):
             raise ServiceError("no worker could be started; see the log")
+        stack.enter_context(executor.read_in(asyncio.get_running_loop()))
         await plans.resume()
         await server.start()
         stack.push_async_callback(server.stop, 0.0)
