@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 
 from service.executor.job import NOBODY, Job, JobRecord, OnEvent, Place, PoolClosed
 from service.executor.job_queue import JobQueue
-from service.executor.supervisor import Supervisor, WorkerState, check_callable, check_workers
+from service.executor.supervisor import Supervisor, check_callable, check_workers
+from service.executor.worker_handle import WorkerState
 
 T = TypeVar("T")
 MAX_ATTEMPTS = 3

@@ -16,8 +16,9 @@ from service.executor.channel import Kind
 from service.executor.job import LOG, JobRecord
 from service.executor.job_queue import JobQueue
 from service.executor.pool import Pool
-from service.executor.supervisor import PoolSettings, Supervisor, WorkerHandle, WorkerState
+from service.executor.supervisor import PoolSettings, Supervisor
 from service.executor.worker import JobControl, SharedFlags, WorkerSetup, run_call
+from service.executor.worker_handle import WorkerHandle, WorkerState
 
 _END_TIMEOUT_S = 5.0
 N_THREADS = 8  # one for the job, one for wait_for_end, some for calls that must wait for neither

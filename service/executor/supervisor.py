@@ -8,7 +8,6 @@ idle worker is sent by the thread that submits it, and an event loop of the call
 from __future__ import annotations
 
 import asyncio
-import enum
 import selectors
 import threading
 from abc import ABC, abstractmethod
@@ -19,6 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from service.executor.job import LOG, ExecutorError, JobRecord, Lane, StopReason, WorkerDied
 from service.executor.job_queue import JobQueue
+from service.executor.worker_handle import WorkerHandle, WorkerState
 
 FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0  # after a failed start, twice as long after each in a row
 _HOPELESS = 3  # failures in a row
@@ -66,50 +66,6 @@ def check_workers(workers: int) -> None:
     """
     if workers < 1:
         raise ValueError(f"workers must be at least 1; got {workers}")
-
-
-class WorkerState(enum.Enum):
-    """State of a worker; one that has ended is forgotten."""
-
-    STARTING = "starting"
-    IDLE = "idle"
-    BUSY = "busy"
-    STOPPING = "stopping"
-
-
-class WorkerHandle(ABC):
-    """The pool's view of one worker.
-
-    Attributes:
-        number: counts the pool's workers from 1.
-        state: what it is doing.
-        pid: on its own machine; None until it has sent it.
-        record: the job it runs.
-        limit: kills it when it does not become ready, or does not stop.
-        jobs_done: how many jobs it has finished.
-    """
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-        self.state = WorkerState.STARTING
-        self.pid: int | None = None
-        self.record: JobRecord | None = None
-        self.limit: asyncio.TimerHandle | None = None
-        self.jobs_done = 0
-
-    @property
-    def is_up(self) -> bool:
-        """Whether it runs a job or could."""
-        return self.state in (WorkerState.IDLE, WorkerState.BUSY)
-
-    @property
-    @abstractmethod
-    def rss_bytes(self) -> int:
-        """Resident memory, shared pages included; 0 where it is not known."""
-
-    @abstractmethod
-    def request_stop(self, record: JobRecord) -> None:
-        """Have ``should_stop`` of its job return True."""
 
 
 class _GuardedSelector(selectors.DefaultSelector):

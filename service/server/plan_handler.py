@@ -29,11 +29,10 @@ from service.server.disk import DiskWatch
 from service.server.jobs import JobHandle, JobRunner, await_result
 from service.server.plan_files import stream_files
 from service.server.refusals import GOING_DOWN, STOPPING, discard_uploads, refuse_error, refuse_invalid
-from service.server.requests import WITHIN, RequestReader, kind_of, list_files
+from service.server.requests import WITHIN, RequestReader, current_warnings, kind_of, list_files
 from service.server.running_plans import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES
 from service.server.spread import Answer, await_certified, with_other_seed
-from service.server.warnings import current_warnings
 from service.store import PlanRecord, PlanState, Store
 from service.telemetry import Later, bind
 from service.trust import current_caller
