@@ -15,7 +15,7 @@ from service.store.folder import PARTIAL
 from service.store.seals import compute_seal
 
 VERSION = 2
-CHECKPOINT_WRITES, CHECKPOINT_BYTES = 500, 32 * 2**20  # after which a checkpoint is due; of the write-ahead log
+CHECKPOINT_WRITES, CHECKPOINT_BYTES = 2000, 32 * 2**20  # after which a checkpoint is due; of the write-ahead log
 LATEST_CHECKPOINT_PAGES = 50_000  # of 4 KiB, after which a write makes it itself, since nobody else does
 _APPLICATION_ID = 0x5C097001
 UNREADABLE_ROW = "a row of the store is damaged on this server's disk; its operator has to restore the store"
