@@ -165,7 +165,8 @@ class Database:
         """Make changes that happen all or not at all, and survive the process as soon as the body has ended.
 
         Args:
-            durable: wait for the disk, so that they survive a power cut, too.
+            durable: wait for the disk, so that they survive a power cut, too. They are then in the database itself,
+                whose rows have seals: a damaged write-ahead log would be cut at the damage without a word.
         """
         with self._lock, self._convert_errors(is_open=True):
             if durable:
@@ -175,6 +176,8 @@ class Database:
                 try:
                     yield self._connection
                     self._connection.execute("COMMIT")
+                    if durable:
+                        self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
                 except BaseException:
                     if self._connection.in_transaction:
                         self._connection.execute("ROLLBACK")
