@@ -19,7 +19,7 @@ from service.executor.job import LOG
 MAX_PAYLOAD_BYTES = 2**30
 _HEADER = struct.Struct("<BQQ")  # kind, job, length of the payload
 _CHUNK = 2**16
-_MAX_SENT = 2**20  # at a time
+_MAX_SENT = _MAX_RECEIVED = 2**20  # at a time
 _MAX_LINE = 2000
 _READ_AGAIN_S = 0.002  # after the pool's thread was busy
 _MAX_TAIL = 4000  # a crash of a worker prints some 30 lines of stack after its own last words
@@ -70,13 +70,14 @@ class MessageReader:
         """Yield the messages that are complete; ``is_closed`` is set once no more can follow.
 
         Args:
-            everything: read until nothing is left, not only until the first messages are complete.
+            everything: read until nothing is left, not only until the first messages are complete or ``_MAX_RECEIVED``
+                bytes have been read, after which it is somebody else's turn.
 
         Raises:
             MalformedMessageError: the bytes are not a message.
         """
-        n_messages = 0
-        while not self.is_closed and (everything or n_messages == 0):
+        n_messages = n_bytes = 0
+        while not self.is_closed and (everything or (n_messages == 0 and n_bytes < _MAX_RECEIVED)):
             try:
                 data = self._sock.recv(_CHUNK)
             except BlockingIOError:
@@ -85,6 +86,7 @@ class MessageReader:
                 data = b""
             self.is_closed = not data
             self._buffer += data
+            n_bytes += len(data)
             for message in self._split_buffer():
                 n_messages += 1
                 yield message
