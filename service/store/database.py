@@ -108,6 +108,7 @@ class Database:
         self.path = path
         self.write_error = ""
         self._lock = threading.RLock()
+        self._copying = threading.Lock()  # of the log; taken before the other one
         self._n_changes = 0  # rows that were changed before the last checkpoint
         with self._convert_errors():
             if not path.exists():
@@ -149,10 +150,22 @@ class Database:
         n_new = n_changes - self._n_changes
         if n_new < CHECKPOINT_WRITES and not (n_new and self._log_bytes() > CHECKPOINT_BYTES):
             return
-        with self._convert_errors(is_open=True), closing(sqlite3.connect(self.path, isolation_level=None)) as other:
-            other.execute("PRAGMA synchronous = NORMAL")
-            other.execute("PRAGMA wal_checkpoint(PASSIVE)")
+        with self._copying, self._convert_errors(is_open=True):
+            self._copy_log()
         self._n_changes = n_changes
+
+    def _copy_log(self) -> None:
+        """Copy the write-ahead log into the database with a connection of its own, for which nobody has to wait."""
+        with closing(sqlite3.connect(self.path, isolation_level=None)) as connection:
+            connection.execute("PRAGMA synchronous = NORMAL")
+            connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+
+    def _empty_log(self) -> None:
+        """Copy the write-ahead log into the database and cut it to nothing."""
+        with self._copying, self._convert_errors(is_open=True):
+            self._copy_log()  # waits for the disk
+            with self._lock:
+                self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
 
     def _log_bytes(self) -> int:
         try:
@@ -166,25 +179,20 @@ class Database:
 
         Args:
             durable: wait for the disk, so that they survive a power cut, too. They are then in the database itself,
-                whose rows have seals: a damaged write-ahead log would be cut at the damage without a word.
+                whose rows have seals: a damaged write-ahead log would be cut at the damage without a word. If that
+                fails, they have been made nevertheless.
         """
         with self._lock, self._convert_errors(is_open=True):
-            if durable:
-                self._connection.execute("PRAGMA synchronous = FULL")
+            self._connection.execute("BEGIN IMMEDIATE")
             try:
-                self._connection.execute("BEGIN IMMEDIATE")
-                try:
-                    yield self._connection
-                    self._connection.execute("COMMIT")
-                    if durable:
-                        self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-                except BaseException:
-                    if self._connection.in_transaction:
-                        self._connection.execute("ROLLBACK")
-                    raise
-            finally:
-                if durable:
-                    self._connection.execute("PRAGMA synchronous = NORMAL")
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+        if durable:
+            self._empty_log()
 
     def _create(self) -> None:
         """Create the file under another name first, so that a kill leaves no incomplete one."""
