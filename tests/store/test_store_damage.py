@@ -166,7 +166,7 @@ def test_a_rejection_survives_any_damage_of_the_log_that_a_killed_server_leaves(
     size = (tmp_path / "left" / log).stat().st_size
     assert size > 0
     n_lost = 0
-    for place in range(0, size, size // 40):
+    for place in range(0, size, size // 20):
         folder = shutil.copytree(tmp_path / "left", tmp_path / f"damaged{place}")
         data = bytearray((folder / log).read_bytes())
         data[place] ^= 1
