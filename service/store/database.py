@@ -95,7 +95,7 @@ CREATE TRIGGER scene_out AFTER DELETE ON scenes BEGIN
 
 
 class Database:
-    """One connection for all threads; every use of it is one transaction.
+    """One connection for all threads, which use it in turn; every write is part of a transaction.
 
     Raises:
         StoreError: the file is damaged, of another version or application, or cannot be opened.
@@ -172,6 +172,12 @@ class Database:
             return self.path.with_name(f"{self.path.name}-wal").stat().st_size
         except OSError:
             return 0
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """Read; nothing is written meanwhile, since every write has the same lock."""
+        with self._lock, self._convert_errors(is_open=True):
+            yield self._connection
 
     @contextmanager
     def transaction(self, *, durable: bool = False) -> Iterator[sqlite3.Connection]:

@@ -85,6 +85,6 @@ class Store:
 
     def stats(self) -> StoreStats:
         """Return number and size of the stored plans and scenes."""
-        with self._database.transaction() as db:
+        with self._database.reading() as db:
             totals = {row["what"]: (row["n"], row["bytes"]) for row in db.execute("SELECT * FROM totals")}
         return StoreStats(*totals["plans"], *totals["scenes"])
