@@ -16,7 +16,7 @@ from service.executor.job import (
 )
 from service.executor.local_pool import LocalPool
 from service.executor.pool import Pool, PoolStats, WorkerStats
-from service.executor.supervisor import WorkerState
+from service.executor.worker_handle import WorkerState
 
 __all__ = [
     "NOBODY",

@@ -1,13 +1,17 @@
-"""Between the pool and a process: messages on a socket (kind, number of the job, payload), and output on a pipe."""
+"""Between the pool and its processes: messages on a socket (kind, number of the job, payload), and output on a pipe."""
 
 from __future__ import annotations
 
+import asyncio
 import enum
 import os
+import select
 import socket
 import struct
+import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Container, Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 from service.executor.job import LOG
@@ -15,8 +19,9 @@ from service.executor.job import LOG
 MAX_PAYLOAD_BYTES = 2**30
 _HEADER = struct.Struct("<BQQ")  # kind, job, length of the payload
 _CHUNK = 2**16
-_MAX_SENT = 2**20  # at a time
+_MAX_SENT = _MAX_RECEIVED = 2**20  # at a time
 _MAX_LINE = 2000
+_READ_AGAIN_S = 0.002  # after the pool's thread was busy
 _MAX_TAIL = 4000  # a crash of a worker prints some 30 lines of stack after its own last words
 
 
@@ -65,13 +70,14 @@ class MessageReader:
         """Yield the messages that are complete; ``is_closed`` is set once no more can follow.
 
         Args:
-            everything: read until nothing is left, not only until the first messages are complete.
+            everything: read until nothing is left, not only until the first messages are complete or ``_MAX_RECEIVED``
+                bytes have been read, after which it is somebody else's turn.
 
         Raises:
             MalformedMessageError: the bytes are not a message.
         """
-        n_messages = 0
-        while not self.is_closed and (everything or n_messages == 0):
+        n_messages = n_bytes = 0
+        while not self.is_closed and (everything or (n_messages == 0 and n_bytes < _MAX_RECEIVED)):
             try:
                 data = self._sock.recv(_CHUNK)
             except BlockingIOError:
@@ -80,6 +86,7 @@ class MessageReader:
                 data = b""
             self.is_closed = not data
             self._buffer += data
+            n_bytes += len(data)
             for message in self._split_buffer():
                 n_messages += 1
                 yield message
@@ -126,6 +133,78 @@ class MessageWriter:
             else:
                 self._unsent.popleft()
         return not self._unsent
+
+
+class Inbox:
+    """The pool's sockets, read by its own event loop or by one of the caller to which it is lent.
+
+    The reader waits for one descriptor, an epoll of all sockets, which any thread may add and remove.
+
+    Args:
+        loop: the pool's event loop.
+        guard: lock that the pool's thread holds except while it waits for events.
+        read: called with the descriptors of the sockets that have something, by a thread that holds the guard.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, guard: threading.Lock, read: Callable[[Container[int]], None]
+    ) -> None:
+        self._loop = loop
+        self._guard = guard
+        self._read = read
+        self._epoll = select.epoll()
+        self._borrower: asyncio.AbstractEventLoop | None = None
+        loop.add_reader(self._epoll, self._read_ready)
+
+    def add(self, sock: socket.socket) -> None:
+        """Read a socket from now on."""
+        self._epoll.register(sock, select.EPOLLIN)
+
+    def remove(self, sock: socket.socket) -> None:
+        """Read a socket no longer, if it was read."""
+        with suppress(FileNotFoundError):
+            self._epoll.unregister(sock)
+
+    def lend(self, borrower: asyncio.AbstractEventLoop) -> None:
+        """Have a running event loop read, until ``take_back``; both are called in its thread."""
+        with self._guard:
+            self._borrower = borrower
+            self._loop.remove_reader(self._epoll)
+        borrower.add_reader(self._epoll, self._read_borrowed)
+
+    def take_back(self) -> None:
+        """Have the pool's own event loop read again."""
+        with self._guard:
+            borrower, self._borrower = self._borrower, None
+            if borrower is not None:
+                borrower.remove_reader(self._epoll)
+            if self._loop.is_closed():
+                self._epoll.close()
+            else:
+                self._loop.add_reader(self._epoll, self._read_ready)
+
+    def close(self) -> None:
+        """Close the epoll; a borrower closes it when it gives it back."""
+        if self._borrower is None:
+            self._loop.remove_reader(self._epoll)
+            self._epoll.close()
+
+    def _read_ready(self) -> None:
+        self._read({fd for fd, _ in self._epoll.poll(0)})
+
+    def _read_borrowed(self) -> None:
+        if self._guard.acquire(blocking=False):
+            try:
+                self._read_ready()
+            finally:
+                self._guard.release()
+        elif self._borrower is not None:  # the pool's thread is busy, for which nobody should wait
+            self._borrower.remove_reader(self._epoll)
+            self._borrower.call_later(_READ_AGAIN_S, self._read_again)
+
+    def _read_again(self) -> None:
+        if self._borrower is not None:
+            self._borrower.add_reader(self._epoll, self._read_borrowed)
 
 
 class BlockingChannel:

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
-import os
-import pickle
-import socket
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager, suppress
 
 from service.executor import linux
-from service.executor.channel import Kind, Message, MessageReader, MessageWriter, ProcessOutput
+from service.executor.channel import Inbox, Kind, Message, ProcessOutput
 from service.executor.fork_server import ForkServer
 from service.executor.job import LOG, JobRecord
 from service.executor.job_queue import JobQueue
 from service.executor.pool import Pool
-from service.executor.supervisor import PoolSettings, Supervisor, WorkerHandle, WorkerState
-from service.executor.worker import SharedFlags, WorkerSetup
+from service.executor.supervisor import PoolSettings, Supervisor
+from service.executor.worker import WorkerSetup
+from service.executor.worker_handle import STOPPED_LOOKS, WorkerProcess, WorkerState
 
 N_STANDBYS = 2  # copies of the fork server, since importing takes longer than anybody wants to wait
 WATCH_EVERY_S = 0.25  # between two looks at the processes
-STOPPED_LOOKS = 2  # in a row at a stopped process, after which it counts as one that does not go on
-SILENT_LOOKS = 4  # at a worker that neither beats nor computes
-STUCK_S = 10.0  # processor time without a beat, in a native call; the planner's longest take 0.3 s
 
 
 class LocalPool(Pool):
@@ -68,85 +64,7 @@ class LocalPool(Pool):
         super().__init__(queue, _LocalSupervisor(settings, queue))
 
 
-class _WorkerProcess(WorkerHandle):
-    """The pool's view of one worker process.
-
-    Attributes:
-        is_lost: it has closed its socket or sent nonsense.
-        is_retiring: it has done ``recycle_after`` jobs and ends as soon as its replacement is up.
-        output: what it writes.
-        sock: the pool's end of the socket to it.
-        reader, writer: the messages on the socket.
-    """
-
-    def __init__(self, number: int, server: ForkServer, setup: WorkerSetup) -> None:
-        """Fork the process.
-
-        Raises:
-            OSError: out of resources, or the fork server has ended.
-        """
-        super().__init__(number)
-        self.is_lost = self.is_retiring = False
-        self.output = ProcessOutput(f"worker {number}")
-        self.sock, child_sock = socket.socketpair()
-        self.sock.setblocking(False)
-        fd, self._flags = SharedFlags.create()
-        self.reader, self.writer = MessageReader(self.sock), MessageWriter(self.sock)
-        self.writer.put(Message(Kind.SETUP, 0, pickle.dumps(setup)))
-        self._n_stopped = self._n_waiting = self._last_beats = 0  # looks in a row; beats at the last one
-        self._busy_s: list[float] = []
-        try:
-            server.fork_worker(number, [child_sock.fileno(), fd, self.output.write_fd])
-        except OSError:
-            self.close()
-            raise
-        finally:
-            child_sock.close()
-            os.close(fd)
-            self.output.close_write_end()
-
-    @property
-    def rss_bytes(self) -> int:
-        """Resident memory, shared pages included; 0 where it is not known."""
-        return 0 if self.pid is None else linux.rss_bytes(self.pid)
-
-    def request_stop(self, record: JobRecord) -> None:
-        """Have ``should_stop`` of its job return True."""
-        self._flags.cancelled = record.job.number
-
-    def find_fault(self) -> str:
-        """Return why it does not go on, empty while it does; called every ``WATCH_EVERY_S``."""
-        if self.pid is None or self.state is WorkerState.STOPPING:
-            return ""
-        started = linux.descendants(self.pid) if self.state is WorkerState.BUSY else ()
-        is_stopped = any(linux.state_of(pid) == "T" for pid in (self.pid, *started))
-        self._n_stopped = self._n_stopped + 1 if is_stopped else 0
-        beats, self._last_beats = self._last_beats, self._flags.beats
-        if beats != self._last_beats or not self.is_up:  # while it starts, it may wait for a disk
-            self._n_waiting, self._busy_s = 0, []
-        else:
-            is_waiting, used_s = linux.read_activity(self.pid)
-            self._n_waiting = self._n_waiting + 1 if is_waiting and self._busy_s[-1:] == [used_s] else 0
-            self._busy_s = [*self._busy_s[:1], used_s]  # at the first look without a beat, and at this one
-        fault = ""
-        if self._n_stopped > STOPPED_LOOKS:
-            fault = "is stopped"
-        elif self._n_waiting > SILENT_LOOKS:
-            fault = "waits for something that does not happen and keeps the interpreter's lock"
-        elif self._busy_s and self._busy_s[-1] - self._busy_s[0] > STUCK_S:
-            fault = f"has kept the interpreter's lock for {STUCK_S:g} s of processor time"
-        if fault:  # named again only if it still holds after some time
-            self._n_stopped, self._n_waiting, self._busy_s = 0, 0, []
-        return fault
-
-    def close(self) -> None:
-        """Close its socket, output and flags once it has ended."""
-        self.sock.close()
-        self.output.close()
-        del self._flags  # whose memory keeps a descriptor
-
-
-class _LocalSupervisor(Supervisor[_WorkerProcess]):
+class _LocalSupervisor(Supervisor[WorkerProcess]):
     """Keeps the fork server and its workers running, and talks to them without ever waiting for one of them."""
 
     _any_thread_sends = True
@@ -157,6 +75,7 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
         self._server: ForkServer | None = None
         self._standbys: list[ForkServer] = []
         self._n_stopped = 0  # looks in a row at a stopped fork server
+        self._inbox = Inbox(self._loop, self._guard, self._read_ready)
         self._output = ProcessOutput("fork server")
         self._loop.add_reader(self._output.fd, self._output.read)
         self._loop.call_soon(self._watch)
@@ -168,7 +87,17 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
                 server.close()
         for worker in self.workers:
             worker.close()
+        self._inbox.close()
         self._output.close()
+
+    @contextmanager
+    def read_in(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
+        """Have a running event loop read what workers send while the body runs; to be used in its thread."""
+        self._inbox.lend(loop)
+        try:
+            yield
+        finally:
+            self._inbox.take_back()
 
     # Fork server.
 
@@ -284,26 +213,26 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
     def _start_worker(self, server: ForkServer) -> None:
         self._n_started += 1
         try:
-            worker = _WorkerProcess(self._n_started, server, self._setup)
+            worker = WorkerProcess(self._n_started, server, self._setup)
         except OSError as error:
             self._note_failed_start(str(error))
             return
         self._note_started(worker)
-        self._loop.add_reader(worker.sock, self._read, worker)
+        self._inbox.add(worker.sock)
         self._loop.add_reader(worker.output.fd, self._read_output, worker)
         self._flush(worker)
 
-    def _end_worker(self, worker: _WorkerProcess) -> None:
+    def _end_worker(self, worker: WorkerProcess) -> None:
         worker.state = WorkerState.STOPPING
         self._kill(worker)
 
-    def _kill(self, worker: _WorkerProcess) -> None:
+    def _kill(self, worker: WorkerProcess) -> None:
         self._limit(worker, None)
         self._stop_talking(worker)
         if self._server is not None:
             self._server.kill_worker(worker.number)
 
-    def _on_worker_ended(self, worker: _WorkerProcess, cause: str) -> None:
+    def _on_worker_ended(self, worker: WorkerProcess, cause: str) -> None:
         if worker.state is not WorkerState.STOPPING:
             self._read(worker, everything=True)  # it may have sent a result before
         self._stop_talking(worker)
@@ -313,22 +242,28 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
 
     # Sockets and output.
 
-    def _stop_talking(self, worker: _WorkerProcess) -> None:
-        self._loop.remove_reader(worker.sock)
+    def _stop_talking(self, worker: WorkerProcess) -> None:
+        self._inbox.remove(worker.sock)
         self._loop.remove_writer(worker.sock)
 
-    def _read_output(self, worker: _WorkerProcess) -> None:
+    def _read_output(self, worker: WorkerProcess) -> None:
         if not worker.output.read():
             self._loop.remove_reader(worker.output.fd)
 
-    def _flush(self, worker: _WorkerProcess) -> None:
+    def _flush(self, worker: WorkerProcess) -> None:
         """Send a worker its messages, now or as soon as its socket takes more."""
         if worker.writer.flush():
             self._loop.remove_writer(worker.sock)
         else:
             self._loop.add_writer(worker.sock, self._flush, worker)
 
-    def _read(self, worker: _WorkerProcess, everything: bool = False) -> None:
+    def _read_ready(self, ready: Container[int]) -> None:
+        """Handle the messages of workers by the descriptors of their sockets."""
+        for worker in self.workers:
+            if worker.sock.fileno() in ready:
+                self._read(worker)
+
+    def _read(self, worker: WorkerProcess, everything: bool = False) -> None:
         """Handle a worker's messages; only the first ones, since other workers wait, unless ``everything`` is set."""
         try:
             for message in worker.reader.read(everything):
@@ -340,7 +275,7 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
         if worker.is_lost:  # it has ended, which the fork server reports, or is of no more use
             self._kill(worker)
 
-    def _on_message(self, worker: _WorkerProcess, message: Message) -> None:
+    def _on_message(self, worker: WorkerProcess, message: Message) -> None:
         is_starting = worker.state is WorkerState.STARTING
         if is_starting and message.kind is Kind.STARTED:
             worker.pid = int(message.payload)
@@ -357,14 +292,14 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
 
     # Jobs.
 
-    def _select_idle(self) -> list[_WorkerProcess]:
+    def _select_idle(self) -> list[WorkerProcess]:
         return sorted((w for w in super()._select_idle() if not w.is_lost), key=lambda worker: worker.is_retiring)
 
-    def _send_job(self, worker: _WorkerProcess, record: JobRecord) -> None:
+    def _send_job(self, worker: WorkerProcess, record: JobRecord) -> None:
         worker.writer.put(Message(Kind.RUN, record.job.number, record.payload))
         self._flush(worker)
 
-    def _on_job_message(self, worker: _WorkerProcess, message: Message) -> None:
+    def _on_job_message(self, worker: WorkerProcess, message: Message) -> None:
         record = worker.record
         if record is None or record.job.number != message.job:
             return  # of a job that has ended
@@ -376,7 +311,10 @@ class _LocalSupervisor(Supervisor[_WorkerProcess]):
             worker.is_retiring = not any(other.is_retiring for other in self.workers)  # at most one at a time
         self._finish_job(worker, message.kind is Kind.RETURNED, message.payload)
 
-    def _kill_overdue(self, worker: _WorkerProcess) -> None:
+    def _should_end(self, worker: WorkerProcess) -> bool:
+        return super()._should_end(worker) or worker.is_retiring
+
+    def _kill_overdue(self, worker: WorkerProcess) -> None:
         self._read(worker)
         if worker.record is not None:  # else it has stopped at the last moment
             super()._kill_overdue(worker)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import pickle
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from service.executor.job import NOBODY, Job, JobRecord, OnEvent, Place, PoolClosed
 from service.executor.job_queue import JobQueue
-from service.executor.supervisor import Supervisor, WorkerState, check_callable, check_workers
+from service.executor.supervisor import Supervisor, check_callable, check_workers
+from service.executor.worker_handle import WorkerState
 
 T = TypeVar("T")
 MAX_ATTEMPTS = 3
@@ -129,6 +132,14 @@ class Pool(Executor):
     def wait_ready(self, timeout: float | None = None) -> bool:
         """Wait until all workers are up; return whether they are."""
         return self._supervisor.wait_ready(timeout)
+
+    def read_in(self, loop: asyncio.AbstractEventLoop) -> AbstractContextManager[None]:
+        """Have a running event loop read what workers send, in the body of the returned context.
+
+        Jobs then end, and report their events, in that loop's thread: no other thread has to be woken. Where the pool
+        cannot do this, they end in a thread of the pool as before.
+        """
+        return self._supervisor.read_in(loop)
 
     def resize(self, workers: int) -> None:
         """Change the number of workers; a surplus one ends after its job."""

@@ -16,8 +16,9 @@ from service.executor.channel import Kind
 from service.executor.job import LOG, JobRecord
 from service.executor.job_queue import JobQueue
 from service.executor.pool import Pool
-from service.executor.supervisor import PoolSettings, Supervisor, WorkerHandle, WorkerState
+from service.executor.supervisor import PoolSettings, Supervisor
 from service.executor.worker import JobControl, SharedFlags, WorkerSetup, run_call
+from service.executor.worker_handle import WorkerHandle, WorkerState
 
 _END_TIMEOUT_S = 5.0
 N_THREADS = 8  # one for the job, one for wait_for_end, some for calls that must wait for neither
@@ -233,6 +234,10 @@ class _RaySupervisor(Supervisor[_Actor]):
             self._ray.kill(actor.handle)
         except Exception as error:  # without a connection it ends with its cluster, or when that misses this pool
             LOG.warning("worker %d (pid %s) could not be killed: %s", actor.number, actor.pid, error)
+
+    def _should_end(self, actor: _Actor) -> bool:
+        limit = self._settings.recycle_after
+        return super()._should_end(actor) or (limit is not None and actor.jobs_done >= limit)
 
     def _describe_timeout(self, actor: _Actor) -> str:
         return f"{super()._describe_timeout(actor)}; has Ray a free CPU?"

@@ -1,24 +1,25 @@
 """The thread that looks after a pool's workers: hands them jobs, stops and kills them, replaces the dead.
 
-It runs an event loop, and what changes a worker or a running job happens in it. Only a job that finds an idle worker is
-sent by the thread that submits it, while the event loop waits: to wake another thread takes longer than to send.
+It runs an event loop, and what changes a worker or a running job happens in it. Two things also happen in a thread of
+the caller, while the event loop waits, since to wake another thread takes longer than to do them: a job that finds an
+idle worker is sent by the thread that submits it, and an event loop of the caller may read what workers send.
 """
 
 from __future__ import annotations
 
 import asyncio
-import enum
 import selectors
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from service.executor.job import LOG, ExecutorError, JobRecord, Lane, StopReason, WorkerDied
 from service.executor.job_queue import JobQueue
+from service.executor.worker_handle import WorkerHandle, WorkerState
 
-CHECK_LATER_S = 0.01  # after a job's end, if nothing waits for its worker
 FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 5.0  # after a failed start, twice as long after each in a row
 _HOPELESS = 3  # failures in a row
 
@@ -65,50 +66,6 @@ def check_workers(workers: int) -> None:
     """
     if workers < 1:
         raise ValueError(f"workers must be at least 1; got {workers}")
-
-
-class WorkerState(enum.Enum):
-    """State of a worker; one that has ended is forgotten."""
-
-    STARTING = "starting"
-    IDLE = "idle"
-    BUSY = "busy"
-    STOPPING = "stopping"
-
-
-class WorkerHandle(ABC):
-    """The pool's view of one worker.
-
-    Attributes:
-        number: counts the pool's workers from 1.
-        state: what it is doing.
-        pid: on its own machine; None until it has sent it.
-        record: the job it runs.
-        limit: kills it when it does not become ready, or does not stop.
-        jobs_done: how many jobs it has finished.
-    """
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-        self.state = WorkerState.STARTING
-        self.pid: int | None = None
-        self.record: JobRecord | None = None
-        self.limit: asyncio.TimerHandle | None = None
-        self.jobs_done = 0
-
-    @property
-    def is_up(self) -> bool:
-        """Whether it runs a job or could."""
-        return self.state in (WorkerState.IDLE, WorkerState.BUSY)
-
-    @property
-    @abstractmethod
-    def rss_bytes(self) -> int:
-        """Resident memory, shared pages included; 0 where it is not known."""
-
-    @abstractmethod
-    def request_stop(self, record: JobRecord) -> None:
-        """Have ``should_stop`` of its job return True."""
 
 
 class _GuardedSelector(selectors.DefaultSelector):
@@ -188,6 +145,11 @@ class Supervisor(ABC, Generic[W]):
         if wait:
             self._thread.join()
 
+    @contextmanager
+    def read_in(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
+        """Have a running event loop read what workers send while the body runs; here the thread goes on reading."""
+        yield
+
     def wait_ready(self, timeout: float | None) -> bool:
         """Wait until all workers are up; return whether they are."""
         with self._ready:
@@ -230,19 +192,19 @@ class Supervisor(ABC, Generic[W]):
     # The thread.
 
     def _supervise(self) -> None:
-        self._guard.acquire()  # for good
-        try:
-            self._loop.call_soon(self._check)
-            self._loop.run_forever()
-        finally:
-            self._is_over = True
-            self._close_workers()
-            self.workers = ()
-            self._loop.close()  # from now on no job is accepted
-            for record in self._queue.list_open():  # none, unless this thread failed
-                record.fail(ExecutorError("the pool failed; see its log"))
-            with self._ready:
-                self._ready.notify_all()
+        with self._guard:
+            try:
+                self._loop.call_soon(self._check)
+                self._loop.run_forever()
+            finally:
+                self._is_over = True
+                self._close_workers()
+                self.workers = ()
+                self._loop.close()  # from now on no job is accepted
+                for record in self._queue.list_open():  # none, unless this thread failed
+                    record.fail(ExecutorError("the pool failed; see its log"))
+                with self._ready:
+                    self._ready.notify_all()
 
     def _stop_after_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         LOG.critical("the pool's supervisor failed: %s", context["message"], exc_info=context.get("exception"))
@@ -301,7 +263,7 @@ class Supervisor(ABC, Generic[W]):
         self._loop.call_soon(self._check)
 
     def _finish_job(self, worker: W, is_result: bool, payload: bytes) -> None:
-        """Free a worker and set its job's result or exception."""
+        """Free a worker, set its job's result or exception, and give the worker the next job."""
         record = self._take_record(worker)
         worker.state = WorkerState.IDLE
         worker.jobs_done += 1
@@ -309,10 +271,14 @@ class Supervisor(ABC, Generic[W]):
             record.set_returned(payload)
         elif record is not None:
             record.set_raised(payload)
-        if self._queue.n_queued or self._is_closing:
-            self._loop.call_soon(self._check)
-        else:  # this thread must not delay the one that waits for the result
-            self._loop.call_later(CHECK_LATER_S, self._check)
+        if self._is_closing or self._should_end(worker):
+            self._call(self._check)
+        elif self._queue.n_queued:
+            self._hand_out_jobs()
+
+    def _should_end(self, worker: W) -> bool:
+        """Whether an idle worker is no longer needed."""
+        return len(self.workers) > self.target
 
     def _kill_overdue(self, worker: W) -> None:
         """Kill the worker of a job that was asked to stop and did not."""
@@ -354,7 +320,7 @@ class Supervisor(ABC, Generic[W]):
         worker.state = WorkerState.IDLE
         with self._ready:
             self._ready.notify_all()
-        self._loop.call_soon(self._check)
+        self._call(self._check)
 
     def _kill_unready(self, worker: W) -> None:
         self._end_worker(worker)

@@ -7,7 +7,7 @@ import time
 from bisect import bisect_left, insort
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 
 import grpc
@@ -29,7 +29,7 @@ SHORTEST_DELAY_S = 0.05  # before another try
 EARLY_S = 0.02  # by which a client may come before its reservation
 RESERVED_S = 2.0  # beyond its delay, for which a place is reserved
 MAX_RESERVATIONS = 1000
-REMEMBERED_S = 2.0  # for which a client without open requests counts for the shares of others
+REMEMBERED_S = 2.0  # for which a client's requests count for the shares of others after they have ended
 
 
 @dataclass
@@ -100,15 +100,31 @@ class _Reservation:
     until: float
 
 
+@dataclass(frozen=True)
+class _Need:
+    """Recent requests of a client.
+
+    Attributes:
+        last_seen: when it last had an open request [s].
+        most: greatest number of requests that were open at a time.
+        most_at: when that was [s].
+    """
+
+    last_seen: float
+    most: int
+    most_at: float
+
+
 @dataclass
 class Admission:
     """Count of waiting and running requests by client, and its bound.
 
     A waiting request shall begin within the time that ``queue_limit`` usual requests take, also in a slow period: the
-    more durations vary, the fewer requests may wait. Clients share the places; one that is alone may use all of them,
-    and the last quarter is for those below their share. Batch requests leave a quarter to interactive ones. A refused
-    client is told when to come back, and a place is reserved for it then: one for each refused request up to its share
-    of the places. Reservations are served in turns, the first of each client before the second of any.
+    more durations vary, the fewer requests may wait. Clients share the places: each may have its equal share, and
+    beyond that only idle workers, and places that the others have not needed recently. Batch requests leave a quarter
+    to interactive ones. A refused client is told when to come back, and a place is reserved for it then: one for each
+    refused request up to its share of the places. Reservations are served in turns, the first of each client before
+    the second of any.
 
     Attributes:
         workers: number of requests that run at a time.
@@ -123,7 +139,7 @@ class Admission:
     clock: Callable[[], float] = time.monotonic
     _open: dict[int, _Request] = field(default_factory=dict)  # by ticket
     _reserved: list[_Reservation] = field(default_factory=list)  # in order of the refusals
-    _last_seen: dict[str, float] = field(default_factory=dict)  # by client, when it last had an open request
+    _needs: dict[str, _Need] = field(default_factory=dict)  # by client
     _tickets: int = 0
 
     @property
@@ -169,21 +185,22 @@ class Admission:
         """
         self._drop_expired()
         client, n_places = place.owner, self._n_places
-        n_own = sum(request.place.owner == client for request in self._open.values())
-        reserved = {reservation.place.owner for reservation in self._reserved}
-        n_clients = len({client, *reserved, *self._last_seen, *(r.place.owner for r in self._open.values())})
-        share = math.ceil(n_places / n_clients)
+        n_own = self._n_open(client)
+        owners = {r.place.owner for r in self._open.values()} | {r.place.owner for r in self._reserved}
+        others = (owners | set(self._needs)) - {client}
+        share = math.ceil(n_places / (len(others) + 1))
+        n_needed = sum(min(self._n_needed(other), share) for other in others)
+        if n_own >= max(share, n_places - n_needed) and len(self._open) >= self.workers:
+            delay = self._place_every_s * (len(others) + 1)
+            raise refuse_overload(
+                f"{n_own} requests of this client run or wait, which is its share beside {len(others)} other "
+                f"client{'s' if len(others) > 1 else ''}; try again in {delay:.1f} s",
+                delay,
+            )
         due = self._find_due(client)
         n_held = min(self._n_ahead(client, due), max(1, n_places // 2))
         if self._n_free - n_held < 1 or self._is_full_for(place.lane):
             raise self._refuse(place, due, max(share - n_own, 1))
-        if n_clients > 1 and n_own >= share and self._n_free - n_held <= n_places // 4:
-            delay = self._place_every_s * n_clients
-            raise refuse_overload(
-                f"{n_own} requests of this client run or wait, which is its share beside {n_clients - 1} other "
-                f"client{'s' if n_clients > 2 else ''}; try again in {delay:.1f} s",
-                delay,
-            )
         wait = self.expected_wait_s(place)
         needed = wait + self.durations.quickest(kind)
         if left_s is not None and left_s < needed:
@@ -197,16 +214,33 @@ class Admission:
         """Add a request, which uses its client's reservation; returns the ticket for ``leave``."""
         self._tickets += 1
         self._open[self._tickets] = _Request(kind, place)
+        self._note_need(place.owner)
         used = self._find_due(place.owner) or next((r for r in self._reserved if r.place.owner == place.owner), None)
         self._reserved = [reservation for reservation in self._reserved if reservation is not used]
         return self._tickets
 
     def leave(self, ticket: int, seconds: float | None) -> None:
         """Remove a request; ``seconds`` is its duration in a worker, None for a cancelled or refused one."""
+        self._note_need(self._open[ticket].place.owner)
         request = self._open.pop(ticket)
-        self._last_seen[request.place.owner] = self.clock()
         if seconds is not None:
             self.durations.add(request.kind, seconds)
+
+    def _n_open(self, client: str) -> int:
+        return sum(request.place.owner == client for request in self._open.values())
+
+    def _n_needed(self, client: str) -> int:
+        """Return how many places a client has needed recently, those included that it was refused."""
+        n_refused = sum(reservation.place.owner == client for reservation in self._reserved)
+        need = self._needs.get(client)
+        return max(self._n_open(client) + n_refused, 0 if need is None else need.most)
+
+    def _note_need(self, client: str) -> None:
+        now, n_open, need = self.clock(), self._n_open(client), self._needs.get(client)
+        if need is None or n_open >= need.most or now - need.most_at > REMEMBERED_S:
+            self._needs[client] = _Need(now, n_open, now)
+        else:
+            self._needs[client] = replace(need, last_seen=now)
 
     @property
     def _n_places(self) -> int:
@@ -280,7 +314,7 @@ class Admission:
     def _drop_expired(self) -> None:
         now = self.clock()
         self._reserved = [reservation for reservation in self._reserved if reservation.until > now]
-        self._last_seen = {client: then for client, then in self._last_seen.items() if now - then < REMEMBERED_S}
+        self._needs = {name: need for name, need in self._needs.items() if now - need.last_seen < REMEMBERED_S}
 
 
 def _is_ahead(request: _Request, place: Place, same: bool) -> bool:

@@ -1,4 +1,4 @@
-"""UploadCloud, BuildScene, GetScene and Detect."""
+"""BuildScene, GetScene and Detect."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from service.errors import RequestError, shown
+from service.errors import RequestError
 from service.executor import Place
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
@@ -20,8 +20,6 @@ from service.proto.planner.v1.planner_pb2 import (
     DetectResponse,
     GetSceneRequest,
     GetSceneResponse,
-    UploadCloudRequest,
-    UploadCloudResponse,
 )
 from service.request.file import parse_section
 from service.request.scene import KnownMeshRequest, SceneRequest
@@ -38,11 +36,11 @@ from service.server.cloud_requests import (
 )
 from service.server.disk import DiskWatch
 from service.server.jobs import JobRunner, await_result
-from service.server.refusals import discard_uploads, refuse_invalid, refuse_overload
+from service.server.refusals import discard_uploads, refuse_invalid
 from service.server.requests import RequestReader, select_uploads
 from service.server.settings import SMALL_BYTES
-from service.store import UPLOAD_SUFFIXES, CloudStore, Store, TooLargeError, UploadRefusedError
-from service.trust import UPLOADED, ClientLimiter, current_caller
+from service.store import Store
+from service.trust import current_caller
 from service.trust.rpc import Context, deadline_of
 from service.wire.plain import to_plain
 from service.wire.scenes import detections_to_messages, scene_to_message
@@ -52,92 +50,9 @@ from service.work.plan import Refused
 
 T = TypeVar("T")
 M = TypeVar("M", BuildSceneRequest, BuildSceneRequest | DetectRequest)
-SHA256 = re.compile(r"[0-9a-f]{64}")
 MIN_REACH_M, MAX_REACH_M = 0.1, 50.0
 SCENE_FIELDS = ("hint", "unknown", "method")  # fields of a message that the scene of a request has, too
 CLOUD_FIELDS = ("unit", "apply_viewpoint", "sensor", "topic", "message")  # of ``clouds`` that it has, too
-
-
-class UploadHandler:
-    """Handler of ``UploadCloud``: clouds, meshes and scene files.
-
-    Args:
-        clouds: store of the uploads.
-        disk: watch on the store's disk.
-        limiter: limits of each client's uploads.
-        on_upload: called with the size of each upload [bytes].
-    """
-
-    def __init__(
-        self, clouds: CloudStore, disk: DiskWatch, limiter: ClientLimiter, on_upload: Callable[[int], None]
-    ) -> None:
-        self._clouds = clouds
-        self._disk = disk
-        self._limiter = limiter
-        self._on_upload = on_upload
-
-    async def upload(self, requests: AsyncIterator[UploadCloudRequest], context: Context) -> UploadCloudResponse:
-        """Store an upload; a known one ends with its header.
-
-        Raises:
-            Refusal: it cannot be stored.
-        """
-        client = current_caller()
-        first = await anext(requests, None)
-        if first is None or first.WhichOneof("part") != "header":
-            raise refuse_invalid(["header: the first message of an upload needs one"])
-        suffix = "." + first.header.format.removeprefix(".").lower()
-        if suffix not in UPLOAD_SUFFIXES:
-            formats = ", ".join(known.removeprefix(".") for known in UPLOAD_SUFFIXES)
-            raise refuse_invalid([f"header.format: expected {formats}, got {shown(first.header.format)}"])
-        claimed = first.header.sha256.lower()
-        if claimed and not SHA256.fullmatch(claimed):
-            raise refuse_invalid([f"header.sha256: expected 64 hexadecimal digits or nothing, got {shown(claimed)}"])
-        announced, most = first.header.size_bytes, self._clouds.limits.max_cloud_bytes
-        if announced > most:
-            raise refuse_invalid(
-                [f"header.size_bytes: expected at most {most}, got {announced}; downsample the cloud first"]
-            )
-        known_id = f"{UPLOADED}{claimed}{suffix}"
-        # A file that was damaged on the disk is removed, so that this upload replaces it.
-        if claimed and self._clouds.has(known_id) and await asyncio.to_thread(self._clouds.check, known_id):
-            known_size = self._clouds.size(known_id)
-            if known_size is not None:
-                return UploadCloudResponse(cloud_id=known_id, size_bytes=known_size, was_known=True)
-        self._disk.require_space()
-        with self._clouds.upload(client.name, suffix) as upload:
-            self._count(client.key, announced)
-            async for request in requests:
-                if request.WhichOneof("part") != "chunk":
-                    raise refuse_invalid(["chunk: every message after the first needs one"])
-                beyond = upload.n_bytes + len(request.chunk) - max(announced, upload.n_bytes)
-                self._count(client.key, beyond, upload.n_bytes)
-                try:
-                    await asyncio.to_thread(upload.write, request.chunk)
-                except TooLargeError as error:
-                    raise refuse_invalid([f"chunk: {error}"]) from None
-            size, sha256 = upload.n_bytes, upload.sha256
-            if announced and size != announced:
-                raise refuse_invalid([f"header.size_bytes: {announced} bytes were announced, {size} were received"])
-            if claimed and sha256 != claimed:
-                raise refuse_invalid([f"header.sha256: {claimed} was announced, the received bytes have {sha256}"])
-            was_known = self._clouds.has(f"{UPLOADED}{sha256}{suffix}")
-            try:
-                cloud_id = await asyncio.to_thread(upload.finish)
-            except UploadRefusedError as error:
-                raise refuse_invalid([f"chunk: {error}"]) from None
-        self._on_upload(size)
-        return UploadCloudResponse(cloud_id=cloud_id, size_bytes=size, was_known=was_known)
-
-    def _count(self, client: str, n_bytes: int, already_counted: int = 0) -> None:
-        """Count bytes of a client's upload; announced bytes are counted before any is sent.
-
-        Raises:
-            Refusal: they exceed the client's limit; it says after which time the whole upload is allowed.
-        """
-        refusal = self._limiter.upload(client, n_bytes, already_counted) if n_bytes > 0 else None
-        if refusal is not None:
-            raise refuse_overload(refusal.text, refusal.retry_after_s or 0.0)
 
 
 class CloudHandlers:

@@ -18,7 +18,7 @@ LEAST_FREE_BYTES = 32 * 2**20  # for the files of running plans once no more are
 
 
 class DiskWatch:
-    """Periodic check of free space, and of stores whose last write failed.
+    """Periodic check of free space, and of stores whose last write failed; checkpoints of the store.
 
     Args:
         data: folder of the stores.
@@ -55,6 +55,7 @@ class DiskWatch:
             free = shutil.disk_usage(self._data).free
             if free < LEAST_FREE_BYTES:
                 return f"{self._data}: {free / 2**20:.1f} MiB are free; {LEAST_FREE_BYTES / 2**20:g} MiB are needed"
+            self._store.checkpoint()
             if self._store.write_error or self._clouds.write_error:
                 self._store.probe()
                 self._clouds.probe()

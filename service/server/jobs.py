@@ -107,7 +107,7 @@ class JobRunner:
 
         def forward(event: Any) -> None:
             if on_event is not None:
-                loop.call_soon_threadsafe(on_event, event)
+                _call_in(loop, on_event, event)
 
         if not is_light:
             self._free_worker()
@@ -118,7 +118,7 @@ class JobRunner:
         ticket = -job.number if is_light else self.admission.enter(kind, place)
         self._open[ticket] = (kind, job, budget_s)
         ended: asyncio.Future[T] = loop.create_future()
-        job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end, ticket, job, ended, is_typical))
+        job.add_done_callback(lambda _: _call_in(loop, self._end, ticket, job, ended, is_typical))
         return JobHandle(job, ended)
 
     def start_spare(self, fn: Callable[..., T], *args: Any) -> JobHandle[T] | None:
@@ -132,7 +132,7 @@ class JobRunner:
             return None
         self._spares.add(job)
         ended: asyncio.Future[T] = loop.create_future()
-        job.add_done_callback(lambda _: loop.call_soon_threadsafe(self._end_spare, job, ended))
+        job.add_done_callback(lambda _: _call_in(loop, self._end_spare, job, ended))
         return JobHandle(job, ended)
 
     async def run(
@@ -219,6 +219,15 @@ class JobRunner:
             listener()
         why = self._stop_reasons.pop(ticket, None)
         _settle(job, ended, None if is_answer else why)
+
+
+def _call_in(loop: asyncio.AbstractEventLoop, fn: Callable[..., object], *args: Any) -> None:
+    """Have an event loop call a function soon; in its own thread it need not be woken."""
+    try:
+        is_own = asyncio.get_running_loop() is loop
+    except RuntimeError:  # this thread has none
+        is_own = False
+    (loop.call_soon if is_own else loop.call_soon_threadsafe)(fn, *args)
 
 
 def _settle(job: Job[T], ended: asyncio.Future[T], why: Exception | None = None) -> None:

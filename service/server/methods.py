@@ -13,12 +13,13 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
 from service.proto.planner.v1 import planner_pb2 as wire
-from service.server.cloud_handlers import CloudHandlers, UploadHandler
+from service.server.cloud_handlers import CloudHandlers
 from service.server.plan_handler import PlanHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import refuse_error, refuse_invalid
+from service.server.requests import set_warnings
 from service.server.settings import SMALL_BYTES
-from service.server.warnings import set_warnings
+from service.server.uploads import UploadHandler
 from service.trust.rpc import Context, refuse, shorten
 from service.wire.message_checks import MAX_MESSAGES, find_excess, find_unknown_fields, has_unknown_fields
 

@@ -29,13 +29,12 @@ from service.server.disk import DiskWatch
 from service.server.jobs import JobHandle, JobRunner, await_result
 from service.server.plan_files import stream_files
 from service.server.refusals import GOING_DOWN, STOPPING, discard_uploads, refuse_error, refuse_invalid
-from service.server.requests import WITHIN, RequestReader, kind_of, list_files
+from service.server.requests import WITHIN, RequestReader, current_warnings, kind_of, list_files
 from service.server.running_plans import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES
 from service.server.spread import Answer, await_certified, with_other_seed
-from service.server.warnings import current_warnings
 from service.store import PlanRecord, PlanState, Store
-from service.telemetry import bind
+from service.telemetry import Later, bind
 from service.trust import current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
 from service.wire.results import add_request_hash, encode_finished
@@ -57,6 +56,7 @@ class PlanHandler:
         store: store of the plans.
         disk: watch on the store's disk.
         on_verdict: called with kind, verdict and seconds by step of every plan that has a verdict.
+        later: makes the calls that log.
     """
 
     def __init__(
@@ -66,12 +66,14 @@ class PlanHandler:
         store: Store,
         disk: DiskWatch,
         on_verdict: Callable[[str, str, Mapping[str, float]], None],
+        later: Later,
     ) -> None:
         self._reader = reader
         self._jobs = jobs
         self._store = store
         self._disk = disk
         self._on_verdict = on_verdict
+        self._later = later
         self._tasks: set[asyncio.Task[None]] = set()
         self.running = RunningPlans()
 
@@ -262,8 +264,7 @@ class PlanHandler:
             return
         await plan.wait_until_left(COUNT_WITHIN_S)  # so that its clients have it before it is counted and logged
         self._on_verdict(accepted.kind, answer.verdict, {**answer.timings, "queue": handle.waited_s})
-        seconds = round(answer.timings["total"], 3)
-        _LOG.info("planned", kind=accepted.kind, verdict=answer.verdict, seconds=seconds)
+        self._later.call(_log_end, accepted.kind, answer)
 
     async def _await_answer(
         self, handle: JobHandle[Answer], accepted: _AcceptedRequest, deadline: float | None
@@ -334,6 +335,10 @@ class _AcceptedRequest:
             list_files(self.local.scene),
             self.warnings,
         )
+
+
+def _log_end(kind: str, answer: PlanAnswer) -> None:
+    _LOG.info("planned", kind=kind, verdict=answer.verdict, seconds=round(answer.timings["total"], 3))
 
 
 def parse_result(record: PlanRecord) -> MotionResult:

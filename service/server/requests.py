@@ -1,9 +1,10 @@
-"""Requests of clients as this server accepts them: validated, within its folders, robots and time budgets."""
+"""Requests of clients as this server accepts them: validated, within its folders, robots and time budgets; warnings."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from service.store import CloudStore, Scenes
 from service.trust import BUILT, UPLOADED, AllowedFolders
 from service.wire.plain import to_plain
 
+_WARNINGS: ContextVar[tuple[str, ...]] = ContextVar("warnings", default=())  # about the message of a call
 WITHIN = "request"  # the field of the wire's PlanRequest that the validator's paths start from
 
 
@@ -79,6 +81,16 @@ class RequestReader:
             if scene.file is not None and scene.file.startswith(BUILT):
                 files[scene.file] = stack.enter_context(self.scenes.open_file(scene.file))
             yield replace(with_robot, scene=_insert_paths(scene, files)) if files else with_robot
+
+
+def set_warnings(warnings: tuple[str, ...]) -> None:
+    """Set the warnings of the call that this task answers."""
+    _WARNINGS.set(warnings)
+
+
+def current_warnings() -> tuple[str, ...]:
+    """Return the warnings of the call that this task answers."""
+    return _WARNINGS.get()
 
 
 def kind_of(request: PlanRequest) -> str:

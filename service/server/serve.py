@@ -21,7 +21,7 @@ from service.errors import ServiceError
 from service.executor import Lane, Place, Pool
 from service.result.approval import Signer
 from service.server.admission import Admission
-from service.server.cloud_handlers import CloudHandlers, UploadHandler
+from service.server.cloud_handlers import CloudHandlers
 from service.server.disk import DiskWatch
 from service.server.jobs import JobRunner
 from service.server.lifecycle import Health, OpenCalls
@@ -32,8 +32,9 @@ from service.server.refusals import GOING_DOWN, STOPPING
 from service.server.requests import RequestReader
 from service.server.robots import KnownRobots, RobotFolder
 from service.server.settings import MAX_STREAMS, ServerSettings
+from service.server.uploads import UploadHandler
 from service.store import CloudStore, Store
-from service.telemetry import Metrics, MetricsServer, PlanCounts, Spans, TelemetryInterceptor
+from service.telemetry import Later, Metrics, MetricsServer, PlanCounts, Spans, TelemetryInterceptor
 from service.trust import (
     UNIX,
     AccessInterceptor,
@@ -45,7 +46,7 @@ from service.trust import (
     find_listen_problems,
     resolve_folders,
 )
-from service.trust.rpc import Refusal
+from service.trust.rpc import Interceptor, Refusal
 from service.wire.reflection import enable_reflection
 from service.work.look import list_names
 
@@ -153,15 +154,13 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
         clouds = stack.enter_context(CloudStore(settings.data / CLOUDS_FOLDER, settings.cloud_limits))
         folders = resolve_folders(settings.allowed, clouds.has, store.scenes.has)
         limiter = endpoint.limiter or ClientLimiter()
-        metrics = Metrics()
-        metrics.watch(pool=executor.stats, store=store, clouds=clouds)
-        if endpoint.metrics is not None:
-            stack.enter_context(MetricsServer(endpoint.metrics, metrics.registry, endpoint.is_metrics_remote))
-        counts = PlanCounts()
+        metrics = _start_metrics(stack, endpoint, executor, store, clouds)
+        counts, later = PlanCounts(), Later()
+        stack.callback(later.finish)
 
         def count(kind: str, verdict: str, timings: Mapping[str, float]) -> None:
             counts.add(verdict, timings)
-            metrics.plan_finished(kind, verdict, timings)
+            later.call(metrics.plan_finished, kind, verdict, timings)
 
         calls, health = OpenCalls(), Health((SERVICE.full_name,))
         disk = DiskWatch(settings.data, store, clouds, health)
@@ -171,33 +170,50 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
             _LOG.warning("own robots override robots of scopt", names=list(robots.overriding))
         known = KnownRobots(robots)
         reader = RequestReader(settings, folders, clouds, store.scenes, robots, known)
-        plans = PlanHandler(reader, jobs, store, disk, count)
+        plans = PlanHandler(reader, jobs, store, disk, count, later)
         uploads = UploadHandler(clouds, disk, limiter, metrics.upload_finished)
         queries = QueryHandlers(settings, jobs, store, plans.running, robots, counts, endpoint.signer)
         uses_certificates = endpoint.tls is not None and endpoint.tls.client_ca is not None
-        server = grpc.aio.server(
-            interceptors=[
-                TelemetryInterceptor(metrics, endpoint.spans),
-                calls,
-                AccessInterceptor(endpoint.tokens, limiter, uses_certificates),
-            ],
-            options=_options(settings),
-        )
+        interceptors: list[Interceptor] = [
+            TelemetryInterceptor(metrics, endpoint.spans, later),
+            calls,
+            AccessInterceptor(endpoint.tokens, limiter, uses_certificates),
+        ]
         servicer = Servicer(plans, uploads, CloudHandlers(reader, jobs, store, disk), queries)
-        server.add_generic_rpc_handlers((make_handlers(servicer),))
-        health_pb2_grpc.add_HealthServicer_to_server(health, server)
-        enable_reflection(server, (SERVICE.full_name, HEALTH_NAME))
-        address = _bind_port(server, endpoint.address, certificates)
-        if endpoint.socket is not None:
-            _bind_port(server, f"{UNIX}{endpoint.socket}", None)
+        server = grpc.aio.server(interceptors=interceptors, options=_options(settings))
+        _add_services(server, servicer, health)
+        address = _bind_ports(server, endpoint, certificates)
         if not await asyncio.to_thread(executor.wait_ready):
             raise ServiceError("no worker could be started; see the log")
+        stack.enter_context(executor.read_in(asyncio.get_running_loop()))
         await plans.resume()
         await server.start()
         stack.push_async_callback(server.stop, 0.0)
         for watch in (_watch_jobs(jobs, health), disk.watch(), _learn_names(jobs, known, settings)):
             stack.callback(asyncio.create_task(watch).cancel)
         yield RunningServer(address, server, plans, queries, jobs, health, calls, certificates)
+
+
+def _start_metrics(
+    stack: AsyncExitStack, endpoint: Endpoint, executor: Pool, store: Store, clouds: CloudStore
+) -> Metrics:
+    """Make the metrics, and serve them until the end of the stack if they have an address.
+
+    Raises:
+        TelemetryError: the address cannot be used.
+    """
+    metrics = Metrics()
+    metrics.watch(pool=executor.stats, store=store, clouds=clouds)
+    if endpoint.metrics is not None:
+        stack.enter_context(MetricsServer(endpoint.metrics, metrics.registry, endpoint.is_metrics_remote))
+    return metrics
+
+
+def _add_services(server: grpc.aio.Server, servicer: Servicer, health: Health) -> None:
+    """Register the planning service, health and reflection."""
+    server.add_generic_rpc_handlers((make_handlers(servicer),))
+    health_pb2_grpc.add_HealthServicer_to_server(health, server)
+    enable_reflection(server, (SERVICE.full_name, HEALTH_NAME))
 
 
 def _options(settings: ServerSettings) -> list[tuple[str, int]]:
@@ -210,6 +226,18 @@ def _options(settings: ServerSettings) -> list[tuple[str, int]]:
         ("grpc.keepalive_timeout_ms", 10_000),
         ("grpc.http2.min_ping_interval_without_data_ms", 10_000),
     ]
+
+
+def _bind_ports(server: grpc.aio.Server, endpoint: Endpoint, certificates: Certificates | None) -> str:
+    """Bind the server's port and its Unix socket; returns the address with the port's number.
+
+    Raises:
+        TrustError: one of them cannot be used.
+    """
+    address = _bind_port(server, endpoint.address, certificates)
+    if endpoint.socket is not None:
+        _bind_port(server, f"{UNIX}{endpoint.socket}", None)
+    return address
 
 
 def _bind_port(server: grpc.aio.Server, address: str, certificates: Certificates | None) -> str:

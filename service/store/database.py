@@ -15,6 +15,8 @@ from service.store.folder import PARTIAL
 from service.store.seals import compute_seal
 
 VERSION = 2
+CHECKPOINT_WRITES, CHECKPOINT_BYTES = 2000, 32 * 2**20  # after which a checkpoint is due; of the write-ahead log
+LATEST_CHECKPOINT_PAGES = 50_000  # of 4 KiB, after which a write makes it itself, since nobody else does
 _APPLICATION_ID = 0x5C097001
 UNREADABLE_ROW = "a row of the store is damaged on this server's disk; its operator has to restore the store"
 
@@ -93,7 +95,7 @@ CREATE TRIGGER scene_out AFTER DELETE ON scenes BEGIN
 
 
 class Database:
-    """One connection for all threads; every use of it is one transaction.
+    """One connection for all threads, which use it in turn; every write is part of a transaction.
 
     Raises:
         StoreError: the file is damaged, of another version or application, or cannot be opened.
@@ -106,6 +108,8 @@ class Database:
         self.path = path
         self.write_error = ""
         self._lock = threading.RLock()
+        self._copying = threading.Lock()  # of the log; taken before the other one
+        self._n_changes = 0  # rows that were changed before the last checkpoint
         with self._convert_errors():
             if not path.exists():
                 self._create()
@@ -134,28 +138,67 @@ class Database:
             db.execute("UPDATE totals SET n = n")
         self.write_error = ""
 
+    def checkpoint(self) -> None:
+        """Copy the write-ahead log into the database if enough has been written; transactions do not wait for it.
+
+        To be called periodically, in a thread: a checkpoint waits for the disk.
+
+        Raises:
+            DiskError: the file cannot be written.
+        """
+        n_changes = self._connection.total_changes
+        n_new = n_changes - self._n_changes
+        if n_new < CHECKPOINT_WRITES and not (n_new and self._log_bytes() > CHECKPOINT_BYTES):
+            return
+        with self._copying, self._convert_errors(is_open=True):
+            self._copy_log()
+        self._n_changes = n_changes
+
+    def _copy_log(self) -> None:
+        """Copy the write-ahead log into the database with a connection of its own, for which nobody has to wait."""
+        with closing(sqlite3.connect(self.path, isolation_level=None)) as connection:
+            connection.execute("PRAGMA synchronous = NORMAL")
+            connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+
+    def _empty_log(self) -> None:
+        """Copy the write-ahead log into the database and cut it to nothing."""
+        with self._copying, self._convert_errors(is_open=True):
+            self._copy_log()  # waits for the disk
+            with self._lock:
+                self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+
+    def _log_bytes(self) -> int:
+        try:
+            return self.path.with_name(f"{self.path.name}-wal").stat().st_size
+        except OSError:
+            return 0
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """Read; nothing is written meanwhile, since every write has the same lock."""
+        with self._lock, self._convert_errors(is_open=True):
+            yield self._connection
+
     @contextmanager
     def transaction(self, *, durable: bool = False) -> Iterator[sqlite3.Connection]:
         """Make changes that happen all or not at all, and survive the process as soon as the body has ended.
 
         Args:
-            durable: wait for the disk, so that they survive a power cut, too.
+            durable: wait for the disk, so that they survive a power cut, too. They are then in the database itself,
+                whose rows have seals: a damaged write-ahead log would be cut at the damage without a word. If that
+                fails, they have been made nevertheless.
         """
         with self._lock, self._convert_errors(is_open=True):
-            if durable:
-                self._connection.execute("PRAGMA synchronous = FULL")
+            self._connection.execute("BEGIN IMMEDIATE")
             try:
-                self._connection.execute("BEGIN IMMEDIATE")
-                try:
-                    yield self._connection
-                    self._connection.execute("COMMIT")
-                except BaseException:
-                    if self._connection.in_transaction:
-                        self._connection.execute("ROLLBACK")
-                    raise
-            finally:
-                if durable:
-                    self._connection.execute("PRAGMA synchronous = NORMAL")
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+        if durable:
+            self._empty_log()
 
     def _create(self) -> None:
         """Create the file under another name first, so that a kill leaves no incomplete one."""
@@ -215,7 +258,12 @@ class Database:
             )
         if execute("PRAGMA journal_mode = WAL").fetchone()[0] != "wal":
             raise StoreError(f"{self.path}: its file system has no shared memory; use a local disk")
-        for setting in ("synchronous = NORMAL", "foreign_keys = ON", "journal_size_limit = 8388608"):
+        for setting in (
+            "synchronous = NORMAL",
+            "foreign_keys = ON",
+            "journal_size_limit = 8388608",
+            f"wal_autocheckpoint = {LATEST_CHECKPOINT_PAGES}",
+        ):
             execute(f"PRAGMA {setting}")
         report = execute("PRAGMA quick_check(1)").fetchone()[0]
         if report != "ok":

@@ -57,7 +57,7 @@ class Plans:
         """Return the plan of a request that the client sent before; None for an empty id."""
         if not request_id:
             return None
-        with self._database.transaction() as db:
+        with self._database.reading() as db:
             return _find(db, client, request_id)
 
     def begin(
@@ -159,7 +159,7 @@ class Plans:
             NotStoredError: no plan has this id.
             DamagedError: it is not what was stored.
         """
-        with self._database.transaction() as db:
+        with self._database.reading() as db:
             return _read(db, plan_id)
 
     def require_same(self, db: sqlite3.Connection, plan: PlanRecord) -> None:

@@ -74,7 +74,7 @@ class Reviews:
         Raises:
             DamagedError: they are not what was stored.
         """
-        with self._database.transaction() as db:
+        with self._database.reading() as db:
             plan = db.execute("SELECT reviews_seal FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
             rows = db.execute("SELECT * FROM reviews WHERE plan_id = ? ORDER BY number", (plan_id,)).fetchall()
         seal = ""

@@ -54,7 +54,7 @@ class Scenes:
             NotStoredError: no scene has this id.
             DamagedError: it is not what was stored; it is removed.
         """
-        with self._database.transaction() as db:
+        with self._database.reading() as db:
             row = db.execute("SELECT data FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone()
         if row is None:
             raise NotStoredError(
@@ -75,7 +75,7 @@ class Scenes:
 
     def has(self, scene_id: str) -> bool:
         """Return whether a scene is stored."""
-        with self._database.transaction() as db:
+        with self._database.reading() as db:
             return db.execute("SELECT 1 FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone() is not None
 
     @contextmanager

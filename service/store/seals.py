@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,17 @@ def compute_seal(row: Mapping[str, Any], previous: str = "") -> str:
         row: value by column.
         previous: seal of the row before, which ties a list of rows together.
     """
-    digest = hashlib.sha256(previous.encode())
-    for name in sorted(set(row.keys()) - LOCAL_COLUMNS):
+    parts = [previous.encode()]
+    for name in _sort_columns(tuple(row)):
         value = row[name]
         data = value if isinstance(value, bytes) else repr(value).encode()
-        digest.update(f"\n{name} {type(value).__name__} {len(data)} ".encode())
-        digest.update(data)
-    return digest.hexdigest()
+        parts += f"\n{name} {type(value).__name__} {len(data)} ".encode(), data
+    return hash_bytes(b"".join(parts))
+
+
+@cache
+def _sort_columns(names: tuple[str, ...]) -> list[str]:
+    return sorted(set(names) - LOCAL_COLUMNS)
 
 
 def hash_bytes(data: bytes) -> str:

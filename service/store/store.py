@@ -75,8 +75,16 @@ class Store:
         self._database.probe()
         self._archives.probe()
 
+    def checkpoint(self) -> None:
+        """Move what was written into the database file if it is due; to be called periodically, in a thread.
+
+        Raises:
+            DiskError: the file cannot be written.
+        """
+        self._database.checkpoint()
+
     def stats(self) -> StoreStats:
         """Return number and size of the stored plans and scenes."""
-        with self._database.transaction() as db:
+        with self._database.reading() as db:
             totals = {row["what"]: (row["n"], row["bytes"]) for row in db.execute("SELECT * FROM totals")}
         return StoreStats(*totals["plans"], *totals["scenes"])

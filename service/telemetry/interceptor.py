@@ -6,11 +6,13 @@ import contextvars
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 import grpc
 import structlog
 
+from service.telemetry.later import Later
 from service.telemetry.logs import log_incident
 from service.telemetry.metrics import Metrics
 from service.telemetry.spans import NoSpans, Spans
@@ -27,11 +29,13 @@ _SERVER_FAULTS = {grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN, grpc.Status
 class TelemetryInterceptor(Interceptor):
     """Outermost interceptor: it also sees what the others refuse.
 
+    A call is counted and logged a moment after its end, since its client may have sent the next one.
     An unexpected exception is logged with its traceback; the client gets only the number of the log entry.
     """
 
-    def __init__(self, metrics: Metrics, spans: Spans | None = None) -> None:
+    def __init__(self, metrics: Metrics, spans: Spans | None = None, later: Later | None = None) -> None:
         self._metrics = metrics
+        self._later = later or Later()
         self._spans: Spans = spans or NoSpans()
 
     @asynccontextmanager
@@ -45,9 +49,10 @@ class TelemetryInterceptor(Interceptor):
 
             def ended(_: Context) -> None:
                 code, seconds = _status_of(context), time.monotonic() - began
-                self._metrics.request_ended(name, code.name, seconds)
                 self._spans.end_rpc(span, code.name)
-                bound.run(_log, method, context, code, seconds)
+                self._later.call(self._metrics.request_ended, name, code.name, seconds)
+                # Nothing is left of the context afterwards.
+                self._later.call(bound.run, partial(_log, method, code, seconds, **bound.run(_describe, context, code)))
 
             # The status is known only now: the handler may return before it learns that the client has gone.
             context.add_done_callback(ended)  # type: ignore[arg-type]
@@ -61,16 +66,19 @@ class TelemetryInterceptor(Interceptor):
                 bound = contextvars.copy_context()
 
 
-def _log(method: str, context: Context, code: grpc.StatusCode, seconds: float) -> None:
-    level = "error" if code in _SERVER_FAULTS else "debug" if method.startswith(_QUIET) else "info"
+def _describe(context: Context, code: grpc.StatusCode) -> dict[str, str]:
+    """Return the client of an ended call, and why it failed."""
     try:
         client = current_caller().name
     except LookupError:  # the call did not pass access control
         client = peer_key(context.peer())
     why = {} if code is grpc.StatusCode.OK else {"why": shorten(_details(context), MAX_WHY_BYTES)}
-    getattr(_LOG, level)(
-        "rpc", method=method.rpartition("/")[2], code=code.name, ms=round(1000 * seconds, 1), client=client, **why
-    )
+    return {"client": client, **why}
+
+
+def _log(method: str, code: grpc.StatusCode, seconds: float, **more: str) -> None:
+    level = "error" if code in _SERVER_FAULTS else "debug" if method.startswith(_QUIET) else "info"
+    getattr(_LOG, level)("rpc", method=method.rpartition("/")[2], code=code.name, ms=round(1000 * seconds, 1), **more)
 
 
 def _details(context: Context) -> str:

@@ -19,7 +19,16 @@ import executor_jobs as jobs
 import pytest
 from executor_waiting import Events, is_running, parent_of, until
 
-from service.executor import Job, JobCancelled, LocalPool, WorkerDied, WorkerState, local_pool, supervisor
+from service.executor import (
+    Job,
+    JobCancelled,
+    LocalPool,
+    WorkerDied,
+    WorkerState,
+    local_pool,
+    supervisor,
+    worker_handle,
+)
 from service.executor.channel import Kind
 
 SOON_S = 120.0  # far more than anything takes
@@ -464,7 +473,7 @@ def test_a_worker_that_computes_with_the_interpreters_lock_goes_on(monkeypatch: 
 def test_a_worker_that_computes_with_the_interpreters_lock_for_too_long_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(local_pool, "STUCK_S", 0.3)
+    monkeypatch.setattr(worker_handle, "STUCK_S", 0.3)
     with LocalPool(1) as pool, pytest.raises(WorkerDied, match="SIGKILL"):
         pool.submit(jobs.sum_up, 10**11, max_attempts=1).result(SOON_S)
 

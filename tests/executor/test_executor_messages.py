@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 
 import pytest
 
@@ -99,3 +100,21 @@ def test_only_a_few_messages_are_read_at_a_time_unless_all_are_requested() -> No
         first = len(list(reader.read()))
         assert 0 < first < 140
         assert len(list(reader.read(everything=True))) == 140 - first
+
+
+def test_a_message_that_does_not_end_does_not_keep_the_reader() -> None:
+    class Fast:
+        """A sender of one large message that is always ahead of the reader."""
+
+        n_bytes = 0
+
+        def recv(self, size: int) -> bytes:
+            start = struct.pack("<BQQ", Kind.RETURNED, 1, 2**29) if self.n_bytes == 0 else b""
+            self.n_bytes += size
+            return start.ljust(size, b"x")
+
+    sock = Fast()
+    reader = MessageReader(sock)  # type: ignore[arg-type]
+    assert list(reader.read()) == []
+    assert sock.n_bytes == 2**20
+    assert not reader.is_closed

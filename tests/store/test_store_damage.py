@@ -155,6 +155,32 @@ def test_a_changed_row_and_a_removed_rejection_are_named(tmp_path: Path) -> None
             store.reviews.is_accepted(other)
 
 
+def test_a_rejection_survives_any_damage_of_the_log_that_a_killed_server_leaves(tmp_path: Path) -> None:
+    log = "store.sqlite3-wal"
+    with Store(tmp_path / "store") as store:
+        plan_id = _finish(store, "r1")
+        _add_review(store, plan_id)
+        _add_review(store, plan_id, Decision.REJECTED)
+        later = _finish(store, "r2")
+        shutil.copytree(tmp_path / "store", tmp_path / "left")
+    size = (tmp_path / "left" / log).stat().st_size
+    assert size > 0
+    n_lost = 0
+    for place in range(0, size, size // 20):
+        folder = shutil.copytree(tmp_path / "left", tmp_path / f"damaged{place}")
+        data = bytearray((folder / log).read_bytes())
+        data[place] ^= 1
+        (folder / log).write_bytes(data)
+        with Store(folder) as store:
+            assert not store.reviews.is_accepted(plan_id)
+            assert len(store.reviews.find(plan_id)) == 2
+            try:
+                store.plans.get(later)
+            except NotStoredError:
+                n_lost += 1
+    assert n_lost > 0  # the log was damaged
+
+
 def test_a_changed_page_is_neither_served_nor_approved(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         plan_id = _finish(store, "r1")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import threading
 from pathlib import Path
@@ -16,7 +17,9 @@ from service.store import (
     Store,
     StoreLimits,
     TooLargeError,
+    database,
 )
+from service.store.seals import compute_seal
 
 SHA = "a" * 64
 
@@ -285,3 +288,33 @@ def test_scenes_stay_within_their_bytes(tmp_path: Path) -> None:
         assert 0 < store.stats().scene_bytes <= 40
         with pytest.raises(TooLargeError, match="40 at most"):
             store.scenes.put("ann", bytes(range(100)))
+
+
+def test_a_checkpoint_is_made_when_enough_was_written_and_delays_no_transaction(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(database, "CHECKPOINT_WRITES", 8)
+    file = tmp_path / "store.sqlite3"
+    with Store(tmp_path) as store:
+        empty = file.stat().st_size
+        _finished(store, "r0", bytes(200_000))
+        store.checkpoint()
+        assert file.stat().st_size == empty  # too little was written
+        ids = [_finished(store, f"r{number}", bytes(200_000)) for number in range(1, 6)]
+        assert file.stat().st_size == empty  # and no write copies it meanwhile
+        with store._database.transaction():  # a checkpoint does not need its lock
+            thread = threading.Thread(target=store.checkpoint)
+            thread.start()
+            thread.join(60.0)
+            assert not thread.is_alive()
+            size = file.stat().st_size
+        assert size > empty + 1_000_000
+        store.checkpoint()
+        assert file.stat().st_size == size
+        assert all(store.plans.get(plan_id).reply == bytes(200_000) for plan_id in ids)
+
+
+def test_a_seal_is_the_hash_of_names_types_sizes_and_values_in_order() -> None:
+    row = {"number": 7, "b": b"\x00\xff", "a": None, "c": "x", "d": 1.5, "seal": "old"}
+    text = b"before\na NoneType 4 None\nb bytes 2 \x00\xff\nc str 3 'x'\nd float 3 1.5"
+    assert compute_seal(row, "before") == hashlib.sha256(text).hexdigest()

@@ -7,6 +7,7 @@ import io
 import json
 import logging
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from hypothesis import strategies as st
 from small_service import end_of, serving
 
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
-from service.telemetry import Metrics, TelemetryInterceptor, bind, remove_secrets, set_up_logs
+from service.telemetry import Later, Metrics, TelemetryInterceptor, bind, remove_secrets, set_up_logs
 from service.trust import AccessInterceptor, ClientLimiter, Role, Tokens, make_token
 
 
@@ -162,13 +163,12 @@ def test_no_token_is_in_the_log_of_calls_good_refused_and_broken(log: io.StringI
     path = tmp_path / "tokens.yaml"
     path.write_text(line)
     path.chmod(0o600)
+    later = Later()
+    telemetry = TelemetryInterceptor(Metrics(), later=later)
 
     async def calls() -> None:
         async with (
-            serving([TelemetryInterceptor(Metrics()), AccessInterceptor(Tokens(path), ClientLimiter())]) as (
-                address,
-                _,
-            ),
+            serving([telemetry, AccessInterceptor(Tokens(path), ClientLimiter())]) as (address, _),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -178,6 +178,7 @@ def test_no_token_is_in_the_log_of_calls_good_refused_and_broken(log: io.StringI
                     await end_of(stub.Plan(planner_pb2.PlanRequest(request_id=request_id), metadata=metadata))
 
     asyncio.run(asyncio.wait_for(calls(), 20))
+    later.finish()
     for secret in (token, wrong, "k3y-0f-a-stranger", "Bearer"):
         assert secret not in log.getvalue()
     ends = [(line["code"], line["client"]) for line in _lines(log) if line["event"] == "rpc"]
@@ -187,3 +188,22 @@ def test_no_token_is_in_the_log_of_calls_good_refused_and_broken(log: io.StringI
         ("INTERNAL", "ann"),
         *[("UNAUTHENTICATED", "127.0.0.1")] * 3,
     ]
+
+
+def test_what_nobody_waits_for_is_done_later_in_order_and_in_its_own_context() -> None:
+    variable = ContextVar("variable", default="none")
+    seen: list[tuple[str, str]] = []
+
+    async def run() -> None:
+        later = Later()
+        for name in ("first", "second", "third"):
+            variable.set(name)
+            later.call(lambda name=name: seen.append((name, variable.get())))
+        assert seen == []
+        while not seen:
+            await asyncio.sleep(0.002)
+        later.finish()
+        later.call(seen.clear)  # is not called any more: the loop ends before
+
+    asyncio.run(run())
+    assert seen == [("first", "first"), ("second", "second"), ("third", "third")]

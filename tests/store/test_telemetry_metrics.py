@@ -20,6 +20,7 @@ from service.executor import PoolStats, WorkerState, WorkerStats
 from service.proto.planner.v1 import planner_pb2, planner_pb2_grpc
 from service.store import CloudStore, Store
 from service.telemetry import (
+    Later,
     Metrics,
     MetricsServer,
     PlanCounts,
@@ -58,11 +59,12 @@ def _run(coroutine: Coroutine[Any, Any, None]) -> None:
 
 
 def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
-    metrics = Metrics()
+    metrics, later = Metrics(), Later()
+    telemetry = TelemetryInterceptor(metrics, later=later)
 
     async def calls() -> None:
         async with (
-            serving([TelemetryInterceptor(metrics), AccessInterceptor(None, ClientLimiter())]) as (address, _),
+            serving([telemetry, AccessInterceptor(None, ClientLimiter())]) as (address, _),
             grpc.aio.insecure_channel(address) as channel,
         ):
             stub = planner_pb2_grpc.PlannerServiceStub(channel)
@@ -82,6 +84,7 @@ def test_every_call_is_counted_with_the_code_it_ended_with() -> None:
             await end_of(channel.unary_unary("/planner.v1.PlannerService/MadeUp")(b""))
 
     _run(calls())
+    later.finish()
     samples = _samples(metrics)
     ended = {key[1:]: value for key, value in samples.items() if key[0] == "scopt_requests_total"}
     assert ended.pop(("CANCELLED", "UploadCloud")) >= 1

@@ -18,10 +18,11 @@ CLOUD = b"".join(b"%d %d 0\n" % (k % 40, k // 40) for k in range(2000))
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Flip bits in copies of a server's data with a reviewed plan, a scene and a cloud."""
+    """Flip bits in copies of a killed server's data with a reviewed plan, a scene and a cloud."""
     plan_id, scene_id, cloud_id = _fill(folder)
     sound = folder / "data"
-    expected = _read(sound, plan_id, scene_id, cloud_id)
+    # A store that is opened empties its log.
+    expected = _read(Path(shutil.copytree(sound, folder / "read")), plan_id, scene_id, cloud_id)
     random, n, served, refused = Random(options.seed), options.count(2000, 60), 0, 0
     files = [path.relative_to(sound) for path in sorted(sound.rglob("*")) if path.is_file() and path.name != "lock"]
     files = [name for name in files if (sound / name).stat().st_size]
@@ -47,7 +48,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
 
 
 def _fill(folder: Path) -> tuple[str, str, str]:
-    """Have a server store a plan with its review, a scene and a cloud."""
+    """Have a server store a plan with its review, a scene, a cloud, and a later plan; then kill it."""
     file = folder / "cloud.xyz"
     file.write_bytes(CLOUD)
     with started(folder, workers=1) as server:
@@ -57,8 +58,8 @@ def _fill(folder: Path) -> tuple[str, str, str]:
             plan = client.plan(asks.motion(asks.ELBOW), out=folder / "out")
             client.review(client.get_plan(plan.plan_id).record, accept=True)
             plan_id = plan.plan_id
-        server.process.terminate()
-        server.process.wait()
+            client.plan(asks.motion(asks.ELBOW), out=folder / "later")
+        server.kill()  # what was written last is left in the write-ahead log
     return plan_id, scene_id, cloud_id
 
 

@@ -1,4 +1,7 @@
-"""A polite client beside a greedy one: twenty calls at once without a pause against two that come back as told."""
+"""A polite client beside a greedy one: twenty calls at once without a pause against two that come back as told.
+
+Once more with batch requests of the greedy client.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,14 @@ from benchmarks.service import asks
 from benchmarks.service.figures import Figure, Options, spread
 from benchmarks.service.servers import started
 from service.client.errors import read_error
-from service.proto.planner.v1.planner_pb2 import ListRobotsRequest, PlanRequest, PlanResponse
+from service.proto.planner.v1.planner_pb2 import (
+    PRIORITY_BATCH,
+    PRIORITY_INTERACTIVE,
+    ListRobotsRequest,
+    PlanRequest,
+    PlanResponse,
+    Priority,
+)
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.trust import Role, make_token
 
@@ -31,7 +41,7 @@ class _Counts:
 
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Measure shares for a minute."""
+    """Measure shares for a minute, and for another one with a greedy batch."""
     tokens = {name: make_token(name, list(Role)) for name in ("greedy", "polite")}
     file = folder / "tokens.yaml"
     file.write_text("\n".join(line for _, line in tokens.values()))
@@ -39,13 +49,22 @@ def measure(options: Options, folder: Path) -> list[Figure]:
     arguments = ("--tokens", str(file), "--requests-per-s", "100000")
     with started(folder, *arguments, workers=WORKERS, queue=QUEUE) as server:
         seconds = options.time_s(60.0, 10.0)
-        counts = asyncio.run(_load(server.address, {name: token for name, (token, _) in tokens.items()}, seconds))
+        secrets = {name: token for name, (token, _) in tokens.items()}
+        return [
+            figure
+            for priority in (PRIORITY_INTERACTIVE, PRIORITY_BATCH)
+            for figure in _figures(asyncio.run(_load(server.address, secrets, seconds, priority)), priority)
+        ]
+
+
+def _figures(counts: _Counts, priority: Priority) -> list[Figure]:
     done = {name: codes["OK"] for name, codes in counts.codes.items()}
     share = done["polite"] / max(sum(done.values()), 1)
     refused = counts.codes["polite"]["RESOURCE_EXHAUSTED"]
+    what = "greedy batch ones" if priority == PRIORITY_BATCH else "greedy ones"
     return [
         Figure(
-            f"{POLITE} polite calls beside {GREEDY} greedy ones: share of {sum(done.values())} plans",
+            f"{POLITE} polite calls beside {GREEDY} {what}: share of {sum(done.values())} plans",
             f">= {FAIR_SHARE:.0%}",
             f"{share:.0%}, refused {refused} times",
             share >= FAIR_SHARE,
@@ -61,10 +80,12 @@ def measure(options: Options, folder: Path) -> list[Figure]:
     ]
 
 
-async def _load(address: str, tokens: dict[str, str], seconds: float) -> _Counts:
+async def _load(address: str, tokens: dict[str, str], seconds: float, greedy: Priority) -> _Counts:
+    """Send calls of both clients; ``greedy`` is the priority of one of them."""
     counts, until = _Counts(), time.monotonic() + seconds
     metadata = {name: (("authorization", f"Bearer {token}"),) for name, token in tokens.items()}
-    request = asks.plan_request(asks.OVER_A_TABLE)
+    requests = {"polite": asks.plan_request(asks.OVER_A_TABLE), "greedy": asks.plan_request(asks.OVER_A_TABLE)}
+    requests["greedy"].priority = greedy
     async with grpc.aio.insecure_channel(address) as channel:
         stub = PlannerServiceStub(channel)  # type: ignore[no-untyped-call]
 
@@ -72,7 +93,7 @@ async def _load(address: str, tokens: dict[str, str], seconds: float) -> _Counts
             while time.monotonic() < until:
                 began, delay = time.monotonic(), 0.0
                 try:
-                    await _finish(stub, request, metadata[name])
+                    await _finish(stub, requests[name], metadata[name])
                     counts.codes[name]["OK"] += 1
                     counts.took[name].append(time.monotonic() - began)
                 except grpc.aio.AioRpcError as error:
