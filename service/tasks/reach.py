@@ -16,7 +16,7 @@ from costs.scene import ConvexPiece, Scene
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.body.holds import POSITION, ROTATION, Hold, find_prescribed, least_norm_step, linearize_holds
+from service.body.holds import POSITION, ROTATION, Hold, find_prescribed, project_within_limits
 from service.body.inverse_kinematics import REACHED, draw_configurations, solve_holds
 from service.body.phases import (
     PhaseSolver,
@@ -97,9 +97,6 @@ TIGHT = 4.5e-3  # clearance of a start or a goal below which a straight phase le
 RETREAT = 12e-3  # clearance at the end of that phase [m]
 SAME_END = 0.05  # largest difference of equal ends [rad, m]
 AIM = 0.5  # share of a pose's tolerance for the optimiser, the rest is for the curve and the certificate
-STEPS = 8  # of the projection from a waypoint onto the holds of the next
-CLOSE = 1e-5  # residual at which the projection ends [m, rad]
-LARGEST_STEP = 0.3  # of a coordinate in one step, where the next waypoint is out of reach [rad, m]
 
 
 def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | None) -> Iterator[TaskPlan]:
@@ -570,7 +567,8 @@ def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
     body = goal.body
     q, reserved = [body.nominal], body.bounds(1, {})
     for share in np.linspace(0.0, 1.0, n_waypoints)[1:]:
-        q.append(_project_within_limits(body, q[-1], (*body.holds(), *make_line_holds(goal, share)), *reserved))
+        holds = (*body.holds(), *make_line_holds(goal, share))
+        q.append(project_within_limits(body.engine, q[-1][None], holds, *reserved)[0])
     return np.stack(q)
 
 
@@ -596,23 +594,3 @@ def _make_link_holds(
         return position, lambda waypoints: FramePose(robot, pose.link, waypoints, target, ROTATION)
     axis = np.eye(3)[AXES[pose.free_axis]]
     return position, lambda waypoints: AxisDirection(robot, pose.link, waypoints, axis, target[:3, :3] @ axis)
-
-
-def _project_within_limits(
-    body: WholeBody,
-    q: Float[np.ndarray, "n"],
-    holds: Sequence[Hold],
-    lower: Float[np.ndarray, "1 n"],
-    upper: Float[np.ndarray, "1 n"],
-) -> Float[np.ndarray, "n"]:
-    """Return a configuration nearer to the holds after a few steps; joints that reach their limit stay there."""
-    row, at_limit = q[None], np.zeros(len(q), dtype=bool)
-    for _ in range(STEPS):
-        value, jacobian = linearize_holds(body.engine, row, holds)
-        if np.abs(value).max() < CLOSE:
-            break
-        step = least_norm_step(np.where(at_limit, 0.0, jacobian), value)
-        moved = row - np.clip(step, -LARGEST_STEP, LARGEST_STEP)
-        row = np.clip(moved, lower, upper)
-        at_limit |= (row != moved)[0]
-    return np.asarray(row[0])
