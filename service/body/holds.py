@@ -81,14 +81,20 @@ def project_within_limits(
     holds: Sequence[Hold],
     lower: Float[np.ndarray, "#S n"],
     upper: Float[np.ndarray, "#S n"],
+    fixed: Bool[np.ndarray, "n"] | None = None,
 ) -> Float[np.ndarray, "S n"]:
     """Return configurations nearer to the holds after a few steps; coordinates that reach their limit stay there.
 
-    The joints of a mechanism stay where they are.
+    Args:
+        engine: of the robot.
+        q: configurations.
+        holds: to be kept.
+        lower, upper: limits.
+        fixed: coordinates that keep their values; by default those of a mechanism.
     """
-    prescribed = find_prescribed(engine.robot)
-    lower, upper = np.where(prescribed, -np.inf, lower), np.where(prescribed, np.inf, upper)
-    is_still = np.tile(prescribed, (len(q), 1))
+    fixed = find_prescribed(engine.robot) if fixed is None else fixed
+    lower, upper = np.where(fixed, -np.inf, lower), np.where(fixed, np.inf, upper)
+    is_still = np.tile(fixed, (len(q), 1))
     for _ in range(PROJECTION_STEPS):
         value, jacobian = linearize_holds(engine, q, holds)
         if np.abs(value).max() < CLOSE:
