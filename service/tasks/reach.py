@@ -193,7 +193,7 @@ class _ReachSearch:
         quick = self._solve(straight_path(start, end, waypoints), **QUICK)
         yield "straight line", quick
         is_standing = self.solver.body.robot.is_floating
-        if not is_standing:  # the links' straight lines are faster for a robot on its feet
+        if not is_standing:  # on its feet a robot needs trees seldom, and they take longer
             yield from self._around(end, TREES[0])
         if self.solver.body.kept:
             line = self.solver.body.project_onto_holds(straight_path(start, end, waypoints))
@@ -203,14 +203,14 @@ class _ReachSearch:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight_path(start, other, self._count_waypoints(other)), **QUICK)
-        for tree in TREES[0 if is_standing else 1 : 4]:
+        for tree in () if is_standing else TREES[1:4]:
             yield from self._around(end, tree)
         for name, posture in posture_guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(path_via(start, posture, end, waypoints), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
-        for tree in TREES[4:]:
+        for tree in TREES if is_standing else TREES[4:]:
             yield from self._around(end, tree)
         yield from self._search_on([end])
 
