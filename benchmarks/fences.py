@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
+from benchmarks.arms_in_boxes import Run
 from benchmarks.crowded_scenes import boxes_near, standing_near
 from benchmarks.robots import find_data_folder
 from benchmarks.tables import print_table
@@ -34,7 +35,6 @@ from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
-from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.start.robot import load_requested_robot
 
@@ -220,24 +220,6 @@ def list_goals(hand: str, place: Float[np.ndarray, "4 4"]) -> Iterator[tuple[str
     yield "position", {"poses": [position]}
     turn = Rotation.from_matrix(place[:3, :3]).as_quat(scalar_first=True).tolist()
     yield "pose", {"poses": [{**position, "quaternion_wxyz": turn, "rotation_tolerance_deg": 2.0}]}
-
-
-@dataclass(frozen=True)
-class Run:
-    """One plan."""
-
-    result: PlanResult
-    cpu_s: float
-
-    @property
-    def is_certified(self) -> bool:
-        return self.result.verdict is Verdict.CERTIFIED
-
-    @property
-    def line(self) -> str:
-        result = self.result
-        reason = next(iter(result.explanation), "") if result.conflict is None else result.conflict.brief
-        return f"{result.verdict.value}, {result.found_from} {'' if self.is_certified else reason}"
 
 
 def summarize(robot: str, goal: str, runs: list[Run]) -> tuple[str, ...]:
