@@ -33,8 +33,9 @@ _BALANCE_TOLERANCE = 5e-7
 _FORCE_PRICE_M = 1e-5
 # Soles count as level and at one height within these: more height or lean only enlarges what friction can hold.
 _LEVEL_M, _LEVEL_SINE = 1e-3, 1e-6
-# The yaw moment that covers drift starts this much above that of the forces without it, and is raised a few times.
-_YAW_ROOM, _N_YAW_ROUNDS = 1.05, 12
+# The yaw moment that covers drift starts this much above that of the forces without it, which is mostly enough, and is
+# raised a few times.
+_FIRST_YAW_ROOM, _YAW_ROOM, _N_YAW_ROUNDS = 1.25, 1.05, 12
 
 
 class StaticRegionError(ValueError):
@@ -158,7 +159,7 @@ def _cover_drift(
     """
     largest = int(np.linalg.norm(given, axis=1).argmax())
     alone = search.find_region(given[largest], largest)
-    yaw = _YAW_ROOM * drift_m * alone.most_tangential
+    yaw = _FIRST_YAW_ROOM * drift_m * alone.most_tangential
     for _ in range(_N_YAW_ROUNDS):
         held: list[Float[np.ndarray, "6"]] = []
         regions: list[_Region] = []

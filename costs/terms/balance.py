@@ -42,9 +42,11 @@ class CentreOfMassInPolygon(Residual[MotionState]):
 
 
 class CentreOfMassAt(Residual[MotionState]):
-    """Offset of the COM's ground projection from a point, two rows (x, y) per waypoint [m]."""
+    """Offset of the COM's ground projection from a point, or one per waypoint: two rows (x, y) per waypoint [m]."""
 
-    def __init__(self, point: Float[np.ndarray, "2"], waypoints: Int[np.ndarray, "S"] | Sequence[int]) -> None:
+    def __init__(
+        self, point: Float[np.ndarray, "2"] | Float[np.ndarray, "S 2"], waypoints: Int[np.ndarray, "S"] | Sequence[int]
+    ) -> None:
         self._point = np.asarray(point, dtype=float)
         self._waypoints = np.asarray(waypoints)
 

@@ -28,6 +28,8 @@ DRIFT = 5e-4  # of a hold's residual between waypoints [m, rad]
 CONTACT_DRIFT = 4e-5  # the same where contacts change, whose points stay where they are within 0.1 mm
 PROJECTION_STEPS = 8
 PROJECTION_TOLERANCE = 1e-9  # [m, rad]
+CLOSE = 1e-5  # the same within joint limits, of guesses for the optimiser [m, rad]
+LARGEST_STEP = 0.3  # of a coordinate in one step within joint limits, where the holds are out of reach [rad, m]
 AT_WAYPOINTS = 1e-4  # per row, of the optimiser; the spline's projection does the rest [m, rad]
 START_SHARE = 0.5  # of the tolerances at the start, the rest is for the curve
 DRIFT_SHARE = 0.25  # of the tolerances for the drift between waypoints
@@ -70,6 +72,37 @@ def project_onto_holds(
         if np.abs(value).max() < PROJECTION_TOLERANCE:
             break
         q = q - least_norm_step(np.where(prescribed, 0.0, jacobian), value)
+    return q
+
+
+def project_within_limits(
+    engine: KinematicsEngine,
+    q: Float[np.ndarray, "S n"],
+    holds: Sequence[Hold],
+    lower: Float[np.ndarray, "#S n"],
+    upper: Float[np.ndarray, "#S n"],
+    fixed: Bool[np.ndarray, "n"] | None = None,
+) -> Float[np.ndarray, "S n"]:
+    """Return configurations nearer to the holds after a few steps; coordinates that reach their limit stay there.
+
+    Args:
+        engine: of the robot.
+        q: configurations.
+        holds: to be kept.
+        lower, upper: limits.
+        fixed: coordinates that keep their values; by default those of a mechanism.
+    """
+    fixed = find_prescribed(engine.robot) if fixed is None else fixed
+    lower, upper = np.where(fixed, -np.inf, lower), np.where(fixed, np.inf, upper)
+    is_still = np.tile(fixed, (len(q), 1))
+    for _ in range(PROJECTION_STEPS):
+        value, jacobian = linearize_holds(engine, q, holds)
+        if np.abs(value).max() < CLOSE:
+            break
+        step = least_norm_step(np.where(is_still[:, None, :], 0.0, jacobian), value)
+        moved = q - np.clip(step, -LARGEST_STEP, LARGEST_STEP)
+        q = np.clip(moved, lower, upper)
+        is_still |= q != moved
     return q
 
 

@@ -17,7 +17,14 @@ from scopt import Constraint, Cost, Problem, Settings, TrustRegionSQP
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
-from service.body.sampling import SamplingProblem, Tree, free_coordinates, sample_path, shorten_polyline
+from service.body.sampling import (
+    HeldProblem,
+    SamplingProblem,
+    Tree,
+    free_coordinates,
+    sample_path,
+    shorten_polyline,
+)
 from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan, keeps_constraints
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
@@ -170,20 +177,40 @@ class PhaseSolver:
         movable: Int[np.ndarray, "k"] | None = None,
     ) -> Float[np.ndarray, "K n"] | None:
         """Sample a path around the obstacles; None where others than the movable coordinates would have to move."""
+        if tree.keeps_holds:
+            checker = self.body.make_pose_checker([start, end])
+            return self._sample(HeldProblem.between(self.body, checker, start, end), tree)
         free = free_coordinates(self.body)
         if movable is not None:
             free = np.intersect1d(movable, free)
         others = np.setdiff1d(np.arange(len(start)), free)
         if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
             return None
-        problem = SamplingProblem(self.body, self.body.make_pose_checker([start, end]), start, end, free)
-        corners = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
-        self.monitor.check()
-        return corners
+        return self._sample(
+            SamplingProblem(self.body, self.body.make_pose_checker([start, end]), start, end, free), tree
+        )
 
-    def shorten_path(self, q: Float[np.ndarray, "T n"], seed: int) -> Float[np.ndarray, "K n"]:
-        """Return the corners of a shorter polyline with the same ends: shortcuts that are clear replace parts of it."""
+    def _sample(self, problem: SamplingProblem, tree: Tree) -> Float[np.ndarray, "K n"] | None:
+        path = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
+        self.monitor.check()
+        return path
+
+    def shorten_path(
+        self, q: Float[np.ndarray, "T n"], seed: int, *, keeps_holds: bool = False
+    ) -> Float[np.ndarray, "K n"]:
+        """Return the corners of a shorter polyline with the same ends: shortcuts that are clear replace parts of it.
+
+        Args:
+            q: waypoints.
+            seed: of the draws.
+            keeps_holds: see ``Tree``.
+        """
         body, free = self.body, free_coordinates(self.body)
+        if keeps_holds:
+            held = HeldProblem.between(body, body.make_pose_checker([q[0], q[-1]]), q[0], q[-1])
+            path = held.shorten(q, np.random.default_rng(seed + self.seed))
+            self.monitor.check()
+            return path
         problem = SamplingProblem(body, body.make_pose_checker([q[0], q[-1]]), q[0], q[-1], free)
         others = np.setdiff1d(np.arange(q.shape[1]), free)
         if not len(free) or np.abs(np.diff(q, axis=0))[:, others].max(initial=0.0) > 1e-6:
@@ -193,20 +220,29 @@ class PhaseSolver:
         return problem.place(corners)
 
     def sample_carried(
-        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], tree: Tree
+        self,
+        start: Float[np.ndarray, "n"],
+        end: Float[np.ndarray, "n"],
+        tree: Tree,
+        movable: Int[np.ndarray, "k"] | None = None,
     ) -> Float[np.ndarray, "K n"] | None:
-        """Sample a path of the limbs that carry nothing, while the others go straight on the contacts that stay."""
+        """Sample a path of the limbs that carry nothing, while the others go straight on the contacts that stay.
+
+        Args:
+            start, end: configurations on the contacts.
+            tree: seed and effort.
+            movable: coordinates that may leave the straight way, of those that carry nothing; all of them by default.
+        """
         free = free_coordinates(self.body)
+        if movable is not None:
+            free = np.intersect1d(movable, free)
         if not len(free):
             return None
         holds = self.body.holds()
         carrier = straight_path(start, end, CARRIER_POINTS)
         carrier[1:-1] = project_onto_holds(self.body.engine, carrier[1:-1], holds)
         checker = self.body.make_pose_checker([start, end])
-        problem = SamplingProblem(self.body, checker, start, end, free, carrier)
-        path = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
-        self.monitor.check()
-        return path
+        return self._sample(SamplingProblem(self.body, checker, start, end, free, carrier), tree)
 
     def with_settings(self, **changes: Any) -> PhaseSolver:
         """Return the solver with other settings of the optimiser."""

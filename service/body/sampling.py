@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -11,15 +12,19 @@ from jaxtyping import Float, Int
 
 from costs.collision import PoseChecker
 from costs.robot import BASE_NAMES
+from service.body.holds import find_prescribed, largest_hold_error, project_within_limits
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 
 EDGE_STEP = 0.15  # by default; see ``Tree.edge_step`` [rad, m]
 CLOCK_EVERY = 16
 LEAST_TRAVEL = 0.05  # range of the coordinate along a carrier [rad, m]
-CARRIED_POINTS = 40  # of a path whose other coordinates follow a carrier
+CARRIED_POINTS = 40  # of a path whose other coordinates follow
 CORNER_TRIES, POINT_TRIES = 60, 60  # of shortcuts
 LEAST_SAVING = 0.005  # of a shortcut, as a share of the length
 RANGE = 0.6  # longest extension of a tree [rad, m]
+BASE_SCALE = 3.0  # of a floating base's place in a search: 1 m counts as much as so many radians
+BASE_BEYOND = np.repeat([0.15, 0.25], 3)  # farthest that a base is drawn beyond start and end [m, rad]
+HELD = 5e-4  # largest residual of the holds at a pose of a search [m, rad]
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,11 @@ class SamplingProblem:
     edge_step: float = EDGE_STEP
 
     @property
+    def bends(self) -> bool:
+        """Whether other coordinates move along an edge than those of the search, and not in a straight line."""
+        return self.carrier is not None
+
+    @property
     def length(self) -> float:
         """Range of the last coordinate where there is a carrier: the largest travel of a coordinate [rad, m]."""
         others = np.delete(self.end - self.start, self.free)
@@ -66,6 +76,29 @@ class SamplingProblem:
         q[:, self.free] = poses[:, : len(self.free)]
         return q
 
+    def limit_draws(self, beyond: float) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """Return bounds of the search: the limits, at most so far beyond start and end; within a turn if infinite."""
+        robot, free = self.body.robot, self.free
+        ends = np.stack([self.start, self.end])
+        low, high = ends.min(axis=0) - beyond, ends.max(axis=0) + beyond
+        if not np.isfinite(beyond):
+            low, high = np.minimum(ends.min(axis=0), -np.pi), np.maximum(ends.max(axis=0), np.pi)
+        if robot.is_floating:
+            low[: len(BASE_NAMES)] = ends.min(axis=0)[: len(BASE_NAMES)] - BASE_BEYOND
+            high[: len(BASE_NAMES)] = ends.max(axis=0)[: len(BASE_NAMES)] + BASE_BEYOND
+        low, high = np.maximum(low, robot.lower)[free], np.minimum(high, robot.upper)[free]
+        if self.carrier is not None:
+            low, high = np.append(low, 0.0), np.append(high, self.length)
+        return low, high
+
+    def trace(self, corners: Float[np.ndarray, "K k"]) -> Float[np.ndarray, "S n"]:
+        """Return the configurations along a polyline of the search: its corners, or more where others bend."""
+        if self.bends:
+            corners = resample_path(corners, max(CARRIED_POINTS, 2 * len(corners)))
+        path = self.place(corners)
+        path[0], path[-1] = self.start, self.end
+        return path
+
     def interpolate_edge(self, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> Float[np.ndarray, "K k"]:
         """Return poses close to each other on the straight line, without the first, which is clear already."""
         step = last - first
@@ -74,13 +107,87 @@ class SamplingProblem:
 
     def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
         """Return whether poses of the search are all clear and balanced."""
-        kinematics = self.body.engine.place(self.place(poses))
+        return self.are_configurations_clear(self.place(poses))
+
+    def are_configurations_clear(self, q: Float[np.ndarray, "K n"]) -> bool:
+        """Return whether configurations are all clear and balanced."""
+        kinematics = self.body.engine.place(q)
         polygon, margin = self.body.polygon, self.body.aims.balance_margin
         if self.body.region is not None:  # the optimiser adds the rest of the margin
             polygon, margin = self.body.region.region.polygon, 0.5 * margin
         if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < margin:
             return False
         return self.checker.are_clear(kinematics)
+
+
+@dataclass(frozen=True)
+class HeldProblem(SamplingProblem):
+    """Two configurations on the same holds, to connect by leading some coordinates while others follow.
+
+    On planted feet the base and the limbs that carry nothing lead, and the standing legs follow so that the feet stay
+    where they are.  With kept poses all coordinates lead and all follow: a pose of the search stands for the nearest
+    configuration on the holds (Berenson et al., Manipulation planning on constraint manifolds, ICRA 2009).
+
+    Attributes:
+        following: indices of the coordinates that move until the holds are kept.
+    """
+
+    following: Int[np.ndarray, "f"] = field(default_factory=lambda: np.zeros(0, dtype=int))
+
+    @staticmethod
+    def between(
+        body: WholeBody, checker: PoseChecker, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]
+    ) -> HeldProblem:
+        """Return the problem of two configurations of a robot that keeps its holds."""
+        moving = np.flatnonzero(~find_prescribed(body.robot))
+        if body.kept:
+            return HeldProblem(body, checker, start, end, moving, following=moving)
+        base = np.arange(len(BASE_NAMES) if body.robot.is_floating else 0)
+        lead = np.union1d(base, np.intersect1d(free_coordinates(body), moving))
+        return HeldProblem(body, checker, start, end, lead, following=np.setdiff1d(moving, lead))
+
+    @property
+    def bends(self) -> bool:
+        """Legs and kept poses do."""
+        return True
+
+    @cached_property
+    def _scale(self) -> Float[np.ndarray, "k"]:
+        """Search units per metre or radian of each coordinate."""
+        scale = np.ones(len(self.free))
+        if self.body.robot.is_floating:
+            scale[self.free < 3] = BASE_SCALE
+        return scale
+
+    @property
+    def ends(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """Start and end in the coordinates of the search."""
+        return self.start[self.free] * self._scale, self.end[self.free] * self._scale
+
+    def shorten(self, q: Float[np.ndarray, "K n"], rng: np.random.Generator) -> Float[np.ndarray, "S n"]:
+        """Return a path on the holds along a shorter polyline with the same ends, whose new edges are clear."""
+        return self.trace(shorten_polyline(self, q[:, self.free] * self._scale, rng))
+
+    def limit_draws(self, beyond: float) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """Return bounds of the search in its own units."""
+        low, high = super().limit_draws(beyond)
+        return low * self._scale, high * self._scale
+
+    def place(self, poses: Float[np.ndarray, "K k"]) -> Float[np.ndarray, "K n"]:
+        """Return configurations in which what follows has come as near to the holds as it can."""
+        q = np.tile(self.start, (len(poses), 1))
+        q[:, self.free] = poses / self._scale
+        body, robot = self.body, self.body.robot
+        is_still = np.ones(robot.n, dtype=bool)
+        is_still[self.following] = False
+        return project_within_limits(body.engine, q, body.holds(), robot.lower[None], robot.upper[None], is_still)
+
+    def is_clear(self, poses: Float[np.ndarray, "K k"]) -> bool:
+        """Return whether poses of the search are on the holds, clear and balanced."""
+        q = self.place(poses)
+        if largest_hold_error(self.body.engine, q, self.body.holds()).max() > HELD:
+            return False
+        return self.are_configurations_clear(q)
 
 
 def free_coordinates(body: WholeBody) -> Int[np.ndarray, "k"]:
@@ -107,6 +214,8 @@ class Tree:
             turn about 0.
         clearance: of the poses [m]; what lacks of the margin is added by the optimiser.
         edge_step: largest joint step between the poses at which an edge is checked [rad, m].
+        keeps_holds: whether base and standing legs move too, and kept poses are kept; else there is no path where these
+            would have to move, and poses are kept by the optimiser alone.
     """
 
     seed: int
@@ -115,6 +224,7 @@ class Tree:
     beyond: float = np.pi
     clearance: float = SAMPLING_CLEARANCE
     edge_step: float = EDGE_STEP
+    keeps_holds: bool = False
 
 
 def sample_path(
@@ -136,9 +246,7 @@ def sample_path(
     if corners is None:
         return None
     corners = shorten_polyline(problem, corners, np.random.default_rng(tree.seed))
-    if problem.carrier is not None:  # what follows the carrier bends between the corners
-        corners = resample_path(corners, max(CARRIED_POINTS, 2 * len(corners)))
-    return problem.place(corners)
+    return problem.trace(corners)
 
 
 def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) -> Float[np.ndarray, "K k"] | None:
@@ -147,7 +255,11 @@ def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) 
 
     first, last = problem.ends
     space = base.RealVectorStateSpace(len(first))
-    space.setBounds(_bounds(problem, tree.beyond))
+    bounds = base.RealVectorBounds(len(first))
+    for k, (low, high) in enumerate(zip(*(bound.tolist() for bound in problem.limit_draws(tree.beyond)), strict=True)):
+        bounds.setLow(k, low)
+        bounds.setHigh(k, high)
+    space.setBounds(bounds)
     effort = _EffortCounter(problem, tree.most_checks, is_over)
 
     def read_state(state: object) -> Float[np.ndarray, "k"]:
@@ -175,25 +287,6 @@ def _connect(problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool]) 
         return None
     path = definition.getSolutionPath()
     return np.array([read_state(path.getState(k)) for k in range(path.getStateCount())])
-
-
-def _bounds(problem: SamplingProblem, beyond: float) -> object:
-    """Return the limits of the free coordinates, at most so far beyond start and end; within a turn if infinite."""
-    from ompl import base
-
-    robot = problem.body.robot
-    bounds = base.RealVectorBounds(len(problem.ends[0]))
-    for k, index in enumerate(problem.free.tolist()):
-        ends = float(problem.start[index]), float(problem.end[index])
-        low, high = min(ends) - beyond, max(ends) + beyond
-        if not np.isfinite(beyond):
-            low, high = min(*ends, -np.pi), max(*ends, np.pi)
-        bounds.setLow(k, max(float(robot.lower[index]), low))
-        bounds.setHigh(k, min(float(robot.upper[index]), high))
-    if problem.carrier is not None:
-        bounds.setLow(len(problem.free), 0.0)
-        bounds.setHigh(len(problem.free), problem.length)
-    return bounds
 
 
 class _EffortCounter:

@@ -1,4 +1,4 @@
-"""A tool that is held at a place or led along a line: its residuals, and configurations that follow it."""
+"""A tool that is held at a place or led along a line: its residuals, and configurations that follow it in balance."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from jaxtyping import Bool, Float, Int
 
 from costs.robot import RobotModel
 from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose
+from costs.support import SupportPolygon
+from costs.terms import AxisDirection, CentreOfMassAt, FramePose
 from scopt import Residual
-from service.body.holds import Hold
+from service.body.holds import Hold, project_within_limits
 from service.body.inverse_kinematics import solve_holds
+from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, find_rotation_onto
+from service.demands.stance import BALANCE_RESERVE
 
 FOLLOW_STEPS = 12  # of Newton's method from one waypoint to the next
 NEAR = 0.01  # largest residual of a configuration that the optimiser had better begin with than the guess [m, rad]
 FOLLOWED = 1e-3  # largest residual of a waypoint that follows the tool [m, rad]
+INSIDE_ROUNDS = 20  # of moves onto the borders of polygons
+INSIDE_RESERVE = 3e-3  # beyond the margin, for what moves the centre of mass later [m]
 
 
 def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
@@ -128,8 +133,58 @@ def follow_tool(
     return path
 
 
-def _hold_at(robot: RobotModel, hand: HandMotion, place: Float[np.ndarray, "1 3"]) -> tuple[Hold, Hold]:
-    """Return the holds of a tool at one place and of its axis."""
-    at_place: Hold = lambda waypoints: place_tool(robot, hand, waypoints, place)  # noqa: E731
+def follow_in_balance(
+    body: WholeBody,
+    hand: HandMotion,
+    path: Float[np.ndarray, "T n"],
+    regions: Sequence[PlannedRegion],
+    is_fixed: Bool[np.ndarray, "T"],
+) -> Float[np.ndarray, "T n"]:
+    """Return a path of a tool with the centre of mass in the regions of its loads, as near as it was.
+
+    The optimiser alone moves the centre of mass in many short steps, since the tool leaves its place in long ones.
+    Obstacles are left to it.
+
+    Args:
+        body: the robot, with the mechanism that the tool may move with.
+        hand: where the tool is.
+        path: with the tool at its places.
+        regions: of the whole path.
+        is_fixed: waypoints that stay as they are.
+    """
+    margin = body.aims.balance_margin + BALANCE_RESERVE + INSIDE_RESERVE
+    middles = body.engine.place(path).com[:, :2].copy()
+    for _ in range(2):  # stretches share the waypoints at their ends
+        for planned in regions:
+            part = slice(planned.first, planned.last + 1)
+            middles[part] = _move_inside(planned.region.polygon, middles[part], margin + planned.shift_m)
+    free = np.flatnonzero(~is_fixed)
+    places = hand.places(len(path))[free]
+    held = (
+        *body.holds(),
+        *_hold_at(body.robot, hand, places),
+        lambda waypoints: CentreOfMassAt(middles[free], waypoints),
+    )
+    moved = path.copy()
+    moved[free] = project_within_limits(body.engine, path[free], held, *body.bounds(1, {}))
+    return moved
+
+
+def _move_inside(polygon: SupportPolygon, points: Float[np.ndarray, "N 2"], margin: float) -> Float[np.ndarray, "N 2"]:
+    """Return points moved onto the nearest borders of a polygon that is smaller by a margin, in a few rounds."""
+    points = points.copy()
+    for _ in range(INSIDE_ROUNDS):
+        outside = points @ polygon.normals.T - polygon.offsets + margin
+        edge = outside.argmax(axis=1)
+        beyond = np.maximum(outside[np.arange(len(points)), edge], 0.0)
+        if not beyond.any():
+            break
+        points -= beyond[:, None] * polygon.normals[edge]
+    return points
+
+
+def _hold_at(robot: RobotModel, hand: HandMotion, places: Float[np.ndarray, "#S 3"]) -> tuple[Hold, Hold]:
+    """Return the holds of a tool at one place, or at one per waypoint, and of its axis."""
+    at_place: Hold = lambda waypoints: place_tool(robot, hand, waypoints, places)  # noqa: E731
     axis: Hold = lambda waypoints: aim_tool(robot, hand, waypoints)  # noqa: E731
     return at_place, axis

@@ -31,7 +31,15 @@ from service.body.phases import (
 )
 from service.body.task_plan import PlannedPhase, Solved
 from service.demands.phase_spec import DEPTH_RESERVE, PhaseSpec
-from service.tasks.held_tool import aim_tool, bring_tool, follow_tool, make_hold, place_tool, slide_tool
+from service.tasks.held_tool import (
+    aim_tool,
+    bring_tool,
+    follow_in_balance,
+    follow_tool,
+    make_hold,
+    place_tool,
+    slide_tool,
+)
 from service.verify import HandLoad
 
 RESTORABLE = 20.0  # largest violation, relative to its tolerance, of a phase that is then solved for constraints alone
@@ -235,7 +243,15 @@ class PhaseCompiler:
             unloaded = self._solve(light, starts, fixed, values, (), pinned)
             if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
                 return unloaded
-            starts = [unloaded.x, *starts]
+            is_fixed = np.isin(np.arange(count), list(fixed))
+            if spec.hand is not None:
+                starts = [
+                    follow_in_balance(self.solver.body, spec.hand, unloaded.x, regions, is_fixed),
+                    unloaded.x,
+                    *starts,
+                ]
+            else:
+                starts = [unloaded.x, *starts]
         solved = self._solve(light, starts, fixed, values, regions, pinned)
         if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
             return solved

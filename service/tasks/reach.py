@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain, count, islice
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
-from costs.kinematics import locate_links
+from costs.kinematics import locate_frame, locate_links
 from costs.scene import ConvexPiece, Scene
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from scopt import Constraint
-from service.body.holds import POSITION, ROTATION, Hold, find_prescribed, least_norm_step, linearize_holds
+from service.body.holds import POSITION, ROTATION, Hold, find_prescribed, project_within_limits
 from service.body.inverse_kinematics import REACHED, draw_configurations, solve_holds
 from service.body.phases import (
     PhaseSolver,
@@ -55,6 +55,8 @@ NEAR, EVERYWHERE, IN_A_TURN = 0.8, float(np.pi), float(np.inf)
 # Paths through gaps narrower than twice the margin: clearance [m], and step at which edges are checked [rad, m].
 NARROW = (2e-3, 0.05)
 MOST_NARROW = 400  # waypoints of such a path
+MOST_HELD = 40  # waypoints of a path of a standing robot
+HELD_SHARE = 0.2  # of the checks of a tree whose poses are brought onto the holds, which take ten times longer
 BARS = (2e-3, 0.1)  # between bars
 # LBKPIECE finds a way through shelves, within some hundred checks. Between bars a tree near the ends, with little
 # clearance, has twice its success for the same time. They take turns.
@@ -97,9 +99,6 @@ TIGHT = 4.5e-3  # clearance of a start or a goal below which a straight phase le
 RETREAT = 12e-3  # clearance at the end of that phase [m]
 SAME_END = 0.05  # largest difference of equal ends [rad, m]
 AIM = 0.5  # share of a pose's tolerance for the optimiser, the rest is for the curve and the certificate
-STEPS = 8  # of the projection from a waypoint onto the holds of the next
-CLOSE = 1e-5  # residual at which the projection ends [m, rad]
-LARGEST_STEP = 0.3  # of a coordinate in one step, where the next waypoint is out of reach [rad, m]
 
 
 def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | None) -> Iterator[TaskPlan]:
@@ -193,7 +192,9 @@ class _ReachSearch:
         waypoints = self._count_waypoints(end)
         quick = self._solve(straight_path(start, end, waypoints), **QUICK)
         yield "straight line", quick
-        yield from self._around(end, TREES[0])
+        is_standing = self.solver.body.robot.is_floating
+        if not is_standing:  # on its feet a robot needs trees seldom, and they take longer
+            yield from self._around(end, TREES[0])
         if self.solver.body.kept:
             line = self.solver.body.project_onto_holds(straight_path(start, end, waypoints))
             yield "straight line along the kept poses", self._solve(line, **LEAD)
@@ -202,28 +203,25 @@ class _ReachSearch:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight_path(start, other, self._count_waypoints(other)), **QUICK)
-        for tree in TREES[1:4]:
+        for tree in () if is_standing else TREES[1:4]:
             yield from self._around(end, tree)
         for name, posture in posture_guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(path_via(start, posture, end, waypoints), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
-        for tree in TREES[4:]:
+        for tree in TREES if is_standing else TREES[4:]:
             yield from self._around(end, tree)
         yield from self._search_on([end])
 
     def _search_on(self, ends: list[Float[np.ndarray, "n"]]) -> Iterator[tuple[str, Solved]]:
-        """Yield attempts with more ends, larger trees and shrunken obstacles until little time is left.
-
-        Only for robots whose joints alone lead from the start to an end: on planted feet a tree cannot move the base.
-        """
+        """Yield attempts with more ends, larger trees and shrunken obstacles until little time is left."""
         solver, body = self.solver, self.solver.body
-        if body.robot.is_floating or body.kept:
-            return
         limit = solver.monitor.time_limit_s
         reserve = min(EXPLAIN_RESERVE_S, EXPLAIN_SHARE * limit)  # for the explanation of why nothing was found
         checks = LARGE_TREES[0].most_checks
+        other = Tree(0, CHECKS_TO_OTHER_END, keeps_holds=bool(body.kept))
+        shrunken = replace(other, most_checks=CHECKS_AMONG_SHRUNKEN)
         for number in count(len(TREES)):
             if not self.goal.is_complete:
                 for end in islice(find_random_ends(solver, self.goal, ends, 1, number), ENDS_PER_ROUND):
@@ -232,15 +230,17 @@ class _ReachSearch:
                         "straight line to a random posture at the goal",
                         self._solve(straight_path(body.nominal, end, waypoints), **QUICK),
                     )
-                    yield from self._around(end, Tree(number, CHECKS_TO_OTHER_END, "RRTConnect"))
+                    yield from self._around(end, replace(other, seed=number))
                     if solver.monitor.remaining_s() < reserve:
                         return
             end = ends[number % len(ends)]
-            yield from self._through_shrunken(end, Tree(number, CHECKS_AMONG_SHRUNKEN), SHRINK[number % len(SHRINK)])
+            yield from self._through_shrunken(end, replace(shrunken, seed=number), SHRINK[number % len(SHRINK)])
             if solver.monitor.remaining_s() < reserve:
                 return
-            large = LARGE_TREES[number % len(LARGE_TREES)]
-            yield from self._around(end, replace(large, seed=number, most_checks=checks))
+            large = replace(LARGE_TREES[number % len(LARGE_TREES)], seed=number, most_checks=checks)
+            if body.kept or (body.robot.is_floating and number % 2):
+                large = replace(large, most_checks=int(HELD_SHARE * checks), keeps_holds=True)
+            yield from self._around(end, large)
             if solver.monitor.remaining_s() < reserve:
                 return
             checks = min(checks * 3 // 2, MOST_CHECKS)
@@ -248,12 +248,10 @@ class _ReachSearch:
     def _through_shrunken(self, end: Float[np.ndarray, "n"], tree: Tree, share: float) -> Iterator[tuple[str, Solved]]:
         """Yield the solve from a path among smaller obstacles, which the optimiser moves out of the true ones."""
         body = self.solver.body
-        smaller = replace(body, scene=shrink_scene(body.scene, share))
-        with self.solver.monitor.step("sampling", 0.5):
-            corners = replace(self.solver, body=smaller).sample_corners(body.nominal, end, tree)
+        corners = self._sample(end, tree, replace(body, scene=shrink_scene(body.scene, share)))
         if corners is None:
             return
-        solved = self._solve(resample_path(corners, max(self._count_waypoints(end), 2 * len(corners))), **SAMPLED)
+        solved = self._solve(resample_path(corners, self._count_along(corners, end)), **SAMPLED)
         if not solved.is_feasible and solved.shortfall < RESTORABLE:
             solved = self.solver.restore_feasibility("reach", solved)
         yield f"path among obstacles of {100.0 * share:.0f} % size, tree {tree.seed + 1}", solved
@@ -277,12 +275,34 @@ class _ReachSearch:
             phases += [phase, PlannedPhase("approach", line, True, targets=goal.targets, is_tight=True)]
         return TaskPlan(body, tuple(phases), stuck=stuck, found_from=name, notes=self.notes)
 
+    @cached_property
+    def _keeps_holds(self) -> bool:
+        """Whether more than free joints has to move: on planted feet the base, with kept poses whatever they need."""
+        return self.solver.body.robot.is_floating or bool(self.solver.body.kept)
+
     def _count_waypoints(self, end: Float[np.ndarray, "n"]) -> int:
         """Return the number of waypoints to an end."""
         if self.n_waypoints is not None:
             return self.n_waypoints
         farthest = np.abs(end - self.solver.body.nominal).max(initial=0.0)
         return int(np.clip(np.ceil(farthest / WAYPOINT_STEP), LEAST_WAYPOINTS, MOST_WAYPOINTS))
+
+    @cached_property
+    def _reaching(self) -> Int[np.ndarray, "k"] | None:
+        """Coordinates that lead to the goal's links; None where the goal is not given by poses alone."""
+        body, request = self.solver.body, self.goal.request
+        if self.goal.joints or not request.poses:
+            return None
+        joints = [locate_frame(body.robot, pose.link)[0] for pose in request.poses]
+        return np.flatnonzero(body.engine.topology.supports[joints].any(axis=0))
+
+    def _count_along(self, corners: Float[np.ndarray, "K n"], end: Float[np.ndarray, "n"]) -> int:
+        """Return the number of waypoints of a sampled path; that of a standing robot has many corners already."""
+        least = self._count_waypoints(end)
+        if not self._keeps_holds:
+            return max(least, 2 * len(corners))
+        steps = np.abs(np.diff(corners, axis=0)).max(axis=1).sum() / WAYPOINT_STEP
+        return int(np.clip(np.ceil(steps), least, max(least, MOST_HELD)))
 
     def _find_ends(self) -> Iterator[tuple[Float[np.ndarray, "n"], Solved | None]]:
         """Yield different configurations at the goal; if there is none, the best attempt with its solve."""
@@ -327,12 +347,10 @@ class _ReachSearch:
 
     def _around(self, end: Float[np.ndarray, "n"], tree: Tree) -> Iterator[tuple[str, Solved]]:
         """Yield the solve from a sampled path; the path itself where the solve fails and the path does not."""
-        body = replace(self.solver.body, sampled_clearance=tree.clearance)
-        with self.solver.monitor.step("sampling", 0.5):
-            corners = replace(self.solver, body=body).sample_corners(body.nominal, end, tree)
+        corners = self._sample(end, tree, replace(self.solver.body, sampled_clearance=tree.clearance))
         if corners is None:
             return
-        waypoints = max(self._count_waypoints(end), 2 * len(corners))
+        waypoints = self._count_along(corners, end)
         solved = self._solve_sampled(resample_path(corners, waypoints))
         if not solved.is_feasible and self.n_waypoints is None:
             # The hull of a long step may contain what the step itself goes around.
@@ -345,6 +363,20 @@ class _ReachSearch:
             solved = self._tighten(solved, tree)
         yield f"path of {tree.planner}, tree {tree.seed + 1}", solved
 
+    def _sample(self, end: Float[np.ndarray, "n"], tree: Tree, body: WholeBody) -> Float[np.ndarray, "K n"] | None:
+        """Return a sampled path from the start to an end; None where no tree finds one.
+
+        On planted feet base and legs go straight along the feet while the limbs that lead to the goal's links are
+        drawn, or all of the robot is drawn, with ten times the effort.
+        """
+        solver = replace(self.solver, body=body)
+        with solver.monitor.step("sampling", 0.5):
+            if tree.keeps_holds or not body.robot.is_floating:
+                return solver.sample_corners(body.nominal, end, tree)
+            if body.kept:
+                return None
+            return solver.sample_carried(body.nominal, end, tree, self._reaching)
+
     def _solve_narrow(self, corners: Float[np.ndarray, "K n"], tree: Tree) -> Solved:
         """Return the solve from a path with little clearance: with a small margin, and in steps like its checks."""
         body = self.solver.body
@@ -352,7 +384,8 @@ class _ReachSearch:
         narrow = replace(self, solver=replace(self.solver, body=replace(body, aims=aims)))
         length = float(np.abs(np.diff(corners, axis=0)).max(axis=1).sum())
         waypoints = int(np.ceil(length / tree.edge_step)) + len(corners)
-        return narrow._solve_sampled(resample_path(corners, min(waypoints, MOST_NARROW)))
+        most = DENSER * MOST_HELD if self._keeps_holds else MOST_NARROW
+        return narrow._solve_sampled(resample_path(corners, min(waypoints, most)))
 
     def _solve_sampled(self, path: Float[np.ndarray, "T n"]) -> Solved:
         """Return the solve from a sampled path; the path itself where the solve fails and the path does not."""
@@ -369,7 +402,7 @@ class _ReachSearch:
             if before <= LONG * np.linalg.norm(solved.x[-1] - solved.x[0]):
                 break
             with self.solver.monitor.step("sampling", 0.5):
-                corners = self.solver.shorten_path(solved.x, tree.seed + attempt)
+                corners = self.solver.shorten_path(solved.x, tree.seed + attempt, keeps_holds=self._keeps_holds)
             if measure_length(corners) > SHORTER * before:
                 break
             shorter = self._solve(resample_path(corners, len(solved.x)), **SAMPLED)
@@ -570,7 +603,8 @@ def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
     body = goal.body
     q, reserved = [body.nominal], body.bounds(1, {})
     for share in np.linspace(0.0, 1.0, n_waypoints)[1:]:
-        q.append(_project_within_limits(body, q[-1], (*body.holds(), *make_line_holds(goal, share)), *reserved))
+        holds = (*body.holds(), *make_line_holds(goal, share))
+        q.append(project_within_limits(body.engine, q[-1][None], holds, *reserved)[0])
     return np.stack(q)
 
 
@@ -596,23 +630,3 @@ def _make_link_holds(
         return position, lambda waypoints: FramePose(robot, pose.link, waypoints, target, ROTATION)
     axis = np.eye(3)[AXES[pose.free_axis]]
     return position, lambda waypoints: AxisDirection(robot, pose.link, waypoints, axis, target[:3, :3] @ axis)
-
-
-def _project_within_limits(
-    body: WholeBody,
-    q: Float[np.ndarray, "n"],
-    holds: Sequence[Hold],
-    lower: Float[np.ndarray, "1 n"],
-    upper: Float[np.ndarray, "1 n"],
-) -> Float[np.ndarray, "n"]:
-    """Return a configuration nearer to the holds after a few steps; joints that reach their limit stay there."""
-    row, at_limit = q[None], np.zeros(len(q), dtype=bool)
-    for _ in range(STEPS):
-        value, jacobian = linearize_holds(body.engine, row, holds)
-        if np.abs(value).max() < CLOSE:
-            break
-        step = least_norm_step(np.where(at_limit, 0.0, jacobian), value)
-        moved = row - np.clip(step, -LARGEST_STEP, LARGEST_STEP)
-        row = np.clip(moved, lower, upper)
-        at_limit |= (row != moved)[0]
-    return np.asarray(row[0])

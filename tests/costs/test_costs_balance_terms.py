@@ -38,6 +38,15 @@ def test_centre_of_mass_offset_by_hand():
     )
 
 
+def test_every_waypoint_may_have_a_place_of_its_own(robot):
+    x = random_configurations(robot, np.random.default_rng(4), 4)
+    places = np.array([[0.1, -0.2], [0.0, 0.3]])
+    term, state = CentreOfMassAt(places, [3, 1]), contact_free_state(robot)
+    assert check_jacobian(term, state, x).shape[0] == 4
+    alone = [CentreOfMassAt(place, [row]).value(state(x)) for place, row in zip(places, (3, 1), strict=True)]
+    np.testing.assert_array_equal(term.value(state(x)), np.concatenate(alone))
+
+
 def test_cart_table_jacobian(robot):
     rng = np.random.default_rng(2)
     x = random_configurations(robot, rng, 1) + 0.05 * rng.normal(size=(4, robot.n))

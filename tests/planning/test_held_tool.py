@@ -17,7 +17,7 @@ from service.demands.phase_spec import PhaseSpec
 from service.planner import _make_solver
 from service.request.file import parse_request
 from service.setup.prepare import prepare
-from service.tasks.held_tool import bring_tool, follow_tool
+from service.tasks.held_tool import bring_tool, follow_in_balance, follow_tool
 from service.tasks.phase_compiler import PhaseCompiler
 from service.tasks.sequence import PhaseSequence, add_mechanism
 
@@ -115,6 +115,41 @@ def test_a_path_follows_the_mechanism(held: tuple[PhaseCompiler, PhaseSpec], is_
     for q in path:
         assert max(_measure_off(compiler, spec, q)) < 1.5e-3
     assert np.abs(np.diff(path, axis=0)).max() < 0.5
+
+
+def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+    compiler, spec = held
+    body, count = compiler.solver.body, spec.n_waypoints
+    assert spec.hand is not None
+    values = spec.values(count)
+    guess = np.concatenate([body.nominal[: compiler.columns[0]], values[0]])
+    (at,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    start = np.tile(at, (count, 1))
+    start[:, compiler.columns] = values
+    path = follow_tool(body, spec.hand, start, _list_prescribed(compiler))
+    assert path is not None
+    middle = body.engine.place(path).com[:, :2].mean(axis=0)
+    # the region of the loads, moved so far that the whole path leans out of it by a few centimetres
+    (region, *_) = compiler.find_regions(spec, values)
+    vertices = region.region.vertices
+    edge = vertices[:, 0].max() - middle[0] - 0.02
+    moved = replace(region.region, vertices=vertices - np.array([edge, 0.0]))
+    regions = (replace(region, first=0, last=count - 1, region=moved),)
+    is_fixed = np.arange(count) == 0
+    before = moved.polygon.margin(body.engine.place(path).com[:, :2])
+    inside = follow_in_balance(body, spec.hand, path, regions, is_fixed)
+    after = moved.polygon.margin(body.engine.place(inside).com[:, :2])
+    assert before[1:].min() < body.aims.balance_margin + region.shift_m - 0.01
+    assert after[1:].min() > body.aims.balance_margin + region.shift_m
+    np.testing.assert_array_equal(inside[0], path[0])
+    np.testing.assert_array_equal(inside[:, compiler.columns], values)
+    assert (inside[1:] >= body.robot.lower).all()
+    assert (inside[1:] <= body.robot.upper).all()
+    for q in inside:
+        assert max(_measure_off(compiler, spec, q)) < 1.5e-3
+    for foot in body.planted:
+        poses = [locate_links(body.engine, q, [foot.link])[foot.link] for q in (path[-1], inside[-1])]
+        np.testing.assert_allclose(poses[0], poses[1], atol=1e-3)
 
 
 def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, PhaseSpec]) -> None:

@@ -6,12 +6,14 @@ from tiny_robots import atlas, contact_free_state, random_configurations
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.terms import FramePose
 from service.body.holds import (
+    CLOSE,
     PROJECTION_TOLERANCE,
     largest_hold_error,
     least_norm_step,
     linearize_holds,
     make_kept_poses,
     project_onto_holds,
+    project_within_limits,
 )
 from service.request.schema import KeepRequest
 
@@ -57,3 +59,20 @@ def test_without_holds_nothing_moves():
     q = random_configurations(robot, np.random.default_rng(4), 2)
     np.testing.assert_array_equal(project_onto_holds(engine, q, ()), q)
     np.testing.assert_array_equal(largest_hold_error(engine, q, ()), np.zeros(2))
+
+
+def test_coordinates_stay_at_the_limit_that_they_reach():
+    robot, engine, ready, holds = standing_with_both_hands()
+    q = ready + 0.05 * random_configurations(robot, np.random.default_rng(3), 4)
+    free = project_onto_holds(engine, q, holds)
+    # a limit between each configuration and its nearest one on the holds, for the joint that moves farthest
+    moves = np.abs(free - q).max(axis=0)
+    moves[:6] = 0.0
+    joint = int(moves.argmax())
+    low, high = robot.lower.copy(), robot.upper.copy()
+    low[joint], high[joint] = q[:, joint].min(), q[:, joint].max()
+    assert ((free[:, joint] < low[joint]) | (free[:, joint] > high[joint])).any()
+    inside = project_within_limits(engine, np.clip(q, low, high), holds, low[None], high[None])
+    assert (inside >= low).all()
+    assert (inside <= high).all()
+    assert largest_hold_error(engine, inside, holds).max() < CLOSE

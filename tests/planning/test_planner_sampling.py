@@ -7,9 +7,10 @@ from itertools import pairwise
 import numpy as np
 from planar_arm import write_planar_arm
 
+from costs.kinematics import locate_links
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
-from service.body.sampling import SamplingProblem, Tree, free_coordinates, resample_path, sample_path
+from service.body.sampling import HeldProblem, SamplingProblem, Tree, free_coordinates, resample_path, sample_path
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
@@ -75,6 +76,63 @@ def test_legs_and_base_of_a_standing_robot_are_not_free():
     assert not any(name.startswith("base_") or "_leg_" in name for name in free)
     assert "back_bkz" in free
     assert "l_arm_shz" in free
+
+
+def standing_behind_a_post() -> tuple[WholeBody, np.ndarray]:
+    """Atlas on both feet, and a configuration on them with another base and its left arm behind a post."""
+    robot = load_robot("atlas")
+    start = robot.postures["reach_ready"]
+    post = ConvexPiece("post", CORNERS * [0.08, 0.08, 2.0] + [0.55, 0.42, 1.0])
+    body = WholeBody.standing(robot, Scene((post,)), start, robot.link_groups["feet"], Aims())
+    end = start.copy()
+    end[[1, 2]] += [0.01, -0.03]
+    end[robot.joint_names.index("l_arm_shz")] += 0.9
+    return body, body.project_onto_holds(np.stack([start, end]))[1]
+
+
+def measure_feet(body: WholeBody, q: np.ndarray) -> float:
+    """Return how far the corners of the soles are from where they were planted [m]."""
+    poses = locate_links(body.engine, q, [foot.link for foot in body.planted])
+    return max(
+        float(np.abs(foot.sole @ poses[foot.link][:3, :3].T + poses[foot.link][:3, 3] - foot.points).max())
+        for foot in body.planted
+    )
+
+
+def test_standing_legs_follow_a_base_that_is_drawn():
+    body, end = standing_behind_a_post()
+    problem = HeldProblem.between(body, body.make_pose_checker([body.nominal, end]), body.nominal, end)
+    first, last = problem.ends
+    low, high = problem.limit_draws(0.8)
+    draws = np.random.default_rng(0).uniform(low, high, (30, len(low)))
+    placed = problem.place(np.stack([first, last, *draws]))
+    np.testing.assert_allclose(placed[:2], [body.nominal, end], atol=1e-4)
+    off = np.array([measure_feet(body, q) for q in placed])
+    assert (off[2:] < 1e-3).any()
+    assert (off[2:] > 5e-3).any()
+    for pose, far in zip(draws, off[2:], strict=True):
+        if far > 5e-3:  # the legs do not reach so far
+            assert not problem.is_clear(pose[None])
+    # what leads is where it was drawn, base and arms
+    np.testing.assert_allclose(placed[2:, problem.free], draws / problem._scale, rtol=0.0, atol=1e-9)
+
+
+def test_a_standing_robot_is_led_around_a_post_on_its_feet():
+    body, end = standing_behind_a_post()
+    problem = HeldProblem.between(body, body.make_pose_checker([body.nominal, end]), body.nominal, end)
+    first, last = problem.ends
+    assert not problem.is_clear(problem.interpolate_edge(first, last))
+    path = sample_path(problem, Tree(seed=0, most_checks=2000, beyond=0.8, edge_step=0.05))
+    assert path is not None
+    np.testing.assert_array_equal(path[[0, -1]], [body.nominal, end])
+    assert max(measure_feet(body, q) for q in path) < 2e-3
+    polygon = body.polygon
+    assert polygon is not None
+    assert polygon.margin(body.engine.place(path).com[:, :2]).min() > body.aims.balance_margin
+    checker = body.make_checker()
+    assert min(checker(body.engine(q[None])).distance.min(initial=1.0) for q in path) > 0.0
+    shorter = problem.shorten(path, np.random.default_rng(1))
+    assert max(measure_feet(body, q) for q in shorter) < 2e-3
 
 
 def motion_bench_maker(folder):

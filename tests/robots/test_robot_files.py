@@ -7,6 +7,7 @@ from pathlib import Path
 import coal
 import numpy as np
 import pytest
+import trimesh
 from robot_files import CUBE_OBJ, joint, link, robot, two_links, write_urdf
 
 from costs.kinematics import KinematicsEngine, locate_frame, locate_links
@@ -183,6 +184,50 @@ def test_collada_is_read_as_another_reader_does(tmp_path: Path) -> None:
 def test_hostile_collada_is_refused_in_one_line(tmp_path: Path, nodes: str, library: str, message: str) -> None:
     path = tmp_path / "m.dae"
     path.write_text(_collada(nodes, library=library))
+    with pytest.raises(RobotError, match=message) as refusal:
+        read_vertices(path, "link 'a'")
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("kind", ["glb", "gltf"])
+def test_gltf_is_turned_so_that_z_is_up(tmp_path: Path, kind: str) -> None:
+    scene = trimesh.Scene()
+    for place in ([1.0, 2.0, 3.0], [0.0, 0.0, -1.0]):
+        scene.add_geometry(
+            trimesh.creation.box((0.2, 0.4, 0.6)), transform=trimesh.transformations.translation_matrix(place)
+        )
+    path = tmp_path / f"m.{kind}"
+    if kind == "glb":
+        path.write_bytes(scene.export(file_type="glb"))
+    else:
+        path.write_bytes(next(iter(trimesh.exchange.gltf.export_gltf(scene, embed_buffers=True).values())))
+    mesh = read_mesh(path, "link")
+    assert len(mesh.faces) == 24
+    # y of the file is up: boxes of 0.2 x 0.6 x 0.4 m at (1, -3, 2) and (0, 1, 0)
+    np.testing.assert_allclose(mesh.vertices.min(axis=0), [-0.1, -3.3, -0.2], atol=1e-6)
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), [1.1, 1.3, 2.2], atol=1e-6)
+    np.testing.assert_array_equal(read_vertices(path, "link"), mesh.vertices)
+    urdf = write_urdf(tmp_path, two_links(geometry=f'<mesh filename="m.{kind}"/>'))
+    heights = [float(np.ptp(body.vertices[:, 2])) for body in load_robot(urdf=urdf).bodies]
+    assert max(heights) == pytest.approx(2.4, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"glTF", "without its description"),
+        (b"{", "neither binary nor text glTF"),
+        (b"[]", "no JSON object"),
+        (b'{"buffers": [{"uri": "../../etc/passwd", "byteLength": 4}]}', "is another file; export it as .glb"),
+        (b'{"accessors": [{"count": 4000000000}]}', "more than 1000000 vertices"),
+        (b'{"nodes": [{"children": [1]}, {"children": [1]}]}', "no tree"),
+        (b'{"extensionsRequired": ["KHR_draco_mesh_compression"]}', "needs the extensions KHR_draco"),
+        (b'{"asset": {"version": "2.0"}}', "glTF|no mesh"),
+    ],
+)
+def test_hostile_gltf_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "m.gltf"
+    path.write_bytes(content)
     with pytest.raises(RobotError, match=message) as refusal:
         read_vertices(path, "link 'a'")
     assert "\n" not in str(refusal.value)

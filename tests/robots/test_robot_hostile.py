@@ -200,7 +200,7 @@ def _stl(count: int, claimed: int) -> bytes:
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("m.ply", b"ply", "format '.ply' is not read; convert it to .obj, .stl or .dae"),
+        ("m.ply", b"ply", "format '.ply' is not read; convert it to .obj, .stl, .dae or .glb"),
         ("m.dae", b"<COLLADA/>", "no mesh in its scene"),
         ("m.dae", b'<!DOCTYPE x [<!ENTITY a "b">]><COLLADA/>', "DOCTYPE is refused"),
         ("m.stl", _stl(4, 2_000_000_000), "neither text STL nor a binary one of the length its header claims"),

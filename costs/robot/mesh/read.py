@@ -1,4 +1,4 @@
-"""Reading of untrusted mesh files: OBJ, STL and Collada, of limited size."""
+"""Reading of untrusted mesh files: OBJ, STL, Collada and glTF, of limited size."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from jaxtyping import Float, Int
 
 from costs.robot.errors import RobotError
 from costs.robot.mesh.collada import read_collada
+from costs.robot.mesh.gltf import read_gltf
 
 MAX_MESH_BYTES = 32 * 1024 * 1024
 MAX_MESH_VERTICES = 1_000_000
-_FORMATS = (".obj", ".stl", ".dae")
+_FORMATS = (".obj", ".stl", ".dae", ".glb", ".gltf")
 _STL_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -38,7 +39,7 @@ def read_bytes(path: Path, where: str) -> bytes:
     """
     if path.suffix.lower() not in _FORMATS:
         raise RobotError(
-            f"{where}: mesh '{path.name}': format '{path.suffix}' is not read; convert it to .obj, .stl or .dae"
+            f"{where}: mesh '{path.name}': format '{path.suffix}' is not read; convert it to .obj, .stl, .dae or .glb"
         )
     size = path.stat().st_size
     if size > MAX_MESH_BYTES:
@@ -47,7 +48,7 @@ def read_bytes(path: Path, where: str) -> bytes:
 
 
 def read_vertices(path: Path, where: str, data: bytes | None = None) -> Float[np.ndarray, "V 3"]:
-    """Read the vertices of an OBJ, STL or Collada (.dae) file, in the file's units; Collada's in metres.
+    """Read the vertices of an OBJ, STL, Collada or glTF file, in the file's units; Collada's and glTF's in metres.
 
     Args:
         path: of the file.
@@ -57,7 +58,13 @@ def read_vertices(path: Path, where: str, data: bytes | None = None) -> Float[np
     Raises:
         RobotError: for another format, a file that is too large, states a wrong size or holds NaN.
     """
-    readers = {".obj": _read_obj_vertices, ".stl": _read_stl_vertices, ".dae": _read_dae_vertices}
+    readers = {
+        ".obj": _read_obj_vertices,
+        ".stl": _read_stl_vertices,
+        ".dae": _read_dae_vertices,
+        ".glb": _read_gltf_vertices,
+        ".gltf": _read_gltf_vertices,
+    }
     vertices = readers[path.suffix.lower()](
         read_bytes(path, where) if data is None else data, f"{where}: mesh '{path.name}'"
     )
@@ -66,14 +73,15 @@ def read_vertices(path: Path, where: str, data: bytes | None = None) -> Float[np
 
 
 def read_mesh(path: Path, where: str) -> Mesh:
-    """Read the triangles of an OBJ, STL or Collada (.dae) file, in the file's units; Collada's in metres.
+    """Read the triangles of an OBJ, STL, Collada or glTF file, in the file's units; Collada's and glTF's in metres.
 
     Raises:
         RobotError: as ``read_vertices``, and for faces that name vertices that are not there.
     """
     inside = f"{where}: mesh '{path.name}'"
     data = read_bytes(path, where)
-    mesh = {".obj": _read_obj, ".stl": _read_stl, ".dae": _read_dae}[path.suffix.lower()](data, inside)
+    readers = {".obj": _read_obj, ".stl": _read_stl, ".dae": _read_dae, ".glb": _read_gltf, ".gltf": _read_gltf}
+    mesh = readers[path.suffix.lower()](data, inside)
     _check(mesh.vertices, inside)
     if len(mesh.faces) and not 0 <= int(mesh.faces.min()) <= int(mesh.faces.max()) < len(mesh.vertices):
         raise RobotError(f"{inside} has a face whose corner is no vertex; repair it")
@@ -94,6 +102,14 @@ def _read_dae(data: bytes, where: str) -> Mesh:
 def _read_dae_vertices(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
     vertices, _ = read_collada(data, where, MAX_MESH_VERTICES, MAX_MESH_BYTES)
     return vertices
+
+
+def _read_gltf(data: bytes, where: str) -> Mesh:
+    return Mesh(*read_gltf(data, where, MAX_MESH_VERTICES))
+
+
+def _read_gltf_vertices(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
+    return _read_gltf(data, where).vertices
 
 
 def _read_obj_vertices(data: bytes, where: str) -> Float[np.ndarray, "V 3"]:
