@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, count, islice
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation, Slerp
 
-from costs.kinematics import locate_frame, locate_links
+from costs.kinematics import locate_frame
 from costs.scene import ConvexPiece, Scene
-from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose, WithinTolerance
-from scopt import Constraint
-from service.body.holds import POSITION, ROTATION, Hold, find_prescribed, project_within_limits
-from service.body.inverse_kinematics import REACHED, draw_configurations, solve_holds
 from service.body.phases import (
     PhaseSolver,
     path_via,
@@ -29,11 +23,11 @@ from service.body.phases import (
 from service.body.sampling import Tree, measure_length, resample_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
-from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
 from service.explain.goal import find_goal_reasons
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.schema import GoalRequest
 from service.start.standing import FLOOR_KIND
-from service.verify import Target
+from service.tasks.goal import Goal, lead_path
+from service.tasks.goal_poses import bring_to_goal, find_random_ends, is_new_end, solve_at_goal
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most, between waypoints [rad, m]
@@ -45,7 +39,6 @@ QUICK: dict[str, float] = {
     "acceptable_steps": 2,
     "min_improvement_feasible": 0.1,
 }
-POSE: dict[str, float] = {"patience": 12, "min_improvement_feasible": 0.3}
 SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is free of collisions already
 RANDOM: dict[str, float] = {"max_iterations": 40}  # among the last attempts
 LEAD: dict[str, float] = {"max_iterations": 40, "patience": 10}  # after the straight line has failed
@@ -82,12 +75,7 @@ LARGE_TREES = (
 RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
 RANDOM_GUESSES = 8  # about half of them lead to a pose
 FIRST_DRAWS, FIRST_ENDS = 2, 3  # of random ends where no posture leads to the goal
-IK_DRAWS = 16  # batches of random configurations after which a goal counts as out of reach
-BATCH = 48  # random configurations that are led to the goal at once
-OVERLAPPING_TRIED = 6  # of those in collision, by batch
 ENDS_PER_ROUND = 3
-BRING_STEPS = 12  # of the nominal posture to the goal
-BROUGHT = 1e-3  # largest residual of a posture that was brought to the goal [m, rad]
 MOST_CHECKS = 40_000  # of one tree: some seconds
 SHRINK = (0.8, 0.6, 0.4)  # sizes of shrunken obstacles
 EXPLAIN_RESERVE_S, EXPLAIN_SHARE = 10.0, 0.2
@@ -97,8 +85,6 @@ LONG = 1.15  # length of a path, relative to the straight line, from which short
 SHORTER = 0.97  # of the length before, from which another solve is worth it
 TIGHT = 4.5e-3  # clearance of a start or a goal below which a straight phase leads off it [m]
 RETREAT = 12e-3  # clearance at the end of that phase [m]
-SAME_END = 0.05  # largest difference of equal ends [rad, m]
-AIM = 0.5  # share of a pose's tolerance for the optimiser, the rest is for the curve and the certificate
 
 
 def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | None) -> Iterator[TaskPlan]:
@@ -313,10 +299,10 @@ class _ReachSearch:
         ends: list[np.ndarray] = []
         best: Solved | None = None
         for guess in chain(bring_to_goal(body, goal), (posture for _, posture in posture_guesses(body))):
-            solved = _solve_at_goal(self.solver, goal, guess)
+            solved = solve_at_goal(self.solver, goal, guess)
             if not solved.is_feasible:
                 best = solved if best is None or solved.shortfall < best.shortfall else best
-            elif _is_new(solved.x[0], ends):
+            elif is_new_end(solved.x[0], ends):
                 ends.append(solved.x[0])
                 yield solved.x[0], None
         if not ends:
@@ -333,7 +319,7 @@ class _ReachSearch:
         if self.goal.is_complete:
             return
         for guess in random_guesses(body, RANDOM_GUESSES, self.solver.seed):
-            solved = _solve_at_goal(self.solver, self.goal, guess)
+            solved = solve_at_goal(self.solver, self.goal, guess)
             if solved.is_feasible:
                 end = solved.x[0]
                 line = straight_path(body.nominal, end, self._count_waypoints(end))
@@ -421,86 +407,6 @@ class _ReachSearch:
             )
 
 
-def find_goal_configurations(solver: PhaseSolver, goal: Goal) -> Iterator[Float[np.ndarray, "n"]]:
-    """Yield different feasible configurations at a goal, those from the robot's postures first.
-
-    Raises:
-        Interrupted: the time is up, or the plan was cancelled.
-    """
-    ends: list[np.ndarray] = []
-    for _, guess in posture_guesses(solver.body):
-        solved = _solve_at_goal(solver, goal, guess)
-        if solved.is_feasible and _is_new(solved.x[0], ends):
-            ends.append(solved.x[0])
-            yield solved.x[0]
-    yield from find_random_ends(solver, goal, ends, IK_DRAWS)
-
-
-def find_random_ends(
-    solver: PhaseSolver, goal: Goal, ends: list[Float[np.ndarray, "n"]], draws: int, seed: int = 0
-) -> Iterator[Float[np.ndarray, "n"]]:
-    """Yield feasible configurations at a goal other than ``ends``, to which they are appended.
-
-    Random configurations are led to the goal by damped least squares, all at once; those that arrive go through the
-    optimiser, clear ones first, then the nearest to the nominal posture.
-
-    Args:
-        draws: number of batches.
-        seed: of the draws, beside the solver's.
-    """
-    body = solver.body
-    fixed = find_prescribed(body.robot)
-    fixed[list(goal.joints)] = True
-    holds = (*body.holds(), *make_line_holds(goal, 1.0))
-    rng = np.random.default_rng([solver.seed, seed])
-    checker = body.make_pose_checker([])
-    for _ in range(draws):
-        with solver.monitor.step("goal pose", 0.1):
-            guesses = np.stack([goal.apply_joints(q) for q in draw_configurations(body, BATCH, rng)])
-            error = np.zeros(BATCH)
-            if holds:
-                guesses, error = solve_holds(body, guesses, holds, fixed)
-            arrived = guesses[error < REACHED]
-            is_clear = np.array([checker.are_clear(body.engine.place(q[None])) for q in arrived], dtype=bool)
-        far = np.abs(arrived - body.nominal).max(axis=1, initial=0.0)
-        order = np.lexsort((far, ~is_clear))
-        n_tried = 0
-        for row in order.tolist():
-            if not _is_new(arrived[row], ends) or (not is_clear[row] and n_tried >= OVERLAPPING_TRIED):
-                continue
-            n_tried += not is_clear[row]
-            solved = _solve_at_goal(solver, goal, arrived[row])
-            if solved.is_feasible and _is_new(solved.x[0], ends):
-                ends.append(solved.x[0])
-                yield solved.x[0]
-
-
-def bring_to_goal(body: WholeBody, goal: Goal) -> Iterator[Float[np.ndarray, "n"]]:
-    """Yield the nominal posture with the goal's links at their goals and the robot balanced, if that is reached.
-
-    Obstacles are left to the optimiser, which then needs half of the steps.
-    """
-    fixed = find_prescribed(body.robot)
-    fixed[list(goal.joints)] = True
-    holds = (*body.holds(), *make_line_holds(goal, 1.0), *body.hold_in_balance())
-    if not holds:
-        return
-    guess, error = solve_holds(body, goal.apply_joints(body.nominal)[None], holds, fixed, BRING_STEPS)
-    if error[0] < BROUGHT:
-        yield guess[0]
-
-
-def _solve_at_goal(solver: PhaseSolver, goal: Goal, guess: Float[np.ndarray, "n"]) -> Solved:
-    """Solve for a configuration at a goal from a guess."""
-    brief = solver.with_settings(**POSE)
-    with solver.monitor.step("goal pose", 0.1):
-        return brief.solve_pose("goal pose", [goal.apply_joints(guess)], goal.constraints(0), fixed=goal.joints)
-
-
-def _is_new(q: Float[np.ndarray, "n"], ends: Sequence[Float[np.ndarray, "n"]]) -> bool:
-    return all(np.abs(q - other).max() > SAME_END for other in ends)
-
-
 def shrink_scene(scene: Scene, share: float) -> Scene:
     """Return a scene whose pieces, floors aside, are smaller about their centres."""
 
@@ -516,117 +422,3 @@ def shrink_scene(scene: Scene, share: float) -> Scene:
 def _solve_again(solver: PhaseSolver, q: Float[np.ndarray, "T n"]) -> Solved:
     """Solve a denser trajectory between the same ends."""
     return solver.solve_trajectory("reach", [q], {0: q[0], len(q) - 1: q[-1]})
-
-
-@dataclass(frozen=True)
-class Goal:
-    """The goal of a reach.
-
-    Attributes:
-        body: the robot in its scene.
-        request: the goal's section of the request.
-        joints: value by coordinate index.
-    """
-
-    body: WholeBody
-    request: GoalRequest
-    joints: Mapping[int, float]
-
-    @staticmethod
-    def of(body: WholeBody, request: GoalRequest) -> Goal:
-        """Return a request's goal; a posture's base stays free, since the feet are planted."""
-        return Goal(body, request, find_goal_joints(body.robot, request))
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether it fixes every coordinate."""
-        return len(self.joints) == self.body.robot.n
-
-    def apply_joints(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return a configuration with the goal's joint positions."""
-        out = q.copy()
-        out[list(self.joints)] = list(self.joints.values())
-        return out
-
-    def constraints(self, waypoint: int) -> list[Constraint[MotionState]]:
-        """Return the constraints of the goal's poses at a waypoint."""
-        return [
-            constraint for pose in self.request.poses for constraint in _pose_constraints(self.body, pose, waypoint)
-        ]
-
-    def fix_joints(self, lower: np.ndarray, upper: np.ndarray) -> None:
-        """Fix the goal's joints at the last waypoint, in place."""
-        for index, value in self.joints.items():
-            lower[-1, index] = upper[-1, index] = value
-
-    def targets(self, s_last: float) -> tuple[Target, ...]:
-        """Return the verifier's targets of the reach's end."""
-        return make_goal_targets(self.body.robot, self.request, s_last)
-
-
-def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
-    """Return constraints of a link's position and orientation; of the latter perhaps only one axis."""
-    rotation = make_goal_rotation(pose)
-    target = np.eye(4)
-    target[:3, 3] = pose.position
-    if rotation is not None:
-        target[:3, :3] = rotation
-    robot, at = body.robot, [waypoint]
-    position = FramePose(robot, pose.link, at, target, POSITION)
-    constraints = [_keep_within(f"position of {pose.link}", position, pose.position_tolerance_m, "m")]
-    tolerance = np.deg2rad(pose.rotation_tolerance_deg)
-    if rotation is not None and pose.free_axis == "none":
-        orientation = FramePose(robot, pose.link, at, target, ROTATION)
-        constraints.append(_keep_within(f"orientation of {pose.link}", orientation, tolerance, "rad"))
-    elif rotation is not None:
-        axis = np.eye(3)[AXES[pose.free_axis]]
-        direction = AxisDirection(robot, pose.link, at, axis, rotation @ axis)
-        constraints.append(_keep_within(f"axis of {pose.link}", direction, tolerance, "rad"))
-    return constraints
-
-
-def _keep_within(
-    name: str, residual: FramePose | AxisDirection, tolerance: float, unit: str
-) -> Constraint[MotionState]:
-    reserve = max((1.0 - AIM) * tolerance, 1e-5)
-    return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve, unit=unit)
-
-
-def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
-    """Return waypoints that lead the goal's links along straight lines; None where no link has a goal.
-
-    Each is the nearest to the one before that keeps the holds, so that arms do not change branch between them.
-    Obstacles are left to the optimiser.
-    """
-    if not goal.request.poses:
-        return None
-    body = goal.body
-    q, reserved = [body.nominal], body.bounds(1, {})
-    for share in np.linspace(0.0, 1.0, n_waypoints)[1:]:
-        holds = (*body.holds(), *make_line_holds(goal, share))
-        q.append(project_within_limits(body.engine, q[-1][None], holds, *reserved)[0])
-    return np.stack(q)
-
-
-def make_line_holds(goal: Goal, share: float) -> tuple[Hold, ...]:
-    """Return holds of the goal's links at a share of their straight lines."""
-    first = locate_links(goal.body.engine, goal.body.nominal, [pose.link for pose in goal.request.poses])
-    return tuple(
-        hold for pose in goal.request.poses for hold in _make_link_holds(goal.body, pose, first[pose.link], share)
-    )
-
-
-def _make_link_holds(
-    body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float
-) -> tuple[Hold, ...]:
-    """Return holds of a link's position, and of its orientation as far as its goal gives it."""
-    robot, rotation, target = body.robot, make_goal_rotation(pose), np.eye(4)
-    target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.position)
-    position: Hold = lambda waypoints: FramePose(robot, pose.link, waypoints, target, POSITION)  # noqa: E731
-    if rotation is None:
-        return (position,)
-    target[:3, :3] = Slerp([0.0, 1.0], Rotation.from_matrix([first[:3, :3], rotation]))(share).as_matrix()
-    if pose.free_axis == "none":
-        return position, lambda waypoints: FramePose(robot, pose.link, waypoints, target, ROTATION)
-    axis = np.eye(3)[AXES[pose.free_axis]]
-    return position, lambda waypoints: AxisDirection(robot, pose.link, waypoints, axis, target[:3, :3] @ axis)

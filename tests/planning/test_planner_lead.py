@@ -13,7 +13,7 @@ from service.body.holds import largest_hold_error, make_kept_poses
 from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, straight_path
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
-from service.tasks.reach import Goal, lead_path, make_line_holds
+from service.tasks.goal import Goal, lead_path, make_line_holds
 
 FEET = ("l_foot", "r_foot")
 
