@@ -49,8 +49,8 @@ UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
 BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
 RESERVE_M = 0.045  # balance margin that is enough for position servos, and a little for the curve between waypoints [m]
-ROOM_WEIGHT = 300.0  # of what is missing of the room, averaged over the waypoints [cost/m^2]
 RESERVE_WEIGHT = 2000.0  # of what is missing of it, averaged over the waypoints [cost/m^2]
+ROOM_WEIGHT = 300.0  # of what is missing of the room, averaged over the waypoints [cost/m^2]
 SAMPLING_CLEARANCE = 5e-3  # of a sampled start; the optimiser adds the rest of the margin [m]
 BASE_MOBILITY = 0.01  # of the base when a step is corrected: legs and arms move instead
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
@@ -406,7 +406,18 @@ class WholeBody:
         comfort = Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere))
         if not self.wants_reserve or len(everywhere) == 1:  # single poses would take half as long again
             return (comfort,)
-        return (comfort, Cost("balance for servos", Positive(inside), RESERVE_WEIGHT / len(everywhere)))
+        return (comfort, reserve_balance(inside, len(everywhere)))
+
+
+def reserve_balance(outside: Residual[MotionState], n_waypoints: int) -> Cost[MotionState]:
+    """Return the cost of a balance margin in which position servos have too little room to sag.
+
+    Args:
+        outside: distance of the centre of mass outside of what holds the robot, which is made smaller by the margin
+            that is enough, ``RESERVE_M`` [m].
+        n_waypoints: at which it is measured.
+    """
+    return Cost("balance for servos", Positive(outside), RESERVE_WEIGHT / n_waypoints)
 
 
 def keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:

@@ -243,15 +243,10 @@ class PhaseCompiler:
             unloaded = self._solve(light, starts, fixed, values, (), pinned)
             if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
                 return unloaded
-            is_fixed = np.isin(np.arange(count), list(fixed))
+            starts = [unloaded.x, *starts]
             if spec.hand is not None:
-                starts = [
-                    follow_in_balance(self.solver.body, spec.hand, unloaded.x, regions, is_fixed),
-                    unloaded.x,
-                    *starts,
-                ]
-            else:
-                starts = [unloaded.x, *starts]
+                is_fixed = np.isin(np.arange(count), list(fixed))
+                starts = [follow_in_balance(self.solver.body, spec.hand, unloaded.x, regions, is_fixed), *starts]
         solved = self._solve(light, starts, fixed, values, regions, pinned)
         if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
             return solved

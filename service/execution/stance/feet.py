@@ -29,6 +29,7 @@ from service.execution.stance.touchdown import (
 from service.verify import PlantedContact
 
 RELEASE_S = 0.1  # before the end of a phase, in which the margin is looked at [s]
+STANDING = (Stage.STIFF, Stage.SETTLED, Stage.BALANCING)  # of planted feet that may move up and down
 LEAST_RATE = 0.01  # of the plan's clock, for the time to the next touch
 
 
@@ -249,7 +250,7 @@ class Feet:
         more = 0.5 * (measured[left] - upright[left] - measured[right] + upright[right])
         speed = float(np.clip(self.load_gain * more, -settings.probe_speed, settings.probe_speed))
         for foot, own in ((left, speed), (right, -speed)):
-            if made[foot].stage in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
+            if made[foot].stage in STANDING:
                 own = -settings.probe_speed if measured[foot] < settings.touch_n else own
                 made[foot] = replace(made[foot], height=move_target(settings, made[foot].height, own, self.period_s))
         return made
@@ -270,7 +271,7 @@ class Feet:
         settings, made = self.settings, dict(states)
         for foot in {contact.link for contact in phase.contacts} & set(made):
             state, wanted = made[foot], float(sight.wanted.contact_wrenches[foot][2])
-            if state.stage not in (Stage.STIFF, Stage.SETTLED, Stage.BALANCING):
+            if state.stage not in STANDING:
                 continue
             speed = find_seek_speed(settings, float(sight.forces[foot][2]), wanted)
             if speed > 0.0 and state.height.offset[2] >= 0.0:

@@ -25,7 +25,7 @@ from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_eq
 from service.body.facing import FLAT_POINTS
 from service.body.loaded_regions import plan_contact_region
 from service.body.phases import straight_path
-from service.body.whole_body import RESERVE_M, Aims, WholeBody, keep_in_region
+from service.body.whole_body import RESERVE_M, Aims, WholeBody, keep_in_region, reserve_balance
 from service.request.egress import SideRequest, WeightsRequest
 from service.tasks.egress.aims import ContactAim
 
@@ -39,7 +39,6 @@ ROOM_M = 0.015  # beyond it, kept where it is worth it: surfaces are rarely wher
 THROUGH_M = 0.04  # how deep a straight way between two poses may lead through something
 RESERVE_SHARE = 0.2  # of the mean force of the points of feet that are alone: error that each of them should bear
 RESERVE_WEIGHT = 2000.0  # of what is missing of it [cost/weight^2]
-BALANCE_WEIGHT = 2000.0  # of what is missing of the balance margin that is enough for servos [cost/m^2]
 LARGEST_LIMB = 10  # joints of a group that is a limb, not the whole body
 WAY_WAYPOINTS = 8  # at which that is measured
 TRIES = 8  # starts of a solve that has to succeed: the given ones, then these moved at random
@@ -318,8 +317,7 @@ def _keep_balanced(robot: RobotModel, bearing: Sequence[ContactAim]) -> list[Cos
         region = plan_contact_region(robot, contacts)
     except StaticRegionError:
         return []
-    inside = keep_in_region(region, np.arange(1), RESERVE_M)
-    return [Cost("balance for servos", Positive(inside), BALANCE_WEIGHT)]
+    return [reserve_balance(keep_in_region(region, np.arange(1), RESERVE_M), 1)]
 
 
 def _keep_reserve(
