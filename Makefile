@@ -100,15 +100,15 @@ bench-service: $(READY)
 
 # BENCH_ARGS="--count 4" takes a quick look, BENCH_ARGS=--long adds random stances.
 bench-tasks: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks $(BENCH_ARGS)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.scanned $(SCAN_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.given $(BENCH_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.scanned $(SCAN_ARGS)
 
 bench-egress: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.egress $(BENCH_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.egress $(BENCH_ARGS)
 
 # BENCH_ARGS=--long simulates 200 plans and takes an hour, BENCH_ARGS="--feed-forward 0" is for pure position servos.
 bench-physics: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics $(BENCH_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics.plans $(BENCH_ARGS)
 
 attack: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack

@@ -1,7 +1,7 @@
 """Every benchmark, one after the other, each in a process of its own: `make bench`.
 
-One benchmark alone, from the checkout's root: ``python -m benchmarks.cycle``.  Doors and valves take half an hour and
-have a target of their own: ``make bench-tasks``.
+One benchmark alone, from the checkout's root: ``python -m benchmarks.planning.cycle``.  Doors and valves take half
+an hour and have a target of their own: ``make bench-tasks``.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
 NAMES = (
-    "cycle",
-    "static_region",
-    "scaling",
-    "arm",
-    "whole_body",
-    "two_hands",
-    "equilibrium_poses",
-    "ablations",
-    "planning",
-    "cloud_pieces",
-    "cloud_update",
-    "cloud_detections",
-    "timing",
-    "certificate",
-    "attack_certificate",
-    "executor",
+    "planning.cycle",
+    "tasks.static_region",
+    "planning.scaling",
+    "planning.arm",
+    "planning.whole_body",
+    "planning.two_hands",
+    "tasks.equilibrium_poses",
+    "planning.ablations",
+    "planning.whole_plans",
+    "clouds.pieces",
+    "clouds.update",
+    "clouds.detections",
+    "planning.timing",
+    "certificate.speed",
+    "certificate.random_problems",
+    "executor.overhead",
 )
 
 
@@ -36,7 +36,7 @@ def main() -> int:
     failed = []
     for name in NAMES:
         print(f"\n== {name} ==", flush=True)
-        # As a module from the root: the benchmarks import each other as ``benchmarks.<name>``.
+        # As a module from the root: the benchmarks import each other as ``benchmarks.<folder>.<name>``.
         if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], cwd=FOLDER.parent).returncode:
             failed.append(name)
     if failed:

@@ -86,16 +86,11 @@ def plan_command(
     earlier motion itself is certified for the displaced mechanism, with the arm displaced that holds it; --state may
     then be left out, for a robot that is where the plan begins the phase. Where that fails, the rest is planned again.
     """
-    is_rest = from_phase is not None
-    if is_rest != (state is not None) and not (compliant and is_rest):
-        raise typer.BadParameter("--from-phase and --state come together")
-    if (adjust or compliant) and not is_rest:
-        raise typer.BadParameter("--adjust and --compliant go with --from-phase")
-    name = f"{(request.parent if request.is_file() else request).name}-rest" if is_rest else request.stem
+    _check_rest_options(from_phase, state, adjust or [], is_compliant=compliant)
+    name = request.stem if from_phase is None else f"{(request.parent if request.is_file() else request).name}-rest"
     folder = out if out is not None else Path("out") / name
     paths = (robot, srdf, package_root, floating, scene, start)
-    is_given = any(value is not None for value in (*paths, time_limit))
-    if not trajopt and (is_given or untimed or no_torque):
+    if not trajopt and (untimed or no_torque or {*paths, time_limit} != {None}):
         raise typer.BadParameter(
             "--robot, --srdf, --package-root, --floating-base, --scene, --start, --time-limit, --untimed and "
             "--no-torque go with --trajopt; a request holds all of them"
@@ -138,6 +133,15 @@ def plan_command(
         lines = {} if written is None else {"viewer": written.viewer, "trajectory": written.trajectory}
         print_result(stdout, summary, lines)
     return str(result.verdict.value)
+
+
+def _check_rest_options(phase: str | None, state: Path | None, adjust: Sequence[str], *, is_compliant: bool) -> None:
+    """Raise BadParameter for options of the rest of a plan that do not go together."""
+    is_rest = phase is not None
+    if is_rest != (state is not None) and not (is_compliant and is_rest):
+        raise typer.BadParameter("--from-phase and --state come together")
+    if (adjust or is_compliant) and not is_rest:
+        raise typer.BadParameter("--adjust and --compliant go with --from-phase")
 
 
 def _see(request: PlanRequest, cloud: Path | None) -> PlanRequest:

@@ -266,7 +266,7 @@ main()
 def _interrupted(tmp_path: Path, times: int, *, is_silent: bool = False) -> tuple[int, dict[str, Any]]:
     """Return exit code and JSON of a plan that receives Ctrl-C that many times; silent work does not ask for it."""
     program = SLOW_PLANNER.format(
-        support=str(ROOT / "tests" / "support"),
+        support=str(ROOT / "tests" / "support" / "results"),
         silent_s=0.2 if is_silent else 600.0,  # until work that did not hear is interrupted
         waits=times > 1 or is_silent,
         request=str(REQUEST),

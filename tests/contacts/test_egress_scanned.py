@@ -11,7 +11,7 @@ from service.planner import plan
 from service.request.file import parse_request
 from service.result.result import Verdict
 
-REQUEST = Path(__file__).resolve().parents[2] / "benchmarks" / "requests" / "egress_scanned.yaml"
+REQUEST = Path(__file__).resolve().parents[2] / "benchmarks" / "tasks" / "requests" / "egress_scanned.yaml"
 SCAN = Path("scenes") / "car_ev"
 
 

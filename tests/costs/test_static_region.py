@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from benchmarks.stances import (
+from benchmarks.tasks.stances import (
     UP,
     foot,
     make_contacts,

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_robots import floating_joint, random_curve, random_model, robot_of
 
-from benchmarks.timing_reference import chain, fastest_duration, spline_through, timing_problems
+from benchmarks.planning.timing_reference import chain, fastest_duration, spline_through, timing_problems
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.scene import Scene

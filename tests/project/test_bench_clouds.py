@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.cloud_cases import scene_cases
-from benchmarks.cloud_errors import MEASURES, errors, matched, misses_target
-from benchmarks.cloud_pieces import Figures, Targets, Union, ray_samples, true_points
-from benchmarks.cloud_worker import made_of
+from benchmarks.clouds.cases import scene_cases
+from benchmarks.clouds.errors import MEASURES, errors, matched, misses_target
+from benchmarks.clouds.pieces import Figures, Targets, Union, ray_samples, true_points
+from benchmarks.clouds.worker import made_of
 from perception import Cloud, Detection, Reach
 from perception.simulate import Caster, Scanner, box, join_meshes, scan
 from perception.simulate.scenes import Truth, make_scene

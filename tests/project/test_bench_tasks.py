@@ -7,9 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from benchmarks.scanned import displace, make_request
-from benchmarks.scanned_cases import make_scanned_doors, make_scanned_valves
-from benchmarks.task_cases import N_DOORS, N_VALVES, make_doors, make_valves
+from benchmarks.tasks.given_cases import N_DOORS, N_VALVES, make_doors, make_valves
+from benchmarks.tasks.scanned import displace, make_request
+from benchmarks.tasks.scanned_cases import make_scanned_doors, make_scanned_valves
 from costs.robot import load_robot, with_mechanism
 from service.body.whole_body import Aims, WholeBody
 from service.request.file import parse_request

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.crowded_scenes import LEAST_TRAVEL, POSITION_TOLERANCE
-from benchmarks.two_handed_scenes import PALMS, two_handed_scenes
+from benchmarks.planning.crowded_scenes import LEAST_TRAVEL, POSITION_TOLERANCE
+from benchmarks.planning.two_handed_scenes import PALMS, two_handed_scenes
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from service.body.holds import relative_pose

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from benchmarks.crowded_scenes import BALANCE_MARGIN, IN_THE_WAY, LEAST_TRAVEL, POSITION_TOLERANCE, crowded_scenes
+from benchmarks.planning.crowded_scenes import (
+    BALANCE_MARGIN,
+    IN_THE_WAY,
+    LEAST_TRAVEL,
+    POSITION_TOLERANCE,
+    crowded_scenes,
+)
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from costs.support import SupportPolygon

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.timing_reference import chain, spline_through
+from benchmarks.planning.timing_reference import chain, spline_through
 from service.motion.execute import BESIDE_REST, SAME_TIME_S, SAMPLE_PERIOD_S, _sample_law
 from service.motion.timing import time_curve
 from service.verify.timeline import find_times

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from benchmarks.stances import UP, foot, make_contacts, random_load, random_stance
+from benchmarks.tasks.stances import UP, foot, make_contacts, random_load, random_stance
 from costs.contact import GRAVITY, WorldContacts
 from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.static_region import StaticRegionError, find_static_region

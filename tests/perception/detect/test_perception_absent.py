@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.cloud_others import make_other
+from benchmarks.clouds.others import make_other
 from perception import CONFIDENT, detect, make_view
 from perception.simulate.scenes import make_scene
 

@@ -1,11 +1,8 @@
 // The payload that service/viewer/payload.py wrote, decoded into typed arrays.
+import { Hull, Packed, PackedHull, Quantized, bytesOf, floats, hullOf, indices, points } from "./packed";
 import type { PackedPoseGraph } from "./pose-data";
 
-export interface Packed { dtype: string; shape: number[]; data: string }
-export interface Quantized extends Packed { lower: number[]; upper: number[] }
-export interface PackedHull { vertices: Packed; triangles: Packed; edges: Packed; bends: Packed }
 interface PackedNamedHull { name: string; kind: string; hull: PackedHull }
-export interface Hull { vertices: Float32Array; triangles: Uint16Array; edges: Uint16Array; bends: Uint8Array }
 export interface NamedHull { name: string; kind: string; hull: Hull }
 export interface Body { name: string; link: string; hull: Hull }
 // What a link looks like, in its frame.
@@ -79,28 +76,6 @@ export interface Result extends Omit<
   movables: Movable[]; phases: Phase[]; support: Support[]; com: Float32Array; clearance: Float32Array; cloud: Float32Array;
 }
 
-export function bytesOf(packed: Packed): ArrayBuffer {
-  const text = atob(packed.data);
-  const bytes = new Uint8Array(text.length);
-  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
-  return bytes.buffer;
-}
-
-const floats = (packed: Packed): Float32Array => new Float32Array(bytesOf(packed));
-const indices = (packed: Packed): Uint16Array => new Uint16Array(bytesOf(packed));
-
-export function points(packed: Quantized): Float32Array {
-  const grid = indices(packed);
-  return Float32Array.from(grid, (value, i) => {
-    const lower = packed.lower[i % 3];
-    return lower + (value / 65535) * (packed.upper[i % 3] - lower);
-  });
-}
-
-export const hullOf = (hull: PackedHull): Hull => ({
-  vertices: floats(hull.vertices), triangles: indices(hull.triangles), edges: indices(hull.edges),
-  bends: new Uint8Array(bytesOf(hull.bends)),
-});
 const namedHull = (piece: PackedNamedHull): NamedHull => ({ ...piece, hull: hullOf(piece.hull) });
 
 export function readPayload(): Result {

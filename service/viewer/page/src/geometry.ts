@@ -1,6 +1,6 @@
 // Shapes that the layers share: hulls, crisp edges, ribbons on the floor, tubes in space.
 import { BufferAttribute, BufferGeometry, CatmullRomCurve3, Float32BufferAttribute, TubeGeometry, Vector2, Vector3 } from "three";
-import { Hull } from "./data";
+import { Hull } from "./packed";
 import { timeColour } from "./theme";
 
 export function hullGeometry(hull: Hull): BufferGeometry {

@@ -1,7 +1,6 @@
 // The graph of poses that service/viewer/pose_graph.py wrote: phases, poses with their costs, the chosen path.
 import { Matrix4, Quaternion, Vector3 } from "three";
-import type { Packed, Quantized } from "./data";
-import { bytesOf, points } from "./data";
+import { Packed, Quantized, bytesOf, points } from "./packed";
 
 export interface SampledPhase {
   name: string; solved: number; feasible: number; duplicates: number; failures: [string, number][]; other_failures: number;

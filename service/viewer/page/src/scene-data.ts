@@ -1,5 +1,5 @@
 // The payload that service/scene_view/payload.py wrote, decoded into typed arrays.
-import { Hull, Packed, PackedHull, Quantized, bytesOf, hullOf, points } from "./data";
+import { Hull, Packed, PackedHull, Quantized, bytesOf, hullOf, points } from "./packed";
 
 export interface Facts { points: number; free_cells: number; free_share: number; open_share: number }
 // How a piece stands to those of the scan before; null where there was none.

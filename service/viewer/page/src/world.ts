@@ -4,12 +4,13 @@ import {
   LineBasicMaterial, LineSegments, Mesh, MeshStandardMaterial, NotEqualStencilFunc, PlaneGeometry, Points,
   ShaderMaterial, ShadowMaterial, Vector3,
 } from "three";
-import { Hull, Movable, NamedHull, Result, rowAt } from "./data";
+import { Movable, NamedHull, Result, rowAt } from "./data";
 import { words } from "./dom";
 import { edgeGeometry, hullGeometry } from "./geometry";
 import { Label } from "./labels";
 import { Layer } from "./layer";
 import { Motion } from "./motion";
+import { Hull } from "./packed";
 import { Colours } from "./theme";
 
 const FLOOR_FRAGMENT = `

@@ -1,0 +1,1 @@
+"""Measurements of the certificate: its time, and random problems that an independent judge checks."""

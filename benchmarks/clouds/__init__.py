@@ -1,0 +1,1 @@
+"""Measurements of perception: pieces and detections on recorded and simulated scans."""

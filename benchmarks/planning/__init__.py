@@ -1,0 +1,1 @@
+"""Measurements of planning motions: time, memory and how many problems are solved."""

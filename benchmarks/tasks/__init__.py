@@ -1,0 +1,1 @@
+"""Measurements of tasks: doors, valves, steps and getting out of a vehicle, drawn and from scans."""
