@@ -39,7 +39,7 @@ class Srdf:
     notes: tuple[str, ...] = ()
 
 
-ROOT_JOINT = "root_joint"
+ROOT_JOINT = "root_joint"  # Pinocchio's name of the base, which SRDFs without a virtual joint use
 EMPTY = Srdf({}, {}, {}, "", False, {})
 
 
@@ -54,7 +54,7 @@ def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
     reader = _GroupReader(tree, where, urdf, notes)
     names = list(reader.elements)
     virtual = tree.find("virtual_joint")
-    virtual_name = "" if virtual is None else read_attribute(virtual, "name", where)
+    virtual_name = ROOT_JOINT if virtual is None else read_attribute(virtual, "name", where)
     is_planar = virtual is not None and virtual.get("type") == "planar"
     return Srdf(
         groups={name: reader.find_joints(name, ()) for name in names},
@@ -157,8 +157,8 @@ def _read_states(
         values = states.setdefault(name, {})
         for item in element.findall("joint"):
             joint = read_attribute(item, "name", inside)
-            if joint == ROOT_JOINT != virtual:
-                continue  # the base, as others call it
+            if joint == ROOT_JOINT and (joint != virtual or len(item.get("value", "").split()) == 1):
+                continue  # the base, as others call it, of whatever joint they give it
             if joint != virtual and not _is_known("joint", joint, urdf.joints, notes):
                 continue
             count = n_virtual if joint == virtual else 1

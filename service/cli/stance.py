@@ -75,10 +75,8 @@ def stance_command(
         print_table(stdout, header, rows[:MOST_ROWS])
         for note in summary["notes"]:
             stdout.print(f"note: {note}", markup=False, soft_wrap=True)
-        if best is None and summary["candidates"]:
-            first = summary["candidates"][0]
-            reason = first["refused"][0] if first["refused"] else first["missing"]
-            stdout.print(f"no place to stand was found; for example: {reason}", markup=False, soft_wrap=True)
+        if best is None and (summary["candidates"] or not search.is_complete):  # else a note says why
+            stdout.print(_describe_failure(summary, time_limit), markup=False, soft_wrap=True)
         print_line(stdout, "picture", picture)
         print_line(stdout, "scores", data)
         if write is not None and best is not None:
@@ -86,6 +84,14 @@ def stance_command(
     if best is not None:
         return None
     return "NOT_FOUND" if search.is_complete else "TIME_LIMIT"
+
+
+def _describe_failure(summary: Mapping[str, Any], time_limit: float) -> str:
+    """Return why no place was found."""
+    if not summary["candidates"]:
+        return f"no place to stand was found: none could be examined within {time_limit:g} s; raise --time-limit"
+    first = summary["candidates"][0]
+    return f"no place to stand was found; for example: {first['refused'][0] if first['refused'] else first['missing']}"
 
 
 def _describe_reached(parts: Mapping[str, Any]) -> str:

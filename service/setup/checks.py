@@ -24,7 +24,14 @@ from service.start.overlaps import (
     find_hull_overlaps,
     find_overlaps_and_unresolved,
 )
-from service.start.standing import FEET_GROUP, FLOOR_KIND, find_ground_problems, find_standing_problems, sole_corners
+from service.start.standing import (
+    FEET_GROUP,
+    FLOOR_KIND,
+    find_ground_problems,
+    find_lowest_links,
+    find_standing_problems,
+    sole_corners,
+)
 from service.verify.ground import STANDING_DEPTH_M
 
 if TYPE_CHECKING:
@@ -93,16 +100,20 @@ def find_soles(
     elif not robot.is_floating and feet:
         raise RequestError("options.feet: this robot's base is fixed and plants no feet; leave it out")
     elif robot.is_floating:
-        feet = _check_feet(robot, feet)
+        feet = _check_feet(robot, start, feet)
     return {foot: sole_corners(robot, start, foot) for foot in feet or ()}
 
 
-def _check_feet(robot: RobotModel, requested: tuple[str, ...] | None) -> tuple[str, ...]:
+def _check_feet(robot: RobotModel, start: Float[np.ndarray, "n"], requested: tuple[str, ...] | None) -> tuple[str, ...]:
     if requested == ():
         raise RequestError("options.feet: lists no link; name the planted links, or leave it out for the robot's own")
     feet = list_planted_feet(robot, requested)
     if not feet:
-        raise RequestError(f"options.feet: {robot.name} names no links in its group 'feet'; list the planted links")
+        lowest = ", ".join(find_lowest_links(robot, start))
+        raise RequestError(
+            f"options.feet: {robot.name} names no links in its group 'feet'; list the planted links"
+            + (f" (lowest at the start: {lowest})" if lowest else "")
+        )
     with_shape = {body.link for body in robot.bodies}
     problems = _find_unknown_links(robot, feet, "options.feet") or [
         f"options.feet: link {foot!r} has no collision shape to stand on; {', '.join(sorted(with_shape))} have"

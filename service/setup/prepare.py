@@ -15,7 +15,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.holds import KeptPose, make_kept_poses
-from service.demands import compose_scene
+from service.demands import compose_scene, list_planted_feet
 from service.demands.contacts.contact_task import make_stances
 from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.contacts.stances import ContactStance
@@ -198,7 +198,8 @@ def resolve_start(
     """Return the start configuration, notes about it, and the request's TrajOpt problem, which may set the start."""
     document = None if request.task is None else request.task.trajopt
     if document is None:
-        return *make_start_configuration(robot, request.start), None
+        feet = list_planted_feet(robot, request.options.feet)
+        return *make_start_configuration(robot, request.start, feet), None
     from service.trajopt import make_program  # takes a while, and few requests need it
 
     program, notes = make_program(request, document, robot)

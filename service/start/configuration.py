@@ -13,6 +13,7 @@ from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel, read_joint_axis
 from service.errors import RequestError, would_do
 from service.request.contacts import PostureRequest
 from service.request.schema import StartRequest
+from service.start.standing import sole_corners
 
 SNAP_TOLERANCE = 1e-3  # rounding of joint positions reported by a robot [rad, m]
 STANDING_POSTURE = "stand"
@@ -21,8 +22,15 @@ LEAST_DEGREES = 5.0  # a smaller position beyond the limits is hardly in degrees
 MOST_TURNS = 8.0 * math.pi  # largest position of a joint without limits [rad]
 
 
-def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
-    """Return the start configuration, and notes about assumed and snapped joints.
+def make_start_configuration(
+    robot: RobotModel, start: StartRequest, feet: Sequence[str] = ()
+) -> tuple[Float[np.ndarray, "n"], tuple[str, ...]]:
+    """Return the start configuration, and notes about an assumed base, assumed and snapped joints.
+
+    Args:
+        robot: the robot.
+        start: the request's start.
+        feet: planted links; where neither the start nor its posture places a floating base, the lowest sole is at 0.
 
     Raises:
         RequestError: an unknown posture or joint, or a joint beyond its limits by more than 1e-3.
@@ -36,7 +44,20 @@ def make_start_configuration(robot: RobotModel, start: StartRequest) -> tuple[Fl
         q[robot.joint_names.index(name)] = position
     if start.base is not None:
         _place_base(robot, q, start)
-    return _snap_to_limits(robot, q, notes)
+    q, notes = _snap_to_limits(robot, q, notes)
+    if start.base is None and robot.is_floating and not q[: len(BASE_NAMES)].any():
+        notes += _stand_on_floor(robot, q, feet)
+    return q, notes
+
+
+def _stand_on_floor(robot: RobotModel, q: Float[np.ndarray, "n"], feet: Sequence[str]) -> tuple[str, ...]:
+    """Write the height of the base into a configuration at which the lowest sole is at 0; return a note about it."""
+    with_shape = {body.link for body in robot.bodies}
+    heights = [float(sole_corners(robot, q, foot)[:, 2].min()) for foot in feet if foot in with_shape]
+    if not heights:
+        return ()
+    q[2] = -min(heights)
+    return (f"start: neither base nor posture says where the base is; it is {q[2]:.4f} m high, the lowest sole at 0",)
 
 
 def _place_base(robot: RobotModel, q: Float[np.ndarray, "n"], start: StartRequest) -> None:

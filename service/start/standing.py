@@ -18,6 +18,7 @@ from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, find_ground_
 
 FEET_GROUP = "feet"
 SOLE_BAND_M = 0.002  # height above a foot's lowest vertex up to which vertices belong to its sole
+LOWEST_BAND_M = 0.01
 FLOOR_KIND = "floor"
 LARGEST_SHIFT_M = 0.03  # uncertainty of a scanned floor's height
 
@@ -26,6 +27,14 @@ def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Flo
     """Return the corners of a foot's sole in the world [m]: the vertices within 2 mm of its lowest at ``q``."""
     vertices = np.vstack([v for _, v in place_bodies(robot, q, link)])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
+
+
+def find_lowest_links(robot: RobotModel, q: Float[np.ndarray, "n"]) -> tuple[str, ...]:
+    """Return the links whose lowest vertices are within 1 cm of the robot's lowest at ``q``, in the robot's order."""
+    heights: dict[str, float] = {}
+    for body, vertices in place_bodies(robot, q):
+        heights[body.link] = min(float(vertices[:, 2].min()), heights.get(body.link, np.inf))
+    return tuple(link for link, height in heights.items() if height <= min(heights.values()) + LOWEST_BAND_M)
 
 
 def find_standing_problems(

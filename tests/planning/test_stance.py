@@ -178,3 +178,11 @@ def test_command_refuses_a_goal_in_one_line(tmp_path: Path) -> None:
 def test_time_limit_ends_the_search_with_what_it_has() -> None:
     search = find_stance(parse_request(REQUEST), limit_s=0.3)
     assert not search.is_complete
+
+
+def test_command_says_that_no_place_was_examined_in_time(tmp_path: Path) -> None:
+    path = tmp_path / "door.yaml"
+    path.write_text(json.dumps(REQUEST))
+    done = CliRunner().invoke(app, ["stance", str(path), "--time-limit", "0.1", "--out", str(tmp_path / "out")])
+    assert done.exit_code == 5
+    assert "no place to stand was found: none could be examined within 0.1 s; raise --time-limit" in done.stdout

@@ -202,6 +202,18 @@ def test_virtual_joint_of_a_state_places_the_floating_base(chain: Path) -> None:
     np.testing.assert_allclose(load_robot(urdf=chain, srdf=srdf).postures["s"], [0, 0, 0.5])
 
 
+def test_without_a_virtual_joint_the_root_joint_of_a_state_places_the_floating_base(chain: Path) -> None:
+    def posture(value: str, more: str = "") -> np.ndarray:
+        state = f'<group_state name="s" group="g"><joint name="root_joint" value="{value}"/></group_state>'
+        return load_robot(urdf=chain, srdf=_srdf(chain.parent, more + state), root="floating").postures["s"]
+
+    placed = [1, 2, 3, 0, 0, 0, 0, 0, 0.5]
+    np.testing.assert_allclose(posture("1 2 3 0 0 0 1"), placed, atol=1e-12)
+    np.testing.assert_allclose(posture("0"), np.multiply(placed, [0] * 6 + [1] * 3))
+    virtual = '<virtual_joint name="world" type="floating" parent_frame="map" child_link="base"/>'
+    np.testing.assert_allclose(posture("1 2 3 0 0 0 1", virtual), np.multiply(placed, [0] * 6 + [1] * 3))
+
+
 @pytest.mark.parametrize(
     ("body", "message"),
     [

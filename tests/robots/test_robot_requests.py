@@ -181,3 +181,44 @@ def test_a_stranger_replays_the_certificate_of_a_gripper(tmp_path: Path) -> None
     urdf.write_text(urdf.read_text().replace('multiplier="-1"', 'multiplier="-9"'))
     told = subprocess.run([sys.executable, program, tmp_path / "out"], capture_output=True, text=True, check=False)
     assert told.returncode == 1
+
+
+def _walker(folder: Path, **fields: Any) -> Any:
+    """A body on two legs of half a metre, each with a foot; nothing says where its base is or which links are feet."""
+    leg, foot = '<box size="0.08 0.08 0.3"/>', '<box size="0.2 0.1 0.04"/>'
+    text = robot(
+        _part("trunk", '<box size="0.2 0.4 0.3"/>', 5.0),
+        *(_part(f"{side}_{name}", shape) for side in "lr" for name, shape in (("leg", leg), ("foot", foot))),
+        *(joint(f"{side}_hip", "trunk", f"{side}_leg", inside=WIDE, xyz=f"0 {y} -0.4") for side, y in HIPS),
+        *(joint(f"{side}_ankle", f"{side}_leg", f"{side}_foot", inside=WIDE, xyz="0 0 -0.25") for side in "lr"),
+    )  # fmt: skip
+    urdf = write_urdf(folder, text)
+    request = {"robot": {"urdf": str(urdf), "root": "floating"}, "scene": {"floor": True}}
+    return parse_request({**request, "goal": {"joints": {"l_hip": 0.0}}, **fields}, folder=folder)
+
+
+HIPS = (("l", 0.15), ("r", -0.15))
+FEET = {"options": {"feet": ["l_foot", "r_foot"]}}
+
+
+def test_a_robot_that_nothing_places_stands_with_its_lowest_sole_at_0(tmp_path: Path) -> None:
+    setup = prepare(_walker(tmp_path, **FEET))
+    assert setup.start[2] == pytest.approx(0.4 + 0.25 + 0.02)
+    assert setup.notes[-1].startswith("start: neither base nor posture says where the base is; it is 0.6700 m high")
+    again = plan(_walker(tmp_path, **FEET))
+    assert again.verdict.value == "CERTIFIED"
+    write_result(again, tmp_path / "out")
+    outcome = CliRunner().invoke(app, ["verify", str(tmp_path / "out")])
+    assert outcome.stdout.strip().splitlines()[-1].startswith("CERTIFIED"), outcome.stdout
+
+
+def test_a_base_that_the_start_gives_stays_there(tmp_path: Path) -> None:
+    base = {"position": [0.3, 0.0, 0.67], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
+    setup = prepare(_walker(tmp_path, start={"base": base}, **FEET))
+    np.testing.assert_array_equal(setup.start[:6], [0.3, 0.0, 0.67, 0.0, 0.0, 0.0])
+
+
+def test_the_links_that_could_be_feet_are_named(tmp_path: Path) -> None:
+    words = r"list the planted links \(lowest at the start: l_foot, r_foot\)"
+    with pytest.raises(RequestError, match=words):
+        prepare(_walker(tmp_path))

@@ -138,6 +138,21 @@ def test_a_robot_whose_hand_and_forearm_have_no_shape_is_not_certified(tmp_path:
     assert {one.link: one.place for one in result.certificate.coverage.shapeless} == {"forearm": "end", "hand": "end"}
 
 
+@pytest.mark.parametrize(("mass", "inertia", "is_body"), [(0.01, 1e-4, False), (0.06, 1e-2, True), (0.04, 1e-4, True)])
+def test_a_frame_with_the_mass_and_inertia_of_no_body_needs_no_shape(
+    tmp_path: Path, mass: float, inertia: float, is_body: bool
+) -> None:
+    values = " ".join(f'{key}="{inertia}"' for key in ("ixx", "iyy", "izz")) + ' ixy="0" ixz="0" iyz="0"'
+    frame = (
+        f'<link name="flange"><inertial><mass value="{mass}"/><inertia {values}/></inertial></link>'
+        '<joint name="to_flange" type="fixed"><parent link="hand"/><child link="flange"/>'
+        '<origin xyz="0.28 0 0"/></joint></robot>'
+    )
+    result = planned(tmp_path, dishonest.arm().replace("</robot>", frame), *FOLD, obstacles=(far_box(),))
+    assert (result.verdict is Verdict.CERTIFIED) == (not is_body)
+    assert against(result) == ({"coverage.shape.flange"} if is_body else set())
+
+
 def test_a_forearm_without_shape_between_shapes_is_not_certified(tmp_path: Path) -> None:
     result = planned(tmp_path, dishonest.arm(shaped=("base", "upper", "hand")), *FOLD, obstacles=(far_box(),))
     assert result.verdict is Verdict.FEASIBLE_AT_SAMPLES

@@ -266,3 +266,17 @@ def test_a_hostile_name_stays_text(browser, tmp_path):
     assert browser.run("window.bad === undefined")
     assert browser.run("document.querySelectorAll('img, b:not(.chip b)').length") == 0
     assert browser.complaints() == []
+
+
+def test_a_long_name_of_a_robot_does_not_run_into_the_figures(browser, tmp_path):
+    result, placements = make_result()
+    result["robot"]["name"] = "a robot with very many words in its name " * 3
+    path = tmp_path / "long.html"
+    write_viewer(result, placements, path)
+    browser.size(1200, 800)
+    browser.open(path.as_uri())
+    assert browser.run("(h => h.scrollWidth > h.clientWidth)(document.querySelector('.what h1'))")
+    style = browser.run("getComputedStyle(document.querySelector('.what h1')).overflow")
+    right = browser.run("document.querySelector('.what h1').getBoundingClientRect().right")
+    assert style == "hidden"
+    assert right <= browser.run("document.querySelector('.chips').getBoundingClientRect().left")

@@ -19,6 +19,8 @@ _STEP_M = 0.02
 _TOKEN_SHARE = 0.2  # of the longest side of the drawn shapes; genuine collision shapes cover most of it
 # A link lighter than this is a frame with a mass for a simulator; its inertia gives no size [kg].
 _LEAST_MASS_KG = 0.01
+# So is one up to this mass whose inertia gives a box lighter than air; 10 g with 1e-4 kg m2 is common [kg, kg/m3].
+_PLACEHOLDER_KG, _AIR_KG_M3 = 0.05, 1.2
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
@@ -152,14 +154,19 @@ def _box_of(shape: ElementTree.Element) -> Float[np.ndarray, "3"] | None:
 
 
 def _mass_box(element: ElementTree.Element) -> Iterator[Float[np.ndarray, "8 3"]]:
-    """Yield corners of the uniform box that has the link's mass and moments of inertia, in its frame [m]."""
+    """Yield corners of the uniform box that has the link's mass and moments of inertia, in its frame [m].
+
+    Nothing where mass and inertia are those of a frame.
+    """
     inertial, mass = element.find("inertial"), _mass_of(element)
     inertia = element.find("inertial/inertia")
     if inertial is None or inertia is None or not mass >= _LEAST_MASS_KG:
         return
     xx, yy, zz = (float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz"))
     squares = 6.0 / mass * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz])
-    yield _place_points(_CORNERS * np.sqrt(np.maximum(squares, 0.0)), inertial)
+    sides = np.sqrt(np.maximum(squares, 0.0))
+    if mass > _PLACEHOLDER_KG or mass >= _AIR_KG_M3 * np.prod(sides):
+        yield _place_points(_CORNERS * sides, inertial)
 
 
 def _place_points(points: Float[np.ndarray, "V 3"], element: ElementTree.Element) -> Float[np.ndarray, "V 3"]:
