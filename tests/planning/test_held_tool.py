@@ -10,6 +10,7 @@ from given_doors import door_request
 
 from costs.kinematics import locate_links
 from service.body.monitor import Monitor
+from service.body.whole_body import RESERVE_M
 from service.demands.door import DoorChoice, make_door_phases
 from service.demands.door_demand import make_door, measure_peg, read_given_door
 from service.demands.hands import list_robot_hands
@@ -17,7 +18,7 @@ from service.demands.phase_spec import PhaseSpec
 from service.planner import _make_solver
 from service.request.file import parse_request
 from service.setup.prepare import prepare
-from service.tasks.held_tool import bring_tool, follow_in_balance, follow_tool
+from service.tasks.held_tool import INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
 from service.tasks.phase_compiler import PhaseCompiler
 from service.tasks.sequence import PhaseSequence, add_mechanism
 
@@ -141,6 +142,9 @@ def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[
     after = moved.polygon.margin(body.engine.place(inside).com[:, :2])
     assert before[1:].min() < body.aims.balance_margin + region.shift_m - 0.01
     assert after[1:].min() > body.aims.balance_margin + region.shift_m
+    enough = min(RESERVE_M, INSIDE_SHARE * (moved.polygon.depth - region.shift_m))
+    assert enough > body.aims.balance_margin + 0.01
+    assert after[1:].min() > enough + region.shift_m - 2e-3
     np.testing.assert_array_equal(inside[0], path[0])
     np.testing.assert_array_equal(inside[:, compiler.columns], values)
     assert (inside[1:] >= body.robot.lower).all()
