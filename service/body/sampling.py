@@ -69,6 +69,8 @@ class SamplingProblem:
 
     def place(self, poses: Float[np.ndarray, "K k"]) -> Float[np.ndarray, "K n"]:
         """Return the configurations of poses of the search."""
+        if len(self.free) == len(self.start):
+            return poses
         q = np.tile(self.start, (len(poses), 1))
         if self.carrier is not None:
             at = np.linspace(0.0, self.length, len(self.carrier))

@@ -140,6 +140,7 @@ def follow_in_balance(
     path: Float[np.ndarray, "T n"],
     regions: Sequence[PlannedRegion],
     is_fixed: Bool[np.ndarray, "T"],
+    prescribed: Bool[np.ndarray, "n"],
 ) -> Float[np.ndarray, "T n"]:
     """Return a path of a tool with the centre of mass in the regions of its loads, as near as it was.
 
@@ -153,6 +154,7 @@ def follow_in_balance(
         path: with the tool at its places.
         regions: of the whole path.
         is_fixed: waypoints that stay as they are.
+        prescribed: coordinates that keep their values.
     """
     least = body.aims.balance_margin + BALANCE_RESERVE + INSIDE_RESERVE
     middles = body.engine.place(path).com[:, :2].copy()
@@ -171,7 +173,7 @@ def follow_in_balance(
         lambda waypoints: CentreOfMassAt(middles[free], waypoints),
     )
     moved = path.copy()
-    moved[free] = project_within_limits(body.engine, path[free], held, *body.bounds(1, {}))
+    moved[free] = project_within_limits(body.engine, path[free], held, *body.bounds(1, {}), prescribed)
     return moved
 
 
