@@ -64,6 +64,8 @@ TREES = (
     Tree(7, 4000, "LBKPIECE1", NEAR, *NARROW),
     Tree(8, 8000, "RRTConnect", EVERYWHERE, *NARROW),
 )
+# An arm that four short trees led nowhere has to leave the region of its ends more often than it has a way near them.
+ARM_TREES = (*TREES[:4], TREES[8], *TREES[4:8])
 CHECKS_TO_OTHER_END, CHECKS_AMONG_SHRUNKEN = 2000, 4000  # of trees beside these
 LARGE_TREES = (
     Tree(0, 8000, "RRTConnect", IN_A_TURN, *NARROW),
@@ -180,7 +182,7 @@ class _ReachSearch:
         yield "straight line", quick
         is_standing = self.solver.body.robot.is_floating
         if not is_standing:  # on its feet a robot needs trees seldom, and they take longer
-            yield from self._around(end, TREES[0])
+            yield from self._around(end, ARM_TREES[0])
         if self.solver.body.kept:
             line = self.solver.body.project_onto_holds(straight_path(start, end, waypoints))
             yield "straight line along the kept poses", self._solve(line, **LEAD)
@@ -189,14 +191,17 @@ class _ReachSearch:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight_path(start, other, self._count_waypoints(other)), **QUICK)
-        for tree in () if is_standing else TREES[1:4]:
+        trees = TREES if is_standing else ARM_TREES[1:]
+        # Around the straight line an arm has no other ways to given joints that are worth a solve.
+        n_early = 0 if is_standing else len(trees) if self.goal.is_complete else 3
+        for tree in trees[:n_early]:
             yield from self._around(end, tree)
         for name, posture in posture_guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(path_via(start, posture, end, waypoints), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
-        for tree in TREES if is_standing else TREES[4:]:
+        for tree in trees[n_early:]:
             yield from self._around(end, tree)
         yield from self._search_on([end])
 
