@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
 
+from scopt.stored import store_rows
+
 
 @dataclass(frozen=True)
 class AffineRows:
@@ -31,7 +33,7 @@ class AffineRows:
         jacobian = self.jacobian
         first, last = int(jacobian.indptr[start]), int(jacobian.indptr[stop])
         stored = jacobian.data[first:last], jacobian.indices[first:last], jacobian.indptr[start : stop + 1] - first
-        return AffineRows(self.value[start:stop], sparse.csr_array(stored, shape=(stop - start, jacobian.shape[1])))
+        return AffineRows(self.value[start:stop], store_rows(stored, (stop - start, jacobian.shape[1])))
 
     @staticmethod
     def empty(n_variables: int) -> AffineRows:
@@ -51,7 +53,7 @@ class AffineRows:
         data = np.concatenate([jacobian.data for jacobian in jacobians])
         shape = (len(indptr) - 1, jacobians[0].shape[1])
         value = np.concatenate([part.value for part in parts])
-        return AffineRows(value, sparse.csr_array((data, indices, indptr), shape=shape))
+        return AffineRows(value, store_rows((data, indices, indptr), shape))
 
     @staticmethod
     def from_blocks(
@@ -77,7 +79,7 @@ class AffineRows:
         at = np.flatnonzero(is_stored)
         # An entry at column c of row r stands at k n r + c here, and in column n first + c of the Jacobian.
         indices = (at + np.repeat(n * np.asarray(first) - k * n * np.arange(m), counts)).astype(np.int32)
-        jacobian = sparse.csr_array((dense.ravel()[at], indices, indptr), shape=(m, n_waypoints * n))
+        jacobian = store_rows((dense.ravel()[at], indices, indptr), (m, n_waypoints * n))
         return AffineRows(np.asarray(value, dtype=float), jacobian)
 
 

@@ -17,6 +17,7 @@ from scopt.hessian import HessianSum, make_hessian
 from scopt.problem import Penalty, Problem, Sense
 from scopt.qp import QuadraticProgram
 from scopt.residual import Residual
+from scopt.stored import store_columns
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ def _spread(hessian: sparse.csc_array, position: Int[np.ndarray, "F"], total: in
     indptr[position + 1] = np.diff(hessian.indptr)
     np.cumsum(indptr, out=indptr)
     indices = position[hessian.indices].astype(np.int32)
-    return sparse.csc_array((hessian.data, indices, indptr), shape=(total, total))
+    return store_columns((hessian.data, indices, indptr), (total, total))
 
 
 def _make_rows(
