@@ -9,6 +9,7 @@ import pytest
 from given_doors import door_request
 
 from costs.kinematics import locate_links
+from costs.stopping import Stopped, stops_when
 from service.body.monitor import Monitor
 from service.body.whole_body import RESERVE_M
 from service.demands.door import DoorChoice, make_door_phases
@@ -158,6 +159,16 @@ def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[
     for foot in body.planted:
         poses = [locate_links(body.engine, q, [foot.link])[foot.link] for q in (path[-1], inside[-1])]
         np.testing.assert_allclose(poses[0], poses[1], atol=1e-3)
+
+
+def test_work_can_stop_before_every_region(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+    compiler, spec = held
+    polls = list[int]()
+    with stops_when(lambda: bool(polls.append(1))):
+        regions = compiler.find_regions(spec, spec.values(spec.n_waypoints))
+    assert len(polls) >= len(regions) > 0
+    with pytest.raises(Stopped), stops_when(lambda: True):
+        compiler.find_regions(spec, spec.values(spec.n_waypoints))
 
 
 def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
