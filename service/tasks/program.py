@@ -17,7 +17,7 @@ from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError, would_do
 from service.explain.distance import find_out_of_reach
 from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
-from service.tasks.reach import TREES
+from service.tasks.trees import TREES
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.problem import CollisionTerm, PoseTerm
 
