@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
-from scopt.affine import AffineRows, WeightedRows
+from scopt.affine import AffineRows, WeightedRows, store_columns
 from scopt.exact_terms import ExactTerm, add_exact_terms
 from scopt.expression import ConvexExpression, read_iterate
 from scopt.hessian import HessianSum, make_hessian
 from scopt.problem import Penalty, Problem, Sense
 from scopt.qp import QuadraticProgram
 from scopt.residual import Residual
-from scopt.stored import store_columns
 
 
 @dataclass(frozen=True)

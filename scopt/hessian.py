@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import sparse
 
-from scopt.affine import WeightedRows
-from scopt.stored import store_rows
+from scopt.affine import WeightedRows, store_rows
 
 
 @dataclass

@@ -22,13 +22,13 @@ from service.body.phases import (
 )
 from service.body.sampling import Tree, measure_length, resample_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.body.trees import ARM_TREES, LARGE_TREES, MOST_ARM_JOINTS, TREES
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 from service.explain.goal import find_goal_reasons
 from service.request.schema import GoalRequest
 from service.start.standing import FLOOR_KIND
 from service.tasks.goal import Goal, lead_path
 from service.tasks.goal_poses import bring_to_goal, find_random_ends, is_new_end, solve_at_goal
-from service.tasks.trees import ARM_TREES, LARGE_TREES, MOST_ARM_JOINTS, TREES
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most, between waypoints [rad, m]

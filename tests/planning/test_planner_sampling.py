@@ -14,6 +14,7 @@ from scopt import Settings
 from service.body.monitor import Monitor
 from service.body.phases import PhaseSolver
 from service.body.sampling import HeldProblem, SamplingProblem, Tree, free_coordinates, resample_path, sample_path
+from service.body.trees import ARM_TREES, MOST_ARM_JOINTS, TREES
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
@@ -21,7 +22,6 @@ from service.request.schema import GoalRequest
 from service.result.result import Verdict
 from service.tasks.goal import Goal
 from service.tasks.reach import _ReachSearch
-from service.tasks.trees import ARM_TREES, MOST_ARM_JOINTS, TREES
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 

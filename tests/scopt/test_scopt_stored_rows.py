@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from scopt.stored import store_columns, store_rows
+from scopt.affine import store_columns, store_rows
 
 
 @pytest.mark.parametrize("kind", ["rows", "columns"])
