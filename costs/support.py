@@ -44,6 +44,11 @@ class SupportPolygon:
         """Return the hull of sole corners in the world."""
         return SupportPolygon.of_points(np.concatenate([sole[:, :2] for sole in soles]))
 
+    @property
+    def depth(self) -> float:
+        """Distance of the middle of the vertices from the nearest edge [m]."""
+        return float(self.margin(self.vertices.mean(axis=0))[0])
+
     def margin(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N"]:
         """Return each point's distance from the nearest edge line, negative outside [m]."""
         return np.asarray((self.offsets - np.atleast_2d(points) @ self.normals.T).min(axis=1))

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
+
+Compressed = TypeVar("Compressed", sparse.csr_array, sparse.csc_array)
+Parts = tuple[Float[np.ndarray, "E"], Int[np.ndarray, "E"], Int[np.ndarray, "L"]]
+"""Entries, their indices along the other axis, and where each row (CSR) or column (CSC) begins among them."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class AffineRows:
         jacobian = self.jacobian
         first, last = int(jacobian.indptr[start]), int(jacobian.indptr[stop])
         stored = jacobian.data[first:last], jacobian.indices[first:last], jacobian.indptr[start : stop + 1] - first
-        return AffineRows(self.value[start:stop], sparse.csr_array(stored, shape=(stop - start, jacobian.shape[1])))
+        return AffineRows(self.value[start:stop], store_rows(stored, (stop - start, jacobian.shape[1])))
 
     @staticmethod
     def empty(n_variables: int) -> AffineRows:
@@ -51,7 +58,7 @@ class AffineRows:
         data = np.concatenate([jacobian.data for jacobian in jacobians])
         shape = (len(indptr) - 1, jacobians[0].shape[1])
         value = np.concatenate([part.value for part in parts])
-        return AffineRows(value, sparse.csr_array((data, indices, indptr), shape=shape))
+        return AffineRows(value, store_rows((data, indices, indptr), shape))
 
     @staticmethod
     def from_blocks(
@@ -77,7 +84,7 @@ class AffineRows:
         at = np.flatnonzero(is_stored)
         # An entry at column c of row r stands at k n r + c here, and in column n first + c of the Jacobian.
         indices = (at + np.repeat(n * np.asarray(first) - k * n * np.arange(m), counts)).astype(np.int32)
-        jacobian = sparse.csr_array((dense.ravel()[at], indices, indptr), shape=(m, n_waypoints * n))
+        jacobian = store_rows((dense.ravel()[at], indices, indptr), (m, n_waypoints * n))
         return AffineRows(np.asarray(value, dtype=float), jacobian)
 
 
@@ -97,3 +104,35 @@ class WeightedRows:
         if len(nonempty) == 1:
             return nonempty[0]
         return WeightedRows(AffineRows.stack([p.rows for p in nonempty]), np.concatenate([p.weight for p in nonempty]))
+
+
+def store_rows(parts: Parts, shape: tuple[int, int]) -> sparse.csr_array:
+    """Return the array of parts that are known to fit, which are not copied.
+
+    scipy's own constructors check them, which takes longer than the use of most arrays here.
+    """
+    return _fill(_make_empty_rows(*shape), parts)
+
+
+def store_columns(parts: Parts, shape: tuple[int, int]) -> sparse.csc_array:
+    """Return the same, column by column."""
+    return _fill(_make_empty_columns(*shape), parts)
+
+
+def _fill(empty: Compressed, parts: Parts) -> Compressed:
+    data, indices, indptr = parts
+    if indices.dtype != indptr.dtype:  # scipy's loops need one type
+        return type(empty)(parts, shape=empty.shape)
+    made = copy.copy(empty)
+    made.data, made.indices, made.indptr = data, indices, indptr
+    return made
+
+
+@lru_cache(maxsize=1024)
+def _make_empty_rows(n_rows: int, n_columns: int) -> sparse.csr_array:
+    return sparse.csr_array((n_rows, n_columns))
+
+
+@lru_cache(maxsize=1024)
+def _make_empty_columns(n_rows: int, n_columns: int) -> sparse.csc_array:
+    return sparse.csc_array((n_rows, n_columns))

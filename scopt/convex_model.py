@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
-from scopt.affine import AffineRows, WeightedRows
+from scopt.affine import AffineRows, WeightedRows, store_columns
 from scopt.exact_terms import ExactTerm, add_exact_terms
 from scopt.expression import ConvexExpression, read_iterate
 from scopt.hessian import HessianSum, make_hessian
@@ -231,7 +231,7 @@ def _spread(hessian: sparse.csc_array, position: Int[np.ndarray, "F"], total: in
     indptr[position + 1] = np.diff(hessian.indptr)
     np.cumsum(indptr, out=indptr)
     indices = position[hessian.indices].astype(np.int32)
-    return sparse.csc_array((hessian.data, indices, indptr), shape=(total, total))
+    return store_columns((hessian.data, indices, indptr), (total, total))
 
 
 def _make_rows(

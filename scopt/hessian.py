@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import sparse
 
-from scopt.affine import WeightedRows
+from scopt.affine import WeightedRows, store_rows
 
 
 @dataclass
@@ -46,7 +46,7 @@ def make_hessian(squared: WeightedRows, is_free: Bool[np.ndarray, "N"]) -> spars
     """Return ``2 J^T W J`` of squared rows in the free variables, with sorted indices."""
     jacobian = squared.rows.jacobian
     weight = np.repeat(2.0 * squared.weight, np.diff(jacobian.indptr))
-    weighted = sparse.csr_array((jacobian.data * weight, jacobian.indices, jacobian.indptr), shape=jacobian.shape)
+    weighted = store_rows((jacobian.data * weight, jacobian.indices, jacobian.indptr), jacobian.shape)
     full = sparse.csc_array(jacobian.T @ weighted)
     free = full if is_free.all() else sparse.csc_array(full[:, is_free][is_free])
     free.sort_indices()

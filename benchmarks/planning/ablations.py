@@ -128,7 +128,7 @@ def is_clear(body: WholeBody, x: Float[np.ndarray, "T n"]) -> bool:
     margins = PairMargins.of(body.robot, body.scene, 0.0, body.standing_allowances())
     s = np.linspace(0.0, 1.0, POSES)[:, None]
     poses = np.concatenate([first + s * (last - first) for first, last in pairwise(x)])
-    return PoseChecker(body.robot, body.scene, margins).are_clear(body.engine(poses))
+    return PoseChecker(body.engine, body.scene, margins).are_clear(poses)
 
 
 def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> Iterator[Case]:

@@ -141,7 +141,7 @@ def draw_clear(arm: Arm, checker: PoseChecker, rng: np.random.Generator) -> Floa
     """Return a random configuration without a collision."""
     for _ in range(2000):
         q = arm.draw(rng)
-        if checker.are_clear(arm.engine.place(q[None])):
+        if checker.are_clear(q[None]):
             return q
     sys.exit(f"{arm.name}: no configuration without self-collision was found; links overlap at rest")
 
@@ -179,7 +179,7 @@ def make_scene(arm: Arm, boxes: Sequence[dict[str, Any]]) -> Scene:
 
 def make_checker(robot: RobotModel, scene: Scene, margin: float) -> PoseChecker:
     """Return a checker of poses with one margin for all pairs [m]."""
-    return PoseChecker(robot, scene, PairMargins.of(robot, scene, margin))
+    return PoseChecker(KinematicsEngine(robot), scene, PairMargins.of(robot, scene, margin))
 
 
 def is_edge_clear(arm: Arm, checker: PoseChecker, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> bool:
@@ -187,7 +187,7 @@ def is_edge_clear(arm: Arm, checker: PoseChecker, first: Float[np.ndarray, "n"],
     count = max(int(np.ceil(np.abs(last - first).max() / TREE_EDGE)), 1)
     poses = first + (np.arange(1, count + 1) / count)[:, None] * (last - first)
     # In parts of growing length: an edge in collision mostly ends at once.
-    return all(checker.are_clear(arm.engine.place(part)) for part in np.array_split(poses, max(count // 8, 1)))
+    return all(checker.are_clear(part) for part in np.array_split(poses, max(count // 8, 1)))
 
 
 def connect(arm: Arm, case: Case, seed: int) -> bool:

@@ -63,7 +63,8 @@ def chain(folder: Path, n_joints: int) -> RobotModel:
 def boxes_around(robot: RobotModel, x: Float[np.ndarray, "T n"], n_pieces: int) -> Scene:
     """Return boxes of 2 to 15 cm beside the chain's links that do not touch its waypoints."""
     rng = np.random.default_rng(4)
-    kinematics = KinematicsEngine(robot)(x)
+    engine = KinematicsEngine(robot)
+    kinematics = engine(x)
     pieces: list[ConvexPiece] = []
     while len(pieces) < n_pieces:
         link = kinematics.position[rng.integers(len(x)), rng.integers(1, robot.n + 1)]
@@ -71,9 +72,8 @@ def boxes_around(robot: RobotModel, x: Float[np.ndarray, "T n"], n_pieces: int) 
         piece = ConvexPiece(f"box{len(pieces)}", centre + CORNERS * rng.uniform(0.02, 0.15, 3))
         alone = Scene((piece,))
         margins = PairMargins.of(robot, alone, CLEAR_OF_PATH)
-        if PoseChecker(robot, alone, PairMargins(margins.world, margins.self_pairs[:0], margins.own[:0])).are_clear(
-            kinematics
-        ):
+        world = PairMargins(margins.world, margins.self_pairs[:0], margins.own[:0])
+        if PoseChecker(engine, alone, world).are_clear(x):
             pieces.append(piece)
     return Scene(tuple(pieces))
 

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import coal
 import numpy as np
+from jaxtyping import Float
 
 from costs.collision.pairs import PairMargins
 from costs.collision.shapes import make_convex, make_outer_convex
 from costs.collision.sweep import BodyVertices
-from costs.kinematics import Kinematics
-from costs.robot.model import RobotModel
+from costs.kinematics import KinematicsEngine
 from costs.scene import Scene
 
 _IDENTITY = coal.Transform3s()
 
 
 class PoseChecker:
-    """Checks many poses at once for pairs nearer than their margin; motion between poses is not checked."""
+    """Checks many poses at once for pairs nearer than their margin; motion between poses is not checked.
 
-    def __init__(self, robot: RobotModel, scene: Scene, margins: PairMargins) -> None:
+    Pairs that may touch are not checked.
+    """
+
+    def __init__(self, engine: KinematicsEngine, scene: Scene, margins: PairMargins) -> None:
+        self._engine, robot = engine, engine.robot
         self._bodies = BodyVertices.of(robot)
         self._shapes = [make_outer_convex(body) for body in robot.bodies]
         self._pieces = [make_convex(piece.vertices) for piece in scene.pieces]
@@ -36,8 +40,9 @@ class PoseChecker:
         self._request.enable_signed_distance = False
         self._result = coal.DistanceResult()
 
-    def are_clear(self, kinematics: Kinematics) -> bool:
+    def are_clear(self, q: Float[np.ndarray, "T n"]) -> bool:
         """Return whether no pair at any pose is nearer than its margin."""
+        kinematics = self._engine.place(q)
         centres = self._bodies.centres_in_world(kinematics)
         gap = np.abs(centres[:, :, None] - self._middle)
         gap -= self._half

@@ -16,6 +16,7 @@ from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
 from costs.static_region import StaticRegion, find_static_region
+from costs.stopping import poll
 from service.verify import HandLoad, PlantedContact
 from service.verify.forces.loaded_balance import Ground, find_tilts
 
@@ -57,6 +58,7 @@ def plan_regions(
 
     Raises:
         StaticRegionError: some load can be held nowhere.
+        Stopped: by surrounding work, see ``costs.stopping``.
     """
     weight = measure_weight(engine.robot)
     ground = WorldContacts(*Ground.under(tuple(contacts)))
@@ -66,6 +68,7 @@ def plan_regions(
     hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in loads) / weight
     regions = []
     for first, last in _split_stretches(engine.robot, values):
+        poll()  # a region takes some hundredths of a second
         wrenches = _list_wrenches(engine, loads, values[[first, last]], q)
         region = _find_region(_Question(ground, weight / GRAVITY, wrenches, drift, tilts))
         regions.append(PlannedRegion(first, last, region, region.shift_m * feet_drift / drift + hands))

@@ -178,7 +178,7 @@ class PhaseSolver:
     ) -> Float[np.ndarray, "K n"] | None:
         """Sample a path around the obstacles; None where others than the movable coordinates would have to move."""
         if tree.keeps_holds:
-            checker = self.body.make_pose_checker([start, end])
+            checker = self.body.make_search_checker([start, end])
             return self._sample(HeldProblem.between(self.body, checker, start, end), tree)
         free = free_coordinates(self.body)
         if movable is not None:
@@ -187,7 +187,7 @@ class PhaseSolver:
         if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
             return None
         return self._sample(
-            SamplingProblem(self.body, self.body.make_pose_checker([start, end]), start, end, free), tree
+            SamplingProblem(self.body, self.body.make_search_checker([start, end]), start, end, free), tree
         )
 
     def _sample(self, problem: SamplingProblem, tree: Tree) -> Float[np.ndarray, "K n"] | None:
@@ -207,11 +207,11 @@ class PhaseSolver:
         """
         body, free = self.body, free_coordinates(self.body)
         if keeps_holds:
-            held = HeldProblem.between(body, body.make_pose_checker([q[0], q[-1]]), q[0], q[-1])
+            held = HeldProblem.between(body, body.make_search_checker([q[0], q[-1]]), q[0], q[-1])
             path = held.shorten(q, np.random.default_rng(seed + self.seed))
             self.monitor.check()
             return path
-        problem = SamplingProblem(body, body.make_pose_checker([q[0], q[-1]]), q[0], q[-1], free)
+        problem = SamplingProblem(body, body.make_search_checker([q[0], q[-1]]), q[0], q[-1], free)
         others = np.setdiff1d(np.arange(q.shape[1]), free)
         if not len(free) or np.abs(np.diff(q, axis=0))[:, others].max(initial=0.0) > 1e-6:
             return q
@@ -241,7 +241,7 @@ class PhaseSolver:
         holds = self.body.holds()
         carrier = straight_path(start, end, CARRIER_POINTS)
         carrier[1:-1] = project_onto_holds(self.body.engine, carrier[1:-1], holds)
-        checker = self.body.make_pose_checker([start, end])
+        checker = self.body.make_search_checker([start, end])
         return self._sample(SamplingProblem(self.body, checker, start, end, free, carrier), tree)
 
     def with_settings(self, **changes: Any) -> PhaseSolver:

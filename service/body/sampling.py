@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.collision import PoseChecker
+from costs.collision import ManyPosesChecker, PoseChecker
 from costs.robot import BASE_NAMES
 from service.body.holds import find_prescribed, largest_hold_error, project_within_limits
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
@@ -42,7 +42,7 @@ class SamplingProblem:
     """
 
     body: WholeBody
-    checker: PoseChecker
+    checker: PoseChecker | ManyPosesChecker
     start: Float[np.ndarray, "n"]
     end: Float[np.ndarray, "n"]
     free: Int[np.ndarray, "k"]
@@ -69,6 +69,8 @@ class SamplingProblem:
 
     def place(self, poses: Float[np.ndarray, "K k"]) -> Float[np.ndarray, "K n"]:
         """Return the configurations of poses of the search."""
+        if len(self.free) == len(self.start):
+            return poses
         q = np.tile(self.start, (len(poses), 1))
         if self.carrier is not None:
             at = np.linspace(0.0, self.length, len(self.carrier))
@@ -111,13 +113,12 @@ class SamplingProblem:
 
     def are_configurations_clear(self, q: Float[np.ndarray, "K n"]) -> bool:
         """Return whether configurations are all clear and balanced."""
-        kinematics = self.body.engine.place(q)
         polygon, margin = self.body.polygon, self.body.aims.balance_margin
         if self.body.region is not None:  # the optimiser adds the rest of the margin
             polygon, margin = self.body.region.region.polygon, 0.5 * margin
-        if polygon is not None and polygon.margin(kinematics.com[:, :2]).min() < margin:
+        if polygon is not None and polygon.margin(self.body.engine.place(q).com[:, :2]).min() < margin:
             return False
-        return self.checker.are_clear(kinematics)
+        return self.checker.are_clear(q)
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,10 @@ class HeldProblem(SamplingProblem):
 
     @staticmethod
     def between(
-        body: WholeBody, checker: PoseChecker, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"]
+        body: WholeBody,
+        checker: PoseChecker | ManyPosesChecker,
+        start: Float[np.ndarray, "n"],
+        end: Float[np.ndarray, "n"],
     ) -> HeldProblem:
         """Return the problem of two configurations of a robot that keeps its holds."""
         moving = np.flatnonzero(~find_prescribed(body.robot))

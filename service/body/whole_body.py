@@ -11,7 +11,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.allowance import Allowance, BodyRef
-from costs.collision import Contacts, PairMargins, PoseChecker, SweptCollisionChecker
+from costs.collision import (
+    MOST_PAIRS,
+    Contacts,
+    ManyPosesChecker,
+    PairMargins,
+    PoseChecker,
+    SweptCollisionChecker,
+    count_checked,
+)
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import BASE_NAMES, Release, RobotModel
 from costs.scene import Scene
@@ -185,12 +193,22 @@ class WholeBody:
         return SweptCollisionChecker(self.robot, self.scene, margins, self.sight)
 
     def make_pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
-        """Return a checker of poses that requires a few millimetres, or a pair's distance at the ends if less."""
+        """Return a checker of some poses that requires a few millimetres, or a pair's distance at the ends if less."""
+        return PoseChecker(self.engine, self.scene, self._fit_sampled_margins(ends))
+
+    def make_search_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker | ManyPosesChecker:
+        """Return a checker of the same for a search: the faster one of many poses unless there are too many pairs."""
+        margins = self._fit_sampled_margins(ends)
+        if count_checked(margins) > MOST_PAIRS:
+            return PoseChecker(self.engine, self.scene, margins)
+        return ManyPosesChecker(self.robot, self.scene, margins)
+
+    def _fit_sampled_margins(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PairMargins:
+        """Return the margins of the poses of a search between two ends."""
         allowances = self.standing_allowances()
         margins = PairMargins.of(self._checked_robot, self.scene, self.sampled_clearance, allowances)
         checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
-        fitting = self._fit_margins(checker, ends, 0.5 * min(CLEARANCE_TOLERANCE, self.sampled_clearance))
-        return PoseChecker(self.robot, self.scene, fitting.margins)
+        return self._fit_margins(checker, ends, 0.5 * min(CLEARANCE_TOLERANCE, self.sampled_clearance)).margins
 
     def _fit_margins(
         self,

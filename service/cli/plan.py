@@ -114,12 +114,16 @@ def plan_command(
         from service.planner import plan
         from service.result.folder import RESULT_NAME, check_folder
         from service.result.output import write_result
+        from service.result.result import Verdict
         from service.result.result_json import summary_json
 
         check_folder(folder)
         use_all_cores()
         result = plan(plan_request, on_progress=report, should_stop=should_stop, around=around)
-        is_kept = result.verdict.value == "CANCELLED" and (folder / RESULT_NAME).is_file()
+        # Ctrl-C may come when the plan is about to end by itself: it is cancelled all the same.
+        is_kept = (result.verdict is Verdict.CANCELLED or should_stop()) and (folder / RESULT_NAME).is_file()
+        if is_kept:
+            result = dataclasses.replace(result, verdict=Verdict.CANCELLED)
         written = None
         if not is_kept:
             report("write result", 1.0)

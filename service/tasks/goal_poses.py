@@ -63,7 +63,7 @@ def find_random_ends(
             if holds:
                 guesses, error = solve_holds(body, guesses, holds, fixed)
             arrived = guesses[error < REACHED]
-            is_clear = np.array([checker.are_clear(body.engine.place(q[None])) for q in arrived], dtype=bool)
+            is_clear = np.array([checker.are_clear(q[None]) for q in arrived], dtype=bool)
         far = np.abs(arrived - body.nominal).max(axis=1, initial=0.0)
         order = np.lexsort((far, ~is_clear))
         n_tried = 0

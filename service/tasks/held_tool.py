@@ -15,7 +15,7 @@ from scopt import Residual
 from service.body.holds import Hold, project_within_limits
 from service.body.inverse_kinematics import solve_holds
 from service.body.loaded_regions import PlannedRegion
-from service.body.whole_body import WholeBody
+from service.body.whole_body import RESERVE_M, WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, find_rotation_onto
 from service.demands.stance import BALANCE_RESERVE
 
@@ -24,6 +24,7 @@ NEAR = 0.01  # largest residual of a configuration that the optimiser had better
 FOLLOWED = 1e-3  # largest residual of a waypoint that follows the tool [m, rad]
 INSIDE_ROUNDS = 20  # of moves onto the borders of polygons
 INSIDE_RESERVE = 3e-3  # beyond the margin, for what moves the centre of mass later [m]
+INSIDE_SHARE = 0.75  # of a small region's depth that the centre of mass is brought to, where all of it is less
 
 
 def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
@@ -139,11 +140,13 @@ def follow_in_balance(
     path: Float[np.ndarray, "T n"],
     regions: Sequence[PlannedRegion],
     is_fixed: Bool[np.ndarray, "T"],
+    prescribed: Bool[np.ndarray, "n"],
 ) -> Float[np.ndarray, "T n"]:
     """Return a path of a tool with the centre of mass in the regions of its loads, as near as it was.
 
-    The optimiser alone moves the centre of mass in many short steps, since the tool leaves its place in long ones.
-    Obstacles are left to it.
+    The optimiser alone moves the centre of mass in many short steps, since the tool leaves its place in long ones: it
+    is brought as far inside as is enough for position servos here, or as a small region allows.  Obstacles are left to
+    the optimiser.
 
     Args:
         body: the robot, with the mechanism that the tool may move with.
@@ -151,13 +154,17 @@ def follow_in_balance(
         path: with the tool at its places.
         regions: of the whole path.
         is_fixed: waypoints that stay as they are.
+        prescribed: coordinates that keep their values.
     """
-    margin = body.aims.balance_margin + BALANCE_RESERVE + INSIDE_RESERVE
+    least = body.aims.balance_margin + BALANCE_RESERVE + INSIDE_RESERVE
     middles = body.engine.place(path).com[:, :2].copy()
     for _ in range(2):  # stretches share the waypoints at their ends
         for planned in regions:
             part = slice(planned.first, planned.last + 1)
-            middles[part] = _move_inside(planned.region.polygon, middles[part], margin + planned.shift_m)
+            polygon = planned.region.polygon
+            deepest = INSIDE_SHARE * (polygon.depth - planned.shift_m)
+            margin = planned.shift_m + max(least, min(RESERVE_M, deepest))
+            middles[part] = _move_inside(polygon, middles[part], margin)
     free = np.flatnonzero(~is_fixed)
     places = hand.places(len(path))[free]
     held = (
@@ -166,7 +173,7 @@ def follow_in_balance(
         lambda waypoints: CentreOfMassAt(middles[free], waypoints),
     )
     moved = path.copy()
-    moved[free] = project_within_limits(body.engine, path[free], held, *body.bounds(1, {}))
+    moved[free] = project_within_limits(body.engine, path[free], held, *body.bounds(1, {}), prescribed)
     return moved
 
 

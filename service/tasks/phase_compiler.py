@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance
 from costs.collision import Contacts
@@ -246,7 +246,9 @@ class PhaseCompiler:
             starts = [unloaded.x, *starts]
             if spec.hand is not None:
                 is_fixed = np.isin(np.arange(count), list(fixed))
-                starts = [follow_in_balance(self.solver.body, spec.hand, unloaded.x, regions, is_fixed), *starts]
+                prescribed = self._find_prescribed(spec)
+                inside = follow_in_balance(self.solver.body, spec.hand, unloaded.x, regions, is_fixed, prescribed)
+                starts = [inside, *starts]
         solved = self._solve(light, starts, fixed, values, regions, pinned)
         if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
             return solved
@@ -258,11 +260,16 @@ class PhaseCompiler:
         """Return paths to start from: one on which the hand is at its place, where there is one, then the given one."""
         if spec.hand is None:
             return [start]
+        prescribed = self._find_prescribed(spec)
+        followed = follow_tool(self.solver.body, spec.hand, start, prescribed, is_backwards=is_backwards)
+        return [start] if followed is None else [followed, start]
+
+    def _find_prescribed(self, spec: PhaseSpec) -> Bool[np.ndarray, "n"]:
+        """Return the mask of coordinates whose way a phase prescribes: the mechanism's and its own joints."""
         prescribed = np.zeros(self.robot.n, dtype=bool)
         prescribed[self.columns] = True
         prescribed[[self.robot.joint_names.index(name) for name in spec.joints]] = True
-        followed = follow_tool(self.solver.body, spec.hand, start, prescribed, is_backwards=is_backwards)
-        return [start] if followed is None else [followed, start]
+        return prescribed
 
     def is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
         """Return whether a phase's loads cost no more torque at its waypoints than it may use."""

@@ -13,11 +13,11 @@ from jaxtyping import Float
 from service.body.phases import PhaseSolver, path_via, posture_guesses, report_solutions, straight_path
 from service.body.sampling import Tree, resample_path
 from service.body.task_plan import LEAST_CLEARANCE, PlannedPhase, Solved, Stuck, TaskPlan
+from service.body.trees import TREES
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError, would_do
 from service.explain.distance import find_out_of_reach
 from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
-from service.tasks.reach import TREES
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.problem import CollisionTerm, PoseTerm
 

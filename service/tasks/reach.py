@@ -22,6 +22,7 @@ from service.body.phases import (
 )
 from service.body.sampling import Tree, measure_length, resample_path
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.body.trees import ARM_TREES, LARGE_TREES, MOST_ARM_JOINTS, TREES
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 from service.explain.goal import find_goal_reasons
 from service.request.schema import GoalRequest
@@ -42,36 +43,10 @@ QUICK: dict[str, float] = {
 SAMPLED: dict[str, float] = {"max_iterations": 50, "patience": 8}  # a sampled path is free of collisions already
 RANDOM: dict[str, float] = {"max_iterations": 40}  # among the last attempts
 LEAD: dict[str, float] = {"max_iterations": 40, "patience": 10}  # after the straight line has failed
-# The effort of a search varies with its seed: several short searches are faster than a long one.
-# Where joints turn far, most of their space leads nowhere: trees draw near the ends, everywhere, or within a turn.
-NEAR, EVERYWHERE, IN_A_TURN = 0.8, float(np.pi), float(np.inf)
-# Paths through gaps narrower than twice the margin: clearance [m], and step at which edges are checked [rad, m].
-NARROW = (2e-3, 0.05)
 MOST_NARROW = 400  # waypoints of such a path
 MOST_HELD = 40  # waypoints of a path of a standing robot
 HELD_SHARE = 0.2  # of the checks of a tree whose poses are brought onto the holds, which take ten times longer
-BARS = (2e-3, 0.1)  # between bars
-# LBKPIECE finds a way through shelves, within some hundred checks. Between bars a tree near the ends, with little
-# clearance, has twice its success for the same time. They take turns.
-TREES = (
-    Tree(0, 1000, "LBKPIECE1"),
-    Tree(1, 1000, "RRTConnect", NEAR, *BARS),
-    Tree(2, 2000, "LBKPIECE1"),
-    Tree(3, 1000, "RRTConnect", NEAR, *BARS),
-    Tree(4, 2000, "RRTConnect", NEAR, *BARS),
-    Tree(5, 2000, "RRTConnect", NEAR, *NARROW),
-    Tree(6, 4000, "RRTConnect", IN_A_TURN, *NARROW),
-    Tree(7, 4000, "LBKPIECE1", NEAR, *NARROW),
-    Tree(8, 8000, "RRTConnect", EVERYWHERE, *NARROW),
-)
 CHECKS_TO_OTHER_END, CHECKS_AMONG_SHRUNKEN = 2000, 4000  # of trees beside these
-LARGE_TREES = (
-    Tree(0, 8000, "RRTConnect", IN_A_TURN, *NARROW),
-    Tree(0, 8000, "LBKPIECE1", NEAR, *NARROW),
-    Tree(0, 8000, "RRTConnect", NEAR, *NARROW),
-    Tree(0, 8000, "RRTConnect", EVERYWHERE),
-    Tree(0, 8000, "LBKPIECE1", EVERYWHERE, *NARROW),
-)
 RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
 RANDOM_GUESSES = 8  # about half of them lead to a pose
 FIRST_DRAWS, FIRST_ENDS = 2, 3  # of random ends where no posture leads to the goal
@@ -189,14 +164,18 @@ class _ReachSearch:
             if shortfall is None:
                 name = "straight line to another posture at the goal"
                 yield name, self._solve(straight_path(start, other, self._count_waypoints(other)), **QUICK)
-        for tree in () if is_standing else TREES[1:4]:
+        trees = TREES if is_standing else TREES[1:]
+        n_early = 0 if is_standing else 3
+        if self._is_small_arm and self.goal.is_complete:
+            trees, n_early = ARM_TREES[1:], len(ARM_TREES) - 1
+        for tree in trees[:n_early]:
             yield from self._around(end, tree)
         for name, posture in posture_guesses(self.solver.body)[1:]:
             yield f"via posture '{name}'", self._solve(path_via(start, posture, end, waypoints), **QUICK)
         yield from self._to_random_postures()
         if not quick.is_feasible:
             yield "straight line", self._solve(quick.x, penalty=quick.result.penalty)
-        for tree in TREES if is_standing else TREES[4:]:
+        for tree in trees[n_early:]:
             yield from self._around(end, tree)
         yield from self._search_on([end])
 
@@ -265,6 +244,11 @@ class _ReachSearch:
     def _keeps_holds(self) -> bool:
         """Whether more than free joints has to move: on planted feet the base, with kept poses whatever they need."""
         return self.solver.body.robot.is_floating or bool(self.solver.body.kept)
+
+    @property
+    def _is_small_arm(self) -> bool:
+        """Whether all that moves is a few joints, so that their space can be searched."""
+        return not self.solver.body.robot.is_floating and self.solver.body.robot.n <= MOST_ARM_JOINTS
 
     def _count_waypoints(self, end: Float[np.ndarray, "n"]) -> int:
         """Return the number of waypoints to an end."""

@@ -255,7 +255,7 @@ def plan(request, on_progress, should_stop, around=None):
     on_progress("waiting", 0.5)
     while {waits} or not should_stop():
         time.sleep(0.01)
-    return replace(made, verdict=Verdict.CANCELLED, explanation=("cancelled during 'waiting'",))
+    return replace(made, verdict=Verdict({verdict!r}), explanation=("cancelled during 'waiting'",))
 sys.modules["service.planner"] = types.SimpleNamespace(plan=plan)
 sys.argv = ["scopt", "plan", {request!r}, "--out", {out!r}, "--json"]
 from service.cli.app import main
@@ -263,7 +263,9 @@ main()
 """
 
 
-def _interrupted(tmp_path: Path, times: int, *, is_silent: bool = False) -> tuple[int, dict[str, Any]]:
+def _interrupted(
+    tmp_path: Path, times: int, *, is_silent: bool = False, verdict: str = "CANCELLED"
+) -> tuple[int, dict[str, Any]]:
     """Return exit code and JSON of a plan that receives Ctrl-C that many times; silent work does not ask for it."""
     program = SLOW_PLANNER.format(
         support=str(ROOT / "tests" / "support" / "results"),
@@ -271,6 +273,7 @@ def _interrupted(tmp_path: Path, times: int, *, is_silent: bool = False) -> tupl
         waits=times > 1 or is_silent,
         request=str(REQUEST),
         out=str(tmp_path / "plan"),
+        verdict=verdict,
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -291,14 +294,15 @@ def test_ctrl_c_hands_over_the_best_so_far(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["plan"]
 
 
-def test_ctrl_c_keeps_an_earlier_result(tmp_path: Path) -> None:
+@pytest.mark.parametrize("verdict", ["CANCELLED", "TIME_LIMIT"])  # the plan may be about to end by itself
+def test_ctrl_c_keeps_an_earlier_result(tmp_path: Path, verdict: str) -> None:
     from small_plan import small_plan
 
     from service import write_result
 
     write_result(small_plan(), tmp_path / "plan")
     before = {path: path.read_bytes() for path in (tmp_path / "plan").rglob("*") if path.is_file()}
-    code, data = _interrupted(tmp_path, 1)
+    code, data = _interrupted(tmp_path, 1, verdict=verdict)
     assert (code, data["verdict"]) == (130, "CANCELLED")
     assert "result" not in data
     assert {path: path.read_bytes() for path in (tmp_path / "plan").rglob("*") if path.is_file()} == before

@@ -1,5 +1,7 @@
 """The checker reports every pair within margin and buffer: brute force over all pairs finds no other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from convex_distance import signed_distance
@@ -8,9 +10,9 @@ from hypothesis import strategies as st
 from swept_scenes import body_in_body, body_in_world, checker_of, keys, random_motion, random_scene, state_of
 from tiny_robots import PLANAR, SPATIAL, atlas, chain
 
-from costs.collision import PoseChecker
+from costs.collision import ManyPosesChecker, PoseChecker, count_checked
 from costs.kinematics import KinematicsEngine
-from costs.scene import Scene
+from costs.scene import ConvexPiece, Scene
 
 ROBOTS = {
     "two joints": (lambda: chain(PLANAR), 0.3),
@@ -127,12 +129,33 @@ def test_poses_are_clear_exactly_where_no_pair_is_nearer_than_its_margin(name):
         rng = np.random.default_rng(seed)
         centre = (0.7, 0.0, 0.0) if seed % 2 else (2.0, 0.0, 0.0)
         checker = checker_of(robot, random_scene(rng, 4, 0.6, centre), 0.02, buffer=0.0)
-        poses = PoseChecker(robot, checker.scene, checker.margins)
+        engine = KinematicsEngine(robot)
         q = random_motion(robot, rng, 3, 0.1)
         state = state_of(robot, checker)
         clear = [len(state(row[None]).contacts) == 0 for row in q]
-        engine = KinematicsEngine(robot)
-        assert [poses.are_clear(engine(row[None])) for row in q] == clear
-        assert poses.are_clear(engine(q)) == all(clear)
+        for poses in (
+            PoseChecker(engine, checker.scene, checker.margins),
+            ManyPosesChecker(robot, checker.scene, checker.margins),
+        ):
+            assert [poses.are_clear(row[None]) for row in q] == clear
+            assert poses.are_clear(q) == all(clear)
         answers += clear
     assert 5 < sum(answers) < len(answers) - 5
+
+
+def test_pairs_that_may_touch_do_not_count_as_near():
+    robot, rng = ROBOTS["four joints"][0](), np.random.default_rng(3)
+    q = random_motion(robot, rng, 1, 0.1)
+    engine = KinematicsEngine(robot)
+    inside = ConvexPiece("box", body_in_world(robot, engine(q), 0, 2) + 0.01)
+    checker = checker_of(robot, Scene((inside,)), 0.02, buffer=0.0)
+    assert checker(engine(q)).distance.min() < 0.0
+    margins = checker.margins
+    touching = replace(margins, world=-np.ones_like(margins.world), own=-np.ones_like(margins.own))
+    assert count_checked(margins) == margins.world.size + len(margins.own)
+    assert count_checked(touching) == 0
+    for poses in (
+        PoseChecker(engine, checker.scene, touching),
+        ManyPosesChecker(robot, checker.scene, touching),
+    ):
+        assert poses.are_clear(q)

@@ -9,7 +9,9 @@ import pytest
 from given_doors import door_request
 
 from costs.kinematics import locate_links
+from costs.stopping import Stopped, stops_when
 from service.body.monitor import Monitor
+from service.body.whole_body import RESERVE_M
 from service.demands.door import DoorChoice, make_door_phases
 from service.demands.door_demand import make_door, measure_peg, read_given_door
 from service.demands.hands import list_robot_hands
@@ -17,7 +19,7 @@ from service.demands.phase_spec import PhaseSpec
 from service.planner import _make_solver
 from service.request.file import parse_request
 from service.setup.prepare import prepare
-from service.tasks.held_tool import bring_tool, follow_in_balance, follow_tool
+from service.tasks.held_tool import INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
 from service.tasks.phase_compiler import PhaseCompiler
 from service.tasks.sequence import PhaseSequence, add_mechanism
 
@@ -137,10 +139,17 @@ def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[
     regions = (replace(region, first=0, last=count - 1, region=moved),)
     is_fixed = np.arange(count) == 0
     before = moved.polygon.margin(body.engine.place(path).com[:, :2])
-    inside = follow_in_balance(body, spec.hand, path, regions, is_fixed)
+    prescribed = _list_prescribed(compiler)
+    turned = body.robot.joint_names.index("r_arm_wry")  # as a gripper's finger is kept
+    prescribed[turned] = True
+    inside = follow_in_balance(body, spec.hand, path, regions, is_fixed, prescribed)
+    np.testing.assert_array_equal(inside[:, turned], path[:, turned])
     after = moved.polygon.margin(body.engine.place(inside).com[:, :2])
     assert before[1:].min() < body.aims.balance_margin + region.shift_m - 0.01
     assert after[1:].min() > body.aims.balance_margin + region.shift_m
+    enough = min(RESERVE_M, INSIDE_SHARE * (moved.polygon.depth - region.shift_m))
+    assert enough > body.aims.balance_margin + 0.01
+    assert after[1:].min() > enough + region.shift_m - 2e-3
     np.testing.assert_array_equal(inside[0], path[0])
     np.testing.assert_array_equal(inside[:, compiler.columns], values)
     assert (inside[1:] >= body.robot.lower).all()
@@ -150,6 +159,16 @@ def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[
     for foot in body.planted:
         poses = [locate_links(body.engine, q, [foot.link])[foot.link] for q in (path[-1], inside[-1])]
         np.testing.assert_allclose(poses[0], poses[1], atol=1e-3)
+
+
+def test_work_can_stop_before_every_region(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+    compiler, spec = held
+    polls = list[int]()
+    with stops_when(lambda: bool(polls.append(1))):
+        regions = compiler.find_regions(spec, spec.values(spec.n_waypoints))
+    assert len(polls) >= len(regions) > 0
+    with pytest.raises(Stopped), stops_when(lambda: True):
+        compiler.find_regions(spec, spec.values(spec.n_waypoints))
 
 
 def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, PhaseSpec]) -> None:

@@ -1,0 +1,35 @@
+"""Sparse arrays of known parts are scipy's own."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from scopt.affine import store_columns, store_rows
+
+
+@pytest.mark.parametrize("kind", ["rows", "columns"])
+def test_a_stored_array_is_the_one_that_scipy_makes(kind):
+    store, make = (store_rows, sparse.csr_array) if kind == "rows" else (store_columns, sparse.csc_array)
+    for seed in range(5):
+        wanted = make(sparse.random_array((7, 9), density=0.3, rng=np.random.default_rng(seed)))
+        parts = wanted.data, wanted.indices, wanted.indptr
+        made = store(parts, wanted.shape)
+        assert type(made) is type(wanted)
+        np.testing.assert_array_equal(made.toarray(), wanted.toarray())
+        np.testing.assert_array_equal((made.T @ made).toarray(), (wanted.T @ wanted).toarray())
+        np.testing.assert_array_equal(made[2:5].toarray(), wanted[2:5].toarray())
+        assert made.nnz == wanted.nnz
+
+
+def test_arrays_of_one_shape_are_apart():
+    first = store_rows((np.ones(1), np.zeros(1, dtype=np.int32), np.array([0, 1, 1], dtype=np.int32)), (2, 3))
+    second = store_rows((np.full(1, 2.0), np.ones(1, dtype=np.int32), np.array([0, 0, 1], dtype=np.int32)), (2, 3))
+    np.testing.assert_array_equal(first.toarray(), [[1, 0, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(second.toarray(), [[0, 0, 0], [0, 2, 0]])
+    assert store_rows((np.zeros(0), np.zeros(0, dtype=np.int32), np.zeros(3, dtype=np.int32)), (2, 3)).nnz == 0
+
+
+def test_parts_with_two_types_of_indices_get_one():
+    made = store_columns((np.ones(1), np.zeros(1, dtype=np.int64), np.array([0, 1, 1, 1], dtype=np.int32)), (2, 3))
+    assert made.indices.dtype == made.indptr.dtype
+    np.testing.assert_array_equal((made @ np.ones(3)), [1.0, 0.0])
