@@ -9,9 +9,19 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.sightlines import sight_index
-from perception.solids.fit import MIN_AGREEING, MeshPose, PoseJudge, Region, Surface, fit_pose, make_pose_judge
+from perception.solids.evidence import FieldOfView, Shape, find_noise, weigh_pose
+from perception.solids.fit import (
+    MIN_AGREEING,
+    MeshPose,
+    PoseJudge,
+    Region,
+    Surface,
+    WidePlanes,
+    fit_pose,
+    make_pose_judge,
+)
 from perception.solids.mesh import Solid
-from perception.solids.rating import NEAR_FOUND, MeshMatch, rate_pose
+from perception.solids.rating import MeshMatch, rate_pose
 from perception.view import View
 
 _N_BEST = 10
@@ -29,19 +39,23 @@ _DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
 def settle_poses(
     rough: Sequence[tuple[float, MeshPose]],
     solid: Solid,
-    surface: Surface,
-    centre: Float[np.ndarray, "3"],
-    radius: float,
+    shape: Shape,
     view: View,
+    wide: WidePlanes,
 ) -> list[MeshMatch]:
     """Return matches fitted from rough poses, without those that overlap a better one.
 
     Order: confidence times score, best first.
+
+    Args:
+        wide: planes of the scan that are wider than the object.
     """
+    surface, centre, radius = shape.surface, shape.centre, shape.radius
     index = sight_index(view.cloud)
+    field = FieldOfView.of(index.rays)
     fitted: list[tuple[float, MeshPose, PoseJudge]] = []
     for _, start in rough:
-        judge = make_pose_judge(surface, index, view, start.to_world(centre), radius)
+        judge = make_pose_judge(surface, index, view, start.to_world(centre), radius, wide)
         if len(judge.region.points) < MIN_AGREEING:
             continue
         few = judge.region.thin(_NUDGE_POINTS)
@@ -66,8 +80,9 @@ def settle_poses(
         best, settled = _nudge(surface, judge, judge.region.thin(_MOST_POINTS), (score, pose))
         rivals = [other for other, turned, _ in fitted if is_different(settled, turned, centre)]
         # About the place where the search began, points beyond the object's end may be left out.
-        judge = make_pose_judge(surface, index, view, settled.to_world(centre), radius)
-        matches.append(rate_pose(settled, judge, compare_rivals(rivals, best), solid, NEAR_FOUND))
+        judge = make_pose_judge(surface, index, view, settled.to_world(centre), radius, wide)
+        evidence = weigh_pose(settled, shape, judge, find_noise(view, wide, settled.to_world(centre)), field)
+        matches.append(rate_pose(settled, judge, compare_rivals(rivals, best), solid, evidence))
         scores.append(max(best, 0.0))
     order = sorted(range(len(matches)), key=lambda i: (-matches[i].confidence * scores[i], -matches[i].confidence))
     return [matches[i] for i in order]
