@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -75,7 +75,7 @@ def settle_poses(
         if poses:
             fitted.append((*_rate_first(judge, poses), judge))
     fitted.sort(key=lambda candidate: -candidate[0])
-    places: list[_Place] = []
+    places: list[Place] = []
     for rank, (score, pose, judge) in enumerate(fitted):
         at = pose.to_world(centre)
         here = next((place for place in places if np.linalg.norm(at - place.centre) < radius), None)
@@ -88,19 +88,20 @@ def settle_poses(
         evidence = weigh_pose(settled, shape, judge, find_noise(view, wide, settled.to_world(centre)), field)
         match = rate_pose(settled, judge, compare_rivals(rivals, best), solid, evidence)
         if here is None:
-            places.append(_Place(settled.to_world(centre), score, settled, match, max(best, 0.0), 1))
+            places.append(Place(settled.to_world(centre), score, settled, match, max(best, 0.0), 1))
         else:
             here.enter(settled, match, max(best, 0.0))
-    return [place.match for place in sorted(places, key=lambda place: (-place.rank, -place.match.confidence))]
+    return [place.shared for place in sorted(places, key=lambda place: -place.shared.confidence * place.score)]
 
 
 @dataclass
-class _Place:
+class Place:
     """Place of an object, with the best of the poses that were settled there.
 
     Attributes:
         first: score of the pose that led to it, before it was settled.
         n_settled: number of poses that were settled here.
+        rival: largest confidence of the others.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -109,6 +110,13 @@ class _Place:
     match: MeshMatch
     score: float
     n_settled: int
+    rival: float = 0.0
+
+    @property
+    def shared(self) -> MeshMatch:
+        """The match, its confidence shared with the best of the other poses: one of them at most is right."""
+        sure = self.match.confidence
+        return replace(self.match, confidence=sure * sure / (sure + self.rival)) if sure > 0.0 else self.match
 
     @property
     def rank(self) -> float:
@@ -126,8 +134,10 @@ class _Place:
     def enter(self, pose: MeshPose, match: MeshMatch, score: float) -> None:
         """Keep the surer of two poses."""
         self.n_settled += 1
+        loser = match
         if match.confidence * score > self.rank:
-            self.pose, self.match, self.score = pose, match, score
+            loser, self.pose, self.match, self.score = self.match, pose, match, score
+        self.rival = max(self.rival, loser.confidence)
 
 
 def _rate_first(judge: PoseJudge, poses: Sequence[MeshPose]) -> tuple[float, MeshPose]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from perception.solids.fit import MeshPose, find_wide_planes, make_pose_judge
 from perception.solids.match import find_matches
 from perception.solids.mesh import Mesh, Solid
 from perception.solids.rating import MeshMatch, join_meshes, measure_solid
+from perception.solids.settle import Place
 from perception.solids.shapes import make_box, make_cylinder, make_lever, make_wheel, unite_meshes
 
 ROOM = (box((-4.0, -4.0, -0.1), (4.0, 4.0, 0.0)), box((1.7, -2.5, 0.0), (1.8, 2.5, 2.4)))
@@ -123,3 +125,14 @@ def test_noise_is_that_of_planes_at_the_same_range() -> None:
     view = see([TABLE], sensor=Scanner(n_lines=120, sigma=0.004))
     wide = find_wide_planes(view.obstacles, view.starts, 0.2, 0)
     assert find_noise(view, wide, np.array([0.9, 0.0, 1.0])) == pytest.approx(0.004, rel=0.4)
+
+
+def test_poses_at_one_place_share_their_confidence() -> None:
+    match = MeshMatch(np.eye(4), 0.6, {}, unite_meshes(ANGLE), 0.01)
+    pose = MeshPose(np.eye(3), np.zeros(3))
+    place = Place(np.zeros(3), 10.0, pose, match, 10.0, 1)
+    assert place.shared.confidence == pytest.approx(0.6)
+    place.enter(pose, replace(match, confidence=0.2), 10.0)
+    assert place.shared.confidence == pytest.approx(0.6 * 0.6 / 0.8)
+    place.enter(pose, replace(match, confidence=0.9), 10.0)
+    assert place.shared.confidence == pytest.approx(0.9 * 0.9 / 1.5)
