@@ -39,6 +39,7 @@ class View:
         is_floor: (N,) which points of ``near`` belong to the floor.
         robot_hulls: (V, 3) vertices of the robot's links in the world [m].
         soles: (S, 3) corners of the planted soles [m].
+        is_surface: (N,) which points of ``near`` are obstacles; empty if strays were not dropped.
     """
 
     cloud: Cloud
@@ -53,6 +54,7 @@ class View:
     is_floor: Bool[np.ndarray, "N"] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     robot_hulls: tuple[Float[np.ndarray, "V 3"], ...] = ()
     soles: tuple[Float[np.ndarray, "S 3"], ...] = ()
+    is_surface: Bool[np.ndarray, "N"] = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     @property
     def n_cropped(self) -> int:
@@ -112,7 +114,7 @@ def widen(view: View) -> View:
     )
     if reach == view.reach:
         return view
-    return view_of(crop(view.cloud, reach, view.robot_hulls), reach=reach, soles=view.soles)
+    return view_of(crop(view.cloud, reach, view.robot_hulls), reach=reach, soles=view.soles, narrower=view)
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,7 @@ def view_of(
     seed: int = 0,
     cleaned: bool = True,
     floors: Sequence[FloorPlane] = (),
+    narrower: View | None = None,
 ) -> View:
     """Find the floor, drop strays and mixed pixels; see ``make_view``.
 
@@ -170,6 +173,7 @@ def view_of(
         cropped, reach, soles, seed: as for ``make_view``.
         cleaned: whether strays and mixed pixels are dropped; if not, all points off the floor are obstacles.
         floors: levels of an earlier scan, used unchanged if this scan shows them.
+        narrower: view of the same scan; if its reach and floor hold the same points, so do its surfaces.
     """
     cloud, near, notes = cropped.cloud, cropped.near, cropped.notes
     floors = tuple(floors)
@@ -184,8 +188,7 @@ def view_of(
         lowest = np.min([level.height(near.starts[:, :2]) for level in floors], axis=0)
         notes = (*notes, *low_sensor_doubt(near.starts, lowest))
     is_floor = find_floor_points(near.points, floors, soles)
-    above = ~is_floor
-    kept = surface_points(near.points, near.starts, above) if cleaned else above
+    kept = _find_surfaces(near, is_floor, narrower) if cleaned else ~is_floor
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
     notes = (*notes, *crop_doubt(cloud.points, len(near.points) + cropped.n_own, reach, missing))
     obstacles, starts = near.points[kept], near.starts[kept]
@@ -193,7 +196,20 @@ def view_of(
         *(cloud, near, floors, obstacles, starts, reach, seed, notes, cropped.n_own, is_floor),
         cropped.robot_hulls,
         tuple(soles),
+        kept if cleaned else kept[:0],
     )
+
+
+def _find_surfaces(near: Cloud, is_floor: Bool[np.ndarray, "N"], narrower: View | None) -> Bool[np.ndarray, "N"]:
+    """Return which points lie on surfaces other than the floor; as in the narrower view if that has the same points."""
+    if (
+        narrower is not None
+        and len(narrower.is_surface) == len(is_floor)
+        and np.array_equal(narrower.is_floor, is_floor)
+        and np.array_equal(narrower.near.points, near.points)
+    ):
+        return narrower.is_surface
+    return surface_points(near.points, near.starts, ~is_floor)
 
 
 def _stand(reach: Reach, soles: Sequence[Float[np.ndarray, "S 3"]]) -> Float[np.ndarray, "3"]:

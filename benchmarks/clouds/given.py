@@ -3,8 +3,11 @@
 Objects made of parameters hang or lie in rooms with pipes, cartons and shelves, and are searched for in the whole scan
 by the code that finds meshes.  Every object is also searched for in scans without it.
 
+With ``--mixed`` the scenes hold four objects each (``benchmarks/clouds/given_mixed.py``), others are searched for as
+well, and a table shows how many hits of each confidence are right.
+
 From the checkout's root: ``python -m benchmarks.clouds.given [--seeds 0 1 2] [--variant V] [--only NAME] [--hint]
-[--absent] [--record FILE]``.
+[--absent] [--mixed] [--record FILE]``.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +26,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.clouds.absent import ABSENT
+from benchmarks.clouds.given_mixed import compare_surfaces, make_mixed, make_searched
 from benchmarks.clouds.others import make_other
 from benchmarks.tables import print_table
 from perception import CONFIDENT, View, make_view
@@ -47,6 +52,7 @@ from perception.solids.shapes import make_box, make_cylinder, make_lever, make_w
 
 _HINT_SIGMA = 0.05  # [m] how well an operator clicks
 _RIGHT_MM, _RIGHT_DEG = 30.0, 8.0
+_BORDERS = (0.0, 0.25, 0.5, 0.7, 0.9, 1.01)  # of the confidences
 Record = dict[str, Any]
 
 
@@ -116,17 +122,61 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", default="", help="only objects whose name holds one of these, separated by commas")
     parser.add_argument("--hint", action="store_true", help="give a place near each object, as an operator would")
     parser.add_argument("--absent", action="store_true", help="only the scans without the objects")
+    parser.add_argument("--mixed", action="store_true", help="scenes with several objects, some of them alike")
     parser.add_argument("--record", type=Path, help="append one JSON line per search")
     chosen = parser.parse_args(arguments)
     names = [name for name in OBJECTS if any(part in name for part in chosen.only.split(","))]
     records = []
-    for record in _search_all(names, chosen):
+    for record in _search_mixed(chosen) if chosen.mixed else _search_all(names, chosen):
         records.append(record)
         print(record["object"], record["scan"], record["confidence"], file=sys.stderr)
         if chosen.record is not None:
             with chosen.record.open("a") as file:
                 file.write(json.dumps(record) + "\n")
-    print_records(records)
+    if chosen.mixed:
+        print_reliability(records)
+    else:
+        print_records(records)
+
+
+def _search_mixed(chosen: argparse.Namespace) -> Iterator[Record]:
+    for seed in chosen.seeds:
+        mixed = make_mixed(seed)
+        for variant in chosen.variant or ("dense", "solid", "camera", "sparse"):
+            view = make_view(mixed.scene.scan(variant))
+            for name in (*mixed.poses, *mixed.absent):
+                solid, truth = make_searched(name), mixed.poses.get(name)
+                clock = time.process_time()
+                matches = find_matches(solid, view)
+                record: Record = {"object": name, "scan": f"{seed}:{variant}", "is_there": truth is not None}
+                record["cpu"] = round(time.process_time() - clock, 2)
+                record["confidence"] = round(matches[0].confidence, 3) if matches else 0.0
+                record["n_sure"] = sum(match.confidence >= CONFIDENT for match in matches)
+                if truth is not None and matches:
+                    record["mm"] = round(1e3 * compare_surfaces(solid, matches[0].pose_world_mesh, truth), 1)
+                if matches:
+                    record["residuals"] = {key: round(float(x), 4) for key, x in matches[0].residuals.items()}
+                yield record
+
+
+def print_reliability(records: Sequence[Record]) -> None:
+    """Print how many hits of each confidence are right, and how many objects are found, by sensor."""
+    rows = []
+    for low, high in pairwise(_BORDERS):
+        mine = [record for record in records if low <= record["confidence"] < high]
+        right = [record for record in mine if record.get("mm", np.inf) <= _RIGHT_MM]
+        absent = sum(not record["is_there"] for record in mine)
+        rows.append((f"{low:.2f} to {min(high, 1.0):.2f}", str(len(mine)), str(len(right)), str(absent)))
+    print_table("hits by confidence", ("confidence", "searches", "right", "object absent"), rows)
+    rows = []
+    for sensor in dict.fromkeys(_label(record)[1] for record in records):
+        mine = [record for record in records if _label(record)[1] == sensor]
+        there = [record for record in mine if record["is_there"]]
+        sure = [record for record in mine if record["confidence"] >= CONFIDENT]
+        right = [record for record in sure if record.get("mm", np.inf) <= _RIGHT_MM]
+        cpu = f"{np.median([record['cpu'] for record in mine]):.1f}"
+        rows.append((sensor, f"{len(right)} / {len(there)}", str(len(sure) - len(right)), cpu))
+    print_table("objects found", ("sensor", "found", "wrong", "CPU s"), rows)
 
 
 def _search_all(names: Sequence[str], chosen: argparse.Namespace) -> Iterator[Record]:

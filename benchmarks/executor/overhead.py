@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from benchmarks.executor.overhead import jobs
-from benchmarks.planning.whole_plans import spread
+from benchmarks.executor import jobs
+from benchmarks.planning import spread
 from benchmarks.tables import print_table
 from service.executor import Job, LocalPool, WorkerState
 

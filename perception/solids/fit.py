@@ -227,6 +227,16 @@ class WidePlanes:
             on[near[((flat >= lower) & (flat <= upper)).all(axis=1)]] = True
         return on
 
+    def measure(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "K"]:
+        """Return the distances of the points that lie on the planes from the middle of each plane's points [m]."""
+        offsets = [np.zeros(0)]
+        for i in range(len(self.offsets)):
+            on = WidePlanes(*(values[i : i + 1] for values in vars(self).values())).hold(points)
+            if on.any():
+                distance = points[on] @ self.normals[i]
+                offsets.append(distance - np.median(distance))
+        return np.concatenate(offsets)
+
 
 @dataclass(frozen=True)
 class PoseJudge:
@@ -311,12 +321,22 @@ class PoseJudge:
 
 
 def make_pose_judge(
-    surface: Surface, index: SightIndex, view: View, place: Float[np.ndarray, "3"], radius: float
+    surface: Surface,
+    index: SightIndex,
+    view: View,
+    place: Float[np.ndarray, "3"],
+    radius: float,
+    wide: WidePlanes | None = None,
 ) -> PoseJudge:
-    """Return the rays near a position, and the points there that are not on planes larger than the object."""
+    """Return the rays near a position, and the points there that are not on planes larger than the object.
+
+    Args:
+        radius: of the sphere about the object [m].
+        wide: these planes, found in the whole scan; None: they are found about the position.
+    """
     near = np.flatnonzero(np.linalg.norm(view.obstacles - place, axis=1) <= 3.0 * radius + 0.1)
     points, starts = view.obstacles[near], view.starts[near]
-    wide = find_wide_planes(points, starts, radius, view.seed)
+    wide = wide or find_wide_planes(points, starts, radius, view.seed)
     kept = (np.linalg.norm(points - place, axis=1) <= 1.6 * radius + 0.05) & ~wide.hold(points)
     rays = index.passing(place[None], 2.0 * radius + 0.1)
     return PoseJudge(surface, rays, Region(points[kept], starts[kept]), wide, _PART * radius)

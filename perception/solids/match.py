@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.sightlines import sight_index
+from perception.solids.evidence import Shape
 from perception.solids.fit import MIN_AGREEING, MeshPose, Region, find_wide_planes, make_pose_judge
 from perception.solids.mesh import Mesh, Solid, make_solid
 from perception.solids.nearest_field import NearestField
@@ -93,7 +94,8 @@ def find_matches(solid: Solid, view: View, hint: Float[np.ndarray, "3"] | None =
         return []
     whole = join_meshes([*solid.closed, *solid.open])
     surface, centre, radius = measure_solid(solid)
-    loose = ~find_wide_planes(view.obstacles, view.starts, radius, view.seed).hold(view.obstacles)
+    wide = find_wide_planes(view.obstacles, view.starts, radius, view.seed)
+    loose = ~wide.hold(view.obstacles)
     samples, normals = spread_samples(whole, _SAMPLES)
     samples -= centre
     beside = list_beside(surface, samples + centre, normals, radius) - centre
@@ -124,7 +126,7 @@ def find_matches(solid: Solid, view: View, hint: Float[np.ndarray, "3"] | None =
             if len(kept) == _KEPT_HERE:
                 break
     rough.sort(key=lambda scored: -scored[0])
-    return settle_poses(rough[:_MOST_SETTLED], solid, surface, centre, radius, view)
+    return settle_poses(rough[:_MOST_SETTLED], solid, Shape.of(whole, surface, centre, radius), view, wide)
 
 
 def judge_placed(solid: Solid, view: View, pose_world_mesh: Float[np.ndarray, "4 4"]) -> MeshMatch:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from perception.errors import MeshError
+from perception.solids.evidence import Evidence
 from perception.solids.fit import MeshPose, PoseJudge, Surface
 from perception.solids.mesh import Mesh, Solid
 
@@ -16,6 +17,9 @@ CONFIDENT = 0.5
 _MISSING = (0.5, 0.9)  # share of the rays to a part that go on through it: rated 1, and rated 0
 _BLURRED = (0.045, 0.08)  # distance of the points by the object's radius: rated 1, and rated 0
 _ON_PLANES = (0.5, 0.7)  # share of the rays on a mesh that end on a wide plane: rated 1, and rated 0
+# Of the evidence for an object whose place was not expected: rated 1, and rated 0 or as low as the third value.
+_BESIDE, _CONFIRMED, _SEEN = (0.08, 0.2), (0.93, 0.84), (0.8, 0.3)
+_TELLING, _CUT = (0.12, 0.04, 0.4), (0.15, 0.35, 0.4)
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class Limits:
 
 
 # Near an expected pose neighbours are no reason to doubt it; elsewhere what goes on beyond the object's ends is.
-NEAR_EXPECTED, NEAR_FOUND = Limits(60.0, (0.2, 0.8), None), Limits(150.0, (0.2, 0.36), (0.03, 0.1))
+NEAR_EXPECTED, NEAR_FOUND = Limits(60.0, (0.2, 0.8), None), Limits(80.0, (0.2, 0.36), (0.03, 0.1))
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ class MeshMatch:
             ``hidden``, share that ended before it; ``unexplained``, points close to its surface as a share of those on
             it; ``held``, the same of those at one part of it, where something may carry it; ``on_planes``, share of the
             rays on it that end on a plane wider than it; ``rival``, score of the best clearly different pose over this
-            one's (near 1: the scan does not distinguish them); ``n_points`` on the mesh.
+            one's (near 1: the scan does not distinguish them); ``n_points`` on the mesh; for an object that was
+            searched for, those of :class:`~perception.solids.evidence.Evidence` as well.
         solid: the mesh in its own frame.
         tolerance: largest distance of its points from its surface [m].
     """
@@ -91,8 +96,10 @@ def rate_pose(
     judge: PoseJudge,
     rival: float,
     solid: Solid,
-    limits: Limits = NEAR_EXPECTED,
+    evidence: Evidence | None = None,
 ) -> MeshMatch:
+    """Return the match of a pose; its evidence is None if the object was expected there."""
+    limits = NEAR_EXPECTED if evidence is None else NEAR_FOUND
     verdict = judge.count(pose, len(judge.rays) or 1, len(judge.region.points) or 1)
     met = max(1, verdict.agreeing + verdict.through)
     _, _, radius = measure_solid(solid)
@@ -124,7 +131,21 @@ def rate_pose(
         * _ramp_down(on_planes, *_ON_PLANES)
         * _ramp_down(rms / radius, *_BLURRED)
     )
+    if evidence is not None:
+        confidence *= _believe(evidence)
+        residuals |= {name: value for name, value in vars(evidence).items() if np.isfinite(value)}
     return MeshMatch(pose.matrix, float(confidence), residuals, solid, verdict.tolerance)
+
+
+def _believe(evidence: Evidence) -> float:
+    """Return 1 for evidence that leaves no doubt, less for a place that may show another object."""
+    return (
+        _ramp_down(evidence.beside, *_BESIDE)
+        * _ramp_down(-evidence.confirmed, *(-limit for limit in _CONFIRMED))
+        * _ramp_down(-evidence.seen, *(-limit for limit in _SEEN))
+        * max(_TELLING[2], _ramp_down(-evidence.telling, -_TELLING[0], -_TELLING[1]))
+        * max(_CUT[2], _ramp_down(evidence.cut, *_CUT[:2]))
+    )
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.sightlines import sight_index
-from perception.solids.fit import MIN_AGREEING, MeshPose, PoseJudge, Region, Surface, fit_pose, make_pose_judge
+from perception.solids.evidence import FieldOfView, Shape, find_noise, weigh_pose
+from perception.solids.fit import (
+    MIN_AGREEING,
+    MeshPose,
+    PoseJudge,
+    Region,
+    Surface,
+    WidePlanes,
+    fit_pose,
+    make_pose_judge,
+)
 from perception.solids.mesh import Solid
-from perception.solids.rating import NEAR_FOUND, MeshMatch, rate_pose
+from perception.solids.rating import MeshMatch, rate_pose
 from perception.view import View
 
 _N_BEST = 10
@@ -20,6 +31,9 @@ _MOST_POINTS, _MOST_RAYS = 4000, 6000
 _SOME_RAYS = 2000
 _FROM_BEHIND, _SETTLE_GATES, _UNSETTLED = (0.0, 0.02), np.linspace(0.06, 0.025, 10), 0.025  # [m]
 _N_NUDGED = 4
+# Another pose at the same place is settled too if the first is not this sure, up to this many in all, and if its score
+# is so near the first's; a tenth of its surface must be off the other pose's by more than the last value [m].
+_SURE_HERE, _MOST_HERE, _RIVAL_HERE, _OUTERMOST, _OTHERWISE = 0.8, 3, 0.6, 0.9, 0.03
 _NUDGES = (0.04, 0.025, 0.015)  # [m], and five times as many radians
 _NUDGE_POINTS = 600
 _NUDGE_GATES = np.concatenate([np.linspace(0.05, 0.025, 5), np.full(5, 0.025)])
@@ -29,19 +43,23 @@ _DIFFERENT_DEG, _DIFFERENT_M = 20.0, 0.05
 def settle_poses(
     rough: Sequence[tuple[float, MeshPose]],
     solid: Solid,
-    surface: Surface,
-    centre: Float[np.ndarray, "3"],
-    radius: float,
+    shape: Shape,
     view: View,
+    wide: WidePlanes,
 ) -> list[MeshMatch]:
     """Return matches fitted from rough poses, without those that overlap a better one.
 
     Order: confidence times score, best first.
+
+    Args:
+        wide: planes of the scan that are wider than the object.
     """
+    surface, centre, radius = shape.surface, shape.centre, shape.radius
     index = sight_index(view.cloud)
+    field = FieldOfView.of(index.rays)
     fitted: list[tuple[float, MeshPose, PoseJudge]] = []
     for _, start in rough:
-        judge = make_pose_judge(surface, index, view, start.to_world(centre), radius)
+        judge = make_pose_judge(surface, index, view, start.to_world(centre), radius, wide)
         if len(judge.region.points) < MIN_AGREEING:
             continue
         few = judge.region.thin(_NUDGE_POINTS)
@@ -57,20 +75,69 @@ def settle_poses(
         if poses:
             fitted.append((*_rate_first(judge, poses), judge))
     fitted.sort(key=lambda candidate: -candidate[0])
-    matches: list[MeshMatch] = []
-    scores: list[float] = []
-    for score, pose, judge in fitted[:_N_NUDGED]:
-        place = pose.to_world(centre)
-        if any(np.linalg.norm(place - _centre_of(other, centre)) < radius for other in matches):
+    places: list[Place] = []
+    for rank, (score, pose, judge) in enumerate(fitted):
+        at = pose.to_world(centre)
+        here = next((place for place in places if np.linalg.norm(at - place.centre) < radius), None)
+        if rank >= _N_NUDGED if here is None else not here.may_be(score, pose, shape):
             continue
         best, settled = _nudge(surface, judge, judge.region.thin(_MOST_POINTS), (score, pose))
         rivals = [other for other, turned, _ in fitted if is_different(settled, turned, centre)]
         # About the place where the search began, points beyond the object's end may be left out.
-        judge = make_pose_judge(surface, index, view, settled.to_world(centre), radius)
-        matches.append(rate_pose(settled, judge, compare_rivals(rivals, best), solid, NEAR_FOUND))
-        scores.append(max(best, 0.0))
-    order = sorted(range(len(matches)), key=lambda i: (-matches[i].confidence * scores[i], -matches[i].confidence))
-    return [matches[i] for i in order]
+        judge = make_pose_judge(surface, index, view, settled.to_world(centre), radius, wide)
+        evidence = weigh_pose(settled, shape, judge, find_noise(view, wide, settled.to_world(centre)), field)
+        match = rate_pose(settled, judge, compare_rivals(rivals, best), solid, evidence)
+        if here is None:
+            places.append(Place(settled.to_world(centre), score, settled, match, max(best, 0.0), 1))
+        else:
+            here.enter(settled, match, max(best, 0.0))
+    return [place.shared for place in sorted(places, key=lambda place: -place.shared.confidence * place.score)]
+
+
+@dataclass
+class Place:
+    """Place of an object, with the best of the poses that were settled there.
+
+    Attributes:
+        first: score of the pose that led to it, before it was settled.
+        n_settled: number of poses that were settled here.
+        rival: largest confidence of the others.
+    """
+
+    centre: Float[np.ndarray, "3"]
+    first: float
+    pose: MeshPose
+    match: MeshMatch
+    score: float
+    n_settled: int
+    rival: float = 0.0
+
+    @property
+    def shared(self) -> MeshMatch:
+        """The match, its confidence shared with the best of the other poses: one of them at most is right."""
+        sure = self.match.confidence
+        return replace(self.match, confidence=sure * sure / (sure + self.rival)) if sure > 0.0 else self.match
+
+    @property
+    def rank(self) -> float:
+        """Confidence times score."""
+        return self.match.confidence * self.score
+
+    def may_be(self, score: float, pose: MeshPose, shape: Shape) -> bool:
+        """Return whether the object may be here in another pose, which is worth settling."""
+        if self.match.confidence > _SURE_HERE or self.n_settled >= _MOST_HERE or score < _RIVAL_HERE * self.first:
+            return False
+        samples = self.pose.to_mesh(pose.to_world(shape.samples))
+        off = np.linalg.norm(samples - shape.surface.nearest(samples)[0], axis=1)
+        return bool(np.quantile(off, _OUTERMOST) > _OTHERWISE)
+
+    def enter(self, pose: MeshPose, match: MeshMatch, score: float) -> None:
+        """Keep the surer of two poses."""
+        self.n_settled += 1
+        loser = match
+        if match.confidence * score > self.rank:
+            loser, self.pose, self.match, self.score = self.match, pose, match, score
+        self.rival = max(self.rival, loser.confidence)
 
 
 def _rate_first(judge: PoseJudge, poses: Sequence[MeshPose]) -> tuple[float, MeshPose]:
@@ -138,7 +205,3 @@ def compare_rivals(rivals: Sequence[float], best: float) -> float:
 def is_different(pose: MeshPose, other: MeshPose, centre: Float[np.ndarray, "3"]) -> bool:
     angle = np.degrees(Rotation.from_matrix(pose.rotation.T @ other.rotation).magnitude())
     return bool(angle > _DIFFERENT_DEG or np.linalg.norm(pose.to_world(centre) - other.to_world(centre)) > _DIFFERENT_M)
-
-
-def _centre_of(match: MeshMatch, centre: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    return np.asarray(match.pose_world_mesh[:3, :3] @ centre + match.pose_world_mesh[:3, 3])

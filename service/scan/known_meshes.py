@@ -47,7 +47,14 @@ _RESIDUALS = {
     "held": "held_ratio",
     "on_planes": "on_planes_share",
     "rival": "rival_ratio",
+    "beside": "beside_ratio",
+    "seen": "seen_share",
+    "confirmed": "confirmed_share",
+    "telling": "telling_ratio",
+    "cut": "cut_share",
 }
+# Values from which a reason for a low confidence is given.
+_TELLS, _CUT = 0.12, 0.2
 
 
 @dataclass(frozen=True)
@@ -278,6 +285,10 @@ def explain_low_confidence(match: MeshMatch) -> str:
     reasons = [
         f"{100.0 * residuals[name]:.0f} % {words}" for name, words in shares.items() if residuals.get(name, 0.0) > 0.1
     ]
+    if residuals.get("telling", 1.0) < _TELLS:
+        reasons.append("what is seen may be a block of its outline as well")
+    if residuals.get("cut", 0.0) > _CUT:
+        reasons.append("it ends at the edge of the field of view")
     if not reasons:
         reasons = [f"{int(residuals['n_points'])} points lie on it"]
     # Rounded down, so that a value slightly below its threshold is not printed as sufficient.

@@ -91,22 +91,22 @@ def slim_places(
         ball: radius of the neighbourhood [m].
     """
     poll()
-    pairs = tree.query_pairs(ball, output_type="ndarray")
+    first, second = np.ascontiguousarray(tree.query_pairs(ball, output_type="ndarray").T)
     n = len(points)
     poll()
-    of, offset = pairs.T.reshape(-1), points[pairs[:, 1]] - points[pairs[:, 0]]
-    offset = np.concatenate([offset, -offset])
+    offset = [column.take(second) - column.take(first) for column in np.ascontiguousarray(points.T)]
     # The point itself counts too, with offset 0.
-    count = np.bincount(of, minlength=n) + 1.0
-    mean = np.stack([np.bincount(of, offset[:, i], n) for i in range(3)], axis=1) / count[:, None]
-    covariance = -mean[:, :, None] * mean[:, None, :]
-    poll()
+    count = np.bincount(first, minlength=n) + np.bincount(second, minlength=n) + 1.0
+    mean = [(np.bincount(first, way, n) - np.bincount(second, way, n)) / count for way in offset]
+    covariance = np.empty((n, 3, 3))
     for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
         poll()
-        second = np.bincount(of, offset[:, i] * offset[:, j], n) / count
-        covariance[:, i, j] += second
-        covariance[:, j, i] += second * (i != j)
+        product = offset[i] * offset[j]
+        moment = (np.bincount(first, product, n) + np.bincount(second, product, n)) / count
+        covariance[:, i, j] = covariance[:, j, i] = moment - mean[i] * mean[j]
     poll()
-    variances, ways = np.linalg.eigh(covariance)
-    is_slim = (count >= _FEWEST) & (variances[:, 1] < _SLIM * variances[:, 2]) & (variances[:, 2] > _SPREAD**2)
-    return np.flatnonzero(is_slim), np.asarray(ways[is_slim, :, 2])
+    # No variance is larger than their sum.
+    likely = np.flatnonzero((count >= _FEWEST) & (np.trace(covariance, axis1=1, axis2=2) > _SPREAD**2))
+    variances, ways = np.linalg.eigh(covariance[likely])
+    is_slim = (variances[:, 1] < _SLIM * variances[:, 2]) & (variances[:, 2] > _SPREAD**2)
+    return likely[is_slim], np.asarray(ways[is_slim, :, 2])

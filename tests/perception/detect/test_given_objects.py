@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from little_scan import scopt
 
+from benchmarks.clouds.given import make_given
 from perception import Cloud, make_view, write_npz
 from perception.simulate import Pose, Scanner, box, cylinder, scan
 from perception.solids.match import find_matches
@@ -140,3 +141,12 @@ def test_a_crank_is_not_found_on_a_post_that_goes_on_at_both_of_its_ends(x: floa
     cloud = scan([post, head, *room], Pose.looking((0.1, 0.0, 1.6), (0.9, 0.0, 1.0), 0.0), Scanner(n_lines=120), 0)
     crank = unite_meshes(make_lever(0.22, 0.012, 0.1), "crank")
     assert all(match.confidence < 0.5 for match in find_matches(crank, make_view(cloud)))
+
+
+def test_a_crank_is_not_taken_the_wrong_way_round_on_its_stem() -> None:
+    # The stem looks like the grip, and the first fit has them exchanged.
+    scene, pose = make_given("crank_22", 1)
+    crank = unite_meshes(make_lever(0.22, 0.012, 0.1), "crank")
+    best = find_matches(crank, make_view(scene.scan("solid")))[0]
+    assert best.confidence >= 0.5
+    assert np.linalg.norm(best.pose_world_mesh[:3, 3] - pose[:3, 3]) < 0.01

@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import perception.view as view_module
 from perception import CONFIDENT, Detection, Reach, detect, make_view, settle_overlaps
 from perception.detect.shared.local import best_about, pick_per_cell
 from perception.detect.shared.nearby import Nearby
 from perception.detect.valve.circles import find_circles
 from perception.detect.valve.foreground import Foreground
 from perception.simulate import Pose, Room, Scanner, Valve, box, scan
+from perception.view import widen
 
 SCANNER = Scanner(n_beams=361, fan_deg=90.0, n_lines=90)
 SENSOR = Pose((0.12, 0.0, 1.6), pitch=0.3)
@@ -149,3 +151,17 @@ def test_a_wide_wheel_is_found_with_its_outer_radius() -> None:
     assert hit.confidence >= CONFIDENT
     assert hit.sizes["outer_radius"] == pytest.approx(0.25, abs=0.01)
     assert np.linalg.norm(hit.pose_world_object[:3, 3] - [0.8, 0.1, 1.1]) < 0.015
+
+
+@pytest.mark.parametrize(("far", "is_cleaned_again"), [(2.5, False), (4.0, True)])
+def test_a_wider_view_of_the_same_points_is_not_cleaned_again(
+    far: float, is_cleaned_again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wall = box((far, -0.6, 0.0), (far + 0.1, 0.6, 1.6))
+    view = make_view(scan([wall, box((0.8, -0.3, 0.0), (1.2, 0.3, 0.9))], SENSOR, SCANNER, 0))
+    expected = make_view(view.cloud, reach=Reach(radius=5.0)).obstacles
+    calls = []
+    clean = view_module.surface_points
+    monkeypatch.setattr(view_module, "surface_points", lambda *args: calls.append(args) or clean(*args))
+    np.testing.assert_array_equal(widen(view).obstacles, expected)
+    assert bool(calls) == is_cleaned_again
