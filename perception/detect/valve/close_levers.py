@@ -56,6 +56,8 @@ _MOST_SHIFT = 0.03  # from a pivot by the lever's end to one by the body's middl
 # their axes, and of a pivot by the body's middle [m].
 _SIGMA_END, _SIGMA_LATERAL, _SIGMA_BODY = 0.012, 0.005, 0.012
 _LEAST_ANGLE = 0.1  # of lever and pipe [rad], below which their crossing is unknown
+_ABOUT_END, _BLUR = 0.06, 0.015  # reach about a free end, and of the noise across rays at an edge [m]
+_JOINED = (0.2, 0.4)  # points that join a lever at its free end, over those on it there
 _OFF_BODY, _OFF_BODY_BY = 0.015, (0.2, 0.4)  # of a pivot from the body's middle: [m], and in the body's length
 
 
@@ -109,7 +111,7 @@ def join_close(lever: FittedBar, pipe: FittedBar, index: SightIndex, floor: Floo
         return None
     is_end_seen = own.is_seen and lever.ends.seen[rough.pivot.far == lever.bar.last]
     confidence *= rate_pivot(joint.pivot, own.bar.half[0]) * (1.0 if is_end_seen else END_UNSEEN)
-    confidence *= rising(-joint.spread, -_SPREADS[1], -_SPREADS[0])
+    confidence *= rising(-joint.spread, -_SPREADS[1], -_SPREADS[0]) * _rate_free_end(own.bar, joint, index)
     return LeverOnPipe(lever, own.bar, joint, float(confidence), pipe)
 
 
@@ -180,3 +182,19 @@ def _place_pivot(bar: Bar, pipe: Bar, by_end: float, body: ValveBody) -> float:
             estimates.append((middle, _SIGMA_BODY / abs(cosine)))
     places, sigmas = np.array(estimates).T
     return float(np.average(places, weights=sigmas**-2.0))
+
+
+def _rate_free_end(bar: Bar, joint: LeverJoint, index: SightIndex) -> float:
+    """Return the rating, 0 to 1, that nothing joins a lever at its free end, as a rim joins a wheel's spoke.
+
+    It falls with the number of points beside and beyond the end, above the lever's axis, over that on the lever there.
+    """
+    far = bar.centre + joint.pivot.far * bar.axis
+    outwards = np.sign(joint.pivot.far - joint.pivot.along) * bar.axis
+    ends = index.passing(far[None], _ABOUT_END).ends - far
+    past, height = ends @ outwards, ends @ joint.axis
+    aside = np.abs(ends @ cross(joint.axis, outwards))
+    level = (height > 0.0) & (height < _ABOUT_END) & (np.abs(past) < _ABOUT_END) & (aside < _ABOUT_END)
+    on_lever = level & (past < 0.0) & (aside < bar.half[0])
+    joined = level & ((aside > bar.half[0] + _BLUR) | (past > _BLUR))
+    return 1.0 - rising(float(joined.sum()) / max(float(on_lever.sum()), 1.0), *_JOINED)
