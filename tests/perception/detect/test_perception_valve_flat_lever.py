@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.cloud_others import make_other
 from perception import CONFIDENT, detect, make_view
 from perception.detect.shared.bars import Bar
+from perception.detect.valve.detector import detect_lever_valve
 from perception.detect.valve.valve_body import find_body
 from perception.sightlines import sight_index
 from perception.simulate import Pose, Room, Scanner, cylinder, scan
@@ -48,6 +50,11 @@ def test_a_flat_bar_before_a_bare_pipe_is_no_valve() -> None:
     pipe = cylinder((body - reach).tolist(), (body + reach).tolist(), 0.03)
     view = make_view(scan([*Room(wall_x=1.1).meshes(), pipe, plate(pose, 0.2)], SENSOR, SCANNER, seed=5))
     assert all(found.confidence < CONFIDENT for found in detect("valve", view))
+
+
+def test_a_wheels_spoke_before_a_pipe_is_no_lever() -> None:
+    view = make_view(make_other("wheel_20_wide", 41).scan("dense"))
+    assert all(found.confidence < CONFIDENT for found in detect_lever_valve(view))
 
 
 @pytest.mark.parametrize("sleeve", [0.012, 0.0])
