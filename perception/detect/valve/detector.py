@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from perception.detect.shared.arithmetic import rising
-from perception.detect.shared.bar_pivot import Pivot
 from perception.detect.shared.bar_search import rays_about, rivalry
 from perception.detect.shared.bar_starts import run_of
 from perception.detect.shared.bars import Bar
 from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.valve.close_levers import find_close_levers, join_close
 from perception.detect.valve.foreground import Foreground
-from perception.detect.valve.lever_bars import LENGTHS, FittedBar, find_levers, find_pipes, fit_again
-from perception.detect.valve.lever_joint import LeverJoint, are_parallel, joint_of, settle_joint
+from perception.detect.valve.lever_bars import FittedBar, find_levers, find_pipes, fit_again
+from perception.detect.valve.lever_joint import LeverJoint, are_parallel, joint_of, settle_lever, settle_pipe
+from perception.detect.valve.lever_on_pipe import END_UNSEEN, SPREADS, LeverOnPipe, rate_lever, rate_pipe, rate_pivot
 from perception.detect.valve.lever_valve import LeverDetection, find_grip, is_about_grip
 from perception.detect.valve.wheel import detect_wheels, find_wheels
 from perception.ground.floor import FloorPlane
@@ -25,43 +26,15 @@ from perception.sightlines import SightIndex, index_of
 from perception.view import View
 
 _REPORTED, _HOPELESS = 0.05, 0.02
-_SLIM = (5.5, 8.5)  # length by radius; smaller for a hose coupling on a standpipe
-_END_UNSEEN = 0.4
 _SURE_END = 0.9  # confidence of a pivot that needs no grip to show it, or is shown by one
-_AIR_ABOUT_A_PIPE = (0.5, 0.7)  # the edge of a box has air on one of two sides
-# Share of a pipe's length beside which rays show air or none; of a box fitted as a pipe, only the corners.
-_KNOWN_OF_IT = (0.25, 0.5)
 # Sections of boxes that are compared with a pipe, as half sizes [m], and the share of its misfit by which a box may
 # explain the rays better: a handle on a switch box is no lever valve.
 _BOXES = ((0.025, 0.0125), (0.03, 0.03), (0.06, 0.03), (0.06, 0.06), (0.1, 0.05), (0.11, 0.11))
 _BETTER_AS_BOX = (0.04, 0.12)
 _BEYOND_PIPE = 0.1
-_LONG_ENOUGH = (0.3, 0.42)  # length of a pipe; a bottle before which a tool lies is shorter [m]
-_SPREADS = (np.radians(1.8), np.radians(3.2))  # deviation of an axis rated 1, and of one rated 0 [rad]
 _SURE = 0.9  # least confidence of a sure wheel with a hint, which raises confidences
 _BESIDE = 0.05
 _RIM_NOISE = 0.02
-
-
-@dataclass(frozen=True)
-class _Lever:
-    """Lever valve: the fitted lever, its joint with the pipe, and the confidence."""
-
-    fitted: FittedBar
-    bar: Bar
-    joint: LeverJoint
-    confidence: float
-    pipe: FittedBar
-
-    @property
-    def length(self) -> float:
-        """Length of the lever from its pivot [m]."""
-        return abs(self.joint.pivot.far - self.joint.pivot.along)
-
-    @property
-    def pose(self) -> Float[np.ndarray, "4 4"]:
-        """(4, 4) pose: origin at the pivot, x along the lever, z the pivot's axis to the sensor."""
-        return self.joint.pose(self.bar)
 
 
 def detect_lever_valve(
@@ -82,16 +55,19 @@ def detect_lever_valve(
     if not len(view.obstacles):
         return []
     foreground = foreground or Foreground.of(view)
-    valves: list[_Lever] = []
+    valves: list[LeverOnPipe] = []
     with threadpool_limits(limits=1, user_api="blas"):
         apart_from = replace(foreground, points=foreground.points[~_on_any(wheels, foreground.points)])
         levers = find_levers(apart_from, view.floor, hint)
-        pipes = find_pipes(foreground, view.floor, hint, levers) if levers else []
+        pipes = find_pipes(foreground, view.floor, hint)
         for lever in levers:
             valves += [valve for pipe in pipes if (valve := _join(lever, pipe, foreground.index, view)) is not None]
+        for lever, pipe in find_close_levers(pipes, apart_from, view.floor):
+            if (valve := join_close(lever, pipe, foreground.index, view.floor)) is not None:
+                valves.append(valve)
         valves = _rate_pipes(valves, foreground.index, view.floor)
     valves.sort(key=lambda valve: -valve.confidence)
-    apart: list[_Lever] = []
+    apart: list[LeverOnPipe] = []
     for valve in valves:
         if all(np.linalg.norm(valve.bar.middle - other.bar.middle) > 0.1 for other in apart):
             apart.append(valve)
@@ -101,7 +77,9 @@ def detect_lever_valve(
     return [valve for valve in detections if valve.confidence >= _REPORTED]
 
 
-def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, view: View, *, has_grip: bool = False) -> _Lever | None:
+def _join(
+    lever: FittedBar, pipe: FittedBar, index: SightIndex, view: View, *, has_grip: bool = False
+) -> LeverOnPipe | None:
     """Return the valve of a lever and a pipe; None when their sizes or positions do not fit.
 
     Args:
@@ -112,29 +90,20 @@ def _join(lever: FittedBar, pipe: FittedBar, index: SightIndex, view: View, *, h
     joint = _find_joint(lever.bar, pipe.bar, tilts, noise, index, view)
     if joint is None:
         return None
-    confidence = (
-        rising(lever.evidence.solid, 0.6, 0.85)
-        * rising(lever.evidence.air, 0.15, 0.4)
-        * rising(lever.evidence.visible, 0.6, 0.85)
-        * rising(-lever.evidence.rms, -0.02, -0.016)
-        * rising(float(lever.evidence.n_hits), 12.0, 40.0)
-        * rising(pipe.evidence.solid, 0.5, 0.75)
-        * rising(pipe.evidence.air, *_AIR_ABOUT_A_PIPE)
-        * rising(pipe.evidence.known, *_KNOWN_OF_IT)
-        * rising(pipe.bar.length, *_LONG_ENOUGH)
-        * pipe.rating
-    )
-    if confidence * _as_a_lever(joint.pivot, lever.bar.half[0]) < _HOPELESS:
+    confidence = rate_lever(lever) * rate_pipe(pipe)
+    if confidence * rate_pivot(joint.pivot, lever.bar.half[0]) < _HOPELESS:
         return None
-    both = settle_joint(lever.bar, pipe.bar, joint.pivot.along, joint.axis, index, view.floor)
-    tilts = (both.fits[0] or lever.fit).spread[0], (both.fits[1] or pipe.fit).spread[0]
-    again = _find_joint(both.lever, both.pipe, tilts, noise, index, view)
+    place = lever.bar.centre + joint.pivot.along * lever.bar.axis
+    own = settle_lever(lever.bar, joint.pivot.along, joint.axis, index, view.floor)
+    other = settle_pipe(pipe.bar, place, index, view.floor)
+    tilts = (own.fit or lever.fit).spread[0], (other.fit or pipe.fit).spread[0]
+    again = _find_joint(own.bar, other.bar, tilts, noise, index, view)
     if again is None or (again.pivot.far > again.pivot.along) != (joint.pivot.far > joint.pivot.along):
         return None
-    far_seen = has_grip or (both.is_seen and lever.ends.seen[joint.pivot.far == lever.bar.last])
-    confidence *= _as_a_lever(again.pivot, both.lever.half[0]) * (1.0 if far_seen else _END_UNSEEN)
-    confidence *= rising(-again.spread, -_SPREADS[1], -_SPREADS[0])
-    return _Lever(lever, both.lever, again, float(confidence), pipe)
+    far_seen = has_grip or (own.is_seen and lever.ends.seen[joint.pivot.far == lever.bar.last])
+    confidence *= rate_pivot(again.pivot, own.bar.half[0]) * (1.0 if far_seen else END_UNSEEN)
+    confidence *= rising(-again.spread, -SPREADS[1], -SPREADS[0])
+    return LeverOnPipe(lever, own.bar, again, float(confidence), pipe)
 
 
 def _find_joint(
@@ -157,7 +126,7 @@ def _find_joint(
     return replace(held, pivot=replace(held.pivot, confidence=_SURE_END))
 
 
-def _rate_pipes(valves: Sequence[_Lever], index: SightIndex, floor: FloorPlane | None) -> list[_Lever]:
+def _rate_pipes(valves: Sequence[LeverOnPipe], index: SightIndex, floor: FloorPlane | None) -> list[LeverOnPipe]:
     """Return the valves, less sure where a box explains the rays about their pipe better than a round section."""
     ratings: dict[int, float] = {}
     rated = []
@@ -172,7 +141,7 @@ def _rate_pipes(valves: Sequence[_Lever], index: SightIndex, floor: FloorPlane |
     return rated
 
 
-def _settle_crank(valve: _Lever, view: View, index: SightIndex) -> tuple[_Lever, tuple[float, float]]:
+def _settle_crank(valve: LeverOnPipe, view: View, index: SightIndex) -> tuple[LeverOnPipe, tuple[float, float]]:
     """Return a lever, and length and distance of the grip at its end; a crank's bar is fitted without its grip's rays.
 
     Rays that end on the grip would pull the bar towards it.
@@ -189,19 +158,13 @@ def _settle_crank(valve: _Lever, view: View, index: SightIndex) -> tuple[_Lever,
     return (again, grip) if grip[0] > 0.0 else (valve, (0.0, valve.length))
 
 
-def _grip_of(valve: _Lever, view: View, index: SightIndex) -> tuple[float, float]:
+def _grip_of(valve: LeverOnPipe, view: View, index: SightIndex) -> tuple[float, float]:
     """Return length and distance of the grip at a lever's end, as ``find_grip`` does."""
     noise = valve.fitted.evidence.rms
     return find_grip(view.obstacles, valve.pose, valve.length, valve.bar.half[0], noise, index)
 
 
-def _as_a_lever(pivot: Pivot, radius: float) -> float:
-    """Return the rating of a bar as a lever, 0 to 1: long enough, slim, held at one end."""
-    length = abs(pivot.far - pivot.along)
-    return rising(length, LENGTHS[0], LENGTHS[0] + 0.03) * rising(length / radius, *_SLIM) * pivot.confidence
-
-
-def _as_detection(valve: _Lever, grip: tuple[float, float], *, is_hinted: bool) -> Detection:
+def _as_detection(valve: LeverOnPipe, grip: tuple[float, float], *, is_hinted: bool) -> Detection:
     """Return the valve as a detection: pose at the pivot, sizes, residuals and points of the lever.
 
     Args:

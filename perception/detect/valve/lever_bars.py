@@ -21,6 +21,7 @@ from perception.ground.floor import FloorPlane
 from perception.sightlines import SightIndex
 
 LENGTHS = (0.1, 0.5)
+LONGEST_LINE = 1.5 * LENGTHS[1]
 _VOXEL = 0.015
 _HINT_RADIUS = 0.6
 _LEVER_TUBE, _PIPE_TUBES = (0.022,), (0.04, 0.065)
@@ -34,7 +35,6 @@ _BEYOND = 0.1
 _HOPELESS = 0.15
 _MOST_RAYS = 400
 _SEEN_SIDE = 0.7
-_LENGTHENED, _OFF_PIPE = 0.4, 0.45  # of a line beyond its ends, and from it to a lever's nearer end [m]
 
 
 @dataclass(frozen=True)
@@ -68,31 +68,29 @@ def find_levers(
         hint: (3,) only lines near it are fitted; its surroundings are searched a second time [m].
     """
     lines = _lines(foreground, hint, _LEVER_TUBE, LENGTHS[0], _LEVER_PAIRS, _LEVER_BALL)
-    short = [line for line in lines if line.last - line.first < 1.5 * LENGTHS[1]]
-    chosen = _in_air(short, foreground.index, floor, LEVER_RADII[1:2])[:_MOST_LEVERS]
-    fitted = [_fit(line, foreground.index, floor, LEVER_RADII, TUBES[0]) for line in chosen]
-    return [
-        candidate
-        for candidate in fitted
-        if candidate is not None
-        and LENGTHS[0] < candidate.bar.length < LENGTHS[1]
+    short = [line for line in lines if line.last - line.first < LONGEST_LINE]
+    chosen = in_air(short, foreground.index, floor, LEVER_RADII[1:2])[:_MOST_LEVERS]
+    fitted = [fit_line(line, foreground.index, floor, LEVER_RADII, TUBES[0]) for line in chosen]
+    return [candidate for candidate in fitted if candidate is not None and is_lever(candidate)]
+
+
+def is_lever(candidate: FittedBar) -> bool:
+    """Return whether size and evidence of a bar allow it to be a lever."""
+    return (
+        LENGTHS[0] < candidate.bar.length < LENGTHS[1]
         and candidate.bar.half[0] < 0.028
         and candidate.evidence.solid > 0.5
         and any(candidate.ends.seen)
-    ]
+    )
 
 
 def find_pipes(
-    foreground: Foreground,
-    floor: FloorPlane | None,
-    hint: Float[np.ndarray, "3"] | None,
-    levers: Sequence[FittedBar],
+    foreground: Foreground, floor: FloorPlane | None, hint: Float[np.ndarray, "3"] | None
 ) -> list[FittedBar]:
-    """Return longer and thicker round bars near levers; other arguments as for :func:`find_levers`."""
+    """Return longer and thicker round bars; arguments as for :func:`find_levers`."""
     lines = _lines(foreground, hint, _PIPE_TUBES, _LEAST_PIPE, _PIPE_PAIRS, None)
-    chosen = _in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
-    near = [line for line in chosen if any(_is_about(line, lever.bar) for lever in levers)]
-    fitted = [_fit(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in near]
+    chosen = in_air(lines, foreground.index, floor, PIPE_RADII)[:_MOST_PIPES]
+    fitted = [fit_line(line, foreground.index, floor, PIPE_RADII, TUBES[1]) for line in chosen]
     return [
         candidate
         for candidate in fitted
@@ -118,12 +116,6 @@ def _lines(
     return [line for line in lines if _distance(line, hint) < _HINT_RADIUS] + more
 
 
-def _is_about(line: Line, bar: Bar) -> bool:
-    """Return whether a line, lengthened, passes a bar so near that the bar may be a lever on a pipe there."""
-    longer = replace(line, first=line.first - _LENGTHENED, last=line.last + _LENGTHENED)
-    return _distance(longer, bar.middle) < 0.5 * bar.length + _OFF_PIPE
-
-
 def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
     """Return the distance of a point from a line between its ends [m]."""
     offset = place - line.place
@@ -131,16 +123,23 @@ def _distance(line: Line, place: Float[np.ndarray, "3"]) -> float:
     return float(np.linalg.norm(offset - along * line.axis))
 
 
-def _in_air(
-    lines: Sequence[Line], index: SightIndex, floor: FloorPlane | None, radii: Sequence[tuple[float, float]]
+def in_air(
+    lines: Sequence[Line],
+    index: SightIndex,
+    floor: FloorPlane | None,
+    radii: Sequence[tuple[float, float]],
+    behind: tuple[Bar, float] | None = None,
 ) -> list[Line]:
     """Return lines that may be bars in air: at one of the radii, most rays end on the bar and most beside it go on.
 
     Every scan row on a wall is a line too.  This check takes a hundredth of the time of a fit.
+
+    Args:
+        behind: as for :func:`fit_line`.
     """
     kept = []
     for line in lines:
-        rays = rays_about(index, Run(line.place, line.axis, line.first, line.last), _BEYOND, floor)
+        rays = _rays_before(index, Run(line.place, line.axis, line.first, line.last), floor, behind)
         way = rays.direction.sum(axis=0)
         away = way - (way @ line.axis) * line.axis
         away /= max(float(np.linalg.norm(away)), 1e-6)
@@ -155,12 +154,21 @@ def _in_air(
     return kept
 
 
-def _fit(
-    line: Line, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
+def fit_line(
+    line: Line,
+    index: SightIndex,
+    floor: FloorPlane | None,
+    radii: tuple[tuple[float, float], ...],
+    tube: float,
+    behind: tuple[Bar, float] | None = None,
 ) -> FittedBar | None:
-    """Return the round bar at a line, fitted, cut to its ends and fitted again; None when a fit fails."""
-    first = _fit_once(Run(line.place, line.axis, line.first, line.last), index, floor, radii, tube)
-    return None if first is None else _fit_once(run_of(first.bar), index, floor, radii, tube)
+    """Return the round bar at a line, fitted, cut to its ends and fitted again; None when a fit fails.
+
+    Args:
+        behind: a pipe and the distance from its surface below which rays end on it and not on the bar [m].
+    """
+    first = _fit_once(Run(line.place, line.axis, line.first, line.last), index, floor, radii, tube, behind)
+    return None if first is None else _fit_once(run_of(first.bar), index, floor, radii, tube, behind)
 
 
 def fit_again(bar: Bar, index: SightIndex, floor: FloorPlane | None) -> FittedBar | None:
@@ -170,14 +178,37 @@ def fit_again(bar: Bar, index: SightIndex, floor: FloorPlane | None) -> FittedBa
 
 
 def _fit_once(
-    run: Run, index: SightIndex, floor: FloorPlane | None, radii: tuple[tuple[float, float], ...], tube: float
+    run: Run,
+    index: SightIndex,
+    floor: FloorPlane | None,
+    radii: tuple[tuple[float, float], ...],
+    tube: float,
+    behind: tuple[Bar, float] | None = None,
 ) -> FittedBar | None:
-    rays = rays_about(index, run, _BEYOND, floor)
+    rays = _rays_before(index, run, floor, behind)
     fit = best_round(rays, run, radii, tube, _MOST_RAYS)
     if fit is None:
         return None
     ends = find_ends(rays, fit.bar)
     return FittedBar(fit, ends, weigh_bar(rays, ends.bar)) if ends.bar.length >= LENGTHS[0] else None
+
+
+def _rays_before(
+    index: SightIndex, run: Run, floor: FloorPlane | None, behind: tuple[Bar, float] | None
+) -> SurroundingRays:
+    """Return the rays about a run; those that ended on a pipe behind it are marked as ended elsewhere."""
+    rays = rays_about(index, run, _BEYOND, floor)
+    if behind is None:
+        return rays
+    pipe, margin = behind
+    return replace(rays, elsewhere=rays.elsewhere | (distances_from(pipe, rays.ends)[1] < pipe.half[0] + margin))
+
+
+def distances_from(bar: Bar, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+    """Return (N,) positions of points along a bar's axis and (N,) distances from the axis [m]."""
+    offset = points - bar.centre
+    along = offset @ bar.axis
+    return along, np.sqrt(np.maximum(np.einsum("ni,ni->n", offset, offset) - along**2, 0.0))
 
 
 def best_round(

@@ -20,11 +20,11 @@ from perception.sightlines import SightIndex
 
 _APART = (0.04, 0.25)
 _PARALLEL_DEG = 20.0
-_PIVOT_FROM_END = 0.06
+PIVOT_FROM_END = 0.06
 # Distance from the pipe's axis, in its radii, beyond which returns belong to the lever's support: above the pipe's
 # noise for a parallel lever, lower for a lever across it.
 _OVER_PIPE, _IN_PIPE = 1.15, 0.8
-_OVERHANG = 1.25  # length of a lever beyond its pivot, in its radii
+OVERHANG = 1.25  # length of a lever beyond its pivot, in its radii
 # Least deviations: directions of bar and pipe [rad], their lateral positions, the pivot's position along the bar [m].
 _SIGMA_WAY, _SIGMA_ACROSS, _SIGMA_ALONG = 0.004, 0.002, 0.012
 _BEYOND = 0.1
@@ -67,8 +67,8 @@ class LeverJoint:
     def turn_round(self, bar: Bar, pipe: Bar, tilts: tuple[float, float]) -> LeverJoint:
         """Return the joint at the other end of a bar parallel to its pipe."""
         end, far = (bar.first, bar.last) if self.pivot.far < self.pivot.along else (bar.last, bar.first)
-        pivot = replace(self.pivot, along=float(end + np.sign(far - end) * _OVERHANG * bar.half[0]), far=far)
-        return LeverJoint(_axis(bar, pipe, pivot.along, tilts)[0], pivot, self.spread)
+        pivot = replace(self.pivot, along=float(end + np.sign(far - end) * OVERHANG * bar.half[0]), far=far)
+        return LeverJoint(axis_of(bar, pipe, pivot.along, tilts)[0], pivot, self.spread)
 
 
 def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex) -> LeverJoint | None:
@@ -83,7 +83,6 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
     """
     if pipe.half[0] < 1.2 * bar.half[0] or pipe.length < bar.length:
         return None
-    cosine = float(bar.axis @ pipe.axis)
     is_parallel = are_parallel(bar, pipe)
     between = bar.middle - pipe.centre
     offset = bar.centre - pipe.centre
@@ -93,8 +92,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
     else:
         axis = cross(bar.axis, pipe.axis)
         axis *= np.sign(axis @ between) or 1.0
-        # Position along the bar's axis that is closest to the pipe's axis.
-        nearest = float((cosine * (offset @ pipe.axis) - offset @ bar.axis) / (1.0 - cosine**2))
+        nearest = nearest_on(bar, pipe)
     apart = float(np.linalg.norm(axis)) if is_parallel else abs(float(between @ axis) / float(np.linalg.norm(axis)))
     axis = axis / np.linalg.norm(axis)
     along_pipe = float((offset + nearest * bar.axis) @ pipe.axis)
@@ -106,7 +104,7 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
     if not is_parallel:
         ends = np.array([bar.first, bar.last])
         k = int(np.argmin(np.abs(ends - nearest)))
-        if abs(ends[k] - nearest) > _PIVOT_FROM_END or (nearest - ends[k]) * (1 - 2 * k) < -0.02:
+        if abs(ends[k] - nearest) > PIVOT_FROM_END or (nearest - ends[k]) * (1 - 2 * k) < -0.02:
             return None
         # The crossing locates the pivot better than the rays behind the bar.
         clear = pivot.confidence if pivot.far == ends[1 - k] else 0.0
@@ -114,9 +112,15 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
     else:
         # The body seen below a lever shows at which end it is held, but not the position.
         end = bar.first if pivot.far > pivot.along else bar.last
-        pivot = replace(pivot, along=float(end + np.sign(pivot.far - end) * _OVERHANG * bar.half[0]))
-    axis, spread = _axis(bar, pipe, pivot.along, tilts)
+        pivot = replace(pivot, along=float(end + np.sign(pivot.far - end) * OVERHANG * bar.half[0]))
+    axis, spread = axis_of(bar, pipe, pivot.along, tilts)
     return LeverJoint(axis, pivot, spread)
+
+
+def nearest_on(bar: Bar, pipe: Bar) -> float:
+    """Return the position along a bar, from its centre, that is closest to the axis of a pipe askew to it [m]."""
+    cosine, offset = float(bar.axis @ pipe.axis), bar.centre - pipe.centre
+    return float((cosine * (offset @ pipe.axis) - offset @ bar.axis) / (1.0 - cosine**2))
 
 
 def are_parallel(bar: Bar, pipe: Bar) -> bool:
@@ -124,8 +128,13 @@ def are_parallel(bar: Bar, pipe: Bar) -> bool:
     return bool(abs(bar.axis @ pipe.axis) > np.cos(np.radians(_PARALLEL_DEG)))
 
 
-def _axis(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Return the unit axis most nearly perpendicular to both bars and along their offset, and its deviation [rad]."""
+def axis_of(bar: Bar, pipe: Bar, at: float, tilts: tuple[float, float]) -> tuple[Float[np.ndarray, "3"], float]:
+    """Return the unit axis most nearly perpendicular to both bars and along their offset, and its deviation [rad].
+
+    Args:
+        at: position of the pivot along the bar [m].
+        tilts: standard deviations of the directions of bar and pipe [rad].
+    """
     out = bar.centre + at * bar.axis - pipe.centre
     out = out - (out @ pipe.axis) * pipe.axis
     apart = float(np.linalg.norm(out))
@@ -157,58 +166,75 @@ def _pivot(bar: Bar, axis: Float[np.ndarray, "3"], gap: float, index: SightIndex
 
 @dataclass(frozen=True)
 class Settled:
-    """Refitted lever and pipe.
+    """Refitted lever or pipe.
 
     Attributes:
-        lever: the lever cut to its ends.
-        pipe: the pipe cut to its ends.
-        fits: fits of lever and pipe with their uncertainty; None where the rough bar was kept.
-        is_seen: whether rays passed right beyond the lever's free end.
+        bar: cut to its ends.
+        fit: with its uncertainty; None where the rough bar was kept.
+        is_seen: whether rays passed right beyond a lever's free end.
     """
 
-    lever: Bar
-    pipe: Bar
-    fits: tuple[BarFit | None, BarFit | None]
-    is_seen: bool
+    bar: Bar
+    fit: BarFit | None
+    is_seen: bool = False
 
 
-def settle_joint(
+def settle_lever(
     lever: Bar,
-    pipe: Bar,
     pivot: float,
     up: Float[np.ndarray, "3"],
     index: SightIndex,
     floor: FloorPlane | None,
+    *,
+    refit: bool = True,
 ) -> Settled:
-    """Return lever and pipe refitted without flange and body: a flange 3 cm below a lever widens and shifts its fit.
+    """Return a lever refitted without flange and body: a flange 3 cm below a lever widens and shifts its fit.
 
     Args:
         lever: rough lever.
-        pipe: rough pipe.
         pivot: position of the pivot along the lever's axis, from its centre [m].
         up: (3,) unit, from the pipe to the lever.
+        refit: whether the lever is fitted again, or its free end alone.
     """
     place = lever.centre + pivot * lever.axis
     rays = _rays_near(index, lever, floor)
     rays = replace(rays, elsewhere=rays.elsewhere | ((rays.ends - place) @ up < -lever.half[0] - _BELOW))
     first, last = lever.first, lever.last
     at_last = last - pivot > pivot - first
-    if at_last:
-        first = min(max(first, pivot + _NECK), last - _LEAST_RUN)
-    else:
-        last = max(min(last, pivot - _NECK), first + _LEAST_RUN)
-    own = best_round(rays, Run(lever.centre, lever.axis, first, last), LEVER_RADII, TUBES[0], _MOST_RAYS)
+    own = None
+    if refit:
+        if at_last:
+            first = min(max(first, pivot + _NECK), last - _LEAST_RUN)
+        else:
+            last = max(min(last, pivot - _NECK), first + _LEAST_RUN)
+        own = best_round(rays, Run(lever.centre, lever.axis, first, last), LEVER_RADII, TUBES[0], _MOST_RAYS)
     if own is not None:
         lever = _between_ends(own.bar, lever)
     lever, is_seen = _round_off_end(rays, lever, at_last)
-    other = None
-    if pipe.length - 2.0 * _BODY > _LEAST_PIPE:
-        rays = rays_about(index, Run(pipe.centre, pipe.axis, pipe.first, pipe.last), _BEYOND, floor)
-        rays = replace(rays, elsewhere=rays.elsewhere | (np.abs((rays.ends - place) @ pipe.axis) < _BODY))
-        other = best_round(rays, Run(pipe.centre, pipe.axis, pipe.first, pipe.last), PIPE_RADII, TUBES[1], _MOST_RAYS)
-        if other is not None:
-            pipe = _between_ends(other.bar, pipe)
-    return Settled(lever, pipe, (own, other), is_seen)
+    return Settled(lever, own, is_seen)
+
+
+def settle_pipe(
+    pipe: Bar,
+    place: Float[np.ndarray, "3"],
+    index: SightIndex,
+    floor: FloorPlane | None,
+    body: float = _BODY,
+) -> Settled:
+    """Return a pipe refitted beside its valve.
+
+    Args:
+        pipe: rough pipe.
+        place: (3,) a point in the valve [m].
+        body: distance along the pipe from ``place`` up to which rays may end on the valve [m].
+    """
+    if pipe.length - 2.0 * body <= _LEAST_PIPE:
+        return Settled(pipe, None)
+    run = Run(pipe.centre, pipe.axis, pipe.first, pipe.last)
+    rays = rays_about(index, run, _BEYOND, floor)
+    rays = replace(rays, elsewhere=rays.elsewhere | (np.abs((rays.ends - place) @ pipe.axis) < body))
+    fit = best_round(rays, run, PIPE_RADII, TUBES[1], _MOST_RAYS)
+    return Settled(pipe if fit is None else _between_ends(fit.bar, pipe), fit)
 
 
 def _rays_near(index: SightIndex, bar: Bar, floor: FloorPlane | None) -> SurroundingRays:
