@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.cloud_others import make_other
+from benchmarks.clouds.others import make_other
 from perception import CONFIDENT, detect, make_view
 from perception.detect.shared.bars import Bar
 from perception.detect.valve.detector import detect_lever_valve

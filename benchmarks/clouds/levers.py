@@ -4,7 +4,7 @@ Every draw takes new sizes: pipes of 2 to 6 cm radius, levers of 10 to 25 cm, at
 pipe), shut (across) and half open, on level and upright pipes, with flanges and with screwed ends.  A hit is right if
 its pivot is within 3 cm, its axis within 8 degrees, its direction within 15 degrees and its length within 2 cm.
 
-From the checkout's root: ``python -m benchmarks.cloud_levers [--seeds 0 1] [--variant V] [--only NAME]``.
+From the checkout's root: ``python -m benchmarks.clouds.levers [--seeds 0 1] [--variant V] [--only NAME]``.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.cloud_cases import variant_turns
-from benchmarks.cloud_errors import axis, distance, matched, size
+from benchmarks.clouds.cases import variant_turns
+from benchmarks.clouds.errors import axis, distance, matched, size
 from benchmarks.tables import print_table
 from perception import CONFIDENT, detect, make_view
 from perception.simulate.scenes.scene import (
