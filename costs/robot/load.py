@@ -44,11 +44,12 @@ def load_files(
     package_dirs: Sequence[Path],
     root: Root,
     locked_joints: Mapping[str, float],
+    drawn_links: Sequence[str] = (),
 ) -> RobotModel:
     """Load a robot from a URDF and, if given, an SRDF; see ``costs.robot.load_robot``."""
     roots = tuple(Path(folder) for folder in package_dirs) or (urdf.parent,)
     srdf_text = "" if srdf is None else read_xml_text(srdf)
-    return build_robot(read_xml_text(urdf), srdf_text, roots, root, locked_joints, str(urdf), str(srdf))
+    return build_robot(read_xml_text(urdf), srdf_text, roots, root, locked_joints, str(urdf), str(srdf), drawn_links)
 
 
 def build_robot(
@@ -59,9 +60,10 @@ def build_robot(
     locked_joints: Mapping[str, float],
     urdf_where: str,
     srdf_where: str,
+    drawn_links: Sequence[str] = (),
 ) -> RobotModel:
     """Build a robot from the texts of its files; ``*_where`` name them in messages."""
-    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, is_planar=root == "planar")
+    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, drawn_links, is_planar=root == "planar")
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
     names = _name_coordinates(model, urdf_where)

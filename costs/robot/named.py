@@ -52,6 +52,7 @@ def load_robot(
     tool_distance_m: float | None = None,
     hand: HandKind | None = None,
     locked_joints: Mapping[str, float] | None = None,
+    drawn_links: Sequence[str] = (),
 ) -> RobotModel:
     """Load a bundled robot by name, or any robot by its URDF.
 
@@ -64,6 +65,7 @@ def load_robot(
         tool_distance_m: distance of the bundled robots' tool frames from the hand frame [m], default 0.12.
         hand: of the bundled robots, ``hook`` or ``gripper``, default ``hook``.
         locked_joints: position by name of joints that become fixed [rad or m].
+        drawn_links: links of the URDF without a collision shape that get their drawn shapes as such.
 
     Raises:
         RobotError: one line that names the file, element and value that cannot be used.
@@ -78,11 +80,13 @@ def load_robot(
             raise RobotError("tool_distance_m belongs to bundled robots; with a urdf, put the tool frame into it")
         if hand is not None:
             raise RobotError("hand belongs to bundled robots; with a urdf, put the hand into it")
-        return load_files(Path(urdf), None if srdf is None else Path(srdf), package_dirs, root or "fixed", locked)
+        return load_files(
+            Path(urdf), None if srdf is None else Path(srdf), package_dirs, root or "fixed", locked, drawn_links
+        )
     if name not in _BUNDLED:
         raise RobotError(f"unknown robot '{name}'; expected {would_do(name, _BUNDLED)}")
-    if srdf is not None or package_dirs:
-        raise RobotError(f"srdf and package_dirs go with a urdf; '{name}' brings its own")
+    if srdf is not None or package_dirs or drawn_links:
+        raise RobotError(f"srdf, package_dirs and drawn_links go with a urdf; '{name}' brings its own")
     if root == "planar":
         raise RobotError("root planar goes with a urdf, not with the name of a bundled robot")
     if hand not in (None, "hook", "gripper"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
@@ -58,12 +59,19 @@ class Urdf:
 
 
 def parse_urdf(
-    text: str, where: str, locked_joints: Mapping[str, float], *, is_robot: bool = True, is_planar: bool = False
+    text: str,
+    where: str,
+    locked_joints: Mapping[str, float],
+    drawn_links: Sequence[str] = (),
+    *,
+    is_robot: bool = True,
+    is_planar: bool = False,
 ) -> Urdf:
     """Read and check a URDF; ``locked_joints`` become fixed at the given position [rad or m].
 
-    A robot may have planar and floating joints as its base, an object or mechanism may not.  With ``is_planar`` its
-    root link gets a planar base.
+    The drawn shapes of ``drawn_links`` that have no collision shape become collision shapes.  A robot may have planar
+    and floating joints as its base, an object or mechanism may not.  With ``is_planar`` its root link gets a planar
+    base.
 
     Raises:
         RobotError: for anything pinocchio would crash on, load from elsewhere or misread in silence.
@@ -85,6 +93,7 @@ def parse_urdf(
     if len(link_elements) > MAX_LINKS:
         raise RobotError(f"{where}: {len(link_elements)} links; at most {MAX_LINKS} are read")
     link_names = [read_attribute(element, "name", where) for element in link_elements]
+    _take_drawn_shapes(dict(zip(link_names, link_elements, strict=True)), drawn_links, where)
     joint_names = [read_attribute(element, "name", where) for element in tree.findall("joint")]
     _refuse_repeated(where, "link", link_names)
     _refuse_repeated(where, "joint", joint_names)
@@ -104,6 +113,25 @@ def parse_urdf(
         links[link] = tuple(shape for shape in shapes if shape is not None)
     root = _check_tree(links, joints, where)
     return Urdf(name, tree, root, links, joints, merge_notes([note.removeprefix(f"{where}: ") for note in notes]))
+
+
+def _take_drawn_shapes(elements: Mapping[str, etree._Element], drawn_links: Sequence[str], where: str) -> None:
+    """Give each of ``drawn_links`` without <collision> those of its <visual> elements (RobotError: it has none)."""
+    for link in drawn_links:
+        if link not in elements:
+            raise RobotError(f"{where}: drawn link '{link}' is unknown; expected {would_do(link, elements)}")
+        element = elements[link]
+        if element.find("collision") is not None:
+            continue
+        drawn = element.findall("visual")
+        if not drawn:
+            raise RobotError(f"{where}: drawn link '{link}' has no <visual>; give it a <collision>")
+        for visual in drawn:
+            shape = copy.deepcopy(visual)
+            shape.tag = "collision"
+            for material in shape.findall("material"):
+                shape.remove(material)
+            element.append(shape)
 
 
 def _give_speeds(joints: dict[str, Joint], notes: list[str]) -> dict[str, Joint]:

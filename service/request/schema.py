@@ -57,7 +57,8 @@ class RobotRequest(Section):
     ``contacts`` are patches by name that may carry force, besides those of a bundled robot or in their place; ``hands``
     the hands of a robot that hold mechanisms. ``servo`` is the stiffness of its joints' servos, from which the expected
     sag of the centre of mass follows. ``locked`` joints are fixed at a position [rad, m]. ``torque`` says which torques
-    are compared with the joints' limits, by default all.
+    are compared with the joints' limits, by default all. ``drawn_links`` are links of the URDF without a collision
+    shape that get their drawn shapes as such.
     """
 
     name: Label | None = None
@@ -72,9 +73,12 @@ class RobotRequest(Section):
     servo: RobotServoRequest | None = None
     locked: Joints = field(default_factory=dict)
     torque: RobotTorqueRequest | None = None
+    drawn_links: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))
+        if self.name is not None and self.drawn_links:
+            raise PydanticCustomError("robot", "drawn_links belong to a robot given by urdf, not by name")
         if self.name is not None and (self.srdf or self.package_dirs):
             raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
         if self.urdf is not None and self.tool_distance_m is not None:

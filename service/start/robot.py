@@ -60,6 +60,7 @@ def load_requested_robot(request: PlanRequest, *, finds_package: bool = False) -
                 package_dirs=_list_package_dirs(request, robot.urdf, finds_package),
                 root=robot.root,
                 locked_joints=robot.locked,
+                drawn_links=robot.drawn_links,
             )
     except RobotError as error:
         raise RequestError(f"robot: {error}") from None

@@ -222,3 +222,19 @@ def test_the_links_that_could_be_feet_are_named(tmp_path: Path) -> None:
     words = r"list the planted links \(lowest at the start: l_foot, r_foot\)"
     with pytest.raises(RequestError, match=words):
         prepare(_walker(tmp_path))
+
+
+def test_links_that_cannot_be_drawn_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="drawn link 'bass' is unknown; expected base"):
+        load_requested_robot(_request(tmp_path, {"drawn_links": ["bass"]}))
+    text = _gripper_text().replace(
+        "</robot>", '<link name="flange"/>' + joint("weld", "fore", "flange", "fixed", "") + "</robot>"
+    )
+    urdf = write_urdf(tmp_path, text)
+    request = parse_request(
+        {"robot": {"urdf": str(urdf), "drawn_links": ["flange"]}, "goal": {"joints": {"turn": 0.1}}}, folder=tmp_path
+    )
+    with pytest.raises(RequestError, match="drawn link 'flange' has no <visual>; give it a <collision>"):
+        load_requested_robot(request)
+    with pytest.raises(RequestError, match="drawn_links belong to a robot given by urdf"):
+        parse_request({"robot": {"name": "atlas", "drawn_links": ["l_hand"]}, "goal": {"posture": "stand"}})

@@ -14,7 +14,9 @@ from costs.robot import load_robot
 from service.cli.report import describe_omissions
 from service.errors import RequestError
 from service.planner import plan
+from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
+from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.result.result_json import summary_json
 from service.verify import Certificate, RelativePoseTarget, verify
@@ -136,6 +138,26 @@ def test_a_robot_whose_hand_and_forearm_have_no_shape_is_not_certified(tmp_path:
     assert against(result) == expected
     assert result.certificate.coverage.links_without_shape == ("forearm", "hand")
     assert {one.link: one.place for one in result.certificate.coverage.shapeless} == {"forearm": "end", "hand": "end"}
+
+
+def test_links_that_are_only_drawn_are_checked_by_their_drawn_shapes(tmp_path: Path) -> None:
+    urdf = dishonest.arm(shaped=("base", "upper"))
+    (check,) = (
+        check
+        for check in planned(tmp_path, urdf, *FOLD, obstacles=(far_box(),)).certificate.checks
+        if check.name == "coverage.shape.hand"
+    )
+    assert check.text.endswith("robot.drawn_links: [hand] checks its drawn shapes")
+    (tmp_path / "robot.urdf").write_text(urdf)
+    robot = {"urdf": str(tmp_path / "robot.urdf"), "drawn_links": ["forearm", "hand"]}
+    request = {"robot": robot, "start": {"joints": FOLD[0]}, "goal": {"joints": FOLD[1]}}
+    result = plan(parse_request(request | {"scene": {"obstacles": [far_box()]}}))
+    assert result.verdict is Verdict.CERTIFIED
+    assert result.certificate.coverage.links_without_shape == ()
+    write_result(result, tmp_path / "out")
+    assert verify_result(tmp_path / "out")["verdict"] == "CERTIFIED"
+    whole = planned(tmp_path, dishonest.arm(), *FOLD, obstacles=(far_box(),))
+    assert result.certificate.min_clearance_m == pytest.approx(whole.certificate.min_clearance_m)
 
 
 @pytest.mark.parametrize(("mass", "inertia", "is_body"), [(0.01, 1e-4, False), (0.06, 1e-2, True), (0.04, 1e-4, True)])

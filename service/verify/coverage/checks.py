@@ -15,7 +15,7 @@ from service.verify.coverage.required import (
     list_required_checks,
     report_missing_checks,
 )
-from service.verify.coverage.shapeless import find_shapeless_links
+from service.verify.coverage.shapeless import find_shapeless_links, list_drawn_links
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 
@@ -50,7 +50,10 @@ def check_coverage(
         waived,
     )
     against = [*report_missing_checks(required, checks), *check_overlaps(left_out)]
-    against += [_size_check(item, item.link in tree.shaped) for item in shapeless if not item.is_small]
+    drawn = list_drawn_links(prepared) - tree.shaped
+    against += [
+        _size_check(item, item.link in tree.shaped, item.link in drawn) for item in shapeless if not item.is_small
+    ]
     if n_link_pairs + n_piece_pairs == 0:
         against.append(_no_pair_check(coverage))
     return coverage, tuple(against)
@@ -73,9 +76,11 @@ def _no_pair_check(coverage: Coverage) -> Check:
     return Check("coverage.pairs", True, 0.0, 1.0, "pairs", text, None, Basis.UNPROVEN)
 
 
-def _size_check(item: Shapeless, has_token: bool) -> Check:
+def _size_check(item: Shapeless, has_token: bool, is_drawn: bool) -> Check:
     where = {"between": "between links with shapes", "end": "at an end", "root": "at the root"}[item.place]
     size = "is of unknown size" if np.isnan(item.reach_m) else f"{1e3 * item.reach_m:.0f} mm of it are in no shape"
     lack = "a collision shape far smaller than the link" if has_token else "no collision shape"
     text = f"{item.link} ({where}) has {lack} and {size}; at most {1e3 * SMALL_LINK_M:.0f} mm go unchecked"
+    if is_drawn:
+        text += f"; robot.drawn_links: [{item.link}] checks its drawn shapes"
     return Check(f"coverage.shape.{item.link}", True, item.reach_m, SMALL_LINK_M, "m", text, None, Basis.UNPROVEN)

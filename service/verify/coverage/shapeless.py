@@ -35,6 +35,12 @@ def find_shapeless_links(prepared: PreparedMotion, tree: LinkTree) -> tuple[Shap
     )
 
 
+def list_drawn_links(prepared: PreparedMotion) -> frozenset[str]:
+    """Return the robot's links that have a drawn shape."""
+    elements = _elements(prepared.motion.robot.source.urdf)
+    return frozenset(link for link, element in elements.items() if element.find("visual") is not None)
+
+
 def _has_token(prepared: PreparedMotion, link: str, element: ElementTree.Element | None) -> bool:
     """Return whether a link's collision shapes are far smaller than its drawn shapes.
 
