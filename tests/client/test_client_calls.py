@@ -139,7 +139,8 @@ def test_the_chunks_of_a_known_cloud_are_not_sent(
         assert client.upload_cloud(path) == f"sha256:{cloud.sha256}.pcd"
         time.sleep(0.05)
     assert stand_in.n_chunks == 0
-    assert sum(read) - 40_000_000 < 8_000_000  # the first time it was read for its hash
+    # Once it was read for its hash; of the chunks as much as the connection takes before the server's early answer.
+    assert sum(read) - 40_000_000 < 20_000_000
 
 
 def test_a_cloud_deleted_during_its_upload_is_a_request_error(
