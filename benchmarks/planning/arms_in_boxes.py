@@ -151,7 +151,7 @@ def draw_boxes(
 ) -> list[dict[str, Any]]:
     """Return boxes within reach that keep clear of start and goal."""
     boxes: list[dict[str, Any]] = []
-    ends = arm.engine.place(np.stack([start, goal]))
+    ends = np.stack([start, goal])
     while len(boxes) < N_BOXES:
         way = rng.normal(size=3)
         way[2] = abs(way[2]) if way[2] < -0.3 * np.linalg.norm(way) else way[2]
