@@ -2,16 +2,17 @@
 
 from costs.collision.checker import SweptCollisionChecker
 from costs.collision.contacts import Contacts
-from costs.collision.many_poses import MOST_PAIRS, ManyPosesChecker, count_checked
+from costs.collision.many_poses import ManyPosesChecker, SearchChecker, count_checked, make_search_checker
 from costs.collision.pairs import PairMargins
 from costs.collision.poses import PoseChecker
 
 __all__ = [
-    "MOST_PAIRS",
     "Contacts",
     "ManyPosesChecker",
     "PairMargins",
     "PoseChecker",
+    "SearchChecker",
     "SweptCollisionChecker",
     "count_checked",
+    "make_search_checker",
 ]

@@ -8,11 +8,13 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.collision.pairs import PairMargins
+from costs.collision.poses import PoseChecker
 from costs.collision.shapes import make_convex, make_outer_convex
+from costs.kinematics import KinematicsEngine
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 
-MOST_PAIRS = 3000  # each takes 8 us and 9 kB once, as much as a hundredth of a pose's check in numpy
+_MOST_PAIRS = 3000  # each takes 8 us and 9 kB once, as much as a hundredth of a pose's check in numpy
 
 
 class ManyPosesChecker:
@@ -38,6 +40,17 @@ class ManyPosesChecker:
         """Return whether no pair at any pose is nearer than its margin."""
         collide = pin.computeCollisions
         return not any(collide(self._model, self._data, self._manager, pose, True) for pose in q)
+
+
+SearchChecker = PoseChecker | ManyPosesChecker
+"""Either checker of single poses."""
+
+
+def make_search_checker(engine: KinematicsEngine, scene: Scene, margins: PairMargins) -> SearchChecker:
+    """Return the faster checker for a search: that of many poses unless there are too many pairs."""
+    if count_checked(margins) > _MOST_PAIRS:
+        return PoseChecker(engine, scene, margins)
+    return ManyPosesChecker(engine.robot, scene, margins)
 
 
 def count_checked(margins: PairMargins) -> int:

@@ -93,10 +93,10 @@ def parse_urdf(
     if len(link_elements) > MAX_LINKS:
         raise RobotError(f"{where}: {len(link_elements)} links; at most {MAX_LINKS} are read")
     link_names = [read_attribute(element, "name", where) for element in link_elements]
-    _take_drawn_shapes(dict(zip(link_names, link_elements, strict=True)), drawn_links, where)
     joint_names = [read_attribute(element, "name", where) for element in tree.findall("joint")]
     _refuse_repeated(where, "link", link_names)
     _refuse_repeated(where, "joint", joint_names)
+    _take_drawn_shapes(dict(zip(link_names, link_elements, strict=True)), drawn_links, where)
     joints = {}
     for element in tree.findall("joint"):
         joint = parse_joint(element, where, notes)

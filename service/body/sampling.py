@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from costs.collision import ManyPosesChecker, PoseChecker
+from costs.collision import SearchChecker
 from costs.robot import BASE_NAMES
 from service.body.holds import find_prescribed, largest_hold_error, project_within_limits
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
@@ -42,7 +42,7 @@ class SamplingProblem:
     """
 
     body: WholeBody
-    checker: PoseChecker | ManyPosesChecker
+    checker: SearchChecker
     start: Float[np.ndarray, "n"]
     end: Float[np.ndarray, "n"]
     free: Int[np.ndarray, "k"]
@@ -138,7 +138,7 @@ class HeldProblem(SamplingProblem):
     @staticmethod
     def between(
         body: WholeBody,
-        checker: PoseChecker | ManyPosesChecker,
+        checker: SearchChecker,
         start: Float[np.ndarray, "n"],
         end: Float[np.ndarray, "n"],
     ) -> HeldProblem:

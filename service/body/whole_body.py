@@ -12,13 +12,12 @@ from jaxtyping import Float, Int
 
 from costs.allowance import Allowance, BodyRef
 from costs.collision import (
-    MOST_PAIRS,
     Contacts,
-    ManyPosesChecker,
     PairMargins,
     PoseChecker,
+    SearchChecker,
     SweptCollisionChecker,
-    count_checked,
+    make_search_checker,
 )
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import BASE_NAMES, Release, RobotModel
@@ -196,12 +195,9 @@ class WholeBody:
         """Return a checker of some poses that requires a few millimetres, or a pair's distance at the ends if less."""
         return PoseChecker(self.engine, self.scene, self._fit_sampled_margins(ends))
 
-    def make_search_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker | ManyPosesChecker:
-        """Return a checker of the same for a search: the faster one of many poses unless there are too many pairs."""
-        margins = self._fit_sampled_margins(ends)
-        if count_checked(margins) > MOST_PAIRS:
-            return PoseChecker(self.engine, self.scene, margins)
-        return ManyPosesChecker(self.robot, self.scene, margins)
+    def make_search_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> SearchChecker:
+        """Return a checker of the same for the many poses of a search."""
+        return make_search_checker(self.engine, self.scene, self._fit_sampled_margins(ends))
 
     def _fit_sampled_margins(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PairMargins:
         """Return the margins of the poses of a search between two ends."""

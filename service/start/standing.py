@@ -18,7 +18,7 @@ from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, find_ground_
 
 FEET_GROUP = "feet"
 SOLE_BAND_M = 0.002  # height above a foot's lowest vertex up to which vertices belong to its sole
-LOWEST_BAND_M = 0.01
+LOWEST_BAND_M = 0.01  # above the robot's lowest vertex: links there could be feet
 FLOOR_KIND = "floor"
 LARGEST_SHIFT_M = 0.03  # uncertainty of a scanned floor's height
 

@@ -23,10 +23,10 @@ from perception.detect.valve.lever_bars import (
 )
 from perception.detect.valve.lever_joint import (
     OVERHANG,
-    PIVOT_FROM_END,
     LeverJoint,
     are_parallel,
     axis_of,
+    find_far_end,
     nearest_on,
     settle_lever,
     settle_pipe,
@@ -145,11 +145,10 @@ def _hold(
         k = int(np.argmin(off))
         is_held = rising((off[1 - k] - off[k]) / abs(along_pipe[1] - along_pipe[0]), *_NEARER)
     else:
-        crossing = nearest_on(bar, pipe)
-        k = int(np.argmin(np.abs(np.array(ends) - crossing)))
-        if abs(ends[k] - crossing) > PIVOT_FROM_END or (crossing - ends[k]) * (1 - 2 * k) < -0.02:
+        far = find_far_end(bar, nearest_on(bar, pipe))
+        if far is None:
             return None
-        is_held = 1.0
+        k, is_held = 1 - ends.index(far), 1.0
     pivot = _place_pivot(bar, pipe, pivots[k], body)
     place = float((bar.centre + pivot * bar.axis - pipe.centre) @ pipe.axis)
     is_held *= rising(body.evidence, *_EVIDENCE) * _is_at(place, body)

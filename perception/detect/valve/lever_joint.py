@@ -20,7 +20,7 @@ from perception.sightlines import SightIndex
 
 _APART = (0.04, 0.25)
 _PARALLEL_DEG = 20.0
-PIVOT_FROM_END = 0.06
+_PIVOT_FROM_END = 0.06
 # Distance from the pipe's axis, in its radii, beyond which returns belong to the lever's support: above the pipe's
 # noise for a parallel lever, lower for a lever across it.
 _OVER_PIPE, _IN_PIPE = 1.15, 0.8
@@ -102,13 +102,12 @@ def joint_of(bar: Bar, pipe: Bar, tilts: tuple[float, float], index: SightIndex)
         return None
     pivot = _pivot(bar, axis, apart - (_OVER_PIPE if is_parallel else _IN_PIPE) * pipe.half[0], index)
     if not is_parallel:
-        ends = np.array([bar.first, bar.last])
-        k = int(np.argmin(np.abs(ends - nearest)))
-        if abs(ends[k] - nearest) > PIVOT_FROM_END or (nearest - ends[k]) * (1 - 2 * k) < -0.02:
+        far = find_far_end(bar, nearest)
+        if far is None:
             return None
         # The crossing locates the pivot better than the rays behind the bar.
-        clear = pivot.confidence if pivot.far == ends[1 - k] else 0.0
-        pivot = replace(pivot, along=nearest, far=float(ends[1 - k]), confidence=clear)
+        clear = pivot.confidence if pivot.far == far else 0.0
+        pivot = replace(pivot, along=nearest, far=far, confidence=clear)
     else:
         # The body seen below a lever shows at which end it is held, but not the position.
         end = bar.first if pivot.far > pivot.along else bar.last
@@ -121,6 +120,15 @@ def nearest_on(bar: Bar, pipe: Bar) -> float:
     """Return the position along a bar, from its centre, that is closest to the axis of a pipe askew to it [m]."""
     cosine, offset = float(bar.axis @ pipe.axis), bar.centre - pipe.centre
     return float((cosine * (offset @ pipe.axis) - offset @ bar.axis) / (1.0 - cosine**2))
+
+
+def find_far_end(bar: Bar, crossing: float) -> float | None:
+    """Return the end of a bar that is away from its crossing with a pipe [m]; None where it crosses at neither end."""
+    ends = np.array([bar.first, bar.last])
+    k = int(np.argmin(np.abs(ends - crossing)))
+    if abs(ends[k] - crossing) > _PIVOT_FROM_END or (crossing - ends[k]) * (1 - 2 * k) < -0.02:
+        return None
+    return float(ends[1 - k])
 
 
 def are_parallel(bar: Bar, pipe: Bar) -> bool:
