@@ -45,6 +45,7 @@ from service.request.robot_torque import RobotTorqueRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 LEAST_STUCK_TURN_DEG = 10.0
+Friction = Annotated[Number, Field(ge=0.0, le=5.0)]
 
 
 @dataclass(config=SECTION)
@@ -261,6 +262,8 @@ class Options(Section):
         velocity_scale, acceleration_scale: share of the robot's limits that is used.
         timed: whether the motion gets a time law; otherwise only the path is planned and certified.
         escape: whether to escape from a start in collision first instead of refusing it.
+        hand_friction: least and largest coefficient between a hand and what it moves: contacts that stick hold at the
+            least one, contacts that slide at every one.
     """
 
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
@@ -275,6 +278,16 @@ class Options(Section):
     acceleration_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.3
     timed: bool = True
     escape: bool = False
+    hand_friction: tuple[Friction, Friction] = (0.3, 0.6)
+
+    def __post_init__(self) -> None:
+        low, high = self.hand_friction
+        if low > high:
+            raise PydanticCustomError(
+                "options",
+                "hand_friction is {low} to {high}; expected the least coefficient first",
+                {"low": f"{low:g}", "high": f"{high:g}"},
+            )
 
 
 @dataclass(config=SECTION)
