@@ -120,7 +120,14 @@ def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> Pha
     options = setup.request.options
     aims = Aims(options.margin_m, options.balance_margin_m)
     body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
-    solver = PhaseSolver(body, monitor, Settings(qp=options.qp), most_starts=options.starts, seed=options.seed)
+    solver = PhaseSolver(
+        body,
+        monitor,
+        Settings(qp=options.qp),
+        most_starts=options.starts,
+        seed=options.seed,
+        hand_friction=options.hand_friction,
+    )
     return solver if terms is None else replace(solver, terms=terms)
 
 

@@ -9,7 +9,9 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
+from costs.primitive import Primitive
 from costs.robot.errors import RobotError
 from costs.robot.mesh.hull import find_hull_vertices, make_outer_hull
 from costs.robot.model import LinkBody, RobotModel
@@ -34,6 +36,7 @@ class MechanismJoint:
         lower, upper: limits [rad, m].
         start: value at the start of a motion [rad, m].
         velocity, acceleration: limits [rad/s or m/s, rad/s^2 or m/s^2].
+        exact: by name the round shapes that bodies contain.
     """
 
     name: str
@@ -48,6 +51,7 @@ class MechanismJoint:
     start: float = 0.0
     velocity: float = 1.0
     acceleration: float = 2.0
+    exact: Mapping[str, Primitive] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,26 @@ class Mechanism:
     def joint(self, name: str) -> MechanismJoint:
         """Return the joint of a name (KeyError if there is none)."""
         return {joint.name: joint for joint in self.joints}[name]
+
+    def locate(self, link: str, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a link in the world, with the joints at ``values`` [rad, m]."""
+        by_link = {joint.link: column for column, joint in enumerate(self.joints)}
+        pose, above = np.eye(4), link
+        while True:
+            joint = self.joints[by_link[above]]
+            value, axis = float(values[by_link[above]]), joint.axis / np.linalg.norm(joint.axis)
+            step = np.eye(4)
+            step[:3, 3] = joint.origin
+            if joint.parent is not None:
+                step[:3, 3] -= self.joints[by_link[joint.parent]].origin
+            if joint.kind == "prismatic":
+                step[:3, 3] += value * axis
+            else:
+                step[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
+            pose = step @ pose
+            if joint.parent is None:
+                return pose
+            above = joint.parent
 
 
 def with_mechanism(robot: RobotModel, joints: Sequence[MechanismJoint]) -> RobotModel:
@@ -159,11 +183,14 @@ def _locate_parent(
 
 
 def _make_bodies(joint: MechanismJoint, index: int, origin: Float[np.ndarray, "3"]) -> tuple[LinkBody, ...]:
-    made = []
+    made, to_joint = [], np.eye(4)
+    to_joint[:3, 3] = -origin
     for name, points in joint.bodies.items():
         words = f"body '{name}' of link '{joint.link}'"
         vertices = find_hull_vertices(np.asarray(points, dtype=float) - origin, words)
-        made.append(LinkBody(name, joint.link, index, vertices, make_outer_hull(vertices)))
+        round_shape = joint.exact.get(name)
+        exact = None if round_shape is None else round_shape.move(to_joint)
+        made.append(LinkBody(name, joint.link, index, vertices, make_outer_hull(vertices), exact))
     return tuple(made)
 
 

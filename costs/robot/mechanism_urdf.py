@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.names import would_do
+from costs.primitive import Primitive, make_round_shape
 from costs.robot import shapes
 from costs.robot.errors import RobotError
 from costs.robot.mechanism import MechanismJoint
@@ -111,6 +112,7 @@ def read_mechanism(
             raise RobotError(f"joints.{given}: unknown joint; the mechanism moves {names}")
     poses, owners = _place_links(urdf, pose_world_root)
     bodies = _make_bodies(urdf, poses, meshes, where)
+    round_shapes = _make_round_shapes(urdf, poses)
     joints: list[MechanismJoint] = []
     places: dict[str, LinkPlace] = {}
     parents: dict[str, str | None] = {}
@@ -124,6 +126,12 @@ def read_mechanism(
             if mover == joint.name
         }
         named = {body: points for parts in own.values() for body, points in parts.items()}
+        exact = {
+            body: shape
+            for member, parts in own.items()
+            for body, shape in zip(parts, round_shapes[member], strict=True)
+            if shape is not None
+        }
         if not named:
             raise RobotError(f"{where}: link '{joint.child}' has no <collision>; what a joint moves needs a shape")
         origin, turned = poses[joint.child][:3, 3], poses[joint.child][:3, :3]
@@ -143,6 +151,7 @@ def read_mechanism(
                 start=start,
                 velocity=min(joint.velocity, FASTEST[kind]) if np.isinf(joint.velocity) else joint.velocity,
                 acceleration=DEFAULT_ACCELERATION[kind] if joint.acceleration is None else joint.acceleration,
+                exact=exact,
             )
         )
         for member, parts in own.items():
@@ -225,6 +234,18 @@ def _make_bodies(
         placed = [(_make_points(shape, meshes, inside), poses[link] @ shape.pose_link_shape) for shape in link_shapes]
         bodies[link] = [find_hull_vertices(points @ pose[:3, :3].T + pose[:3, 3], inside) for points, pose in placed]
     return bodies
+
+
+def _make_round_shapes(urdf: Urdf, poses: Mapping[str, Float[np.ndarray, "4 4"]]) -> dict[str, list[Primitive | None]]:
+    """Return per link the round shapes that its convex bodies contain, in the world with all joints at 0."""
+    placed: dict[str, list[Primitive | None]] = {}
+    for link, link_shapes in urdf.links.items():
+        made = [make_round_shape(shape.kind, shape.size) for shape in link_shapes]
+        placed[link] = [
+            None if exact is None else exact.move(poses[link] @ shape.pose_link_shape)
+            for exact, shape in zip(made, link_shapes, strict=True)
+        ]
+    return placed
 
 
 def _make_points(shape: Shape, meshes: Meshes, where: str) -> Float[np.ndarray, "V 3"]:

@@ -27,6 +27,7 @@ from service.body.sampling import (
 )
 from service.body.task_plan import LEAST_CLEARANCE, Solved, TaskPlan, keeps_constraints
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
+from service.request.fields import HAND_FRICTION
 
 CARRIER_POINTS = 17  # of the way of the limbs that carry the robot
 MOST_GUESSES = 4  # of a step without further starts, as of a pose
@@ -67,6 +68,7 @@ class PhaseSolver:
         seed: of random draws.
         terms: the caller's own, added to every pose and trajectory.
         map: calls a function for every one of many independent poses, in order; an executor's does so side by side.
+        hand_friction: least and largest coefficient between hands and what they move.
     """
 
     body: WholeBody
@@ -77,6 +79,7 @@ class PhaseSolver:
     seed: int = 0
     terms: Terms = lambda phase, robot, n_waypoints: ()
     map: Map = map
+    hand_friction: tuple[float, float] = HAND_FRICTION
 
     def solve_pose(
         self,

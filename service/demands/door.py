@@ -39,6 +39,7 @@ PEG_ACROSS = np.deg2rad(30.0)  # between the peg behind a pull handle and the le
 PLACE_TOLERANCE = 5e-3  # [m]
 TORQUE_SHARE = 0.9  # of the joints before the hand; the rest is for the motion [-]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
+GIVES_WAY = 0.2  # share of the force that releases a handle, for which one at rest hardly moves [-]
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,17 @@ def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = REAC
     if choice.push is not None:
         at = phases[-1].last if phases else start
         phases += _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
-    return tuple(phases)
+    bears = _list_resistances(door)
+    return tuple(replace(phase, bears=bears) for phase in phases)
+
+
+def _list_resistances(door: Door) -> dict[str, tuple[float, float]]:
+    """Return by joint the forces of a hand that it bears by itself: the hinge's friction, little of a handle's spring.
+
+    A handle at rest gives way as its spring does, and stays in the hand for a small share of what releases it.
+    """
+    spring = door.push_bar_n if door.has_push_bar else door.lever_nm
+    return {LEAF_JOINT: (-door.hinge_nm, door.hinge_nm), HANDLE_JOINT: (0.0, GIVES_WAY * spring)}
 
 
 def _open_at_handle(

@@ -21,22 +21,27 @@ from costs.robot import (
     UrdfMechanism,
     check_limits,
     read_mechanism,
+    with_mechanism,
 )
 from costs.scene import ConvexPiece
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.pushes import find_nominal_pushes
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do
+from service.request.fields import HAND_FRICTION
 from service.request.mechanism import MechanismRequest, is_urdf_text
 from service.request.names import MECHANISM, STILL
 from service.request.resume import ResumeRequest
 from service.verify import HandLoad, Motion, RelativePoseTarget
+from service.verify.forces.hand_contacts import LEAST_APART_M
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
 LINE_OUT = 0.1  # of the line that leads to the handle, where the request gives none [m]
 TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad, m]
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
+SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
 MOST_LOADS = 4  # at a time: the robot is held under every combination of them
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
@@ -108,21 +113,7 @@ class GivenMechanism:
 
     def locate(self, joint: str, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:
         """Return the pose of a joint's link in the world, with the joints at ``values`` [rad, m]."""
-        names = [known.name for known in self.mechanism.joints]
-        pose = np.eye(4)
-        origin = np.zeros(3)
-        for name in reversed(self.read.list_carriers(joint)):
-            known = self.mechanism.joint(name)
-            value = float(values[names.index(name)])
-            step = np.eye(4)
-            step[:3, 3] = known.origin - origin
-            axis = known.axis / np.linalg.norm(known.axis)
-            if known.kind == "prismatic":
-                step[:3, 3] += value * axis
-            else:
-                step[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
-            pose, origin = pose @ step, known.origin
-        return np.asarray(pose)
+        return self.mechanism.locate(self.mechanism.joint(joint).link, values)
 
 
 def read_given_mechanism(request: MechanismRequest) -> GivenMechanism:
@@ -164,6 +155,27 @@ def _make_pose(request: MechanismRequest) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
+def settle_handle(
+    given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]
+) -> GivenMechanism:
+    """Return the mechanism with the handle's place moved along the contact's normal until the hand just touches.
+
+    A place in a request is off by some millimetres, by which the mechanism would lag behind the hand.
+
+    Args:
+        robot: augmented by the mechanism.
+        hand: at the handle.
+        friction: least and largest coefficient.
+    """
+    for spec in make_mechanism_phases(given, hand):
+        for nominal in find_nominal_pushes(spec, robot, given.mechanism, friction):
+            for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
+                if contact.link == given.handle.link and meeting.apart >= LEAST_APART_M:
+                    shift = np.round((meeting.gap - SETTLED_GAP) * meeting.normal, SETTLED_DIGITS)
+                    return replace(given, handle=replace(given.handle, place=given.handle.place + shift))
+    return given
+
+
 def make_mechanism_phases(
     given: GivenMechanism, hand: Hand, reach_waypoints: int = REACH_WAYPOINTS
 ) -> tuple[PhaseSpec, ...]:
@@ -203,6 +215,7 @@ def make_mechanism_phases(
             f"task.mechanism.joints: the hand would carry the loads of {len(loads[crowded])} joints in "
             f"moves[{crowded}]; expected at most {MOST_LOADS}"
         )
+    bears = {name: (-joint.friction, joint.friction) for name, joint in given.request.joints.items()}
     travels = [measure_travel(given, first, last) for first, last in ends]
     for k, (move, (first, last)) in enumerate(zip(given.request.moves, ends, strict=True)):
         joint = given.mechanism.joint(move.joint)
@@ -211,7 +224,7 @@ def make_mechanism_phases(
         phases.append(
             PhaseSpec(
                 _name_phase(given.request, k),
-                first, last, held, touches, loads[k],
+                first, last, held, touches, loads[k], bears=bears,
                 is_anchor=k == int(np.argmax(travels)), aims_at_end=True, step="pose at the handle", n_waypoints=count,
             )
         )  # fmt: skip
@@ -233,10 +246,12 @@ class GivenMechanismDemand:
     Attributes:
         given: the mechanism and the task.
         robot: without the mechanism.
+        friction: least and largest coefficient between hand and mechanism.
     """
 
     given: GivenMechanism
     robot: RobotModel
+    friction: tuple[float, float] = HAND_FRICTION
 
     @property
     def mechanism(self) -> Mechanism:
@@ -248,7 +263,8 @@ class GivenMechanismDemand:
         hand = self.find_hand(recorded)
         if hand is None:
             return (), ("no hand that the task permits holds the handle",)
-        return make_mechanism_phases(self.given, hand), ()
+        robot = with_mechanism(self.robot, self.given.mechanism.joints)
+        return make_mechanism_phases(settle_handle(self.given, robot, hand, self.friction), hand), ()
 
     def find_hand(self, recorded: Motion) -> Hand | None:
         """Return the hand that holds the handle in a record; None if none does that the task permits."""
@@ -294,8 +310,10 @@ def resume_mechanism(
     Raises:
         RequestError: its phase, mechanism or hand do not fit the task.
     """
-    given = demand.given
-    specs = make_mechanism_phases(given, read_kept_hand(demand, resume), reach_waypoints)
+    hand = read_kept_hand(demand, resume)
+    robot = with_mechanism(demand.robot, demand.mechanism.joints)
+    given = settle_handle(demand.given, robot, hand, demand.friction)
+    specs = make_mechanism_phases(given, hand, reach_waypoints)
     mechanism = start_mechanism(given.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
     rest = specs[find_index(specs, resume.phase) :]
@@ -446,6 +464,24 @@ def measure_travel(given: GivenMechanism, first: Float[np.ndarray, "k"], last: F
         return moved
     place, _ = _locate_handle(given, joint.name, first)
     return moved * float(np.linalg.norm(np.cross(joint.axis / np.linalg.norm(joint.axis), place)))
+
+
+def list_opposite_places(given: GivenMechanism) -> list[Float[np.ndarray, "3"]]:
+    """Return the places on the other side of each body that the hand may touch, along the way of each move [m]."""
+    handle, places = given.handle, []
+    bodies = {name: points for joint in given.mechanism.joints for name, points in joint.bodies.items()}
+    own = given.mechanism.joint(handle.joint)
+    for move in given.request.moves:
+        start = given.mechanism.start
+        carrier = given.mechanism.joint(move.joint)
+        place, _ = _locate_handle(given, move.joint, start)
+        axis = carrier.axis / np.linalg.norm(carrier.axis)
+        way = axis if carrier.kind == "prismatic" else np.cross(axis, place)
+        way = way / max(float(np.linalg.norm(way)), 1e-12)
+        for name in handle.bodies:
+            middle = bodies[name].mean(axis=0) - own.origin
+            places.append(handle.place - 2.0 * float((handle.place - middle) @ way) * way)
+    return places
 
 
 def _name_phase(request: MechanismRequest, index: int) -> str:

@@ -21,12 +21,13 @@ from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ContactPhase, ContactStance, ends_with_new_contacts, list_contact_phases
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
+from service.demands.pushes import add_pushes
 from service.demands.recorded_task import RecordedTask, TaskDemand
 from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
 from service.demands.targets import make_goal_targets, make_kept_target
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
-from service.verify import Certificate, HandLoad, Motion, Phase, Target
+from service.verify import Certificate, HandLoad, HandPush, Motion, Phase, Target
 from service.verify.coverage.required import list_waived_checks
 from service.verify.hashes import bodies_hash, robot_hash, scene_hash
 
@@ -172,7 +173,10 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
     task, neighbours = None, tuple[Allowance, ...]()
     if demands.task is not None:
-        task = RecordedTask.of(demands.task, recorded)
+        mechanism, friction = demands.task.mechanism, request.options.hand_friction
+        task = RecordedTask.of(demands.task, recorded).map_specs(
+            lambda specs: add_pushes(specs, augmented, mechanism, friction)
+        )
         lines = task.problems
         at_start = np.concatenate([start, demands.task.mechanism.start])
         neighbours = make_neighbour_allowances(augmented, demands.scene, at_start)
@@ -235,9 +239,11 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
     targets = promises.last if index == len(recorded.phases) - 1 else ()
     touching: tuple[Allowance, ...] = ()
     loads: tuple[HandLoad, ...] = ()
+    pushes: tuple[HandPush, ...] = ()
     spec = None if promises.task is None else promises.task.specs[index]
     if spec is not None and demands.task is not None:
-        targets, touching, loads = spec.targets(demands.task.mechanism, phase.last), spec.touches, spec.loads
+        targets, touching = spec.targets(demands.task.mechanism, phase.last), spec.touches
+        loads, pushes = spec.loads, spec.pushes
     if demands.program is not None:  # the planner itself promises targets between its steps
         targets = (*(target for target in phase.targets if getattr(target, "at", None) is None), *targets)
     return Phase(
@@ -249,6 +255,7 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         targets=(*targets, *promises.everywhere),
         support=promises.stance.support(phase.name, first),
         loads=loads,
+        pushes=pushes,
         regions=phase.regions,  # evidence, which the verifier proves
     )
 

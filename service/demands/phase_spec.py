@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.robot import Mechanism
-from service.verify import HandLoad, JointTarget, RelativePoseTarget, Target
+from service.verify import HandLoad, HandPush, JointTarget, RelativePoseTarget, Target
 
 AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
@@ -38,6 +38,8 @@ class HandMotion:
         offset: (3,) from ``place``, in the link: the phase begins there (None: it stays at ``place``) [m].
         leaves: whether a line leads from ``place`` to the offset instead of back.
         shares: (T,) of a line's way to the offset at its waypoints; None where they are equally spaced.
+        way: (3,) unit, in the link ``axis_link``: direction across which a rod's side pushes; None for no such.
+        way_lean_rad: largest lean of the tool's axis towards ``way`` or against it, at the waypoints.
         slide: (3,) in the link: the tool may be anywhere on ``place`` +- ``slide``; None where it may not slide [m].
         rotation: (3, 3) rotation_link_tool of a hand that cannot turn about its own axis; None where it can.
         is_rigid: whether the hand keeps the turn about its axis that it has at the first pose (a grasp).
@@ -60,6 +62,8 @@ class HandMotion:
     aim_rad: float = float(np.deg2rad(1.0))
     axis_link: str | None = None
     shares: Float[np.ndarray, "T"] | None = None
+    way: Float[np.ndarray, "3"] | None = None
+    way_lean_rad: float = 0.0
 
     @property
     def turns_with(self) -> str | None:
@@ -90,6 +94,9 @@ class PhaseSpec:
         hand: motion of the hand; None where it is free.
         touches: pairs that may touch besides feet and floor.
         loads: forces that the hand exerts on the mechanism, each between zero and its largest.
+        pushes: the contacts by which it exerts them.
+        knows_pressed: whether the task knows what the hand presses; else nothing shows that it pushes.
+        bears: by joint of the mechanism that stays still, the forces of a hand that it bears by itself [N m, N].
         also: further targets of the whole phase.
         is_anchor: whether it is solved first; the phases before it are solved backwards from its start.
         step: of its pose, in messages.
@@ -110,6 +117,9 @@ class PhaseSpec:
     hand: HandMotion | None = None
     touches: tuple[Allowance, ...] = ()
     loads: tuple[HandLoad, ...] = ()
+    pushes: tuple[HandPush, ...] = ()
+    knows_pressed: bool = True
+    bears: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     also: tuple[Target, ...] = ()
     is_anchor: bool = False
     step: str = ""

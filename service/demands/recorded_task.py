@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -63,6 +63,11 @@ class RecordedTask:
             specs.append(next((spec for spec in chosen if spec.name == name), None))
         problems += _find_moved_joints(task.mechanism, recorded, specs)
         return RecordedTask(tuple(specs), tuple(problems))
+
+    def map_specs(self, change: Callable[[Sequence[PhaseSpec]], Sequence[PhaseSpec]]) -> RecordedTask:
+        """Return the same with phases changed, those that are None left out."""
+        changed = iter(change([spec for spec in self.specs if spec is not None]))
+        return replace(self, specs=tuple(None if spec is None else next(changed) for spec in self.specs))
 
 
 def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[PhaseSpec | None]) -> Iterator[str]:

@@ -10,10 +10,11 @@ import numpy as np
 
 from costs.allowance import Allowance, BodyRef
 from service.demands.grip import make_finger_targets, make_grip_allowances, place_grip
-from service.demands.hands import HOLD_FRICTION, Hand
+from service.demands.hands import Hand
 from service.demands.peg import PegPlace, make_peg_allowances, place_peg
 from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.demands.wheel import Mode, Wheel, wrap_angle
+from service.request.fields import HAND_FRICTION
 from service.request.names import VALVE_LINK
 from service.request.schema import ValveRequest
 from service.verify import CircleTarget, HandLoad
@@ -143,9 +144,15 @@ def find_hold(wheel: Wheel, choice: TurnChoice, mode: Mode, sense: float) -> Han
 
 
 def make_turn_phases(
-    wheel: Wheel, request: ValveRequest, choice: TurnChoice, reach_waypoints: int = REACH_WAYPOINTS
+    wheel: Wheel,
+    request: ValveRequest,
+    choice: TurnChoice,
+    reach_waypoints: int = REACH_WAYPOINTS,
+    friction: float = HAND_FRICTION[1],
 ) -> tuple[PhaseSpec, ...]:
     """Return the phases of all strokes; after the first one each enters where it is nearest to the first entry.
+
+    ``friction`` is the largest coefficient between a peg and the wheel.
 
     Raises:
         ValueError: the hand cannot enter for a stroke.
@@ -155,8 +162,11 @@ def make_turn_phases(
     for number, stroke in enumerate(strokes):
         suffix = "" if len(strokes) == 1 else f" {number + 1}"
         entry = choice.entry if number == 0 else _find_next_entry(wheel, request.mode, choice, stroke)
-        make_stroke = _make_peg_stroke if request.mode == "hook" else _make_grip_stroke
-        phases += make_stroke(wheel, replace(choice, entry=entry), stroke, suffix, reach_waypoints)
+        held = replace(choice, entry=entry)
+        if request.mode == "hook":
+            phases += _make_peg_stroke(wheel, held, stroke, suffix, reach_waypoints, friction)
+        else:
+            phases += _make_grip_stroke(wheel, held, stroke, suffix, reach_waypoints)
     return tuple(phases)
 
 
@@ -169,7 +179,7 @@ def _find_next_entry(wheel: Wheel, mode: Mode, choice: TurnChoice, stroke: Strok
 
 
 def _make_peg_stroke(
-    wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str, reach_waypoints: int
+    wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str, reach_waypoints: int, friction: float
 ) -> tuple[PhaseSpec, ...]:
     """Return the phases of a stroke of the hook: reach, insert, turn, retract; the turn is solved first."""
     hand = choice.hand
@@ -180,7 +190,7 @@ def _make_peg_stroke(
     touches = make_peg_allowances(wheel, hand, held)
     line = find_hold(wheel, choice, "hook", stroke.sense)
     motion = replace(line, offset=None)
-    loads = list_peg_loads(wheel, hand, held, stroke.torque_nm)
+    loads = list_peg_loads(wheel, hand, held, stroke.torque_nm, friction)
     return (
         PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
         PhaseSpec(
@@ -189,6 +199,7 @@ def _make_peg_stroke(
         PhaseSpec(
             f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step=POSE_AT_WHEEL,
             n_waypoints=count_waypoints(stroke), loads=loads, also=(make_circle(wheel, motion),),
+            knows_pressed=held.spoke is not None,
             guess_touches=(Allowance(BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), THROUGH),),
             torque_share=TORQUE_SHARE,
             depth_reserve_m=PEG_RESERVE,
@@ -200,20 +211,22 @@ def _make_peg_stroke(
     )  # fmt: skip
 
 
-def list_peg_loads(wheel: Wheel, hand: Hand, held: PegPlace, torque_nm: float) -> tuple[HandLoad, ...]:
-    """Return what a peg exerts on a wheel that it turns: its pressure, and the friction beside it.
+def list_peg_loads(
+    wheel: Wheel, hand: Hand, held: PegPlace, torque_nm: float, friction: float = HAND_FRICTION[1]
+) -> tuple[HandLoad, ...]:
+    """Return what a peg exerts on a wheel that it turns: its pressure, and the largest friction beside it.
 
     The hand does not turn with the wheel, so that the peg's side slides on the spoke, by its radius times the angle.
     What touches moves outwards on the wheel whatever the sense of the turn; so does the friction on it, and the hand is
     drawn towards the hub.  The pressure is at the peg's side, and the friction acts along the spoke's face: where the
     peg's own middle is beyond that face, friction takes some of the torque.
     """
-    against = HOLD_FRICTION * hand.peg_radius if held.spoke is None else 0.0
+    against = friction * hand.peg_radius if held.spoke is None else 0.0
     pressure = torque_nm / (held.arm - against)
     out = np.cross(held.push, np.cross(held.place, held.push))
     out = out - (out @ wheel.axis) * wheel.axis
-    friction = HOLD_FRICTION * pressure / np.linalg.norm(out) * out
-    return tuple(HandLoad(hand.peg, VALVE_LINK, held.place, force) for force in (pressure * held.push, friction))
+    beside = friction * pressure / np.linalg.norm(out) * out
+    return tuple(HandLoad(hand.peg, VALVE_LINK, held.place, force) for force in (pressure * held.push, beside))
 
 
 def _make_grip_stroke(

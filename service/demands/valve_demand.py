@@ -25,6 +25,7 @@ from service.demands.strokes import (
 )
 from service.demands.wheel import Wheel, make_wheel_mechanism, wrap_angle
 from service.errors import RequestError
+from service.request.fields import HAND_FRICTION
 from service.request.names import VALVE_JOINT
 from service.request.resume import ResumeRequest, StrokeChoice
 from service.request.schema import ValveRequest
@@ -45,11 +46,13 @@ class ValveDemand:
         wheel: the wheel.
         request: the task.
         hands: of the robot.
+        friction: largest coefficient between a peg and the wheel.
     """
 
     wheel: Wheel
     request: ValveRequest
     hands: tuple[Hand, ...] = tuple(HANDS.values())
+    friction: float = HAND_FRICTION[1]
 
     @property
     def mechanism(self) -> Mechanism:
@@ -61,7 +64,7 @@ class ValveDemand:
         choice = self._read_choice(recorded)
         if isinstance(choice, str):
             return (), (choice,)
-        return make_turn_phases(self.wheel, self.request, choice), ()
+        return make_turn_phases(self.wheel, self.request, choice, friction=self.friction), ()
 
     def read_stroke(self, recorded: Motion) -> StrokeChoice | str:
         """Return hand, entry and number of strokes of a recorded turn, or a sentence why there are none."""
@@ -152,7 +155,7 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
     Raises:
         RequestError: its phase, mechanism or choices do not fit the task.
     """
-    specs = make_turn_phases(demand.wheel, demand.request, read_kept_choice(demand, resume))
+    specs = make_turn_phases(demand.wheel, demand.request, read_kept_choice(demand, resume), friction=demand.friction)
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
     rest = find_net_turn(demand.request) - float(np.rad2deg(mechanism.start[0]))

@@ -123,6 +123,7 @@ def _make_phase(
         targets=(*phase.targets(last), *at_waypoints, *(kept.target() for kept in body.kept)),
         support=support,
         loads=phase.loads,
+        pushes=phase.pushes,
         regions=_place_regions(phase, body, s),
         region_margin_m=None if body.region is None else margin,
     )

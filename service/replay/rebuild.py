@@ -139,7 +139,8 @@ def _rebuild_task(
     if task is None or (task.valve is None and task.door is None and task.mechanism is None):
         return None
     if task.mechanism is not None:
-        moving = GivenMechanismDemand(read_given_mechanism(task.mechanism), robot)
+        friction = request.options.hand_friction
+        moving = GivenMechanismDemand(read_given_mechanism(task.mechanism), robot, friction)
         return moving if request.resume is None else resume_mechanism(moving, request.resume)
     if task.door is not None:
         base = start[:3] if robot.is_floating else np.zeros(3)
@@ -157,7 +158,7 @@ def _rebuild_task(
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
     wheel = make_wheel(turn_back(valve, request.resume), task.valve)
-    turning = ValveDemand(wheel, task.valve, list_robot_hands(robot))
+    turning = ValveDemand(wheel, task.valve, list_robot_hands(robot), request.options.hand_friction[1])
     return turning if request.resume is None else resume_valve(turning, request.resume)
 
 

@@ -18,6 +18,8 @@ QUATERNION_NORM_TOLERANCE = 1e-3  # allows for rounding to a few digits
 QUATERNION_ROUNDING = 1e-15
 WORKSPACE_M = 1000.0  # a coordinate beyond this is a unit mistake (millimetres)
 LARGEST_M = 100.0  # a larger obstacle is in another unit
+# Least and largest coefficient between hands and what they move: steel on steel to rubber.
+HAND_FRICTION = (0.3, 0.6)
 MAX_JOINTS = 1000
 MAX_DEPTH = 30  # levels of plain data in a request
 MAX_BITS = 1023  # size of an integer in plain data

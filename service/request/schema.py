@@ -21,6 +21,7 @@ from service.request.contacts import ContactsRequest
 from service.request.door import DoorRequest
 from service.request.egress import EgressRequest
 from service.request.fields import (
+    HAND_FRICTION,
     MAX_JOINTS,
     SECTION,
     FilePath,
@@ -278,7 +279,7 @@ class Options(Section):
     acceleration_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.3
     timed: bool = True
     escape: bool = False
-    hand_friction: tuple[Friction, Friction] = (0.3, 0.6)
+    hand_friction: tuple[Friction, Friction] = HAND_FRICTION
 
     def __post_init__(self) -> None:
         low, high = self.hand_friction

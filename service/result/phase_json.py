@@ -14,7 +14,10 @@ from costs.allowance import Allowance, BodyRef
 from service.verify import (
     AxisTarget,
     CircleTarget,
+    HandContact,
     HandLoad,
+    HandPush,
+    HeldJoint,
     JointTarget,
     LoadedRegion,
     Phase,
@@ -44,6 +47,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "targets": targets_json(phase.targets, s),
         "support": None if phase.support is None else _write_support(phase.support),
         "loads": [_write_load(load) for load in phase.loads],
+        "pushes": [_write_push(push) for push in phase.pushes],
         "regions": [_write_region(region, s) for region in phase.regions],
         "region_margin_m": phase.region_margin_m,
     }
@@ -67,6 +71,7 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         if support is None
         else SupportPolygon(np.array(support["polygon"]), float(support["margin_m"]), float(support["height"])),
         loads=tuple(_read_load(load) for load in data["loads"]),
+        pushes=tuple(_read_push(push) for push in data.get("pushes", ())),
         regions=tuple(_read_region(region, s) for region in data["regions"]),
         region_margin_m=None if data["region_margin_m"] is None else float(data["region_margin_m"]),
     )
@@ -135,6 +140,59 @@ def _read_load(data: Mapping[str, Any]) -> HandLoad:
     place, force = np.array(data["place"], dtype=float), np.array(data["force_n"], dtype=float)
     slide = None if data["slide"] is None else np.array(data["slide"], dtype=float)
     return HandLoad(data["tool"], data["link"], place, force, slide, float(data["drift_m"]))
+
+
+def _write_push(push: HandPush) -> dict[str, Any]:
+    return {
+        "joint": push.joint,
+        "sense": push.sense,
+        "force_n": push.force_n,
+        "friction": list(push.friction),
+        "held": [{"joint": held.joint, "low": _finite(held.low), "high": _finite(held.high)} for held in push.held],
+        "contacts": [
+            {
+                "frame": contact.frame,
+                "surface": contact.surface,
+                "core": contact.core.tolist(),
+                "radius": contact.radius,
+                "link": contact.link,
+                "body": contact.body,
+                "cap_n": contact.cap_n,
+            }
+            for contact in push.contacts
+        ],
+    }
+
+
+def _read_push(data: Mapping[str, Any]) -> HandPush:
+    contacts = tuple(
+        HandContact(
+            contact["frame"],
+            contact["surface"],
+            np.array(contact["core"], dtype=float),
+            float(contact["radius"]),
+            contact["link"],
+            contact["body"],
+            float(contact["cap_n"]),
+        )
+        for contact in data["contacts"]
+    )
+    held = tuple(
+        HeldJoint(
+            entry["joint"],
+            -np.inf if entry["low"] is None else float(entry["low"]),
+            np.inf if entry["high"] is None else float(entry["high"]),
+        )
+        for entry in data["held"]
+    )
+    low, high = data["friction"]
+    friction = (float(low), float(high))
+    return HandPush(data["joint"], float(data["sense"]), float(data["force_n"]), contacts, friction, held)
+
+
+def _finite(value: float) -> float | None:
+    """Return a number for JSON, which lacks infinity: null."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _write_region(region: LoadedRegion, s: Float[np.ndarray, "S"]) -> dict[str, Any]:

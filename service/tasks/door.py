@@ -332,7 +332,7 @@ class DoorOpening:
 
     def _sequence(self, choice: DoorChoice) -> PhaseSequence:
         specs = make_door_phases(self.door, choice, self.reach_waypoints)
-        return PhaseSequence(self.solver, self.door.mechanism, specs, wants_reserve=True)
+        return PhaseSequence.of(self.solver, self.door.mechanism, specs, wants_reserve=True)
 
     def _describe(self, choice: DoorChoice) -> str:
         parts = []

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.support import SupportPolygon
-from costs.terms import AxisDirection, CentreOfMassAt, FramePose
+from costs.terms import AxisDirection, CentreOfMassAt, FramePose, Joined, NormWithin
 from scopt import Residual
 from service.body.holds import Hold, project_within_limits
 from service.body.inverse_kinematics import solve_holds
@@ -79,6 +79,15 @@ def _measure_off(
 def aim_tool(robot: RobotModel, hand: HandMotion, waypoints: Int[np.ndarray, "S"]) -> AxisDirection:
     """Return how far a tool's axis leans from the direction that it should have."""
     return AxisDirection(robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)
+
+
+def lean_tool(
+    robot: RobotModel, hand: HandMotion, way: Float[np.ndarray, "3"], waypoints: Int[np.ndarray, "S"]
+) -> Residual[MotionState]:
+    """Return how far a rod that pushes by its side leans too far along its way, and against it [rad]."""
+    most = 0.5 * np.pi + hand.way_lean_rad
+    angles = (AxisDirection(robot, hand.tool, waypoints, AXIS, sense * way, hand.turns_with) for sense in (1.0, -1.0))
+    return Joined([NormWithin(angle, 2, most) for angle in angles])
 
 
 def bring_tool(

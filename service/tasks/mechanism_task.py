@@ -20,14 +20,17 @@ from service.demands.given_mechanism import (
     GivenMechanism,
     GivenMechanismDemand,
     find_ends,
+    list_opposite_places,
     make_mechanism_phases,
     read_given_mechanism,
     read_kept_hand,
     resume_mechanism,
     select_tool,
+    settle_handle,
 )
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
+from service.demands.pushes import explain_refusal
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
 from service.request.resume import ResumeRequest
@@ -70,12 +73,17 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         yield blocked
         return
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    refusals = [explain_hold(solver, given, hand) for hand in hands]
+    if all(refusals):
+        yield TaskPlan(solver.body, (), (str(refusals[0]),), is_impossible=True)
+        return
     unsolved: TaskPlan | None = None
     unheld: StaticRegionError | None = None
-    for hand in hands:
-        specs = make_mechanism_phases(given, hand, waypoints)
+    for hand in [hand for hand, refusal in zip(hands, refusals, strict=True) if refusal is None]:
+        settled = settle_handle(given, solver.body.robot, hand, solver.hand_friction)
+        specs = make_mechanism_phases(settled, hand, waypoints)
         try:
-            phases, stuck = PhaseSequence(solver, given.mechanism, specs).plan(solver.body.nominal)
+            phases, stuck = PhaseSequence.of(solver, given.mechanism, specs).plan(solver.body.nominal)
         except StaticRegionError as error:
             unheld = error
             continue
@@ -102,7 +110,7 @@ def _plan_rest(
     Raises:
         RequestError: the phase, the hand or the mechanism's joints do not fit the task.
     """
-    demand = GivenMechanismDemand(given, setup.robot)
+    demand = GivenMechanismDemand(given, setup.robot, solver.hand_friction)
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     rest, hand = resume_mechanism(demand, resume, waypoints), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
@@ -167,6 +175,25 @@ def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism
                 f"{field}.place: the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius would be {where}; "
                 f"expected at most {1e3 * MOST_GAP:g} mm away and {1e3 * MOST_INSIDE:g} mm inside"
             )
+
+
+def explain_hold(solver: PhaseSolver, given: GivenMechanism, hand: Hand) -> str | None:
+    """Return why a hand at the handle cannot push the mechanism, with a side that can if there is one; None if it can.
+
+    Args:
+        solver: of the robot augmented by the mechanism.
+    """
+    robot, friction = solver.body.robot, solver.hand_friction
+    refusal = explain_refusal(make_mechanism_phases(given, hand), robot, given.mechanism, friction)
+    if refusal is None:
+        return None
+    for place in list_opposite_places(given):
+        turned = replace(given, handle=replace(given.handle, place=place))
+        if explain_refusal(make_mechanism_phases(turned, hand), robot, given.mechanism, friction) is None:
+            link = given.read.links[given.request.handle.link].pose
+            own = np.round((place - link[:3, 3]) @ link[:3, :3], 4) + 0.0
+            return f"{refusal}; a hand at handle.place {own.tolist()} could push it"
+    return f"{refusal}; a hand on the opposite side could not push it either"
 
 
 def find_blocked_move(body: WholeBody, given: GivenMechanism) -> TaskPlan | None:

@@ -36,6 +36,7 @@ from service.tasks.held_tool import (
     bring_tool,
     follow_in_balance,
     follow_tool,
+    lean_tool,
     make_hold,
     place_tool,
     slide_tool,
@@ -360,6 +361,7 @@ class PhaseCompiler:
             allowances=spec.touches,
             targets=lambda at: spec.targets(self.mechanism, at),
             loads=spec.loads,
+            pushes=spec.pushes,
             regions=self.find_regions(spec, values),
             values=values if spec.loads else None,
         )
@@ -386,6 +388,9 @@ class PhaseCompiler:
         axis = NormWithin(aim_tool(self.robot, hand, waypoints), 2, hand.aim_rad)
         tolerance = min(0.2 * hand.aim_rad, AXIS_TOLERANCE)
         constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))
+        if hand.way is not None:
+            lean = lean_tool(self.robot, hand, hand.way, waypoints)
+            constraints.append(Constraint("rod across the way", lean, tolerance=AXIS_TOLERANCE, unit="rad"))
         return tuple(constraints)
 
     def _limit_torques(

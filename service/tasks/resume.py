@@ -90,7 +90,7 @@ def plan_rest(
         whole = specs if is_reach else [*specs[:index], begun, *specs[index + 1 :]]
         rest = resume_phases(whole, demand.phase, start, beginning)
         is_held = begun.hand is not None and not is_reach
-        sequence = PhaseSequence(solver, demand.mechanism, rest, is_held, n_random=N_RANDOM, nominal=nominal)
+        sequence = PhaseSequence.of(solver, demand.mechanism, rest, is_held=is_held, n_random=N_RANDOM, nominal=nominal)
         planned = sequence.plan(body.nominal)
         if planned[1] is None:
             note = f"planned again from '{demand.phase}' on"
@@ -116,7 +116,7 @@ def _keep_earlier(
         return None, ()
     rest = resume_phases(specs, demand.phase, demand.mechanism.start, Beginning.AT_ONCE)
     try:
-        kept, off = keep_motion(PhaseSequence(solver, demand.mechanism, rest), resume.nominal)
+        kept, off = keep_motion(PhaseSequence.of(solver, demand.mechanism, rest), resume.nominal)
     except CannotFollowError as error:
         return None, (f"the earlier motion is not kept: {error}",) if resume.is_compliant else ()
     if resume.is_compliant and off.is_compliance:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,7 @@ from costs.robot import Mechanism, with_mechanism
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.phase_spec import PhaseSpec, check_moves
+from service.demands.pushes import add_pushes
 from service.tasks.phase_compiler import QUICK_EFFORT, QUICK_GUESSES, PhaseCompiler
 
 
@@ -53,6 +55,12 @@ class PhaseSequence:
 
     def __post_init__(self) -> None:
         check_moves(self.specs)
+
+    @staticmethod
+    def of(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[PhaseSpec], **options: Any) -> PhaseSequence:
+        """Return the sequence of phases with the contacts by which hands push the mechanism."""
+        pushing = add_pushes(specs, solver.body.robot, mechanism, solver.hand_friction)
+        return PhaseSequence(solver, mechanism, pushing, **options)
 
     @property
     def _compiler(self) -> PhaseCompiler:

@@ -54,7 +54,7 @@ class ValveTurn:
         """Plan all strokes in order, each backwards from its turn."""
         body, choice = self.solver.body, self.choice
         mechanism = make_wheel_mechanism(self.wheel, float(np.deg2rad(self.request.turn_deg)))
-        sequence = PhaseSequence(self.solver, mechanism, self.list_phases(), n_random=self.n_random)
+        sequence = PhaseSequence.of(self.solver, mechanism, self.list_phases(), n_random=self.n_random)
         phases, stuck = sequence.plan(body.nominal)
         angle = f"{np.rad2deg(choice.entry):.0f} deg"
         note = f"{choice.hand.side} hand in {self.request.mode} mode, {self._describe_place()} at {angle}"
@@ -63,7 +63,8 @@ class ValveTurn:
 
     def list_phases(self) -> tuple[PhaseSpec, ...]:
         """Return the phases of all strokes; the wrist of a gripper is first guessed to follow the wheel."""
-        phases = make_turn_phases(self.wheel, self.request, self.choice, self.reach_waypoints)
+        friction = self.solver.hand_friction[1]
+        phases = make_turn_phases(self.wheel, self.request, self.choice, self.reach_waypoints, friction)
         if self.request.mode == "hook":
             return phases
         column, sense = find_turn_joint(self.solver.body, self.choice.hand.tool)

@@ -331,7 +331,7 @@ def _plan_rest(
     solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, reach_waypoints: int
 ) -> Iterator[TaskPlan]:
     """Yield plans of the rest of a turn with the hand, the entry and the strokes of the earlier plan."""
-    demand = ValveDemand(wheel, request, list_robot_hands(solver.body.robot))
+    demand = ValveDemand(wheel, request, list_robot_hands(solver.body.robot), solver.hand_friction[1])
     rest, choice = resume_valve(demand, resume), read_kept_choice(demand, resume)
     solver = _add_wheel(solver, rest.mechanism, [choice.hand])
     turning = ValveTurn(solver, wheel, request, choice, reach_waypoints)

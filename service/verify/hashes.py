@@ -13,7 +13,16 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
-from service.verify.motion import HandLoad, Phase, PlantedContact, SupportPolygon, Target
+from service.verify.motion import (
+    HandContact,
+    HandLoad,
+    HandPush,
+    HeldJoint,
+    Phase,
+    PlantedContact,
+    SupportPolygon,
+    Target,
+)
 
 HASH_OFFSET = 0.381966  # of a micrometre
 
@@ -52,6 +61,8 @@ def promises_hash(phases: Iterable[Phase], releases: Iterable[Release] = ()) -> 
             _add(digest, type(target).__name__, *_parts(target))
         for load in phase.loads:
             _add(digest, "load", *_parts(load))
+        for push in phase.pushes:
+            _add(digest, "push", *_parts(push))
     for release in releases:
         _add(digest, "release", *_parts(release))
     return "sha256:" + digest.hexdigest()
@@ -74,13 +85,25 @@ def _hash(named: Iterable[tuple[str, np.ndarray]]) -> str:
 
 
 def _parts(
-    promise: Allowance | BodyRef | HandLoad | PlantedContact | Release | SupportPolygon | Target,
+    promise: Allowance
+    | BodyRef
+    | HandContact
+    | HandLoad
+    | HandPush
+    | HeldJoint
+    | PlantedContact
+    | Release
+    | SupportPolygon
+    | Target,
 ) -> Iterator[str | np.ndarray]:
     """Yield the fields of a promise in their order: texts, references to bodies, numbers; no numbers for None."""
     for item in fields(promise):
         value = getattr(promise, item.name)
         if isinstance(value, BodyRef):
             yield from _parts(value)
+        elif isinstance(promise, HandPush) and item.name in ("contacts", "held"):
+            for part in value:
+                yield from _parts(part)
         else:
             yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
 

@@ -17,6 +17,7 @@ FEET_FRICTION = 0.6
 FEET_CAP_N = 5000.0  # at each corner of a sole [N]
 # From the place of a load to where the hand really presses: the tolerance of its place, its lean and its thickness [m].
 HAND_DRIFT_M = 0.02
+HAND_CAP_N = 2000.0  # of a contact of a hand, along its normal [N]
 
 
 class VerifyError(ValueError):
@@ -223,6 +224,66 @@ class HandLoad:
 
 
 @dataclass(frozen=True)
+class HandContact:
+    """A surface of a hand that presses on a body of a mechanism.
+
+    The surface is every point within ``radius`` of the hull of ``core``: a segment is a round rod, a point its tip.
+
+    Attributes:
+        frame: frame of the robot that carries the surface.
+        surface: what it is, in words (``the rod``, ``the hand's front``).
+        core: (K, 3) in the frame [m].
+        radius: [m].
+        link, body: the mechanism's link and the name of the body that is pressed.
+        cap_n: largest force along the normal [N].
+    """
+
+    frame: str
+    surface: str
+    core: Float[np.ndarray, "K 3"]
+    radius: float
+    link: str
+    body: str
+    cap_n: float = HAND_CAP_N
+
+
+@dataclass(frozen=True)
+class HeldJoint:
+    """What a joint bears by itself while the hand pushes another one: friction, a stop, a latch.
+
+    Attributes:
+        joint: the mechanism's joint, which stays where it is.
+        low, high: least and greatest force of the hand along the joint that does not move it; infinite where a stop
+            or a latch holds it [N m, N].
+    """
+
+    joint: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class HandPush:
+    """A joint of a mechanism that hands push by contacts, in one sense, on a whole phase.
+
+    Attributes:
+        joint: the mechanism's joint.
+        sense: 1 where the force is towards greater values of the joint, else -1.
+        force_n: largest force at the contacts along the way that the joint moves them [N].
+        contacts: the surfaces that may carry it together.
+        friction: least and largest coefficient at them.
+        held: joints that carry what is pressed and stay still.
+    """
+
+    joint: str
+    sense: float
+    force_n: float
+    contacts: tuple[HandContact, ...]
+    friction: tuple[float, float]
+    held: tuple[HeldJoint, ...] = ()
+
+
+@dataclass(frozen=True)
 class LoadedRegion:
     """Places of the centre of mass on a stretch of a phase at which the feet hold the robot under the hand's loads.
 
@@ -256,6 +317,7 @@ class Phase:
         targets: poses, axes and joint values that the motion reaches or keeps.
         support: region of the centre of mass and the ZMP, or None: for a fixed base, or with a region margin.
         loads: forces that hands exert on the mechanism.
+        pushes: the contacts by which hands exert them.
         regions: where the contacts hold the robot under the loads, stretch by stretch; required with loads and a
             support, and with a region margin.
         region_margin_m: how far inside its regions the centre of mass stays, in a phase whose contacts are not soles on
@@ -270,6 +332,7 @@ class Phase:
     targets: tuple[Target, ...] = ()
     support: SupportPolygon | None = None
     loads: tuple[HandLoad, ...] = ()
+    pushes: tuple[HandPush, ...] = ()
     regions: tuple[LoadedRegion, ...] = ()
     region_margin_m: float | None = None
 

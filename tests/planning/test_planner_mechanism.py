@@ -127,7 +127,7 @@ def test_a_latch_is_released_before_the_drawer_and_the_spring_is_carried(tmp_pat
     held = {load.link: load for load in phases["move slide"].loads}
     # 0.5 N m and 1 N m/rad * 0.3 rad at an arm of 50.8 mm: the paddle's spring pulls while the drawer comes out.
     spring = held["mechanism/pivot"]
-    assert np.linalg.norm(spring.force) * np.linalg.norm(spring.place) == pytest.approx(0.8, abs=1e-9)
+    assert np.linalg.norm(np.cross(spring.place, spring.force)) == pytest.approx(0.8, abs=1e-9)
     np.testing.assert_allclose(held["mechanism/drawer"].force, [-30.0, 0.0, 0.0], atol=1e-9)
     assert any(check.name == "release.slide" for check in result.certificate.checks)
     assert verify_result(folder)["verdict"] == "CERTIFIED"

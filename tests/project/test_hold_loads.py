@@ -11,10 +11,11 @@ from given_doors import door_request
 from costs.robot import load_robot
 from service.demands.door import PEG_ACROSS, PULL_TILT, Door, DoorChoice, hold_handle, make_door_phases
 from service.demands.door_demand import read_given_door
-from service.demands.hands import HANDS, HOLD_FRICTION, PEG_RADIUS
+from service.demands.hands import HANDS, PEG_RADIUS
 from service.demands.peg import place_peg
 from service.demands.strokes import list_peg_loads
 from service.demands.wheel import make_wheel
+from service.request.fields import HAND_FRICTION
 from service.request.file import parse_request
 from service.tasks.valve_task import read_given_valve
 
@@ -50,7 +51,7 @@ def test_a_peg_presses_its_spoke_and_drags_it_outwards(turn: float, spokes: dict
     held = place_peg(wheel, HANDS["left"], entry, sense)
     assert not isinstance(held, str)
     pressure, friction = loads = list_peg_loads(wheel, HANDS["left"], held, 10.0)
-    assert np.linalg.norm(friction.force) == pytest.approx(HOLD_FRICTION * np.linalg.norm(pressure.force))
+    assert np.linalg.norm(friction.force) == pytest.approx(HAND_FRICTION[1] * np.linalg.norm(pressure.force))
     assert abs(friction.force @ pressure.force) < 1e-9
     assert abs(friction.force @ wheel.axis) < 1e-9
     out = held.place - (held.place @ wheel.axis) * wheel.axis

@@ -127,7 +127,7 @@ class PoseFinder:
 
         Random configurations are guessed where that and the robot's postures lead to none.
         """
-        sequence = PhaseSequence(self.solver, self.mechanism, (spec,))
+        sequence = PhaseSequence.of(self.solver, self.mechanism, (spec,))
         guesses = [pose.q for pose in before[-1:]]
         try:
             solved = sequence.try_pose(spec.name, spec, guesses)

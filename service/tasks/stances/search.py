@@ -319,7 +319,15 @@ class _Examiner:
         met = tuple(self.task.find_in_the_way(replace(body, scene=Scene(()))))
         if met:
             return refuse(*met)
-        solver = PhaseSolver(body, self.monitor, Settings(qp=options.qp), self.task.near, options.starts, options.seed)
+        solver = PhaseSolver(
+            body,
+            self.monitor,
+            Settings(qp=options.qp),
+            self.task.near,
+            options.starts,
+            options.seed,
+            hand_friction=options.hand_friction,
+        )
         outcome = self.task.try_stance(solver)
         return StanceCandidate(pose, start, soles, self._score(outcome, clearance), outcome, clearance)
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from costs.robot.model import BASE_NAMES
 from service.verify.certificate import Basis, Check
+from service.verify.forces.hand_contacts import list_moving_joints
 from service.verify.ground import find_standing_contacts
 from service.verify.motion import Motion, Phase
 
@@ -52,6 +53,11 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
     if motion.law is not None and is_limited:
         waived += _doubtful_weights(motion)
     for phase in phases:
+        moving = list_moving_joints(motion, phase)
+        if motion.waived is None:
+            waived += [f"what moves {joint} in '{phase.name}'" for joint in moving if not _is_pushed(phase, joint)]
+        else:
+            names += [f"{check}.{phase.name}.{joint}" for joint in moving for check in ("hand_touch", "hand_contact")]
         names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
         if not motion.robot.is_floating:
             continue
@@ -69,6 +75,10 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
 
 def _is_waived(motion: Motion, what: str) -> bool:
     return motion.waived is None or what in motion.waived
+
+
+def _is_pushed(phase: Phase, joint: str) -> bool:
+    return any(push.joint == joint for push in phase.pushes)
 
 
 def list_own_joints(motion: Motion) -> tuple[int, ...]:

@@ -1,0 +1,373 @@
+"""Checks of hands that move a mechanism: their surfaces touch it, and push it the way that it moves.
+
+At a contact the force is inside the friction cone about the normal, which the shapes decide: the direction from the
+core of the hand's surface to the core of the body (``service.verify.rounded``).
+
+- A joint is pushed if forces in the cones of the contacts that touch, with the least friction, have the part along its
+  way that it takes, and along every other joint that carries the body no more than that joint bears by itself.
+- A single contact may slide: it exerts ``N (n - mu v)`` with any slip ``v`` along the surface.  Its part along the way
+  is positive at every friction up to the largest only if the way is less than ``pi/2 - atan(mu)`` off the normal;
+  beyond that the contact jams.  What the way does not need is borne by the joint's bearings.
+
+Between two poses the normal is bounded as well.  With the core's points at most ``e`` away from where they are at a
+pose, at which the cores are ``d`` apart, the vector between the cores changes by at most ``sqrt(e (2 d + e))``: both
+vectors are the shortest of convex sets that are within ``e`` of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import nnls
+
+from costs.robot import LinkBody, read_joint_axis
+from service.verify.certificate import Check
+from service.verify.forces.hand_loads import bound_coordinate
+from service.verify.frame_paths import FramePath, find_mechanism_joints
+from service.verify.motion import HandContact, HandPush, Motion, Phase, VerifyError, VerifySettings
+from service.verify.phase_proof import PhaseProof, values_at_ends
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.rounded import RoundedBody, measure_beyond_hull
+from service.verify.solids import make_coal_convex
+
+TOUCH_GAP_M = 4e-3  # between surfaces that touch: parts are not drawn to the millimetre
+SURFACE_SLACK_M = 2e-3  # by which a stated surface of a hand may stand out of the link's shapes
+LEAST_APART_M = 1e-3  # of the two cores; nearer ones have no normal
+MOVES = 1e-4  # by which a joint moves [rad, m]
+_GAP_RESOLUTION_M = 5e-4
+_RESOLUTION = float(np.deg2rad(1.0))
+_SIDES = 8  # of the pyramids inside the cones
+_STEPS = 10  # of the search for how much wider cones would have to be
+_REST = 1e-6  # of balances that hold, relative to the force along the way
+_LEAST_FORCE_N = 1.0  # along the way of a joint that moves without resistance
+_MORE_THAN_SQUARE = 0.5 * np.pi + 0.01
+
+
+def list_moving_joints(motion: Motion, phase: Phase) -> tuple[str, ...]:
+    """Return the joints of the mechanism that move in a phase."""
+    model, moving = motion.robot.model, []
+    for joint in sorted(find_mechanism_joints(motion)):
+        low, high = bound_coordinate(motion.curve, int(model.joints[joint].idx_q), phase.first, phase.last)
+        if high - low > MOVES:
+            moving.append(str(model.names[joint]))
+    return tuple(moving)
+
+
+def check_hand_contacts(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+    """Check every push of a phase: the hand touches what it presses, and can push it the way it goes.
+
+    Raises:
+        VerifyError: a push names a joint, link, body or frame that the motion does not have, or a surface that stands
+            out of its link.
+    """
+    proof = PhaseProof(prepared, phase, settings)
+    for push in phase.pushes:
+        for contact in push.contacts:
+            _check_surface(prepared.motion, contact)
+        path = PushPath(prepared, push, settings.rounding)
+        names = tuple(dict.fromkeys(name for contact in push.contacts for name in (contact.frame, contact.body)))
+        surfaces, bodies = _name_contacts(push)
+        gap = proof.bound(path.bound_gap, TOUCH_GAP_M, _GAP_RESOLUTION_M)
+        text = f"{surfaces} touches {bodies} during {phase.name}"
+        failure = f"{surfaces} is {1e3 * gap.sampled:.1f} mm off {bodies} during {phase.name}"
+        name, place = f"hand_touch.{phase.name}.{push.joint}", path.locate(gap.s)
+        yield proof.check(name, gap, TOUCH_GAP_M, "m", text, place, names=names, failure=failure)
+        excess = proof.bound(path.bound_excess, 0.0, _RESOLUTION)
+        angle = path.measure_angle(excess.s)
+        text = f"{describe_push(push, angle)} during {phase.name}"
+        failure = f"{describe_failure(push, angle)} during {phase.name}"
+        name, place = f"hand_contact.{phase.name}.{push.joint}", path.locate(excess.s)
+        yield proof.check(name, excess, 0.0, "rad", text, place, names=names, failure=failure)
+
+
+def describe_push(push: HandPush, angle: float) -> str:
+    """Return a sentence about contacts that push, given the least angle between way and normal [rad]."""
+    surfaces, bodies = _name_contacts(push)
+    held = "".join(f", {held.joint} stays" for held in push.held)
+    low, high = push.friction
+    degrees = f"{np.rad2deg(angle):.1f} deg off the way of {push.joint}{held}"
+    return f"{surfaces} pushes {bodies} {degrees}, with a friction of {low:g} to {high:g}"
+
+
+def describe_failure(push: HandPush, angle: float) -> str:
+    """Return a sentence about contacts that do not push, given the least angle between way and normal [rad]."""
+    surfaces, bodies = _name_contacts(push)
+    if not np.isfinite(angle):
+        return f"{surfaces} does not touch {bodies}, which it is to push the way of {push.joint}"
+    degrees = f"its normal is {np.rad2deg(angle):.0f} deg off the way of {push.joint}"
+    low, high = push.friction
+    if angle > _MORE_THAN_SQUARE:
+        return f"{surfaces} would have to pull {bodies}: {degrees}, and a contact only pushes"
+    most = find_jamming_angle(push)
+    if angle > most:
+        return f"{surfaces} jams on {bodies}: {degrees}, a friction of {high:g} permits {np.rad2deg(most):.0f}"
+    if push.held:
+        held = " and ".join(held.joint for held in push.held)
+        return f"{surfaces} would move {held} besides {push.joint}: a friction of {low:g} does not prevent it"
+    return f"{surfaces} slips on {bodies}: {degrees}, a friction of {low:g} does not hold it"
+
+
+def _name_contacts(push: HandPush) -> tuple[str, str]:
+    """Return the surfaces and the bodies of a push in words."""
+    surfaces = dict.fromkeys(contact.surface for contact in push.contacts)
+    bodies = dict.fromkeys(contact.body for contact in push.contacts)
+    return " with ".join(surfaces), " and ".join(bodies)
+
+
+def find_jamming_angle(push: HandPush) -> float:
+    """Return the angle between normal and way from which on a single contact that slides jams [rad]."""
+    return float(0.5 * np.pi - np.arctan(push.friction[1]))
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where a surface of a hand and a body meet at one pose, in the frame of the body's link.
+
+    Attributes:
+        apart: distance of the two cores [m].
+        gap: between the surfaces; negative where they overlap [m].
+        normal: (3,) unit, from the hand to the body.
+        way: (3,) unit, along which the joint moves the contact point in the sense of the push.
+        held: (h, 3) how each held joint would move the contact point, per unit of its coordinate [m/rad, 1].
+        point: (3,) of the body's surface [m].
+    """
+
+    apart: float
+    gap: float
+    normal: Float[np.ndarray, "3"]
+    way: Float[np.ndarray, "3"]
+    held: Float[np.ndarray, "h 3"]
+    point: Float[np.ndarray, "3"]
+
+    @property
+    def angle(self) -> float:
+        """Angle between normal and way [rad]."""
+        return float(np.arctan2(np.linalg.norm(np.cross(self.normal, self.way)), self.normal @ self.way))
+
+    @property
+    def is_touching(self) -> bool:
+        """Whether the surfaces touch, with a normal that is known."""
+        return self.gap <= TOUCH_GAP_M and self.apart >= LEAST_APART_M
+
+
+def meet(
+    contact: HandContact,
+    body: LinkBody,
+    pose: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]],
+    sense: float,
+    ways: Sequence[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]],
+) -> Meeting:
+    """Return where a surface of a hand meets a body.
+
+    Args:
+        contact, body: the surface and what it presses.
+        pose: rotation and translation of the contact's frame in the frame of the body's joint.
+        sense: of the push.
+        ways: of the joint that is pushed, then of those that are held: velocity of the origin of the body's frame
+            per unit of the coordinate, and angular velocity, both in that frame.
+    """
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    request.enable_signed_distance = True
+    solid = RoundedBody.of_body(body)
+    core = make_coal_convex(contact.core)
+    apart = float(coal.distance(core, coal.Transform3s(*pose), solid.core, solid.pose, request, result))
+    normal = np.array(result.normal)
+    point = np.array(result.getNearestPoint2()) - solid.radius * normal
+    moves = np.array([linear + np.cross(angular, point) for linear, angular in ways])
+    way = sense * moves[0] / max(float(np.linalg.norm(moves[0])), 1e-12)
+    return Meeting(apart, apart - contact.radius - solid.radius, normal, way, moves[1:], point)
+
+
+class PushPath:
+    """The contacts of a push along the motion."""
+
+    def __init__(self, prepared: PreparedMotion, push: HandPush, rounding: float) -> None:
+        """Prepare.
+
+        Raises:
+            VerifyError: the push names a joint, link, body or frame that the motion does not have.
+        """
+        self._prepared, self._push = prepared, push
+        motion = prepared.motion
+        self._joints = [_find_joint(motion, name) for name in (push.joint, *(held.joint for held in push.held))]
+        self._axes = [read_joint_axis(motion.robot, joint) for joint in self._joints]
+        self._bodies = [find_pushed_body(motion, contact) for contact in push.contacts]
+        self._paths = [
+            FramePath.of(prepared, contact.frame, contact.core, rounding, contact.link) for contact in push.contacts
+        ]
+        self._known: dict[float, tuple[Meeting, ...]] = {}
+
+    def meet(self, s: float) -> tuple[Meeting, ...]:
+        """Return where each contact meets its body at a path parameter."""
+        if s not in self._known:
+            contacts = zip(self._push.contacts, self._bodies, self._paths, strict=True)
+            self._known[s] = tuple(self._meet(*each, np.array([s])) for each in contacts)
+        return self._known[s]
+
+    def _meet(self, contact: HandContact, body: LinkBody, path: FramePath, s: Float[np.ndarray, "1"]) -> Meeting:
+        points, rotations = path.at(s)
+        pose = (rotations[0], points[0, 0] - rotations[0] @ contact.core[0])
+        placed, rows = self._prepared.at(s)
+        ways = []
+        for joint, axis in zip(self._joints, self._axes, strict=True):
+            turned, moved = placed.relative(body.joint, joint, rows)
+            angular = turned[0] @ axis[3:]
+            ways.append((turned[0] @ axis[:3] - np.cross(angular, moved[0]), angular))
+        return meet(contact, body, pose, self._push.sense, ways)
+
+    def bound_gap(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return bounds of the nearest contact's gap on intervals, and its values at their ends [m]."""
+        ends = values_at_ends(self._list_gaps, first, last)
+        return np.maximum(*ends) + self._bound_travel(first, last).max(axis=0), *ends
+
+    def bound_excess(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return on intervals how much wider the cones would have to be at most, and the same at their ends [rad]."""
+        ends = values_at_ends(self._list_excesses, first, last)
+        travel = self._bound_travel(first, last)
+        met = [(*self.meet(a), *self.meet(b)) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+        apart = np.array([max(min(meeting.apart for meeting in each), LEAST_APART_M) for each in met])
+        change = np.sqrt(travel * (2.0 * apart + travel)) / apart
+        turned = np.where(change < 1.0, np.arcsin(np.minimum(change, 1.0)), np.pi).max(axis=0)
+        return np.maximum(*ends) + turned, *ends
+
+    def _list_gaps(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
+        return np.array([min(meeting.gap for meeting in self.meet(at)) for at in s.tolist()])
+
+    def _list_excesses(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
+        return np.array([measure_excess(self._push, self.meet(at)) for at in s.tolist()])
+
+    def _bound_travel(self, first: np.ndarray, last: np.ndarray) -> Float[np.ndarray, "C I"]:
+        """Return per contact how far its core's points are at most from where they are at the nearer end [m].
+
+        On the curve itself: exported samples, read linearly, leave it by less than any part is made exactly.
+        """
+        travels = []
+        for path in self._paths:
+            chord = np.linalg.norm(path.at(last)[0] - path.at(first)[0], axis=2).max(axis=1)
+            travels.append(0.5 * chord + path.chain.deviation(self._prepared.over(first, last)))
+        return np.array(travels)
+
+    def measure_angle(self, s: float) -> float:
+        """Return the least angle between a contact's normal and the way; infinite where none touches [rad]."""
+        return min((meeting.angle for meeting in self.meet(s) if meeting.is_touching), default=float("inf"))
+
+    def locate(self, s: float) -> Float[np.ndarray, "3"]:
+        """Return the first contact's point in the world [m]."""
+        placed, rows = self._prepared.at(np.array([s]))
+        rotation, translation = placed.relative(0, self._bodies[0].joint, rows)
+        return np.asarray(rotation[0] @ self.meet(s)[0].point + translation[0])
+
+
+def find_pushed_body(motion: Motion, contact: HandContact) -> LinkBody:
+    """Return the body of the mechanism that a contact presses.
+
+    Raises:
+        VerifyError: the motion has none of that name.
+    """
+    for body in motion.robot.bodies:
+        if body.name == contact.body and body.link == contact.link and body.link in motion.mechanism_links:
+            return body
+    raise VerifyError(f"no body '{contact.body}' of the mechanism's link '{contact.link}', which a hand is to press")
+
+
+def measure_excess(push: HandPush, met: Sequence[Meeting]) -> float:
+    """Return how much wider the friction cones at a pose would have to be for the push; negative where it holds [rad].
+
+    Infinite where nothing touches, or where a force would exceed a cap.
+    """
+    touching = [(contact, each) for contact, each in zip(push.contacts, met, strict=True) if each.is_touching]
+    if not touching:
+        return float("inf")
+    jams = -float("inf")
+    if len(touching) == 1:
+        ((contact, meeting),) = touching
+        jams = meeting.angle - find_jamming_angle(push)
+        if jams <= 0.0 and push.force_n > contact.cap_n * np.cos(meeting.angle):
+            return float("inf")
+        if jams > 0.0 or not push.held:
+            return jams
+    return max(jams, _search_widening(push, touching))
+
+
+def _search_widening(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> float:
+    """Search for the least widening of all cones in which forces balance the push [rad]."""
+    cone = float(np.arctan(push.friction[0]))
+    low, high = -cone, 0.5 * np.pi - cone - 1e-3
+    if not _is_balanced(push, touching, cone + high):
+        return float("inf")
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _is_balanced(push, touching, cone + middle) else (middle, high)
+    return high
+
+
+def _is_balanced(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]], half: float) -> bool:
+    """Return whether forces within a half-angle of the normals push the joint and leave the held ones where they are.
+
+    A non-negative least-squares problem: coefficients of the cones' edges, and slacks of caps and of held joints.
+    Several contacts do not press across the way, where they would hold against each other.
+    """
+    if half <= 0.0:
+        return False
+    force = max(push.force_n, _LEAST_FORCE_N)
+    met = [meeting for _, meeting in touching]
+    normals = np.array([meeting.normal for meeting in met])
+    owner = np.repeat(np.arange(len(met)), _SIDES)
+    edges = _list_edges(normals, half)
+    way = np.array([meeting.way for meeting in met])
+    equal = [((way[owner] * edges).sum(axis=1), force)]
+    if len(met) > 1:
+        equal += [(edges @ across, 0.0) for across in np.linalg.svd(way.mean(axis=0)[None])[2][1:]]
+    bounds = []
+    for k, held in enumerate(push.held):
+        part = (np.array([meeting.held[k] for meeting in met])[owner] * edges).sum(axis=1)
+        bounds += [(part, held.high)] if np.isfinite(held.high) else []
+        bounds += [(-part, -held.low)] if np.isfinite(held.low) else []
+    for k, (contact, _) in enumerate(touching):
+        bounds.append(((owner == k) * (edges * normals[owner]).sum(axis=1), contact.cap_n))
+    rows, values = zip(*equal, *bounds, strict=True)
+    slacks = np.concatenate([np.zeros((len(equal), len(bounds))), np.eye(len(bounds))])
+    _, rest = nnls(np.hstack([np.array(rows), slacks]), np.array(values))
+    return bool(rest < _REST * force)
+
+
+def _list_edges(normals: Float[np.ndarray, "C 3"], half: float) -> Float[np.ndarray, "E 3"]:
+    """Return the edges of pyramids inside cones of a half-angle about normals, as unit vectors."""
+    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normals, first)
+    turn = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    around = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
+    return np.asarray((np.cos(half) * normals[:, None] + np.sin(half) * around).reshape(-1, 3))
+
+
+def _find_joint(motion: Motion, name: str) -> int:
+    """Return the index of a joint (VerifyError where there is none of that name)."""
+    model = motion.robot.model
+    if not model.existJointName(name):
+        raise VerifyError(f"unknown joint '{name}' of a push")
+    return int(model.getJointId(name))
+
+
+def _check_surface(motion: Motion, contact: HandContact) -> None:
+    """Refuse a stated surface of a hand that stands out of the shapes that its frame carries.
+
+    Raises:
+        VerifyError: it does, or the robot has no such frame.
+    """
+    model = motion.robot.model
+    if not model.existFrame(contact.frame):
+        raise VerifyError(f"unknown frame '{contact.frame}' of a hand's contact")
+    frame = model.frames[model.getFrameId(contact.frame)]
+    points = contact.core @ np.array(frame.placement.rotation).T + np.array(frame.placement.translation)
+    bodies = [body for body in motion.robot.bodies if body.joint == int(frame.parentJoint)]
+    beyond = [measure_beyond_hull(points, body.vertices) + contact.radius for body in bodies]
+    if min(beyond, default=np.inf) > SURFACE_SLACK_M:
+        raise VerifyError(
+            f"{contact.surface} of '{contact.frame}' stands {1e3 * min(beyond, default=np.inf):.1f} mm out of its "
+            f"link's shapes; expected at most {1e3 * SURFACE_SLACK_M:g}"
+        )
