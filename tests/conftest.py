@@ -85,6 +85,15 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def shared_cases(shared_data: Path) -> Path:
+    """Folder of inputs that once failed, beside the data."""
+    folder = shared_data.parent / "cases"
+    if not folder.is_dir():
+        pytest.skip(f"no recorded inputs at {folder}")
+    return folder
+
+
 @pytest.fixture
 def stand_in() -> PlannerStandIn:
     """What a test tells to answer in a server's place."""

@@ -1,0 +1,106 @@
+"""Holds of a mechanism that cannot push are refused with a side that can; those that can are certified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from given_mechanisms import BAR, PEG, cabinet_request, drawer_request, latched_request
+from tiny_robots import atlas
+
+from costs.robot import with_mechanism
+from service.demands.given_mechanism import make_mechanism_phases, read_given_mechanism, settle_handle
+from service.demands.hands import HANDS
+from service.demands.pushes import find_nominal_pushes
+from service.planner import plan
+from service.replay.replay import verify_result
+from service.request.file import load_request, parse_request
+from service.result.output import write_result
+from service.result.result import Verdict
+
+FRICTION = (0.3, 0.6)
+
+
+def mirror(request: dict[str, Any]) -> dict[str, Any]:
+    """The request with the peg on the other side of the bar."""
+    handle = request["task"]["mechanism"]["handle"]
+    handle["place"] = [-handle["place"][0], -handle["place"][1], handle["place"][2]]
+    return request
+
+
+@pytest.mark.parametrize("make", [drawer_request, cabinet_request])
+@pytest.mark.parametrize("loads", [None, {}])
+def test_a_peg_that_would_have_to_pull_is_refused_with_the_side_that_pushes(make: Any, loads: Any) -> None:
+    """Whatever the mechanism opposes: without a load nothing moves it either."""
+    changed = {} if loads is None else {"joints": loads}
+    request = mirror(make(**changed))
+    result = plan(parse_request(request))
+    assert result.verdict is Verdict.INFEASIBLE
+    (sentence,) = result.explanation
+    assert "would have to pull" in sentence
+    assert "deg off the way of" in sentence
+    wrong = request["task"]["mechanism"]["handle"]["place"]
+    place = [float(number) for number in sentence.split("handle.place [")[1].split("]")[0].split(", ")]
+    assert np.dot(place[:2], wrong[:2]) < -0.8 * np.linalg.norm(place[:2]) * np.linalg.norm(wrong[:2])
+
+
+def test_the_side_that_the_refusal_names_is_certified_and_its_push_is_in_the_record(tmp_path: Path) -> None:
+    result = plan(parse_request(drawer_request(to=0.1)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    phase = next(phase for phase in result.motion.phases if phase.name == "move slide")
+    (push,) = phase.pushes
+    assert (push.joint, push.sense, push.force_n, push.friction) == ("slide", 1.0, 30.0, FRICTION)
+    assert [contact.surface for contact in push.contacts] == ["the rod"]
+    checks = {check.name: check for check in result.certificate.checks}
+    assert checks["hand_contact.move slide.slide"].basis.value == "proof"
+    folder = write_result(result, tmp_path / "out").folder
+    assert verify_result(folder)["verdict"] == "CERTIFIED"
+
+
+def test_a_place_that_is_off_is_moved_until_the_hand_touches() -> None:
+    """5 mm from the bar and 3 mm inside it: the rod ends half a millimetre from its surface."""
+    robot = atlas()
+    for off in (5e-3, -3e-3):
+        handle = {"link": "handle", "place": [BAR + PEG + off, 0.0, 0.01], "axis": [0, 0, -1]}
+        given = read_given_mechanism(parse_request(drawer_request(handle=handle)).task.mechanism)
+        augmented = with_mechanism(robot, given.mechanism.joints)
+        settled = settle_handle(given, augmented, HANDS["left"], FRICTION)
+        spec = next(spec for spec in make_mechanism_phases(settled, HANDS["left"]) if spec.moving)
+        (nominal,) = find_nominal_pushes(spec, augmented, given.mechanism, FRICTION)
+        assert nominal.met[0].gap == pytest.approx(5e-4, abs=2e-6)
+
+
+def test_a_paddle_and_its_drawer_are_pushed_at_once_by_what_each_takes() -> None:
+    """The spring of the paddle pulls back while the drawer comes out, so that both are pushed."""
+    given = read_given_mechanism(parse_request(latched_request()).task.mechanism)
+    augmented = with_mechanism(atlas(), given.mechanism.joints)
+    specs = {spec.name: spec for spec in make_mechanism_phases(given, HANDS["left"])}
+    joints = {
+        name: {
+            (found.push.joint, found.push.sense)
+            for found in find_nominal_pushes(spec, augmented, given.mechanism, FRICTION)
+        }
+        for name, spec in specs.items()
+    }
+    assert joints["move paddle"] == {("paddle", 1.0)}
+    assert joints["move slide"] == {("slide", 1.0), ("paddle", 1.0)}
+    assert joints["move paddle 2"] == {("paddle", 1.0)}  # the spring turns it back against the hand
+    assert [(held.joint, held.low, held.high) for held in found["move paddle"][0].held] == [("slide", -np.inf, 30.0)]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("holds/rail_push_wrong_side.yaml", "would have to pull"),
+        ("holds/circle_114_20.yaml", "jams"),
+        ("holds/plugb_100.yaml", "would have to pull"),
+        ("lies/peg_front/request.yaml", "would have to pull"),
+    ],
+)
+def test_recorded_holds_that_move_nothing_in_physics_are_refused(shared_cases: Path, name: str, words: str) -> None:
+    result = plan(load_request(shared_cases / name))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert words in result.explanation[0]
+    assert "deg off the way of" in result.explanation[0]

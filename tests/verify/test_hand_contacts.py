@@ -1,0 +1,222 @@
+"""Contacts of hands worked out by hand: normals from shapes, cones, held joints, caps; and the bound between poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jaxtyping import Float
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from costs.primitive import Primitive
+from costs.robot import LinkBody
+from costs.robot.shapes import box, cylinder
+from service.verify import HandContact, HandPush, HeldJoint
+from service.verify.forces.hand_contacts import (
+    TOUCH_GAP_M,
+    Meeting,
+    describe_failure,
+    find_jamming_angle,
+    measure_excess,
+    meet,
+)
+from service.verify.rounded import MOST_ROUNDING_M, RoundedBody, measure_beyond_hull, shrink_hull
+
+ROD = np.array([[0.0, 0.0, -0.06], [0.0, 0.0, -0.009]])  # the rod's axis, its tip at the frame's origin
+RADIUS = 0.009
+BLOCK = box(np.array([0.04, 0.1, 0.2]))
+ALONG_X = (np.array([1.0, 0.0, 0.0]), np.zeros(3))
+UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+FRICTION = (0.3, 0.6)
+
+
+def make_body(vertices: Float[np.ndarray, "V 3"], exact: Primitive | None = None) -> LinkBody:
+    return LinkBody("m/body", "m/link", 1, vertices, vertices, exact)
+
+
+def make_bar(radius: float, turned: Rotation) -> LinkBody:
+    pose = np.eye(4)
+    pose[:3, :3] = turned.as_matrix()
+    points = cylinder(radius, 0.2) @ pose[:3, :3].T
+    return make_body(points, Primitive("cylinder", radius, 0.2, pose))
+
+
+def make_rod() -> HandContact:
+    return HandContact("tool", "the rod", ROD, RADIUS, "m/link", "m/body")
+
+
+def make_push(*contacts: HandContact, force: float = 30.0, held: tuple[HeldJoint, ...] = ()) -> HandPush:
+    return HandPush("slide", 1.0, force, contacts or (make_rod(),), FRICTION, held)
+
+
+def at(x: float, y: float, z: float, turned: Rotation | None = None) -> tuple[np.ndarray, np.ndarray]:
+    return (Rotation.identity() if turned is None else turned).as_matrix(), np.array([x, y, z])
+
+
+def make_meeting(normal: np.ndarray, way: np.ndarray = OUT, held: tuple[np.ndarray, ...] = ()) -> Meeting:
+    unit = normal / np.linalg.norm(normal)
+    return Meeting(0.014, 0.0, unit, way, np.array(held).reshape(-1, 3), np.zeros(3))
+
+
+# --- one hold worked out by hand for each kind of contact ---------------------------------------------------
+
+
+def test_the_side_of_a_rod_presses_a_flat_face_along_its_normal_however_the_rod_leans() -> None:
+    for lean in (0.0, 15.0, 40.0):
+        turned = Rotation.from_euler("x", lean, degrees=True)  # in the plane of the face
+        met = meet(make_rod(), make_body(BLOCK), at(-0.02 - RADIUS, 0.0, 0.03, turned), 1.0, (ALONG_X,))
+        np.testing.assert_allclose(met.normal, OUT, atol=1e-6)
+        assert met.gap == pytest.approx(0.0, abs=1e-6)
+        assert met.angle == pytest.approx(0.0, abs=1e-5)
+        assert measure_excess(make_push(), (met,)) == pytest.approx(-find_jamming_angle(make_push()), abs=1e-5)
+
+
+def test_a_rod_behind_a_face_would_have_to_pull_it() -> None:
+    met = meet(make_rod(), make_body(BLOCK), at(0.02 + RADIUS, 0.0, 0.03), 1.0, (ALONG_X,))
+    assert met.angle == pytest.approx(np.pi, abs=1e-5)
+    assert measure_excess(make_push(), (met,)) > 0.5 * np.pi
+    assert "would have to pull m/body: its normal is 180 deg off" in describe_failure(make_push(), met.angle)
+
+
+def test_a_rod_that_crosses_a_bar_presses_along_the_common_perpendicular_of_both_axes() -> None:
+    """Rod along z leaning by 30 deg towards x, bar along y: the normal leans by the same angle."""
+    bar, lean = make_bar(0.01, Rotation.from_euler("x", 90.0, degrees=True)), np.deg2rad(30.0)
+    rod = Rotation.from_rotvec([0.0, lean, 0.0])
+    normal = np.array([np.cos(lean), 0.0, -np.sin(lean)])
+    middle = -(0.01 + RADIUS) * normal
+    place = middle - rod.as_matrix() @ ROD.mean(axis=0)
+    met = meet(make_rod(), bar, (rod.as_matrix(), place), 1.0, (ALONG_X,))
+    np.testing.assert_allclose(met.normal, normal, atol=1e-4)
+    assert met.gap == pytest.approx(0.0, abs=1e-6)
+    assert met.angle == pytest.approx(lean, abs=1e-4)
+
+
+def test_the_tip_of_a_rod_presses_a_face_that_a_joint_moves_along_its_normal_and_cannot_turn_it() -> None:
+    turned = Rotation.from_rotvec([0.0, 0.5 * np.pi, 0.0])  # z of the tool along x
+    pose = at(-0.02, 0.0, 0.05, turned)
+    pressed = meet(make_rod(), make_body(BLOCK), pose, 1.0, (ALONG_X,))
+    np.testing.assert_allclose(pressed.normal, OUT, atol=1e-6)
+    assert measure_excess(make_push(), (pressed,)) < 0.0
+    about_x = (np.zeros(3), OUT)  # the face turns in its own plane
+    turning = meet(make_rod(), make_body(BLOCK), pose, 1.0, (about_x,))
+    assert turning.angle == pytest.approx(0.5 * np.pi, abs=1e-5)
+    assert measure_excess(make_push(), (turning,)) > 0.0
+    assert "jams" in describe_failure(make_push(), turning.angle)
+
+
+@pytest.mark.parametrize(("force", "holds"), [(119.0, True), (121.0, False)])
+def test_two_fingers_carry_twice_their_squeeze_times_the_least_friction(force: float, holds: bool) -> None:
+    """Pads from either side, the bar drawn along itself: 2 * 0.3 * 200 N, inside pyramids whose edge is along it."""
+    pads = tuple(replace(make_rod(), surface=f"pad {k}", cap_n=200.0) for k in range(2))
+    way = np.array([0.0, 1.0, 0.0])
+    met = (make_meeting(OUT, way), make_meeting(-OUT, way))
+    assert (measure_excess(make_push(*pads, force=force), met) <= 0.0) is holds
+
+
+# --- rules --------------------------------------------------------------------------------------------------
+
+
+def test_a_single_contact_jams_from_the_complement_of_the_largest_friction_angle_on() -> None:
+    """N (n - mu v): the part along the way is N (cos a - 0.6 sin a), which vanishes at 59.04 deg."""
+    limit = np.arctan(1.0 / 0.6)
+    for off, sign in ((-1e-3, -1.0), (1e-3, 1.0)):
+        angle = limit + off
+        met = make_meeting(np.array([np.cos(angle), np.sin(angle), 0.0]))
+        assert np.sign(measure_excess(make_push(), (met,))) == sign
+        assert np.sign(np.cos(angle) - 0.6 * np.sin(angle)) == -sign
+
+
+def test_a_joint_that_stays_must_bear_what_the_contact_exerts_along_it() -> None:
+    """A normal 24 deg off: without friction of its own the other slide stays only if friction covers 24 deg."""
+    lean = np.deg2rad(24.0)
+    normal, across = np.array([np.cos(lean), np.sin(lean), 0.0]), np.array([0.0, 1.0, 0.0])
+    met = make_meeting(normal, held=(across,))
+    free = HeldJoint("other", 0.0, 0.0)
+    assert measure_excess(make_push(held=(free,)), (met,)) > 0.0  # atan 0.3 is 16.7 deg
+    assert "would move other besides slide" in describe_failure(make_push(held=(free,)), lean)
+    rough = replace(make_push(held=(free,)), friction=(0.6, 0.6))  # atan 0.6 is 31 deg
+    assert measure_excess(rough, (met,)) <= 0.0
+    # At friction 0.3 the force is at the cone's edge: 30 N along, 30 tan(24 deg - 16.7 deg) across.
+    least = 30.0 * np.tan(lean - np.arctan(0.3))
+    for high, sign in ((least - 0.1, 1.0), (least + 0.1, -1.0)):
+        bears = make_push(held=(HeldJoint("other", 0.0, high),))
+        assert np.sign(measure_excess(bears, (met,))) == sign
+    assert measure_excess(make_push(held=(HeldJoint("other", -np.inf, np.inf),)), (met,)) < 0.0
+
+
+def test_surfaces_that_do_not_touch_push_nothing() -> None:
+    far = meet(make_rod(), make_body(BLOCK), at(-0.03 - RADIUS, 0.0, 0.03), 1.0, (ALONG_X,))
+    assert far.gap == pytest.approx(0.01, abs=1e-6)
+    assert far.gap > TOUCH_GAP_M
+    assert measure_excess(make_push(), (far,)) == np.inf
+    assert "does not touch" in describe_failure(make_push(), np.inf)
+
+
+def test_a_force_beyond_the_cap_of_a_contact_is_not_carried() -> None:
+    met = make_meeting(OUT)
+    weak = replace(make_rod(), cap_n=29.0)
+    assert measure_excess(make_push(weak), (met,)) == np.inf
+    assert measure_excess(make_push(replace(weak, cap_n=31.0)), (met,)) < 0.0
+
+
+# --- cores and bounds ---------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=40, deadline=None)
+def test_a_shrunken_hull_is_inside_by_its_radius(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(size=(rng.integers(5, 20), 3)) * rng.uniform(0.01, 0.2, size=3)
+    core, radius = shrink_hull(vertices)
+    assert 0.0 < radius <= MOST_ROUNDING_M
+    assert measure_beyond_hull(core, vertices) == pytest.approx(-radius, abs=1e-9)
+
+
+def test_a_round_body_has_the_normal_of_its_axis_whatever_polygon_stands_for_it() -> None:
+    bar = make_bar(0.01, Rotation.identity())
+    for angle in np.linspace(0.0, 2.0 * np.pi, 23):
+        outwards = np.array([np.cos(angle), np.sin(angle), 0.0])
+        place = (0.01 + RADIUS) * outwards - ROD.mean(axis=0)
+        met = meet(make_rod(), bar, at(*place), 1.0, (ALONG_X,))
+        np.testing.assert_allclose(met.normal, -outwards, atol=5e-4)  # a polygon of 16 sides is off by 0.1
+    assert RoundedBody.of_body(bar).radius == pytest.approx(0.0045)
+
+
+def nearest_vector(rod: Float[np.ndarray, "2 3"], corners: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3"]:
+    """Shortest vector from a segment to a hull, by a general solver."""
+    count = len(corners)
+
+    def between(weights: np.ndarray) -> np.ndarray:
+        return weights[2:] @ corners - weights[:2] @ rod
+
+    best = minimize(
+        lambda weights: float(between(weights) @ between(weights)),
+        np.concatenate([[0.5, 0.5], np.full(count, 1.0 / count)]),
+        jac=lambda weights: 2.0 * np.concatenate([-(rod @ between(weights)), corners @ between(weights)]),
+        bounds=[(0.0, 1.0)] * (2 + count),
+        constraints=[
+            {"type": "eq", "fun": lambda weights: weights[:2].sum() - 1.0},
+            {"type": "eq", "fun": lambda weights: weights[2:].sum() - 1.0},
+        ],
+        options={"maxiter": 300, "ftol": 1e-14},
+    )
+    return between(best.x)
+
+
+@given(st.integers(0, 100_000))
+@settings(max_examples=60, deadline=None)
+def test_the_vector_between_two_cores_changes_by_no_more_than_the_bound(seed: int) -> None:
+    """sqrt(e (2 d + e)) of two convex sets whose points move by at most e."""
+    rng = np.random.default_rng(seed)
+    corners = box(rng.uniform(0.01, 0.1, size=3)) + np.array([0.12, 0.0, 0.0])
+    rod = rng.uniform(-0.03, 0.03, size=(2, 3))
+    e = float(rng.uniform(1e-4, 5e-3))
+    moves = rng.normal(size=(2, 3))
+    moved = rod + e * moves / np.linalg.norm(moves, axis=1, keepdims=True) * rng.uniform(0.0, 1.0, size=(2, 1))
+    first, second = nearest_vector(rod, corners), nearest_vector(moved, corners)
+    d = float(np.linalg.norm(first))
+    assert np.linalg.norm(second - first) <= np.sqrt(e * (2.0 * d + e)) + 1e-4
