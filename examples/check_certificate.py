@@ -2,7 +2,8 @@
 
 Prints one line per claim, `ok` or `FAIL`, and exits with 1 if any claim fails.  It imports only numpy and pinocchio.
 Parts are placements and motion bounds (`replayed_motion.py`), facts that the folder states twice
-(`replayed_record.py`), targets (`replayed_targets.py`) and the latches of a mechanism (`replayed_mechanism.py`).
+(`replayed_record.py`), targets (`replayed_targets.py`), the latches of a mechanism (`replayed_mechanism.py`) and the
+contacts of hands that push it (`replayed_pushes.py`).
 Distances come from Wolfe's minimum-norm-point algorithm (Math. Programming 11, 1976), which returns a separating
 direction as its proof.
 """
@@ -20,6 +21,7 @@ import pinocchio as pin
 from replayed_loads import forces, region_margin, touches
 from replayed_mechanism import release
 from replayed_motion import Array, Replay, covers, read_model
+from replayed_pushes import pushes
 from replayed_record import hashes, samples, speeds
 from replayed_targets import target
 
@@ -273,6 +275,8 @@ def main(folder: Path) -> int:
         claims += [(f"{phase['name']}: {t.get('frame', t.get('joint'))}", *target(replay, phase, t)) for t in others]
         stated = [contact for contact in phase["contacts"] if contact["normal"] is not None]
         claims += [(f"{phase['name']}: {c['link']} touches", *touches(data, c)) for c in stated]
+        if phase["pushes"]:
+            claims.append((f"{phase['name']}: pushes", *pushes(replay, data, phase, closest)))
         is_balanced = phase["support"] is not None or phase["region_margin_m"] is not None
         if is_balanced and has_regions(phase):
             claims.append((f"{phase['name']}: forces", *forces(replay, phase)))

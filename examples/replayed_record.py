@@ -150,6 +150,18 @@ def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
         slide = none if one["slide"] is None else np.array(one["slide"])
         yield from ("load", one["tool"], one["link"], np.array(one["place"]), np.array(one["force_n"]), slide)
         yield np.array(one["drift_m"])
+    for one in phase["pushes"]:
+        yield from _push(one)
+
+
+def _push(one: dict[str, Any]) -> Iterator[str | Array]:
+    yield from ("push", one["joint"], np.array(one["sense"]), np.array(one["force_n"]))
+    for part in one["contacts"]:
+        yield from (part["frame"], part["surface"], np.array(part["core"]), np.array(part["radius"]))
+        yield from (part["link"], part["body"], np.array(part["cap_n"]))
+    yield np.array(one["friction"])
+    for part in one["held"]:
+        yield from (part["joint"], *(np.array(np.inf if part[k] is None else part[k]) for k in ("low", "high")))
 
 
 def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:

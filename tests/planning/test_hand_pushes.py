@@ -77,13 +77,11 @@ def test_a_paddle_and_its_drawer_are_pushed_at_once_by_what_each_takes() -> None
     given = read_given_mechanism(parse_request(latched_request()).task.mechanism)
     augmented = with_mechanism(atlas(), given.mechanism.joints)
     specs = {spec.name: spec for spec in make_mechanism_phases(given, HANDS["left"])}
-    joints = {
-        name: {
-            (found.push.joint, found.push.sense)
-            for found in find_nominal_pushes(spec, augmented, given.mechanism, FRICTION)
-        }
+    found = {
+        name: [each.push for each in find_nominal_pushes(spec, augmented, given.mechanism, FRICTION)]
         for name, spec in specs.items()
     }
+    joints = {name: {(push.joint, push.sense) for push in pushes} for name, pushes in found.items()}
     assert joints["move paddle"] == {("paddle", 1.0)}
     assert joints["move slide"] == {("slide", 1.0), ("paddle", 1.0)}
     assert joints["move paddle 2"] == {("paddle", 1.0)}  # the spring turns it back against the hand

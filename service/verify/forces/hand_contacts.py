@@ -5,9 +5,10 @@ core of the hand's surface to the core of the body (``service.verify.rounded``).
 
 - A joint is pushed if forces in the cones of the contacts that touch, with the least friction, have the part along its
   way that it takes, and along every other joint that carries the body no more than that joint bears by itself.
-- A single contact may slide: it exerts ``N (n - mu v)`` with any slip ``v`` along the surface.  Its part along the way
-  is positive at every friction up to the largest only if the way is less than ``pi/2 - atan(mu)`` off the normal;
-  beyond that the contact jams.  What the way does not need is borne by the joint's bearings.
+- A single contact may slide: it exerts ``N (n - mu v)`` with any slip ``v`` along the surface.  Of a way that is an
+  angle a off the normal, its part along it is at least ``N (cos a - mu sin a)``.  The contact jams where that vanishes,
+  and presses many times harder than the way needs shortly before; a quarter of the pressure has to be left at every
+  friction up to the largest.  What the way does not need is borne by the joint's bearings.
 
 Between two poses the normal is bounded as well.  With the core's points at most ``e`` away from where they are at a
 pose, at which the cores are ``d`` apart, the vector between the cores changes by at most ``sqrt(e (2 d + e))``: both
@@ -37,6 +38,7 @@ from service.verify.solids import make_coal_convex
 TOUCH_GAP_M = 4e-3  # between surfaces that touch: parts are not drawn to the millimetre
 SURFACE_SLACK_M = 2e-3  # by which a stated surface of a hand may stand out of the link's shapes
 LEAST_APART_M = 1e-3  # of the two cores; nearer ones have no normal
+LEAST_SHARE = 0.25  # of the pressure of a contact that slides, along the way
 MOVES = 1e-4  # by which a joint moves [rad, m]
 _GAP_RESOLUTION_M = 5e-4
 _RESOLUTION = float(np.deg2rad(1.0))
@@ -119,8 +121,12 @@ def _name_contacts(push: HandPush) -> tuple[str, str]:
 
 
 def find_jamming_angle(push: HandPush) -> float:
-    """Return the angle between normal and way from which on a single contact that slides jams [rad]."""
-    return float(0.5 * np.pi - np.arctan(push.friction[1]))
+    """Return the angle between normal and way from which on a single contact jams that slides [rad].
+
+    There ``cos a - mu sin a = cos(a + atan mu) / cos(atan mu)`` is the least share of the pressure along the way.
+    """
+    cone = float(np.arctan(push.friction[1]))
+    return float(np.arccos(LEAST_SHARE * np.cos(cone)) - cone)
 
 
 @dataclass(frozen=True)
