@@ -40,6 +40,7 @@ SURFACE_SLACK_M = 2e-3  # by which a stated surface of a hand may stand out of t
 LEAST_APART_M = 1e-3  # of the two cores; nearer ones have no normal
 LEAST_SHARE = 0.25  # of the pressure of a contact that slides, along the way
 MOVES = 1e-4  # by which a joint moves [rad, m]
+_DISTANCE_ERROR_M = 1e-6  # tolerance of coal's distances, which counts like a displacement of the core
 _GAP_RESOLUTION_M = 5e-4
 _RESOLUTION = float(np.deg2rad(1.0))
 _SIDES = 8  # of the pyramids inside the cones
@@ -254,7 +255,7 @@ class PushPath:
         travels = []
         for path in self._paths:
             chord = np.linalg.norm(path.at(last)[0] - path.at(first)[0], axis=2).max(axis=1)
-            travels.append(0.5 * chord + path.chain.deviation(self._prepared.over(first, last)))
+            travels.append(0.5 * chord + path.chain.deviation(self._prepared.over(first, last)) + _DISTANCE_ERROR_M)
         return np.array(travels)
 
     def measure_angle(self, s: float) -> float:
