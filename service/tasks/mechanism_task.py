@@ -30,7 +30,7 @@ from service.demands.given_mechanism import (
 )
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
-from service.demands.pushes import explain_refusal
+from service.demands.pushes import explain_refusal, find_nominal_pushes
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
 from service.request.resume import ResumeRequest
@@ -42,6 +42,7 @@ from service.tasks.sequence import PhaseSequence, add_mechanism
 from service.verify import Motion
 
 HANDLE_MARGIN = 4e-3  # between a hand and the mechanism that it holds [m]
+ASIDE = 0.03  # of a hand that comes or goes, away from the face that it presses [m]
 MOST_GAP, MOST_INSIDE = 0.010, 0.004  # between the hand's rod and what it holds [m]
 SWEEP_SLIDE, SWEEP_TURN = 5e-3, float(np.deg2rad(1.0))  # between the values at which it is looked for pieces [m, rad]
 ROD_POINTS = 41  # along the rod, for its distance
@@ -82,6 +83,8 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
     for hand in [hand for hand, refusal in zip(hands, refusals, strict=True) if refusal is None]:
         settled = settle_handle(given, solver.body.robot, hand, solver.hand_friction)
         specs = make_mechanism_phases(settled, hand, waypoints)
+        left = specs[-1]
+        specs = keep_aside(solver, given.mechanism, specs)
         try:
             phases, stuck = PhaseSequence.of(solver, given.mechanism, specs).plan(solver.body.nominal)
         except StaticRegionError as error:
@@ -91,7 +94,7 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         plan = TaskPlan(
             solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
         )
-        plan = _leave_anyhow(solver, plan, specs[-1], given.mechanism)
+        plan = _leave_anyhow(solver, plan, (left, specs[-1]), given.mechanism)
         if plan.stuck is None:
             yield plan
         elif unsolved is None or len(phases) > len(unsolved.phases):
@@ -115,17 +118,46 @@ def _plan_rest(
     rest, hand = resume_mechanism(demand, resume, waypoints), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
     for plan in plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume):
-        yield _leave_anyhow(solver, plan, rest.specs[-1], rest.mechanism)
+        yield _leave_anyhow(solver, plan, (rest.specs[-1],), rest.mechanism)
 
 
-def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, last: PhaseSpec, mechanism: Mechanism) -> TaskPlan:
-    """Return a plan whose hand cannot leave along the handle's line with a line along its rod instead."""
+def keep_aside(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[PhaseSpec]) -> tuple[PhaseSpec, ...]:
+    """Return phases whose lines lead to the handle, and away from it, beside the face that the hand presses.
+
+    A rod that slides along it drags it along.
+    """
+    moving = [k for k, spec in enumerate(specs) if spec.moving]
+    sides = [_find_side(solver, mechanism, specs[k]) for k in (moving[0], moving[-1])]
+    kept = []
+    for k, spec in enumerate(specs):
+        side = sides[0] if k < moving[0] else sides[1] if k > moving[-1] else None
+        if side is not None and spec.hand is not None and spec.hand.offset is not None:
+            spec = replace(spec, hand=replace(spec.hand, offset=spec.hand.offset + ASIDE * side))
+        kept.append(spec)
+    return tuple(kept)
+
+
+def _find_side(solver: PhaseSolver, mechanism: Mechanism, spec: PhaseSpec) -> Float[np.ndarray, "3"] | None:
+    """Return the unit direction away from the face that a hand presses, in the link that it holds; None for no such."""
+    for nominal in find_nominal_pushes(spec, solver.body.robot, mechanism, solver.hand_friction):
+        for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
+            if spec.hand is not None and contact.link == spec.hand.link:
+                return -meeting.normal
+    return None
+
+
+def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, lasts: Sequence[PhaseSpec], mechanism: Mechanism) -> TaskPlan:
+    """Return a plan whose hand cannot leave on its line with another line instead: those given, then along its rod."""
+    last = lasts[-1]
     if plan.stuck is None or plan.stuck.step != last.name or last.hand is None or not last.hand.leaves:
         return plan
     at = plan.phases[-2].q[-1] if len(plan.phases) > 1 else solver.body.nominal
     values = at[-len(mechanism.joints) :]
-    line = leave_along_rod(solver, replace(last, first=values, last=values), at)
-    left, stuck = PhaseSequence(solver, mechanism, (line,), is_held=True).plan(at)
+    held = [replace(spec, first=values, last=values) for spec in lasts]
+    for line in (*held[:-1], leave_along_rod(solver, held[0], at)):
+        left, stuck = PhaseSequence(solver, mechanism, (line,), is_held=True).plan(at)
+        if stuck is None:
+            break
     return replace(plan, phases=(*plan.phases[:-1], *left), stuck=stuck)
 
 

@@ -17,6 +17,7 @@ from costs.robot import LinkBody
 from costs.robot.shapes import box, cylinder
 from service.verify import HandContact, HandPush, HeldJoint
 from service.verify.forces.hand_contacts import (
+    HELD_SHARE,
     TOUCH_GAP_M,
     Meeting,
     describe_failure,
@@ -132,8 +133,8 @@ def test_a_single_contact_jams_where_less_than_a_quarter_of_its_pressure_is_alon
 
 
 def test_a_joint_that_stays_must_bear_what_the_contact_exerts_along_it() -> None:
-    """A normal 24 deg off: without friction of its own the other slide stays only if friction covers 24 deg."""
-    lean = np.deg2rad(24.0)
+    """A normal 9 deg off: without friction of its own the other slide stays if a third of the friction angle is 9."""
+    lean = np.deg2rad(9.0)
     normal, across = np.array([np.cos(lean), np.sin(lean), 0.0]), np.array([0.0, 1.0, 0.0])
     met = make_meeting(normal, held=(across,))
     free = HeldJoint("other", 0.0, 0.0)
@@ -141,8 +142,8 @@ def test_a_joint_that_stays_must_bear_what_the_contact_exerts_along_it() -> None
     assert "would move other besides slide" in describe_failure(make_push(held=(free,)), lean)
     rough = replace(make_push(held=(free,)), friction=(0.6, 0.6))  # atan 0.6 is 31 deg
     assert measure_excess(rough, (met,)) <= 0.0
-    # At friction 0.3 the force is at the cone's edge: 30 N along, 30 tan(24 deg - 16.7 deg) across.
-    least = 30.0 * np.tan(lean - np.arctan(0.3))
+    # At friction 0.3 the force is at the edge of the narrower cone: 30 N along, 30 tan(9 deg - 5.6 deg) across.
+    least = 30.0 * np.tan(lean - HELD_SHARE * np.arctan(0.3))
     for high, sign in ((least - 0.1, 1.0), (least + 0.1, -1.0)):
         bears = make_push(held=(HeldJoint("other", 0.0, high),))
         assert np.sign(measure_excess(bears, (met,))) == sign
@@ -183,8 +184,10 @@ def test_a_round_body_has_the_normal_of_its_axis_whatever_polygon_stands_for_it(
         outwards = np.array([np.cos(angle), np.sin(angle), 0.0])
         place = (0.01 + RADIUS) * outwards - ROD.mean(axis=0)
         met = meet(make_rod(), bar, at(*place), 1.0, (ALONG_X,))
-        np.testing.assert_allclose(met.normal, -outwards, atol=5e-3)  # polygons of 16 sides are off by 0.1
-    assert RoundedBody.of_body(bar).radius == pytest.approx(0.0045)
+        np.testing.assert_allclose(
+            met.normal, -outwards, atol=np.sqrt(2e-6 / met.apart)
+        )  # the distance is known to 1 um
+    assert RoundedBody.of_body(bar).radius == pytest.approx(MOST_ROUNDING_M)
 
 
 def nearest_vector(rod: Float[np.ndarray, "2 3"], corners: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3"]:

@@ -4,7 +4,8 @@ At a contact the force is inside the friction cone about the normal, which the s
 core of the hand's surface to the core of the body (``service.verify.rounded``).
 
 - A joint is pushed if forces in the cones of the contacts that touch, with the least friction, have the part along its
-  way that it takes, and along every other joint that carries the body no more than that joint bears by itself.
+  way that it takes, and along every other joint that carries the body no more than that joint bears by itself.  The
+  cones have a third of the friction angle where another joint is to stay: a hand that sets on slips before it sticks.
 - A single contact may slide: it exerts ``N (n - mu v)`` with any slip ``v`` along the surface.  Of a way that is an
   angle a off the normal, its part along it is at least ``N (cos a - mu sin a)``.  The contact jams where that vanishes,
   and presses many times harder than the way needs shortly before; a quarter of the pressure has to be left at every
@@ -39,6 +40,7 @@ TOUCH_GAP_M = 4e-3  # between surfaces that touch: parts are not drawn to the mi
 SURFACE_SLACK_M = 2e-3  # by which a stated surface of a hand may stand out of the link's shapes
 LEAST_APART_M = 1e-3  # of the two cores; nearer ones have no normal
 LEAST_SHARE = 0.25  # of the pressure of a contact that slides, along the way
+HELD_SHARE = 1.0 / 3.0  # of the friction angle that keeps another joint still while the hand sets on
 MOVES = 1e-4  # by which a joint moves [rad, m]
 _DISTANCE_ERROR_M = 1e-6  # tolerance of coal's distances, which counts like a displacement of the core
 _GAP_RESOLUTION_M = 5e-4
@@ -302,7 +304,7 @@ def measure_excess(push: HandPush, met: Sequence[Meeting]) -> float:
 
 def _search_widening(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> float:
     """Search for the least widening of all cones in which forces balance the push [rad]."""
-    cone = float(np.arctan(push.friction[0]))
+    cone = float(np.arctan(push.friction[0])) * (HELD_SHARE if push.held else 1.0)
     low, high = -cone, 0.5 * np.pi - cone - 1e-3
     if not _is_balanced(push, touching, cone + high):
         return float("inf")
