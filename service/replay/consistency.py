@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.errors import shown
+from service.request.file import hash_request_data
 from service.result.motion_json import file_columns, file_positions, motion_json, rates_at, sample_times, samples_of
 from service.verify import Certificate, Motion, Status
 from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
@@ -66,8 +65,7 @@ def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: 
         yield "the recorded certificate continues another plan than the motion"
     if data["robot"]["sha256"] != computed["robot_sha256"]:
         yield "robot.sha256 does not fit the robot's file"
-    canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))
-    if data["request_hash"] != "sha256:" + hashlib.sha256(canonical.encode()).hexdigest():
+    if data["request_hash"] != hash_request_data(data["request"]):
         yield "request_hash does not fit the request"
     if data["verdict"] == Status.CERTIFIED.value != recorded["status"]:
         yield f"the verdict is CERTIFIED, and the recorded certificate says {shown(recorded['status'])}"

@@ -20,6 +20,7 @@ from service.replay.consistency import CHANGED, find_contradictions
 from service.replay.rebuild import Grounds, Record, rebuild_demands
 from service.request.file import load_request, parse_request
 from service.request.schema import PlanRequest
+from service.request.versions import insert_defaults, list_defaults
 from service.result.folder import TRAJECTORY_NAME, read_result, result_path
 from service.result.motion_json import motion_from_json
 from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
@@ -161,7 +162,11 @@ def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
 def read_request(data: dict[str, Any], folder: Path) -> PlanRequest:
     """Return the request of a parsed ``result.json`` (ResultError where it cannot be used)."""
     try:
-        return parse_request(data.get("request"), folder)
+        request = parse_request(data.get("request"), folder)
+        defaults = data.get("request_defaults", {})
+        return (
+            request if defaults == list_defaults(request) else parse_request(insert_defaults(request, defaults), folder)
+        )
     except RequestError as error:
         line = " ".join(str(error).split())
         raise ResultError(f"{folder}: request of result.json cannot be used: {line}; {CHANGED}") from None

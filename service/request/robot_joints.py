@@ -1,4 +1,4 @@
-"""Section of a request that describes the servos of a robot's joints."""
+"""Sections of a request that describe a robot's joints: their servos, and which of their torques are checked."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from service.request.fields import SECTION, Name, Number, Section, at_most
+from service.request.fields import MAX_JOINTS, SECTION, Name, Number, Section, at_most
 
 Stiffness = Annotated[Number, Field(gt=0.0, le=1e7)]
 
@@ -23,3 +23,16 @@ class RobotServoRequest(Section):
     """
 
     stiffness: Annotated[dict[Name, Stiffness], at_most(200)] = field(default_factory=dict)
+
+
+@dataclass(config=SECTION)
+class RobotTorqueRequest(Section):
+    """Torque limits that count.
+
+    Attributes:
+        check: whether torques are compared with the limits of the joints at all.
+        unchecked: joints whose torque is not compared, because a spring or a passive balance carries part of it.
+    """
+
+    check: bool = True
+    unchecked: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
