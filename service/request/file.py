@@ -16,10 +16,11 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
+from service.formats import FORMAT
 from service.request.scene import ObstacleRequest
 from service.request.schema import AttachedRequest, PlanRequest
 from service.request.shapes import PartRequest
-from service.request.versions import FORMAT, find_first_format, write_as
+from service.request.versions import find_first_format, write_as
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20

@@ -16,13 +16,9 @@ from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
 from service.errors import RequestError, shown
+from service.formats import FORMAT
 from service.request.fields import Section
 from service.request.schema import PlanRequest
-
-RELEASES = {1: "0.2.0", 2: "0.3.0", 3: "0.4.0"}
-"""First release that wrote each format of request data."""
-
-FORMAT = max(RELEASES)
 
 COMPLETE = 2
 """Last format that wrote every default.  A field that came later is left out where it has its default."""
