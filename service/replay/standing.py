@@ -70,13 +70,13 @@ class Standing:
         return Standing.of(version, lacks or ([] if fails else differences), fails)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain data."""
-        return asdict(self)
+        """Return plain data, with the sentence."""
+        return {**asdict(self), "sentence": self.sentence()}
 
     def sentence(self) -> str:
         """Return the state in one line."""
         if self.state is State.HOLDS:
-            return f"holds today; written by version {self.release} (format {self.format})"
+            return f"holds today; format {self.format} (version {self.release})"
         reasons = [
             f"{verb} {_join_names(names)}" for verb, names in (("lacks", self.lacks), ("fails", self.fails)) if names
         ]

@@ -77,7 +77,7 @@ def standing_to_message(standing: Mapping[str, Any] | None) -> Standing | None:
     if standing is None:
         return None
     state = cast(StandingState, StandingState.Value(f"STANDING_STATE_{standing['state']}"))
-    return Standing(**{**standing, "state": state})
+    return Standing(state=state, **{name: standing[name] for name in ("release", "format", "lacks", "fails")})
 
 
 def checks_to_messages(checks: Iterable[Mapping[str, Any]]) -> list[Check]:
