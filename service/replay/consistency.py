@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.errors import shown
-from service.formats import FORMAT
 from service.replay.standing import is_comparable
 from service.request.file import hash_request_data
+from service.request.formats import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, rates_at, sample_times, samples_of
 from service.result.versions import find_format
 from service.verify import Certificate, Motion, Status

@@ -16,11 +16,11 @@ from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.demands.door_demand import SeenDoor
 from service.errors import DamagedResultError, RequestError, ResultError, shown
-from service.formats import FORMAT
 from service.replay.consistency import CHANGED, find_contradictions
 from service.replay.rebuild import Grounds, Record, rebuild_demands
 from service.replay.standing import HELD_BEFORE, Standing, State
 from service.request.file import has_hash, load_request, parse_request
+from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
 from service.request.versions import insert_defaults, list_defaults
 from service.result.folder import TRAJECTORY_NAME, read_result, result_path

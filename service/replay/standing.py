@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from service.formats import RELEASES
+from service.request.formats import RELEASES
 from service.verify import Basis, Certificate
 
 HELD_BEFORE = "HELD_BEFORE"

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
-from service.formats import FORMAT
+from service.request.formats import FORMAT
 from service.request.scene import ObstacleRequest
 from service.request.schema import AttachedRequest, PlanRequest
 from service.request.shapes import PartRequest

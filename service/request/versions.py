@@ -16,8 +16,8 @@ from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
 from service.errors import RequestError, shown
-from service.formats import FORMAT
 from service.request.fields import Section
+from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
 
 COMPLETE = 2

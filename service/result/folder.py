@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from service.errors import ResultError, shown
-from service.formats import FORMAT as VERSION
+from service.request.formats import FORMAT as VERSION
 from service.result.versions import NAME, add_missing_keys, find_format
 
 FORMAT = f"{NAME}/{VERSION}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from service.formats import FORMAT
+from service.request.formats import FORMAT
 
 NAME = "scopt-result"
 ADDED: dict[int, dict[str, Any]] = {

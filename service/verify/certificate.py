@@ -11,7 +11,7 @@ from typing import Any
 
 import orjson
 
-from service.formats import FORMAT as VERSION
+from service.request.formats import FORMAT as VERSION
 from service.verify.motion import VerifyError
 
 FORMAT = f"scopt-certificate/{VERSION}"

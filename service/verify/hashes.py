@@ -13,7 +13,7 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
-from service.formats import FORMAT
+from service.request.formats import FORMAT
 from service.verify.motion import HandLoad, Phase, PlantedContact, SupportPolygon, Target
 
 HASH_OFFSET = 0.381966  # of a micrometre

@@ -1,4 +1,4 @@
-"""Sections of a request that describe a robot's joints: their servos, and which of their torques are checked."""
+"""Sections of a request on parts of a robot: frames of a hand, servos of joints, torques that are checked."""
 
 from __future__ import annotations
 
@@ -11,6 +11,27 @@ from pydantic.dataclasses import dataclass
 from service.request.fields import MAX_JOINTS, SECTION, Name, Number, Section, at_most
 
 Stiffness = Annotated[Number, Field(gt=0.0, le=1e7)]
+
+
+@dataclass(config=SECTION)
+class RobotHandRequest(Section):
+    """Hand with a straight rod on its axis, which serves as a hook and as a peg; frames are links of the robot.
+
+    Attributes:
+        link: the hand itself.
+        hook: link of the rod, which may touch what is held.
+        tool: frame at the rod's end, z along the hand's axis outwards.
+        peg, stub: frames in the middle of the free rod and where it leaves the hand, parallel to ``tool``; doors and
+            mechanisms need them.
+        peg_radius_m: half the rod's thickness.
+    """
+
+    link: Name
+    hook: Name
+    tool: Name
+    peg: Name | None = None
+    stub: Name | None = None
+    peg_radius_m: Annotated[Number, Field(gt=0.0, le=0.1)] = 0.009
 
 
 @dataclass(config=SECTION)
