@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from service.replay.standing import HELD_BEFORE, Standing, State
 from service.request.file import has_hash, load_request, parse_request
 from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
+from service.request.versions import find_format as find_request_format
 from service.request.versions import insert_defaults, list_defaults
 from service.result.folder import TRAJECTORY_NAME, read_result, result_path
 from service.result.motion_json import motion_from_json
@@ -298,16 +299,32 @@ def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
 
 
 def read_request(data: dict[str, Any], folder: Path) -> PlanRequest:
-    """Return the request of a parsed ``result.json`` (ResultError where it cannot be used)."""
+    """Return the request of a parsed ``result.json``, with the defaults with which it was planned.
+
+    Raises:
+        DamagedResultError: it cannot be used, or its format or its defaults are not those of such a request.
+    """
     try:
         request = parse_request(data.get("request"), folder)
+        if find_format(data) == FORMAT:
+            _check_request_format(data, request)
         defaults = data.get("request_defaults", {})
-        return (
-            request if defaults == list_defaults(request) else parse_request(insert_defaults(request, defaults), folder)
-        )
+        if defaults == list_defaults(request):
+            return request
+        return parse_request(insert_defaults(request, defaults), folder)
     except RequestError as error:
         line = " ".join(str(error).split())
         raise DamagedResultError(f"{folder}: request of result.json cannot be used: {line}; {CHANGED}") from None
+
+
+def _check_request_format(data: Mapping[str, Any], request: PlanRequest) -> None:
+    """Refuse another format of the request, or other fields with defaults, than this version writes (RequestError)."""
+    expected, names = find_request_format(request), list_defaults(request).keys()
+    if data.get("request_format") != expected:
+        raise RequestError(f"request_format: expected {expected}, got {shown(data.get('request_format'))}")
+    missing = sorted(names - set(data.get("request_defaults") or ()))
+    if missing:
+        raise RequestError(f"request_defaults: {missing[0]} is missing")
 
 
 def read_motion(data: dict[str, Any], folder: Path) -> Motion:
