@@ -33,6 +33,10 @@ class ResultError(ServiceError):
     """A result folder that cannot be written or read."""
 
 
+class DamagedResultError(ResultError):
+    """A result whose parts contradict each other, or its request: it was changed after it was written."""
+
+
 class ExecutionError(ServiceError):
     """A plan, a robot or settings that cannot be executed; the message names field, value and reason."""
 

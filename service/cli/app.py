@@ -35,6 +35,10 @@ EXIT_CODE_HELP = (
 TRACK_EXIT_CODES = (
     "Exit codes: 0 TRACKED, 2 usage, 3 INVALID_REQUEST, 7 FELL, 8 ABORTED, 70 internal error, 130 CANCELLED."
 )
+VERIFY_EXIT_CODES = (
+    "Exit codes: 0 CERTIFIED (holds today), 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 9 HELD_BEFORE "
+    "(held under the version that wrote it, lacks checks of today), 70 internal error, 74 DAMAGED, 130 CANCELLED."
+)
 LOCAL_EXIT_CODES = EXIT_CODE_HELP.format("", "")
 REMOTE_EXIT_CODES = EXIT_CODE_HELP.format("6 OVERLOADED, 69 UNAVAILABLE, ", "77 NOT_ALLOWED, ")
 SIMULATION_EXIT_CODES = "Exit codes: 0 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 70 internal error, 130 CANCELLED."
@@ -49,7 +53,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("plan", epilog=LOCAL_EXIT_CODES)(plan_command)
-app.command("verify", epilog=LOCAL_EXIT_CODES)(verify_command)
+app.command("verify", epilog=VERIFY_EXIT_CODES)(verify_command)
 app.command("certify", epilog=LOCAL_EXIT_CODES)(certify_command)
 app.command("simulate", epilog=SIMULATION_EXIT_CODES)(simulate_command)
 app.command("track", epilog=TRACK_EXIT_CODES)(track_command)

@@ -38,7 +38,7 @@ ENDINGS: Mapping[StatusCode, tuple[str, int]] = {
     StatusCode.UNIMPLEMENTED: _INVALID,
     StatusCode.INTERNAL: _INTERNAL,
     StatusCode.UNAVAILABLE: ("UNAVAILABLE", 69),
-    StatusCode.DATA_LOSS: ("DAMAGED", 74),
+    StatusCode.DATA_LOSS: ("DAMAGED", EXIT_CODES["DAMAGED"]),
     StatusCode.UNAUTHENTICATED: _NOT_ALLOWED,
 }
 

@@ -199,6 +199,8 @@ def verify_command(
         print_json(summary if approval is None else {**summary, "approval": dataclasses.asdict(approval)})
     else:
         lines = {} if approval is None else {"approved by": f"{approval.reviewer}, plan {approval.plan_id}"}
+        if summary["standing"] is not None:
+            lines["standing"] = summary["standing"]["sentence"]
         print_result(stdout, summary, lines)
     return str(summary["verdict"])
 

@@ -20,6 +20,7 @@ _COLOURS = {
     "TRACKED": "green",
     "FEASIBLE_AT_SAMPLES": "yellow",
     "TIME_LIMIT": "yellow",
+    "HELD_BEFORE": "yellow",
     "CANCELLED": "yellow",
 }
 

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from costs.stopping import Stopped
 from service.cli.report import print_verdict
-from service.errors import ServiceError
+from service.errors import DamagedResultError, ServiceError
 
 EXIT_CODES = {
     "CERTIFIED": 0,
@@ -33,6 +33,8 @@ EXIT_CODES = {
     "FELL": 7,
     "TRACKED": 0,
     "ABORTED": 8,
+    "HELD_BEFORE": 9,
+    "DAMAGED": 74,
 }
 EXIT_INTERNAL = 70
 INTERNAL_ERROR = "INTERNAL_ERROR"
@@ -102,6 +104,8 @@ def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: b
         raise
     except EndedError as error:
         ended = error
+    except DamagedResultError as error:
+        ended = EndedError("DAMAGED", tuple(str(error).splitlines()), EXIT_CODES["DAMAGED"])
     except ServiceError as error:
         ended = EndedError("INVALID_REQUEST", tuple(str(error).splitlines()), EXIT_CODES["INVALID_REQUEST"])
     except (KeyboardInterrupt, Stopped):

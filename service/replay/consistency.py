@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,11 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.errors import shown
+from service.replay.standing import is_comparable
+from service.request.file import hash_request_data
+from service.request.formats import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, rates_at, sample_times, samples_of
+from service.result.versions import find_format
 from service.verify import Certificate, Motion, Status
 from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
 from service.verify.polygons import outside_polygon
@@ -26,7 +28,7 @@ CHANGED = "the result was changed after it was written"
 
 
 def find_contradictions(
-    data: Mapping[str, Any], motion: Motion, robot: RobotModel, certificate: Certificate, table: Path | None
+    data: Mapping[str, Any], motion: Motion, robot: RobotModel, certificate: Certificate | None, table: Path | None
 ) -> tuple[str, ...]:
     """Return a sentence for every part of a result that contradicts another.
 
@@ -34,30 +36,37 @@ def find_contradictions(
         data: the parsed ``result.json``, with a certificate.
         motion: the motion read from it.
         robot: its robot, without the joints that the task moves.
-        certificate: a new certificate of the motion, held to the request.
+        certificate: a new certificate of the motion: held to the request, or, of an earlier format, to the record. None
+            where the verifier cannot make one of an earlier format's promises.
         table: its ``trajectory.csv``, if there is one.
 
     Raises:
         KeyError, TypeError, ValueError, IndexError: the data do not follow docs/result-format.md.
     """
-    recorded = data["certificate"]
-    return (
-        *_check_hashes(data, recorded, motion),
+    recorded, version = data["certificate"], find_format(data) or FORMAT
+    parts = (
+        *_check_hashes(data, recorded, motion, version),
         *_check_bodies(data, motion),
         *_check_samples(data, motion, table),
         *_check_drawing(data, motion, robot),
-        *_check_limits(recorded, certificate),
+        *_check_copies(data, recorded),
+    )
+    if certificate is None:
+        return parts
+    return (
+        *parts,
+        *_check_limits(recorded, certificate, version),
         *_check_claims({"result.json": data, "the recorded certificate": recorded}, certificate),
-        *_check_lists(data, recorded, certificate),
+        *_check_lists(recorded, certificate, version),
     )
 
 
-def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: Motion) -> Iterator[str]:
+def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: Motion, version: int) -> Iterator[str]:
     computed = {
         "scene_sha256": scene_hash(motion.scene),
         "bodies_sha256": bodies_hash(motion.robot),
         "robot_sha256": robot_hash(motion.robot),
-        "promises_sha256": promises_hash(motion.phases, motion.releases),
+        "promises_sha256": promises_hash(motion.phases, motion.releases, version),
     }
     for name, value in computed.items():
         if recorded[name] != value:
@@ -66,8 +75,7 @@ def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: 
         yield "the recorded certificate continues another plan than the motion"
     if data["robot"]["sha256"] != computed["robot_sha256"]:
         yield "robot.sha256 does not fit the robot's file"
-    canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))
-    if data["request_hash"] != "sha256:" + hashlib.sha256(canonical.encode()).hexdigest():
+    if data["request_hash"] != hash_request_data(data["request"]):
         yield "request_hash does not fit the request"
     if data["verdict"] == Status.CERTIFIED.value != recorded["status"]:
         yield f"the verdict is CERTIFIED, and the recorded certificate says {shown(recorded['status'])}"
@@ -110,13 +118,15 @@ def _check_samples(data: Mapping[str, Any], motion: Motion, table: Path | None) 
             yield f"{table.name} does not hold samples of the curve"
 
 
-def _check_limits(recorded: Mapping[str, Any], certificate: Certificate) -> Iterator[str]:
-    """Require every recorded check, with the same limit, in the new certificate."""
+def _check_limits(recorded: Mapping[str, Any], certificate: Certificate, version: int) -> Iterator[str]:
+    """Require every recorded check, with the same limit, in the new certificate; of an earlier format what is there."""
     limits: dict[str, list[float]] = {}
     for check in certificate.checks:
         limits.setdefault(check.name, []).append(check.limit)
     for check in recorded["checks"]:
         name, limit = check["name"], check["limit"]
+        if version < FORMAT and not (name in limits and is_comparable(name, version)):
+            continue
         if name not in limits:
             yield f"check {name} of the recorded certificate is no longer required"
         elif limit is not None and not np.any(np.isclose(limit, limits[name], rtol=TOLERANCE)):
@@ -200,21 +210,38 @@ def _same_zmp(*tracks: tuple[np.ndarray, list[Any]]) -> bool:
     return worst[0][:2] == worst[1][:2] and bool(np.isclose(worst[0][2], worst[1][2], rtol=0.0, atol=CLAIM_TOLERANCE))
 
 
-def _check_lists(data: Mapping[str, Any], recorded: Mapping[str, Any], certificate: Certificate) -> Iterator[str]:
-    """Compare checks, exempt pairs and coverage of result.json, the recorded and the new certificate."""
-    fresh = certificate.to_dict()
+def _check_copies(data: Mapping[str, Any], recorded: Mapping[str, Any]) -> Iterator[str]:
+    """Compare what result.json repeats of the recorded certificate."""
     for name in ("checks", "exempt", "coverage", "min_clearance_pair"):
         if data[name] != recorded[name]:
             yield f"{name} of result.json and of the recorded certificate differ"
-    if not _same_rows(recorded["checks"], fresh["checks"], ("name", "ok", "basis"), "value"):
+
+
+def _check_lists(recorded: Mapping[str, Any], certificate: Certificate, version: int) -> Iterator[str]:
+    """Compare checks, exempt pairs and coverage of the recorded and the new certificate.
+
+    Of an earlier format only the checks are compared that both have and that still mean the same.
+    """
+    fresh = certificate.to_dict()
+    written, made = recorded["checks"], fresh["checks"]
+    if version < FORMAT:
+        both = {row["name"] for row in written} & {row["name"] for row in made}
+        both = {name for name in both if is_comparable(name, version)}
+        written, made = (_select_rows(rows, both) for rows in (written, made))
+    if not _same_rows(written, made, ("name", "ok", "basis"), "value"):
         yield "checks are not those of the motion"
     if not _same_rows(recorded["exempt"], fresh["exempt"], ("pair", "phase"), "deepest_m"):
         yield "exempt pairs are not those of the motion"
     if not _same_rows(recorded["coverage"]["left_out"], fresh["coverage"]["left_out"], ("pair", "reason"), "deepest_m"):
         yield "coverage.left_out is not what the verifier leaves out"
-    names = [name for name in fresh["coverage"] if name != "left_out"]
+    counted = fresh["coverage"] if version == FORMAT else ()  # earlier formats counted other pairs
+    names = [name for name in counted if name != "left_out"]
     if any(not _is_near(recorded["coverage"][name], fresh["coverage"][name]) for name in names):
         yield "coverage is not the verifier's"
+
+
+def _select_rows(rows: Sequence[Mapping[str, Any]], names: Collection[str]) -> list[Mapping[str, Any]]:
+    return sorted((row for row in rows if row["name"] in names), key=lambda row: str(row["name"]))
 
 
 def _same_rows(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,15 +15,20 @@ from costs.robot import RobotError, RobotModel, load_robot
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.demands.door_demand import SeenDoor
-from service.errors import RequestError, ResultError, shown
+from service.errors import DamagedResultError, RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
 from service.replay.rebuild import Grounds, Record, rebuild_demands
-from service.request.file import load_request, parse_request
+from service.replay.standing import HELD_BEFORE, Standing, State
+from service.request.file import has_hash, load_request, parse_request
+from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
+from service.request.versions import find_format as find_request_format
+from service.request.versions import insert_defaults, list_defaults
 from service.result.folder import TRAJECTORY_NAME, read_result, result_path
 from service.result.motion_json import motion_from_json
 from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
 from service.result.result_json import add_reports, proof_summary
+from service.result.versions import find_format
 from service.verify import Certificate, Motion, Status, VerifyError, verify
 
 if TYPE_CHECKING:
@@ -34,10 +39,61 @@ OTHER = "it answers another request, or was changed after it was written"
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
 
 
-def verify_result(path: str | Path, request: Path | None = None, clouds: Sequence[Path] = ()) -> dict[str, Any]:
-    """Return the verdict on a result folder: the keys of ``summary_json`` and ``held_to``.
+@dataclass(frozen=True)
+class _Result:
+    """A result to verify.
 
-    The demands on a certified motion are rebuilt from the request, and the folder's are compared with them.
+    Attributes:
+        data: its ``result.json``, with the keys of this format.
+        folder: where it is.
+        robot, recorded: its robot, without the joints that the task moves, and its motion.
+        request: file of the user's request, or None.
+        clouds: files of the request's scan, to be read again.
+    """
+
+    data: dict[str, Any]
+    folder: Path
+    robot: RobotModel
+    recorded: Motion
+    request: Path | None
+    clouds: Sequence[Path]
+
+    @property
+    def table(self) -> Path | None:
+        """The table of its samples, if there is one."""
+        table = self.folder / TRAJECTORY_NAME
+        return table if table.is_file() else None
+
+    @property
+    def version(self) -> int:
+        """Number of its format."""
+        return find_format(self.data) or FORMAT
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """A new certificate of a result's motion.
+
+    Attributes:
+        certificate: held to the demands of ``grounds``, if there are any.
+        reports: of its phases.
+        differences: one sentence for each part of the result that is not the request's or contradicts another.
+        grounds: sources of the demands, or None.
+        standing: of the recorded certificate, or None without one.
+    """
+
+    certificate: Certificate
+    reports: Sequence[PhaseReport]
+    differences: tuple[str, ...]
+    grounds: Grounds | None = None
+    standing: Standing | None = None
+
+
+def verify_result(path: str | Path, request: Path | None = None, clouds: Sequence[Path] = ()) -> dict[str, Any]:
+    """Return the verdict on a result folder: the keys of ``summary_json``, ``held_to`` and ``standing``.
+
+    The demands on a certified motion are rebuilt from the request, and the folder's are compared with them. A
+    certificate of an earlier format that does not meet today's gets the verdict ``HELD_BEFORE``.
 
     Args:
         path: the folder or its ``result.json``.
@@ -45,47 +101,131 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         clouds: files of the request's scan, to be read again; by default the recorded pieces are taken.
 
     Raises:
-        ResultError: the folder cannot be read, or its data contradict each other or the request.
+        ResultError: the folder cannot be read.
+        DamagedResultError: its data contradict each other or the request.
         RequestError: the user's request, or a file that it names, cannot be used.
     """
     started = time.perf_counter()
     data = read_result(path)
     folder = result_path(path).parent
-    robot, recorded = read_record(data, folder)
-    is_claimed = data["verdict"] == Status.CERTIFIED.value
-    if is_claimed and data.get("certificate") is None:
-        raise ResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
-    held, grounds, demands = HeldMotion(recorded, ()), None, None
-    if is_claimed:
-        demands, grounds = _read_demands(data, folder, Record(robot, recorded.scene), request, clouds)
-        with _explain_defects(folder):
-            held = hold_to_request(demands, recorded)
-    table = folder / TRAJECTORY_NAME
-    with _explain_defects(folder):
-        certificate = verify(held.motion)
-        reports = report_phases(held.motion, certificate, _read_unsolved(data))
-        differences = held.differences
-        if demands is not None:
-            differences += tuple(compare_pace(demands.request, certificate))
-            if demands.task is not None:
-                differences += tuple(demands.task.compare_figures(data["figures"]))
-        if data.get("certificate") is not None:
-            differences += tuple(_compare_phases(data, reports))
-            differences += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
-    if certificate.status is Status.CERTIFIED and is_claimed and differences:
-        why = CHANGED if request is None else OTHER
-        raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in differences))
+    result = _Result(data, folder, *read_record(data, folder), request, clouds)
+    if data["verdict"] != Status.CERTIFIED.value:
+        answer = _verify_unclaimed(result)
+    elif data.get("certificate") is None:
+        raise DamagedResultError(f"{folder}: the verdict is CERTIFIED, and there is no certificate; {CHANGED}")
+    else:
+        answer = _verify_claim(result) if result.version == FORMAT else _verify_earlier(result)
+    certificate, standing = answer.certificate, answer.standing
     verdict, explanation = _judge(data["verdict"], certificate)
+    if standing is not None and standing.state is State.HELD_BEFORE:
+        verdict, explanation = HELD_BEFORE, [standing.sentence(), *explanation]
     return {
         "verdict": verdict,
-        "explanation": [*explanation, *differences],
+        "explanation": [*explanation, *answer.differences],
         "notes": list(certificate.notes),
-        "held_to": None if grounds is None else grounds.sentence(),
+        "held_to": None if answer.grounds is None else answer.grounds.sentence(),
+        "standing": None if standing is None else standing.to_json(),
         "timings": {"verify": time.perf_counter() - started},
         **proof_summary(certificate),
-        "phases": add_reports(data["phases"], reports),
+        "phases": add_reports(data["phases"], answer.reports),
         "not_planned": data["not_planned"],
     }
+
+
+def _verify_unclaimed(result: _Result) -> _Answer:
+    """Verify the motion of a result that does not claim to be certified, by the promises that it records."""
+    data = result.data
+    with _explain_defects(result.folder):
+        certificate = verify(result.recorded)
+        reports = report_phases(result.recorded, certificate, _read_unsolved(data))
+        differences: tuple[str, ...] = ()
+        if data.get("certificate") is not None:
+            differences = _compare_record(result, certificate, reports)
+    return _Answer(certificate, reports, differences)
+
+
+def _verify_claim(result: _Result) -> _Answer:
+    """Verify the motion of a certified result of this format, held to its request."""
+    held, demands, grounds = _hold(result)
+    with _explain_defects(result.folder):
+        certificate = verify(held.motion)
+        reports = report_phases(held.motion, certificate)
+        differences = (
+            *held.differences,
+            *_compare_demands(result, demands, certificate),
+            *_compare_record(result, certificate, reports),
+        )
+    is_certified = certificate.status is Status.CERTIFIED
+    if is_certified and differences:
+        why = CHANGED if result.request is None else OTHER
+        raise DamagedResultError("\n".join(f"{result.folder}: {line}; {why}" for line in differences))
+    standing = Standing.of(FORMAT) if is_certified else None
+    return _Answer(certificate, reports, differences, grounds, standing)
+
+
+def _verify_earlier(result: _Result) -> _Answer:
+    """Verify the motion of a certified result of an earlier format: its record first, then against today's demands."""
+    own = _verify_record(result)
+    try:
+        held, demands, grounds = _hold(result)
+        with _explain_defects(result.folder):
+            certificate = verify(held.motion)
+            reports = report_phases(held.motion, certificate)
+            differences = (*held.differences, *_compare_demands(result, demands, certificate))
+    except (RequestError, ResultError) as error:
+        if own is None or result.request is not None or result.clouds:
+            raise
+        reason = " ".join(str(error).removeprefix(f"{result.folder}: ").split())
+        return _Answer(own, report_phases(result.recorded, own), (), None, Standing.of(result.version, [reason]))
+    standing = Standing.compare(result.version, result.data["certificate"], certificate, differences)
+    is_other = result.request is not None and not has_hash(demands.request, result.data["request_hash"])
+    if is_other and differences:
+        raise ResultError("\n".join(f"{result.folder}: {line}; {OTHER}" for line in differences))
+    return _Answer(certificate, reports, differences, grounds, standing)
+
+
+def _verify_record(result: _Result) -> Certificate | None:
+    """Return a certificate of the promises that an earlier format recorded; None where they are not enough for one.
+
+    Raises:
+        DamagedResultError: the record contradicts itself.
+    """
+    with _explain_defects(result.folder):
+        try:
+            own = verify(result.recorded)
+        except VerifyError:
+            own = None
+        contradictions = find_contradictions(result.data, result.recorded, result.robot, own, result.table)
+        unsolved = [
+            f"phase '{phase['name']}' is {phase['status']}"
+            for phase in result.data["phases"]
+            if phase["status"] not in (None, PhaseStatus.CERTIFIED.value)
+        ]
+    if contradictions or unsolved:
+        lines = (*contradictions, *unsolved)
+        raise DamagedResultError("\n".join(f"{result.folder}: {line}; {CHANGED}" for line in lines))
+    return own
+
+
+def _hold(result: _Result) -> tuple[HeldMotion, Demands, Grounds]:
+    """Return the recorded motion with the promises of its request, the demands, and their sources."""
+    record = Record(result.robot, result.recorded.scene)
+    demands, grounds = _read_demands(result.data, result.folder, record, result.request, result.clouds)
+    with _explain_defects(result.folder):
+        return hold_to_request(demands, result.recorded), demands, grounds
+
+
+def _compare_demands(result: _Result, demands: Demands, certificate: Certificate) -> Iterator[str]:
+    """Yield a sentence for each demand on speed or on the task's figures that is not met."""
+    yield from compare_pace(demands.request, certificate)
+    if demands.task is not None:
+        yield from demands.task.compare_figures(result.data["figures"])
+
+
+def _compare_record(result: _Result, certificate: Certificate, reports: Sequence[PhaseReport]) -> tuple[str, ...]:
+    """Return a sentence for each statement of a result that is not that of a new certificate."""
+    contradictions = find_contradictions(result.data, result.recorded, result.robot, certificate, result.table)
+    return (*_compare_phases(result.data, reports), *contradictions)
 
 
 def _read_demands(
@@ -101,7 +241,7 @@ def _read_demands(
         if given is not None or clouds:
             raise
         line = " ".join(str(error).split())
-        raise ResultError(f"{folder}: the request in this folder cannot be used: {line}; {CHANGED}") from None
+        raise DamagedResultError(f"{folder}: the request in this folder cannot be used: {line}; {CHANGED}") from None
 
 
 def _read_unsolved(data: dict[str, Any]) -> list[str]:
@@ -159,12 +299,32 @@ def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
 
 
 def read_request(data: dict[str, Any], folder: Path) -> PlanRequest:
-    """Return the request of a parsed ``result.json`` (ResultError where it cannot be used)."""
+    """Return the request of a parsed ``result.json``, with the defaults with which it was planned.
+
+    Raises:
+        DamagedResultError: it cannot be used, or its format or its defaults are not those of such a request.
+    """
     try:
-        return parse_request(data.get("request"), folder)
+        request = parse_request(data.get("request"), folder)
+        if find_format(data) == FORMAT:
+            _check_request_format(data, request)
+        defaults = data.get("request_defaults", {})
+        if defaults == list_defaults(request):
+            return request
+        return parse_request(insert_defaults(request, defaults), folder)
     except RequestError as error:
         line = " ".join(str(error).split())
-        raise ResultError(f"{folder}: request of result.json cannot be used: {line}; {CHANGED}") from None
+        raise DamagedResultError(f"{folder}: request of result.json cannot be used: {line}; {CHANGED}") from None
+
+
+def _check_request_format(data: Mapping[str, Any], request: PlanRequest) -> None:
+    """Refuse another format of the request, or other fields with defaults, than this version writes (RequestError)."""
+    expected, names = find_request_format(request), list_defaults(request).keys()
+    if data.get("request_format") != expected:
+        raise RequestError(f"request_format: expected {expected}, got {shown(data.get('request_format'))}")
+    missing = sorted(names - set(data.get("request_defaults") or ()))
+    if missing:
+        raise RequestError(f"request_defaults: {missing[0]} is missing")
 
 
 def read_motion(data: dict[str, Any], folder: Path) -> Motion:
@@ -191,10 +351,12 @@ def _explain_defects(folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyError as error:
-        raise ResultError(f"{folder}: result.json lacks {error}; docs/result-format.md lists what it holds") from None
+        raise DamagedResultError(
+            f"{folder}: result.json lacks {error}; docs/result-format.md lists what it holds"
+        ) from None
     except (RobotError, VerifyError, ValueError, TypeError, IndexError, AttributeError) as error:
         line = " ".join(str(error).split())
-        raise ResultError(f"{folder}: result.json cannot be used: {line}") from None
+        raise DamagedResultError(f"{folder}: result.json cannot be used: {line}") from None
 
 
 def _read_robot(robot: dict[str, Any], folder: Path) -> RobotModel:

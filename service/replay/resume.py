@@ -23,7 +23,7 @@ from service.errors import RequestError, ResultError, shown
 from service.replay.rebuild import Record, rebuild_demands, select_scanned
 from service.replay.replay import read_doors, read_record, read_request, read_valves
 from service.replay.resume_contacts import ChangedContacts
-from service.request.file import load_section, replace_cloud, request_hash
+from service.request.file import hash_request_data, load_section, replace_cloud
 from service.request.resume import HoldChoice, NominalPhase, NominalRequest, ResumeRequest
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest, PoseRequest, StartRequest, StateRequest, TaskRequest
@@ -64,7 +64,7 @@ def make_rest_request(
             f"{folder}: the plan has no certified motion to continue; plan its request from the new state"
         )
     request = read_request(data, folder)
-    if data["request_hash"] != request_hash(request):
+    if data["request_hash"] != hash_request_data(data["request"]):
         raise ResultError(
             f"{folder}: request_hash does not fit the request; the result was changed after it was written"
         )

@@ -7,10 +7,19 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sized
 from dataclasses import fields
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, JsonValue, StrictStr, model_validator
-from pydantic_core import PydanticCustomError, PydanticKnownError
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ModelWrapValidatorHandler,
+    StrictStr,
+    model_validator,
+)
+from pydantic_core import ArgsKwargs, PydanticCustomError, PydanticKnownError
 
 from service.errors import shown, would_do
 
@@ -138,9 +147,9 @@ FilePath = Annotated[StrictStr, Field(min_length=1, max_length=4096), AfterValid
 class Section:
     """Section of a request; refuses unknown keys."""
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _known_keys(cls, data: Any) -> Any:
+    def _check_keys(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         if isinstance(data, dict):
             known = _keys_of(cls)  # type: ignore[arg-type]  # a class can be hashed
             for key in data:
@@ -150,7 +159,20 @@ class Section:
                         "unknown key {key}; expected {known}",
                         {"key": shown(key), "known": would_do(key, known)},
                     )
-        return data
+        section = handler(data)
+        if isinstance(data, dict):
+            given = frozenset(data)
+        elif isinstance(data, ArgsKwargs):
+            positional = _keys_of(cls)[: len(data.args)]  # type: ignore[arg-type]
+            given = frozenset((*positional, *(data.kwargs or ())))
+        else:  # a section that was checked before
+            return section
+        section.__dict__["_given"] = given  # no field: neither data nor hash have it
+        return section
+
+    def is_given(self, name: str) -> bool:
+        """Return whether a field was given; false where it was left to its default."""
+        return name in self.__dict__["_given"]
 
 
 @cache

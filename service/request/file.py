@@ -16,9 +16,11 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
+from service.request.formats import FORMAT
 from service.request.scene import ObstacleRequest
 from service.request.schema import AttachedRequest, PlanRequest
 from service.request.shapes import PartRequest
+from service.request.versions import find_first_format, write_as
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
@@ -173,13 +175,29 @@ def adapter_of(kind: type[T]) -> TypeAdapter[T]:
 
 
 def to_json(request: PlanRequest) -> dict[str, Any]:
-    """Return the request as plain JSON data with defaults, without the folder."""
-    return dict(adapter_of(PlanRequest).dump_python(request, mode="json"))
+    """Return the request as plain JSON data, without the folder and the defaults of later fields.
+
+    Which these are, ``service.request.versions`` says.
+    """
+    return write_as(request, FORMAT)
 
 
 def request_hash(request: PlanRequest) -> str:
-    """Return ``sha256:`` and the hash of the request's canonical JSON (sorted keys, no blanks)."""
-    text = json.dumps(to_json(request), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    """Return the hash of the request's data (``to_json``)."""
+    return hash_request_data(to_json(request))
+
+
+def has_hash(request: PlanRequest, sha256: str) -> bool:
+    """Return whether this version, or an earlier one, gives the same request this hash."""
+    if request_hash(request) == sha256:
+        return True
+    earlier = range(FORMAT - 1, find_first_format(request) - 1, -1)
+    return any(hash_request_data(write_as(request, version)) == sha256 for version in earlier)
+
+
+def hash_request_data(data: object) -> str:
+    """Return ``sha256:`` and the hash of a request's data as canonical JSON (sorted keys, no blanks)."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -40,9 +40,7 @@ from service.request.fields import (
 from service.request.lever import LeverRequest, check_lever
 from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
-from service.request.robot_hand import RobotHandRequest
-from service.request.robot_servo import RobotServoRequest
-from service.request.robot_torque import RobotTorqueRequest
+from service.request.robot_parts import RobotHandRequest, RobotServoRequest, RobotTorqueRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
 LEAST_STUCK_TURN_DEG = 10.0

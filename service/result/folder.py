@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from service.errors import ResultError, shown
+from service.request.formats import FORMAT as VERSION
+from service.result.versions import NAME, add_missing_keys, find_format
 
-FORMAT = "scopt-result/1"
+FORMAT = f"{NAME}/{VERSION}"
 RESULT_NAME = "result.json"
 TRAJECTORY_NAME = "trajectory.csv"
 VIEWER_NAME = "viewer.html"
@@ -28,7 +30,7 @@ WRITTEN = {
     APPROVAL_NAME,
 }  # fmt: skip
 MAX_RESULT_BYTES = 512 * 2**20
-BEGINNING = b'{"format": "' + FORMAT.rsplit("/", 1)[0].encode()
+BEGINNING = b'{"format": "' + NAME.encode()
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,8 @@ def write_whole(path: Path, text: str) -> None:
 def read_result(path: str | Path) -> dict[str, Any]:
     """Return the content of a ``result.json``; ``path`` is the file or its folder.
 
+    Results of earlier formats get the keys of later ones (``service.result.versions``).
+
     Raises:
         ResultError: the file is missing, not JSON, or of another format.
     """
@@ -131,9 +135,10 @@ def read_result(path: str | Path) -> dict[str, Any]:
         raise ResultError(f"{path} cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise ResultError(f"{path} is no JSON: {shown(str(error))}") from None
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
+    if not isinstance(data, dict) or find_format(data) is None:
         name = data.get("format") if isinstance(data, dict) else data
-        raise ResultError(f"{path}: format is {shown(name)}; expected {FORMAT!r}")
+        raise ResultError(f"{path}: format is {shown(name)}; expected {FORMAT!r}, or that of an earlier version")
+    add_missing_keys(data)
     return data
 
 

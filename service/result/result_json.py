@@ -11,6 +11,7 @@ import pinocchio as pin
 from costs.robot import RobotModel
 from service.json_data import encode_piece, to_json_data
 from service.request.file import request_hash, to_json
+from service.request.versions import find_format, list_defaults
 from service.result.folder import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.result.phase_report import PhaseReport, PhaseStatus
@@ -30,6 +31,8 @@ def to_result_json(result: PlanResult) -> dict[str, Any]:
         "format": FORMAT,
         "request": to_json(result.request),
         "request_hash": request_hash(result.request),
+        "request_format": find_format(result.request),
+        "request_defaults": list_defaults(result.request),
         **_summarize(result),
         "robot": _write_robot(robot),
         "bodies": [

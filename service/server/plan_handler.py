@@ -22,7 +22,7 @@ from service.proto.planner.v1.planner_pb2 import (
     Priority,
 )
 from service.proto.planner.v1.result_pb2 import MotionResult
-from service.request.file import request_hash
+from service.request.file import has_hash, request_hash
 from service.request.schema import PlanRequest as Request
 from service.result.result import Verdict
 from service.server.disk import DiskWatch
@@ -163,7 +163,7 @@ class PlanHandler:
             await running.wait_for_end()
         if record is not None:
             bind(plan_id=record.plan_id)
-            if record.request_sha256 != request_hash(request):
+            if not has_hash(request, record.request_sha256):
                 raise Refusal(
                     grpc.StatusCode.ALREADY_EXISTS,
                     f"request_id: {message.request_id!r} belongs to another request of this client; choose another id",
@@ -173,12 +173,15 @@ class PlanHandler:
         self._disk.require_space()
         place = _place_of(message)
         self._jobs.admission.check(kind_of(request), None if deadline is None else deadline - time.monotonic(), place)
-        return self._start(client, request, message, deadline)
+        return self._start(client, request, message, deadline, None if record is None else record.request_sha256)
 
     def _start(
-        self, client: str, request: Request, message: PlanRequest, deadline: float | None
+        self, client: str, request: Request, message: PlanRequest, deadline: float | None, lost_sha256: str | None
     ) -> tuple[PlanRecord, RunningPlan]:
-        """Start a plan: a worker gets it before it is hashed and stored, and the client learns of it after that."""
+        """Start a plan: a worker gets it before it is hashed and stored, and the client learns of it after that.
+
+        ``lost_sha256`` is the hash that an earlier version may have given the lost plan of this request.
+        """
         plan = RunningPlan(self._jobs)
         with ExitStack() as files:
             undo = files.enter_context(ExitStack())
@@ -191,7 +194,9 @@ class PlanHandler:
             undo.callback(handle.cancel)
             stored = message.SerializeToString()
             until = None if deadline is None else time.time() + deadline - time.monotonic()
-            record = self._store.plans.begin(client, message.request_id, accepted.sha256, accepted.kind, stored, until)
+            record = self._store.plans.begin(
+                client, message.request_id, accepted.sha256, accepted.kind, stored, until, lost_sha256
+            )
             undo.pop_all()
             bind(plan_id=record.plan_id)
             plan.plan_id = record.plan_id

@@ -30,7 +30,7 @@ from service.store.reviews import MAX_COMMENT_CHARACTERS
 from service.telemetry import PlanCounts, bind
 from service.trust import Role, current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
-from service.wire.results import checks_to_messages, encode_verdict
+from service.wire.results import checks_to_messages, encode_verdict, standing_to_message
 from service.work.look import describe_robots, verify
 from service.work.plan import Refused
 from service.work.simulate import SIMULATION_FIELDS, simulate
@@ -161,6 +161,7 @@ class QueryHandlers:
             min_clearance_m=answer["min_clearance_m"],
             min_balance_margin_m=answer["min_balance_margin_m"],
             held_to=answer["held_to"] or "",
+            standing=standing_to_message(answer["standing"]),
         )
 
     async def _read_plan(self, message: wire.VerifyRequest | wire.SimulatePlanRequest) -> dict[str, bytes]:

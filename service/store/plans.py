@@ -68,6 +68,7 @@ class Plans:
         kind: str,
         request: bytes = b"",
         deadline: float | None = None,
+        lost_sha256: str | None = None,
     ) -> PlanRecord:
         """Store a request, or return the client's plan with the same ``request_id``; a lost one is accepted again.
 
@@ -75,6 +76,7 @@ class Plans:
             request_id: unique among the client's requests; a request with an empty one is always new.
             request: what is needed to begin the plan again after a restart; without it the plan is lost then.
             deadline: after which the plan is not begun again [s since 1970]; None for never.
+            lost_sha256: another hash of the same request, which a lost plan may have; it then gets ``request_sha256``.
 
         Raises:
             DamagedError: the stored plan with this ``request_id`` is damaged.
@@ -93,10 +95,10 @@ class Plans:
                 deleted = self._make_space(db, plan_id)
             else:
                 plan_id, deleted = known.plan_id, []
-                if known.state is PlanState.LOST and known.request_sha256 == request_sha256:
+                if known.state is PlanState.LOST and known.request_sha256 in (request_sha256, lost_sha256):
                     until = None if deadline is None else float(deadline)
                     again = {"state": "accepted", "why_lost": "", "n_resumed": 0, "request": request, "deadline": until}
-                    _change(db, plan_id, again)
+                    _change(db, plan_id, {**again, "request_sha256": request_sha256})
             record = _read(db, plan_id)
         self._delete_archives(deleted)
         return record

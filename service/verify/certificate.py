@@ -11,9 +11,11 @@ from typing import Any
 
 import orjson
 
+from service.request.formats import FORMAT as VERSION
 from service.verify.motion import VerifyError
 
-FORMAT = "scopt-certificate/1"
+FORMAT = f"scopt-certificate/{VERSION}"
+READABLE = ("scopt-certificate/1", FORMAT)
 
 
 class Status(Enum):
@@ -316,7 +318,7 @@ class Certificate:
             VerifyError: for another format.
         """
         data = json.loads(text)
-        if data.get("format") != FORMAT:
+        if data.get("format") not in READABLE:
             raise VerifyError(f"certificate format must be '{FORMAT}', got {data.get('format')!r}")
         return Certificate(
             Status(data["status"]),

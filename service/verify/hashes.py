@@ -13,6 +13,7 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+from service.request.formats import FORMAT
 from service.verify.motion import (
     HandContact,
     HandLoad,
@@ -25,6 +26,17 @@ from service.verify.motion import (
 )
 
 HASH_OFFSET = 0.381966  # of a micrometre
+ADDED = {
+    2: (
+        "PlantedContact.friction",
+        "PlantedContact.force_cap_n",
+        "PlantedContact.normal",
+        "PlantedContact.tilt_rad",
+        "RelativePoseTarget.slide",
+    ),
+    3: (),
+}
+"""Fields of promises by the format that brought them, ``CLASS.FIELD``; hashes of earlier formats are without them."""
 
 
 def scene_hash(scene: Scene) -> str:
@@ -44,27 +56,28 @@ def robot_hash(robot: RobotModel) -> str:
     return "sha256:" + hashlib.sha256(robot.source.urdf.encode()).hexdigest()
 
 
-def promises_hash(phases: Iterable[Phase], releases: Iterable[Release] = ()) -> str:
-    """``sha256:`` of what the phases promise, and of the releases (docs/result-format.md says how it is made)."""
+def promises_hash(phases: Iterable[Phase], releases: Iterable[Release] = (), version: int = FORMAT) -> str:
+    """``sha256:`` of what the phases promise, and of the releases, as a format hashed it (docs/result-format.md)."""
     digest = hashlib.sha256()
+    later = frozenset(key for brought, keys in ADDED.items() if brought > version for key in keys)
     for phase in phases:
         _add(digest, "phase", phase.name, np.array([phase.first, phase.last]))
         for allowance in phase.allowances:
-            _add(digest, "allowance", *_parts(allowance))
+            _add(digest, "allowance", *_parts(allowance, later))
         for contact in phase.contacts:
-            _add(digest, "contact", *_parts(contact))
+            _add(digest, "contact", *_parts(contact, later))
         if phase.support is not None:
-            _add(digest, "support", *_parts(phase.support))
+            _add(digest, "support", *_parts(phase.support, later))
         if phase.region_margin_m is not None:
             _add(digest, "region margin", np.array([phase.region_margin_m]))
         for target in phase.targets:
-            _add(digest, type(target).__name__, *_parts(target))
+            _add(digest, type(target).__name__, *_parts(target, later))
         for load in phase.loads:
-            _add(digest, "load", *_parts(load))
+            _add(digest, "load", *_parts(load, later))
         for push in phase.pushes:
-            _add(digest, "push", *_parts(push))
+            _add(digest, "push", *_parts(push, later))
     for release in releases:
-        _add(digest, "release", *_parts(release))
+        _add(digest, "release", *_parts(release, later))
     return "sha256:" + digest.hexdigest()
 
 
@@ -95,15 +108,18 @@ def _parts(
     | Release
     | SupportPolygon
     | Target,
+    later: frozenset[str],
 ) -> Iterator[str | np.ndarray]:
     """Yield the fields of a promise in their order: texts, references to bodies, numbers; no numbers for None."""
     for item in fields(promise):
+        if later and f"{type(promise).__name__}.{item.name}" in later:
+            continue
         value = getattr(promise, item.name)
         if isinstance(value, BodyRef):
-            yield from _parts(value)
+            yield from _parts(value, later)
         elif isinstance(promise, HandPush) and item.name in ("contacts", "held"):
             for part in value:
-                yield from _parts(part)
+                yield from _parts(part, later)
         else:
             yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
 

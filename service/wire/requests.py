@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request.file import parse_request, to_json
+from service.request.file import parse_request
 from service.request.schema import PlanRequest
+from service.request.versions import write_given
 from service.wire.plain import fill, to_plain
 
 
@@ -22,13 +23,16 @@ def request_from_message(message: MotionRequest, folder: str | Path = ".") -> Pl
 
 
 def request_to_message(request: PlanRequest) -> MotionRequest:
-    """Write a request with its defaults; ``request_from_message`` reads an equal one.
+    """Write a request; ``request_from_message`` reads an equal one.
+
+    Defaults that are not the same in every version are left to the server, so that a request that is sent again after
+    an upgrade is the same.
 
     Raises:
         RequestError: the wire has no field for a part of the request.
     """
     message = MotionRequest()
-    fill(message, _drop_empty(to_json(request)))
+    fill(message, _drop_empty(write_given(request)))
     return message
 
 

@@ -11,7 +11,7 @@ from google.protobuf.message import Message
 from jaxtyping import Float
 
 from service.json_data import to_json_data
-from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanResponse
+from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanResponse, Standing, StandingState
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
 from service.proto.planner.v1.result_pb2 import Check, MotionResult, Trajectory
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
@@ -66,8 +66,18 @@ def encode_finished(plan_id: str, reply: bytes) -> bytes:
 
 
 def encode_verdict(name: str) -> VerdictMessage:
-    """Return the wire's number of a verdict."""
-    return cast(VerdictMessage, VerdictMessage.Value(f"VERDICT_{name}"))
+    """Return the wire's number of a verdict; ``HELD_BEFORE`` is told apart by ``standing_to_message``."""
+    return cast(
+        VerdictMessage, VerdictMessage.Value("VERDICT_NOT_FOUND" if name == "HELD_BEFORE" else f"VERDICT_{name}")
+    )
+
+
+def standing_to_message(standing: Mapping[str, Any] | None) -> Standing | None:
+    """Convert the ``standing`` of a verified result; None stays None."""
+    if standing is None:
+        return None
+    state = cast(StandingState, StandingState.Value(f"STANDING_STATE_{standing['state']}"))
+    return Standing(state=state, **{name: standing[name] for name in ("release", "format", "lacks", "fails")})
 
 
 def checks_to_messages(checks: Iterable[Mapping[str, Any]]) -> list[Check]:

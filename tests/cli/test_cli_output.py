@@ -264,7 +264,7 @@ def test_a_folder_with_other_things_is_not_replaced(plan: PlanResult, tmp_path: 
     ("content", "problem"),
     [
         ("", "is no JSON"),
-        ("[1]", r"format is \[1\]; expected 'scopt-result/1'"),
+        ("[1]", r"format is \[1\]; expected 'scopt-result/3', or that of an earlier version"),
         ('{"format": "scopt-result/9"}', "format is 'scopt-result/9'"),
         ('{"format": NaN}', "NaN is no number that JSON has"),
         ('{"format": "scopt-result/1"}', "has no motion to verify"),

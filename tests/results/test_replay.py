@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from service.errors import RequestError, ResultError
+from service.errors import DamagedResultError, RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import read_motion, verify_result
 from service.request.file import load_request, parse_request
@@ -311,3 +311,27 @@ def test_an_obstacle_left_out_of_the_request_is_noticed_by_who_knows_the_request
     folder = forge(carried, tmp_path / "forged", _no_rail)
     with pytest.raises(ResultError, match="the scene lacks rail"):
         verify_result(folder, CARRY)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("request_format", 3, "request_format: expected 2, got 3"),
+        ("request_defaults", {}, "request_defaults: Options.hand_friction is missing"),
+        (
+            "request_defaults",
+            {"Options.hand_friction": [1.0, 1.0]},
+            r"expected .*, got \[1.0, 1.0\]",
+        ),
+        ("request_defaults", None, "request_defaults: Options.hand_friction is missing"),
+    ],
+)
+def test_defaults_that_no_version_had_are_damage(
+    carried: Path, tmp_path: Path, key: str, value: object, problem: str
+) -> None:
+    copy = shutil.copytree(carried, tmp_path / "copy")
+    data = json.loads((copy / "result.json").read_text())
+    data[key] = value
+    (copy / "result.json").write_text(json.dumps(data))
+    with pytest.raises(DamagedResultError, match=problem):
+        verify_result(copy)

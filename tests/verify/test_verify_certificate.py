@@ -153,7 +153,7 @@ def test_the_certificate_survives_json(certificate: Certificate) -> None:
     text = certificate.to_json()
     assert Certificate.from_json(text).to_json() == text
     assert len(text) < 1_000_000
-    with pytest.raises(VerifyError, match="scopt-certificate/1"):
+    with pytest.raises(VerifyError, match="scopt-certificate/3"):
         Certificate.from_json('{"format": "other"}')
 
 

@@ -28,6 +28,12 @@ class PartShape(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     PART_SHAPE_WHEEL: _ClassVar[PartShape]
     PART_SHAPE_LEVER: _ClassVar[PartShape]
 
+class StandingState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STANDING_STATE_UNSPECIFIED: _ClassVar[StandingState]
+    STANDING_STATE_HOLDS: _ClassVar[StandingState]
+    STANDING_STATE_HELD_BEFORE: _ClassVar[StandingState]
+
 class PlanState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     PLAN_STATE_UNSPECIFIED: _ClassVar[PlanState]
@@ -50,6 +56,9 @@ PART_SHAPE_CYLINDER: PartShape
 PART_SHAPE_CAPSULE: PartShape
 PART_SHAPE_WHEEL: PartShape
 PART_SHAPE_LEVER: PartShape
+STANDING_STATE_UNSPECIFIED: StandingState
+STANDING_STATE_HOLDS: StandingState
+STANDING_STATE_HELD_BEFORE: StandingState
 PLAN_STATE_UNSPECIFIED: PlanState
 PLAN_STATE_QUEUED: PlanState
 PLAN_STATE_RUNNING: PlanState
@@ -377,7 +386,7 @@ class VerifyRequest(_message.Message):
     def __init__(self, plan_id: _Optional[str] = ..., files: _Optional[_Iterable[_Union[_result_pb2.FileChunk, _Mapping]]] = ...) -> None: ...
 
 class VerifyResponse(_message.Message):
-    __slots__ = ("verdict", "explanation", "notes", "checks", "min_clearance_m", "min_balance_margin_m", "held_to")
+    __slots__ = ("verdict", "explanation", "notes", "checks", "min_clearance_m", "min_balance_margin_m", "held_to", "standing")
     VERDICT_FIELD_NUMBER: _ClassVar[int]
     EXPLANATION_FIELD_NUMBER: _ClassVar[int]
     NOTES_FIELD_NUMBER: _ClassVar[int]
@@ -385,6 +394,7 @@ class VerifyResponse(_message.Message):
     MIN_CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
     MIN_BALANCE_MARGIN_M_FIELD_NUMBER: _ClassVar[int]
     HELD_TO_FIELD_NUMBER: _ClassVar[int]
+    STANDING_FIELD_NUMBER: _ClassVar[int]
     verdict: _result_pb2.Verdict
     explanation: _containers.RepeatedScalarFieldContainer[str]
     notes: _containers.RepeatedScalarFieldContainer[str]
@@ -392,7 +402,22 @@ class VerifyResponse(_message.Message):
     min_clearance_m: float
     min_balance_margin_m: float
     held_to: str
-    def __init__(self, verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[_result_pb2.Check, _Mapping]]] = ..., min_clearance_m: _Optional[float] = ..., min_balance_margin_m: _Optional[float] = ..., held_to: _Optional[str] = ...) -> None: ...
+    standing: Standing
+    def __init__(self, verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[_result_pb2.Check, _Mapping]]] = ..., min_clearance_m: _Optional[float] = ..., min_balance_margin_m: _Optional[float] = ..., held_to: _Optional[str] = ..., standing: _Optional[_Union[Standing, _Mapping]] = ...) -> None: ...
+
+class Standing(_message.Message):
+    __slots__ = ("state", "release", "format", "lacks", "fails")
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    RELEASE_FIELD_NUMBER: _ClassVar[int]
+    FORMAT_FIELD_NUMBER: _ClassVar[int]
+    LACKS_FIELD_NUMBER: _ClassVar[int]
+    FAILS_FIELD_NUMBER: _ClassVar[int]
+    state: StandingState
+    release: str
+    format: int
+    lacks: _containers.RepeatedScalarFieldContainer[str]
+    fails: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, state: _Optional[_Union[StandingState, str]] = ..., release: _Optional[str] = ..., format: _Optional[int] = ..., lacks: _Optional[_Iterable[str]] = ..., fails: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class SimulatePlanRequest(_message.Message):
     __slots__ = ("plan_id", "files", "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed", "perturb")

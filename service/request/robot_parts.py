@@ -1,0 +1,59 @@
+"""Sections of a request on parts of a robot: frames of a hand, servos of joints, torques that are checked."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Annotated
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from service.request.fields import MAX_JOINTS, SECTION, Name, Number, Section, at_most
+
+Stiffness = Annotated[Number, Field(gt=0.0, le=1e7)]
+
+
+@dataclass(config=SECTION)
+class RobotHandRequest(Section):
+    """Hand with a straight rod on its axis, which serves as a hook and as a peg; frames are links of the robot.
+
+    Attributes:
+        link: the hand itself.
+        hook: link of the rod, which may touch what is held.
+        tool: frame at the rod's end, z along the hand's axis outwards.
+        peg, stub: frames in the middle of the free rod and where it leaves the hand, parallel to ``tool``; doors and
+            mechanisms need them.
+        peg_radius_m: half the rod's thickness.
+    """
+
+    link: Name
+    hook: Name
+    tool: Name
+    peg: Name | None = None
+    stub: Name | None = None
+    peg_radius_m: Annotated[Number, Field(gt=0.0, le=0.1)] = 0.009
+
+
+@dataclass(config=SECTION)
+class RobotServoRequest(Section):
+    """Position servos of the joints.
+
+    Attributes:
+        stiffness: by joint, by group of the SRDF, or by a word of joint names such as ``leg`` [N m/rad, N/m]; joints
+            that are not named have the robot's default.
+    """
+
+    stiffness: Annotated[dict[Name, Stiffness], at_most(200)] = field(default_factory=dict)
+
+
+@dataclass(config=SECTION)
+class RobotTorqueRequest(Section):
+    """Torque limits that count.
+
+    Attributes:
+        check: whether torques are compared with the limits of the joints at all.
+        unchecked: joints whose torque is not compared, because a spring or a passive balance carries part of it.
+    """
+
+    check: bool = True
+    unchecked: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
