@@ -4,7 +4,14 @@ from costs.robot.attach import AttachedBody, with_attached
 from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, with_contacts
 from costs.robot.errors import RobotError
 from costs.robot.load import Root
-from costs.robot.mechanism import Mechanism, MechanismJoint, Release, read_joint_axis, with_mechanism
+from costs.robot.mechanism import (
+    Mechanism,
+    MechanismJoint,
+    Release,
+    make_mechanism_model,
+    read_joint_axis,
+    with_mechanism,
+)
 from costs.robot.mechanism_urdf import (
     STOP_ROUNDING,
     LinkPlace,
@@ -19,6 +26,7 @@ from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, Rob
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_robot_visuals
 from costs.robot.srdf import format_srdf
 from costs.robot.still import StillShape, read_object_shapes
+from costs.robot.urdf_inertia import LinkInertia
 
 __all__ = [
     "BASE_NAMES",
@@ -27,6 +35,7 @@ __all__ = [
     "STOP_ROUNDING",
     "AttachedBody",
     "LinkBody",
+    "LinkInertia",
     "LinkPlace",
     "Mechanism",
     "MechanismJoint",
@@ -47,6 +56,7 @@ __all__ = [
     "find_package_folders",
     "format_srdf",
     "load_robot",
+    "make_mechanism_model",
     "read_joint_axis",
     "read_mechanism",
     "read_mesh_hulls",

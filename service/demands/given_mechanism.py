@@ -24,6 +24,8 @@ from costs.robot import (
 )
 from costs.scene import ConvexPiece
 from service.demands.hands import Hand, list_robot_hands
+from service.demands.object_loads import LEAST_LOAD, JointLoad, MovedObject, Spring, choose_pace
+from service.demands.object_rest import check_rest
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do
@@ -82,12 +84,46 @@ class GivenMechanism:
     handle: Handle
 
     @cached_property
-    def mechanism(self) -> Mechanism:
-        """The joints with the request's starts and latches."""
+    def moved(self) -> MovedObject:
+        """What acts on the joints: the URDF's masses, damping and friction, and the request's springs.
+
+        Friction that the request states for a joint counts instead of the URDF's.
+        """
+        stated = self.request.joints
+        friction = {name: loads.friction for name, loads in stated.items() if loads.friction is not None}
+        joints = tuple(replace(joint, friction=friction.get(joint.name, joint.friction)) for joint in self.read.joints)
+        springs = {
+            name: Spring(loads.preload, loads.stiffness)
+            for name, loads in stated.items()
+            if loads.preload > 0.0 or loads.stiffness > 0.0
+        }
         releases = tuple(
             Release(release.joint, release.latch, release.at, release.free_beyond) for release in self.request.releases
         )
-        return Mechanism(MECHANISM, self.read.joints, releases)
+        whole = MovedObject(joints, springs, self.read.stops, releases)
+        return replace(whole, joints=tuple(choose_pace(whole, self.list_moves())))
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The joints with the request's starts and latches, and the pace that their loads are made for."""
+        return Mechanism(MECHANISM, self.moved.joints, self.moved.releases)
+
+    def list_moves(self) -> list[tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]]:
+        """Return the values of all joints before and after each move [rad, m]."""
+        names = [joint.name for joint in self.read.joints]
+        values = np.array([joint.start for joint in self.read.joints])
+        ends = []
+        for move in self.request.moves:
+            last = values.copy()
+            last[names.index(move.joint)] = move.to
+            ends.append((values, last))
+            values = last
+        return ends
+
+    def list_joint_loads(self) -> tuple[tuple[JointLoad, ...], ...]:
+        """Return per move what the hand must exert along the joints that carry its handle."""
+        carriers = self.read.list_carriers(self.handle.joint)
+        return tuple(self.moved.list_loads(first, last, carriers) for first, last in self.list_moves())
 
     @property
     def pieces(self) -> tuple[ConvexPiece, ...]:
@@ -100,11 +136,14 @@ class GivenMechanism:
 
     def place_moving(self, values: Float[np.ndarray, "k"]) -> list[Float[np.ndarray, "V 3"]]:
         """Return the vertices of all bodies that joints move, with the joints at ``values`` [m]."""
-        placed = []
+        return [points for _, points in self.place_named(values)]
+
+    def place_named(self, values: Float[np.ndarray, "k"]) -> Iterator[tuple[str, Float[np.ndarray, "V 3"]]]:
+        """Yield names and vertices of all bodies that joints move, with the joints at ``values`` [m]."""
         for joint in self.mechanism.joints:
             pose = self.locate(joint.name, values)
-            placed += [(points - joint.origin) @ pose[:3, :3].T + pose[:3, 3] for points in joint.bodies.values()]
-        return placed
+            for name, points in joint.bodies.items():
+                yield name, (points - joint.origin) @ pose[:3, :3].T + pose[:3, 3]
 
     def locate(self, joint: str, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:
         """Return the pose of a joint's link in the world, with the joints at ``values`` [rad, m]."""
@@ -154,7 +193,10 @@ def read_given_mechanism(request: MechanismRequest) -> GivenMechanism:
                 raise RequestError(f"{where}: unknown joint {shown(name)}; expected {would_do(name, names)}")
     handle = _read_handle(request, read)
     _check_moves(request, read, handle)
-    return GivenMechanism(request, read, handle)
+    given = GivenMechanism(request, read, handle)
+    moves = [(move.joint, *ends) for move, ends in zip(request.moves, given.list_moves(), strict=True)]
+    check_rest(given.moved, moves, read.list_carriers, handle.joint, stays=request.stays)
+    return given
 
 
 def _make_pose(request: MechanismRequest) -> Float[np.ndarray, "4 4"]:
@@ -170,10 +212,9 @@ def make_mechanism_phases(
     """Return the phases: reach, approach, one per move, retract unless the hand stays.
 
     Raises:
-        RequestError: a hand at the handle does not move a joint, or a spring acts on a link below which another moves.
+        RequestError: a hand at the handle does not move a joint.
     """
     handle, start = given.handle, given.mechanism.start
-    names = [joint.name for joint in given.mechanism.joints]
     tool = select_tool(given, hand)
     held = HandMotion(
         tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
@@ -190,13 +231,12 @@ def make_mechanism_phases(
         PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
         PhaseSpec("approach", start, start, line, touches, n_waypoints=LINE_WAYPOINTS),
     ]
-    values, ends = start, []
-    for move in given.request.moves:
-        last = values.copy()
-        last[names.index(move.joint)] = move.to
-        ends.append((values, last))
-        values = last
-    loads = [tuple(_list_loads(given, tool, move.joint, *ends[k])) for k, move in enumerate(given.request.moves)]
+    ends = given.list_moves()
+    values = ends[-1][1]
+    loads = [
+        tuple(_make_loads(given, tool, first, each))
+        for (first, _), each in zip(ends, given.list_joint_loads(), strict=True)
+    ]
     crowded = next((k for k, carried in enumerate(loads) if len(carried) > MOST_LOADS), None)
     if crowded is not None:
         raise RequestError(
@@ -382,31 +422,14 @@ def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle)
         values[move.joint] = move.to
 
 
-def _list_loads(
-    given: GivenMechanism, tool: str, moving: str, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]
+def _make_loads(
+    given: GivenMechanism, tool: str, values: Float[np.ndarray, "k"], loads: tuple[JointLoad, ...]
 ) -> Iterator[HandLoad]:
-    """Yield what the hand carries while a joint moves: its friction, and the springs of all displaced joints."""
-    names = [joint.name for joint in given.mechanism.joints]
-    start = given.mechanism.start
-    for name in given.read.list_carriers(given.handle.joint):
-        column = names.index(name)
-        loads = given.request.joints.get(name)
-        if loads is None:
-            continue
-        travel = np.array([first[column], last[column]]) - start[column]
-        for sense in (1.0, -1.0):
-            farthest = float((sense * travel).max())
-            size = loads.preload + loads.stiffness * farthest if farthest > LEAST_TRAVEL else 0.0
-            if name == moving and sense * (last[column] - first[column]) > 0.0:
-                size += loads.friction
-            if size <= 0.0:
-                continue
-            if name != moving and name in given.read.list_carriers(moving):
-                raise RequestError(
-                    f"task.mechanism.joints.{name}: its spring pulls while the hand moves {moving} below it; expected "
-                    f"no preload and stiffness, or {name} moved after {moving}"
-                )
-            yield _make_load(given, tool, name, first, sense * size)
+    """Yield the forces at the handle of a move's loads, one per joint and direction."""
+    for load in loads:
+        for size in (max(load.high, 0.0), min(load.low, 0.0)):
+            if abs(size) > LEAST_LOAD:
+                yield _make_load(given, tool, load.joint, values, size)
 
 
 def _make_load(given: GivenMechanism, tool: str, name: str, values: Float[np.ndarray, "k"], size: float) -> HandLoad:

@@ -146,7 +146,11 @@ def _read_movable(movable: Mapping[str, Any]) -> MechanismJoint:
         bodies={body["name"]: np.array(body["vertices"]) for body in movable["bodies"]},
         kind=movable["type"],
         parent=movable["parent"],
-        **{key: float(movable[key]) for key in ("lower", "upper", "start", "velocity", "acceleration")},
+        lower=float(movable["lower"]),
+        upper=float(movable["upper"]),
+        start=float(movable["start"]),
+        velocity=float(movable["velocity"]),
+        acceleration=float(movable["acceleration"]),
     )
 
 
