@@ -71,6 +71,8 @@ def build_robot(
     if srdf.is_planar and root == "fixed" and PLANAR_NAMES[0] not in names:
         notes.append(f"the SRDF's joint '{srdf.virtual_joint}' is planar; `robot.root: planar` lets the base move")
     limits = _collect_limits(urdf, names, notes)
+    postures = {name: _read_posture(srdf, name, names, limits, root == "floating") for name in srdf.states}
+    _soften_postures(postures, urdf, names, notes)
     meshes = _MeshFiles(roots, {}, {})
     meshes.read(urdf, urdf_where)
     cache = DerivedCache.of_user()
@@ -97,7 +99,7 @@ def build_robot(
         is_floating=root == "floating",
         groups={name: tuple(j for j in names if j in joints) for name, joints in srdf.groups.items() if joints},
         link_groups=srdf.link_groups,
-        postures={name: _read_posture(srdf, name, names, limits, root == "floating") for name in srdf.states},
+        postures=postures,
         ignored_pairs=frozenset(reasons),
         fixed_links=frozenset(link for link in urdf.links if find_body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
@@ -307,3 +309,18 @@ def _read_posture(
         yaw_pitch_roll = pin.rpy.matrixToRpy(pin.Quaternion(qw, qx, qy, qz).normalized().matrix())[::-1]
         posture[:6] = [x, y, z, *yaw_pitch_roll]
     return posture
+
+
+def _soften_postures(
+    postures: Mapping[str, Float[np.ndarray, "n"]], urdf: Urdf, names: Sequence[str], notes: list[str]
+) -> None:
+    """Bring postures within the joints' stops inside their soft limits, with a note."""
+    for column, name in enumerate(names):
+        joint = urdf.joints.get(name)
+        if joint is None or joint.stops is None:
+            continue
+        for posture, values in postures.items():
+            soft = min(max(float(values[column]), joint.lower), joint.upper)
+            if joint.stops[0] <= values[column] <= joint.stops[1] and values[column] != soft:
+                notes.append(f"posture '{posture}': {name} at {values[column]:g} is put at its soft limit {soft:g}")
+                values[column] = soft

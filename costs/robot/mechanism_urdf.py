@@ -164,7 +164,7 @@ def read_mechanism(
         parts = _name_bodies(f"{still_name}/{member}", bodies[member])
         still |= parts
         places[member] = LinkPlace(None, poses[member], tuple(parts))
-    stops = {j.name: (-np.inf, np.inf) if j.has_soft_limits else (j.lower, j.upper) for j in moving}
+    stops = {joint.name: (joint.lower, joint.upper) if joint.stops is None else joint.stops for joint in moving}
     return UrdfMechanism(tuple(joints), still, places, parents, stops, urdf.notes)
 
 

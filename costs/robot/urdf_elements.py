@@ -97,7 +97,7 @@ class Joint:
         mimic: (joint, multiplier, offset) it follows, or None.
         friction: dry friction [Nm or N].
         damping: [Nm s/rad or N s/m].
-        has_soft_limits: whether a controller keeps it from going as far as it could.
+        stops: lower and upper limit where a controller keeps it from going as far; None where nothing narrows them.
     """
 
     name: str
@@ -114,7 +114,7 @@ class Joint:
     mimic: tuple[str, float, float] | None
     friction: float = 0.0
     damping: float = 0.0
-    has_soft_limits: bool = False
+    stops: tuple[float, float] | None = None
 
 
 def parse_joint(element: etree._Element, where: str, notes: list[str], *, is_robot: bool = True) -> Joint:
@@ -311,7 +311,7 @@ def _with_soft_limits(joint: Joint, element: etree._Element, where: str, notes: 
         notes.append(f"{where}: its soft limits of {low:g} to {high:g} leave it no range and do not count")
         return joint
     notes.append(f"{where}: the soft limits of its <safety_controller> count as its limits")
-    return replace(joint, lower=lower, upper=upper, has_soft_limits=True)
+    return replace(joint, lower=lower, upper=upper, stops=(joint.lower, joint.upper))
 
 
 def _with_dynamics(joint: Joint, element: etree._Element, where: str) -> Joint:

@@ -185,6 +185,7 @@ def read_given_mechanism(request: MechanismRequest) -> GivenMechanism:
         if name not in names:
             raise RequestError(
                 f"{field}.joints: unknown joint {shown(name)}; the mechanism has {would_do(name, names)}"
+                f"{_name_stopped(read)}"
             )
     for k, release in enumerate(request.releases):
         for key, name in (("joint", release.joint), ("latch", release.latch)):
@@ -376,7 +377,8 @@ def _read_handle(request: MechanismRequest, read: UrdfMechanism) -> Handle:
         )
     place = read.links[handle.link]
     if place.link is None:
-        raise RequestError(f"{field}.link: no joint moves {shown(handle.link)}; expected a link that moves")
+        stopped = _name_stopped(read)
+        raise RequestError(f"{field}.link: no joint moves {shown(handle.link)}; expected a link that moves{stopped}")
     joint = next(joint.name for joint in read.joints if joint.link == place.link)
     rotation, shift = place.pose[:3, :3], place.pose[:3, 3]
     axis = rotation @ np.array(handle.axis)
@@ -388,6 +390,11 @@ def _read_handle(request: MechanismRequest, read: UrdfMechanism) -> Handle:
     return Handle(place.link, joint, at, axis, approach, slide, tilt, place.bodies)
 
 
+def _name_stopped(read: UrdfMechanism) -> str:
+    """Return the notes about joints that the file stops, for messages that miss one; empty if there are none."""
+    return "".join(f" ({note})" for note in read.notes if "velocity limit of 0:" in note)
+
+
 def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle) -> None:
     """Refuse moves of joints that the hand does not move, that go nowhere, or past a limit."""
     joints = {joint.name: joint for joint in read.joints}
@@ -396,9 +403,10 @@ def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle)
     for k, move in enumerate(request.moves):
         field = f"task.mechanism.moves[{k}]"
         if move.joint not in joints:
-            raise RequestError(
-                f"{field}.joint: unknown joint {shown(move.joint)}; the mechanism has {would_do(move.joint, joints)}"
-            )
+            # A joint that the file stops has a note about it.
+            stopped = next((f" ({note})" for note in read.notes if f"joint '{move.joint}'" in note), "")
+            known = would_do(move.joint, joints)
+            raise RequestError(f"{field}.joint: unknown joint {shown(move.joint)}; the mechanism has {known}{stopped}")
         if move.joint not in carriers:
             raise RequestError(
                 f"{field}.joint: {shown(move.joint)} does not move {shown(request.handle.link)}, which the hand holds; "

@@ -26,12 +26,14 @@ class Resistance:
         preload: of the spring that pulls the joint back to its start, once it has left it.
         stiffness: increase of the spring's force per travel [N m/rad, N/m].
         damping: [N m s/rad, N s/m].
+        rest: value at which the spring pulls no way; None for the value at the motion's start [rad, m].
     """
 
     friction: float = 0.0
     preload: float = 0.0
     stiffness: float = 0.0
     damping: float = 0.0
+    rest: float | None = None
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,10 @@ def read_mechanism_physics(request: PlanRequest) -> MechanismPhysics:
 
 def _read_given_physics(request: MechanismRequest) -> MechanismPhysics:
     moved = read_given_mechanism(request).moved
-    joints = {joint.name: Resistance(friction=joint.friction, damping=joint.damping) for joint in moved.joints}
+    joints = {
+        joint.name: Resistance(friction=joint.friction, damping=joint.damping, rest=joint.start)
+        for joint in moved.joints
+    }
     for name, spring in moved.springs.items():
         joints[name] = replace(joints[name], preload=spring.preload, stiffness=spring.stiffness)
     inertias = {
