@@ -112,7 +112,7 @@ def parse_urdf(
     links, inertias = {}, {}
     for element in link_elements:
         link = read_attribute(element, "name", where)
-        inertia = parse_inertial(element, f"{where}: link '{link}'", notes)
+        inertia = parse_inertial(element, f"{where}: link '{link}'", notes, is_robot=is_robot)
         if inertia is not None and inertia.mass > 0.0:
             inertias[link] = inertia
         shapes = (parse_shape(shape, f"{where}: link '{link}'", notes) for shape in element.findall("collision"))

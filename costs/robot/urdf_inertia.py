@@ -51,8 +51,12 @@ class LinkInertia:
         return LinkInertia(mass, centre, moments)
 
 
-def parse_inertial(element: etree._Element, where: str, notes: list[str]) -> LinkInertia | None:
+def parse_inertial(
+    element: etree._Element, where: str, notes: list[str], *, is_robot: bool = True
+) -> LinkInertia | None:
     """Read and check the <inertial> of a <link>; remove one that lacks mass or inertia, with a note.
+
+    The weight of a mechanism counts without moments of inertia, too.
 
     Raises:
         RobotError: a number is missing or not finite, or a mass or a principal moment is negative.
@@ -62,6 +66,8 @@ def parse_inertial(element: etree._Element, where: str, notes: list[str]) -> Lin
         return None
     pose = parse_origin(inertial, f"{where}: inertial", notes)
     mass_element, inertia = inertial.find("mass"), inertial.find("inertia")
+    if inertia is None and mass_element is not None and not is_robot:
+        inertia = etree.Element("inertia", dict.fromkeys(_MOMENTS, "0"))
     if mass_element is None or inertia is None:
         lacking = "mass" if mass_element is None else "inertia"
         notes.append(f"{where}: <inertial> lacks <{lacking}>; the link counts as massless")

@@ -241,7 +241,7 @@ def make_mechanism_phases(
     crowded = next((k for k, carried in enumerate(loads) if len(carried) > MOST_LOADS), None)
     if crowded is not None:
         raise RequestError(
-            f"task.mechanism.joints: the hand would carry the loads of {len(loads[crowded])} joints in "
+            f"task.mechanism.joints: the hand would carry {len(loads[crowded])} loads, one per joint and direction, in "
             f"moves[{crowded}]; expected at most {MOST_LOADS}"
         )
     travels = [measure_travel(given, first, last) for first, last in ends]

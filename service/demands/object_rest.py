@@ -48,8 +48,8 @@ def check_rest(
         if unheld is not None:
             raise RequestError(
                 f"{FIELD}.joints.{unheld.joint}: {unheld.cause} pulls while the hand moves {moving} below it with "
-                f"{_show_force(moved, unheld.joint, unheld.pull)}, its friction holds {unheld.held:.3g}; expected no "
-                f"spring or weight, more friction, or {unheld.joint} moved after {moving}"
+                f"{_show_force(moved, unheld.joint, unheld.pull)}, {_name_hold(moved, unheld)}; expected no spring or "
+                f"weight, more friction, or {unheld.joint} moved after {moving}"
             )
         beside = [joint.name for joint in moved.joints if joint.name not in (*carriers, moving)]
         unheld = moved.find_unheld(first, last, beside)
@@ -73,7 +73,13 @@ def check_rest(
 def _explain(moved: MovedObject, unheld: UnheldJoint) -> str:
     pull = _show_force(moved, unheld.joint, unheld.pull)
     verb = "turns" if _is_turning(moved, unheld.joint) else "moves"
-    return f"{unheld.cause} {verb} it with {pull}, its friction holds {unheld.held:.3g}"
+    return f"{unheld.cause} {verb} it with {pull}, {_name_hold(moved, unheld)}"
+
+
+def _name_hold(moved: MovedObject, unheld: UnheldJoint) -> str:
+    spring = moved.springs.get(unheld.joint)
+    has_spring = spring is not None and spring.preload > 0.0 and "spring" not in unheld.cause
+    return f"its friction {'and spring hold' if has_spring else 'holds'} {unheld.held:.3g}"
 
 
 def _show_force(moved: MovedObject, joint: str, force: float) -> str:

@@ -383,7 +383,7 @@ def test_too_many_loads_at_once_are_refused() -> None:
         stays=True,
     )
     found = read_given_mechanism(parse_request(request).task.mechanism)
-    with pytest.raises(RequestError, match=r"the loads of 5 joints in moves\[4\]; expected at most 4"):
+    with pytest.raises(RequestError, match=r"5 loads, one per joint and direction, in moves\[4\]; expected at most 4"):
         make_mechanism_phases(found, HANDS["left"])
 
 

@@ -170,6 +170,19 @@ def test_a_mechanism_s_masses_are_placed_in_the_world() -> None:
     assert np.trace(slide.inertia.moments) == pytest.approx(2.0 * 1.0 * (0.16**2 + 0.2**2))
 
 
+def test_a_weight_of_a_mechanism_counts_without_moments_of_inertia() -> None:
+    point = '<link name="drawer"><inertial><origin xyz="0.1 0 0"/><mass value="3"/></inertial>'
+    found = read_mechanism(
+        drawer_urdf().replace('<link name="drawer">', point), "urdf", "mechanism", "fixture", np.eye(4), {}, {}
+    )
+    assert found.joints[0].inertia is not None
+    assert found.joints[0].inertia.mass == 3.0
+    np.testing.assert_allclose(found.joints[0].inertia.centre, [0.1, 0.0, 0.95])
+    assert found.notes == (
+        "link 'drawer': its mass has no moments of inertia; it counts as a point at its centre of mass",
+    )
+
+
 def test_what_a_mechanism_s_file_leaves_open_is_named() -> None:
     request = drawer_request(
         urdf=drawer_urdf()

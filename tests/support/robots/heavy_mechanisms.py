@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from given_mechanisms import box, request_for
+from given_mechanisms import bar, box, request_for
 
 from service import parse_request
 from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
@@ -50,6 +50,21 @@ def lid_urdf(mass: float = 10.0, *more: str, moments: float = 0.2) -> str:
     """A lid, hinged about the y axis, whose centre of mass is 0.3 m in front of the hinge while it is shut at 0."""
     body = link("body", inertial(mass, (-0.3, 0, 0), moments))
     return robot(body, joint("hinge", "revolute", "root", "body", "0 1 0", *more, upper=3.0))
+
+
+def chest_request() -> dict[str, Any]:
+    """Lift a lid of 2 kg by 0.4 rad with a peg below its bar, and let it down; it has 1 N m of friction."""
+    lid = f'<link name="lid">{inertial(2.0, (-0.3, 0, 0), 0.03)}{box((0.6, 0.4, 0.02), (-0.3, 0, 0))}</link>'
+    grip = f'<link name="handle">{bar(0.2, (0, 0, 0), "1.5707963 0 0")}</link>'
+    screws = (
+        '<joint name="screws" type="fixed"><parent link="lid"/><child link="handle"/><origin xyz="-0.66 0 0"/></joint>'
+    )
+    hinge = joint("hinge", "revolute", "root", "lid", "0 1 0", dynamics(1.0), at="0.15 0 0.95", upper=1.2)
+    chest = f'<link name="root">{box((0.3, 0.5, 0.9), (0, 0, 0.45))}</link>'
+    handle = {"link": "handle", "place": [0, 0, -0.018], "axis": [1, 0, 0], "tilt_deg": 35}
+    steps = [{"joint": "hinge", "to": 0.4}, {"joint": "hinge", "to": 0.0}]
+    urdf = f'<robot name="chest">{chest}{lid}{grip}{hinge}{screws}</robot>'
+    return request_for({"urdf": urdf, "position": [1.2, -0.25, 0], "handle": handle, "moves": steps})
 
 
 def make_task(urdf: str, moves: list[tuple[str, float]], **more: Any) -> dict[str, Any]:
