@@ -236,6 +236,27 @@ def test_an_object_without_friction_runs_ahead_and_has_loads_both_ways() -> None
     assert (load.low, load.high) == pytest.approx((-0.06, 0.06))
 
 
+def test_a_turning_mass_pulls_the_slide_that_carries_it() -> None:
+    """6 kg at 0.2 m turn by half a turn: up to m r (alpha + omega^2) along the slide, either way."""
+    slide = MechanismJoint("slide", "a", np.zeros(3), np.array([1.0, 0.0, 0.0]), {}, kind="prismatic")
+    mass = LinkInertia(6.0, np.array([0.2, 0.0, 0.0]), np.zeros((3, 3)))
+    hinge = MechanismJoint(
+        "hinge",
+        "b",
+        np.zeros(3),
+        np.array([0.0, 0.0, 1.0]),
+        {},
+        parent="a",
+        velocity=0.5,
+        acceleration=0.3,
+        inertia=mass,
+    )
+    loads = MovedObject((slide, hinge)).list_loads(np.zeros(2), np.array([0.0, np.pi]), ["hinge", "slide"])
+    most = 6.0 * 0.2 * (0.3 + 0.5**2)
+    assert (loads[1].low, loads[1].high) == pytest.approx((-most, most))
+    assert (loads[0].low, loads[0].high) == pytest.approx((-6.0 * 0.2**2 * 0.3, 6.0 * 0.2**2 * 0.3))
+
+
 def test_a_mechanism_without_masses_and_damping_keeps_its_pace() -> None:
     found = read_task(slide_urdf(0.0, "-1 0 0", velocity=0.9), [("slide", 0.3)])
     assert (found.mechanism.joints[0].velocity, found.mechanism.joints[0].acceleration) == (0.9, 1.0)
