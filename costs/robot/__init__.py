@@ -2,6 +2,7 @@
 
 from costs.robot.attach import AttachedBody, with_attached
 from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, with_contacts
+from costs.robot.elements.inertia import LinkInertia
 from costs.robot.errors import RobotError
 from costs.robot.load import Root
 from costs.robot.mechanism import (
@@ -26,7 +27,6 @@ from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, Rob
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_robot_visuals
 from costs.robot.srdf import format_srdf
 from costs.robot.still import StillShape, read_object_shapes
-from costs.robot.urdf_inertia import LinkInertia
 
 __all__ = [
     "BASE_NAMES",

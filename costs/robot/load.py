@@ -15,6 +15,8 @@ from jaxtyping import Float
 
 from costs.primitive import make_round_shape
 from costs.robot import shapes
+from costs.robot.elements.joints import Joint
+from costs.robot.elements.shapes import LONG_M, Shape
 from costs.robot.errors import RobotError
 from costs.robot.followers import let_follow
 from costs.robot.mesh import Derived, DerivedCache, make_key, read_bytes, read_vertices, resolve_mesh
@@ -29,7 +31,6 @@ from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, Ro
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
 from costs.robot.urdf import Urdf, format_urdf, make_pinocchio_xml, merge_notes, parse_urdf
-from costs.robot.urdf_elements import LONG_M, Joint, Shape
 from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0

@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from costs.robot.elements.inertia import LinkInertia
 from costs.robot.errors import RobotError
 from costs.robot.mesh.hull import find_hull_vertices, make_outer_hull
 from costs.robot.model import LinkBody, RobotModel
-from costs.robot.urdf_inertia import LinkInertia
 
 JointKind = Literal["revolute", "prismatic"]
 

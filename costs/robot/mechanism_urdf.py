@@ -12,13 +12,14 @@ from jaxtyping import Float
 
 from costs.names import would_do
 from costs.robot import shapes
+from costs.robot.elements.inertia import LinkInertia
+from costs.robot.elements.joints import Joint
+from costs.robot.elements.shapes import Shape
 from costs.robot.errors import RobotError
 from costs.robot.mechanism import MechanismJoint
 from costs.robot.mesh import read_vertices, resolve_mesh
 from costs.robot.mesh.hull import find_hull_vertices
 from costs.robot.urdf import Urdf, parse_urdf
-from costs.robot.urdf_elements import Joint, Shape
-from costs.robot.urdf_inertia import LinkInertia
 
 STOP_ROUNDING = 1e-3  # by which a joint may pass its stops [rad, m]
 MOST_JOINTS = 16

@@ -13,23 +13,22 @@ import numpy as np
 from lxml import etree
 
 from costs.names import would_do
-from costs.robot.errors import RobotError
-from costs.robot.poses import format_numbers, make_origin
-from costs.robot.urdf_bases import expand_bases, put_on_plane
-from costs.robot.urdf_elements import (
+from costs.robot.elements.bases import expand_bases, put_on_plane
+from costs.robot.elements.inertia import LinkInertia, parse_inertial
+from costs.robot.elements.joints import (
     DEFAULT_VELOCITY,
     MOVABLE,
     Joint,
-    Shape,
     check_locked_positions,
     check_strengths,
     find_stopped_joints,
     follow_leaders,
     lock_joints,
     parse_joint,
-    parse_shape,
 )
-from costs.robot.urdf_inertia import LinkInertia, parse_inertial
+from costs.robot.elements.shapes import Shape, parse_shape
+from costs.robot.errors import RobotError
+from costs.robot.poses import format_numbers, make_origin
 from costs.robot.xmlfile import parse_xml, read_attribute
 
 MAX_LINKS = 512

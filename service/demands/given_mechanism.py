@@ -24,8 +24,8 @@ from costs.robot import (
 )
 from costs.scene import ConvexPiece
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.object_loads import LEAST_LOAD, JointLoad, MovedObject, Spring, choose_pace
-from service.demands.object_rest import check_rest
+from service.demands.moved_object.loads import LEAST_LOAD, JointLoad, MovedObject, Spring, choose_pace
+from service.demands.moved_object.rest import check_rest
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do

@@ -17,7 +17,7 @@ from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
 from service.demands.door_demand import SeenDoor
 from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
-from service.demands.given_overlaps import list_overlap_notes
+from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
 from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest
 from service.request.schema import PlanRequest

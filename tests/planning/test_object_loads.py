@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from costs.robot import MechanismJoint, make_mechanism_model
-from costs.robot.urdf_inertia import LinkInertia
+from costs.robot.elements.inertia import LinkInertia
 from service.demands.given_mechanism import GivenMechanism, make_mechanism_phases
 from service.demands.hands import HANDS
-from service.demands.object_loads import JointLoad, MovedObject
-from service.demands.ranges import bound_polynomial, bound_waves
+from service.demands.moved_object.loads import JointLoad, MovedObject
+from service.demands.moved_object.ranges import bound_polynomial, bound_waves
 from service.errors import RequestError
 
 G = 9.81

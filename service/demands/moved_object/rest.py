@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from service.demands.object_loads import MovedObject, UnheldJoint
+from service.demands.moved_object.loads import MovedObject, UnheldJoint
 from service.errors import RequestError
 
 Values = Float[np.ndarray, "k"]

@@ -17,7 +17,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import MechanismJoint, Release, make_mechanism_model
-from service.demands.ranges import bound_polynomial, bound_waves
+from service.demands.moved_object.ranges import bound_polynomial, bound_waves
 
 AT_STOP = 1e-6  # by which a joint at its stop may be off [rad, m]
 LEAST_LOAD = 1e-6  # smaller loads count as none [N m, N]

@@ -1,4 +1,4 @@
-"""A URDF's collision shapes and joints: their limits, and joints locked at a position."""
+"""A URDF's joints: their limits, friction and damping, and joints locked at a position."""
 
 from __future__ import annotations
 
@@ -11,75 +11,17 @@ from jaxtyping import Float
 from lxml import etree
 
 from costs.names import would_do
+from costs.robot.elements.shapes import LONG_M
 from costs.robot.errors import RobotError
-from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
+from costs.robot.poses import axis_rotation, make_origin, parse_origin
 from costs.robot.xmlfile import MADE_HERE, parse_limit, parse_number, parse_numbers, read_attribute
 
 LOCK_TOLERANCE = 1e-3  # of a locked position beyond the limits [rad, m]
 MOVABLE = ("revolute", "continuous", "prismatic")
 MOST_LIMIT = 1e4  # limits of position beyond it on both sides count as none [rad, m]
-MANY_RAD, LONG_M = 30.0, 20.0  # positions and sizes beyond them may be in another unit
+MANY_RAD = 30.0  # positions beyond it may be in another unit
 DEFAULT_VELOCITY = 1.0
 """Velocity limit of the joints of a file that gives none to any of them [rad/s, m/s]."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """One <collision> element.
-
-    Attributes:
-        kind: ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``.
-        size: box: full edge lengths (3,); sphere: radius; cylinder and capsule: radius, length along z (a capsule's
-            without its caps); mesh: scale (3,) [m, -].
-        uri: the mesh as the URDF names it ("" otherwise).
-        pose_link_shape: (4, 4).
-        element: the <geometry> child it came from.
-    """
-
-    kind: str
-    size: Float[np.ndarray, "k"]
-    uri: str
-    pose_link_shape: Float[np.ndarray, "4 4"]
-    element: etree._Element
-
-
-def parse_shape(element: etree._Element, where: str, notes: list[str]) -> Shape | None:
-    """Read and check one <collision>; return None for a shape without extent, and add a note."""
-    geometry = element.find("geometry")
-    if geometry is None or len(geometry) != 1:
-        raise RobotError(f"{where}: <{element.tag}> needs a <geometry> with one shape in it")
-    shape = geometry[0]
-    kind, uri = str(shape.tag), ""
-    if kind == "box":
-        size = parse_numbers(read_attribute(shape, "size", where), 3, f"{where}: box size")
-    elif kind == "sphere":
-        size = parse_numbers(read_attribute(shape, "radius", where), 1, f"{where}: sphere radius")
-    elif kind in ("cylinder", "capsule"):
-        text = f"{read_attribute(shape, 'radius', where)} {read_attribute(shape, 'length', where)}"
-        size = parse_numbers(text, 2, f"{where}: {kind} radius and length")
-    elif kind == "ellipsoid":
-        axes = [parse_number(read_attribute(shape, key, where), f"{where}: ellipsoid {key}") for key in "abc"]
-        kind, size = "box", 2.0 * np.array(axes)
-        notes.append(f"{where}: an ellipsoid is taken as the box around it")
-        parent = shape.getparent()
-        made = etree.SubElement(parent, "box", size=format_numbers(size))
-        parent.remove(shape)
-        shape = made
-    elif kind == "mesh":
-        uri = read_attribute(shape, "filename", where)
-        size = parse_numbers(shape.get("scale", "1 1 1"), 3, f"{where}: mesh scale")
-    else:
-        raise RobotError(f"{where}: shape <{kind}> is not known; use box, sphere, cylinder, capsule or mesh")
-    if kind != "mesh" and size.max() > LONG_M:
-        notes.append(f"{where}: a {kind} of {size.max():g} m is read as it is; are these millimetres?")
-    if kind == "mesh" and np.any(size == 0.0):
-        raise RobotError(f"{where}: mesh scale {shape.get('scale')!r} flattens the mesh; no factor may be 0")
-    if kind != "mesh" and np.all(size >= 0.0) and not np.any(size > 0.0):
-        notes.append(f"{where}: a {kind} of size 0 is left out")
-        return None
-    if kind != "mesh" and np.any(size <= 0.0):
-        raise RobotError(f"{where}: {kind} of size {format_numbers(size)}; every length must be positive")
-    return Shape(kind, size, uri, parse_origin(element, where, notes), shape)
 
 
 @dataclass(frozen=True)
