@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +18,7 @@ from costs.robot import LinkInertia, MechanismJoint, Release, RobotModel, with_m
 from costs.robot.mesh.hull import make_outer_hull
 from costs.robot.model import LinkBody
 from costs.scene import ConvexPiece, Scene
+from service.demands.moved_object.loads import MovedObject
 from service.errors import RequestError, ResultError
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference
@@ -234,6 +236,42 @@ def test_a_moment_of_inertia_that_the_file_states_is_sped_up_by_a_torque() -> No
     inertia = LinkInertia(100.0, np.array([1.0, 0.0, 0.0]), 25.0 * np.eye(3))
     robot = simulated(mechanism(), MechanismPhysics({}, inertias={"turn": inertia}))
     assert push(robot, {"turn": 200.0}, 0.5)["turn"] == pytest.approx(0.5 * 200.0 / 125.0 * 0.25, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_physics_agrees_on_whether_an_object_rests_without_a_hand(seed: int) -> None:
+    """Random chains of two joints with masses, with friction 5 % more and less than what they need, or at a stop."""
+    random = np.random.default_rng(seed)
+    joints, parent = [], None
+    for k in range(2):
+        origin = np.array([3.0 + k, 0.0, 0.0])
+        inertia = LinkInertia(random.uniform(1.0, 9.0), origin + random.uniform(-0.5, 0.5, 3), 0.2 * np.eye(3))
+        joints.append(
+            MechanismJoint(
+                f"j{k}", f"l{k}", origin, random.normal(size=3), {f"l{k}/1": CUBE + origin},
+                kind=("revolute", "prismatic")[int(random.integers(2))], parent=parent,  # type: ignore[arg-type]
+                lower=-0.5, upper=0.5, inertia=inertia,
+            )
+        )  # fmt: skip
+        parent = f"l{k}"
+    values = np.array([random.choice([-0.5, 0.0, 0.5]), 0.0])
+    stops = {joint.name: (joint.lower, joint.upper) for joint in joints}
+    loads = MovedObject(tuple(joints), stops=stops).bound_move(values, values).still[0]
+
+    for share, moves in ((1.05, False), (0.95, True)):
+        rough = [replace(joint, friction=share * abs(load)) for joint, load in zip(joints, loads, strict=True)]
+        unheld = MovedObject(tuple(rough), stops=stops).find_unheld(values, values)
+        physics = MechanismPhysics(
+            {joint.name: Resistance(friction=joint.friction) for joint in rough},
+            inertias={
+                joint.name: replace(joint.inertia, centre=joint.inertia.centre - joint.origin) for joint in rough
+            },
+        )
+        robot = simulated(resting(with_mechanism(pendulum(), joints), [0.0, *values]), physics)
+        at = push(robot, {}, 1.0)
+        moved = max(abs(at[f"j{k}"] - values[k]) for k in range(2))
+        assert (unheld is not None) == moves  # the second joint is never at a stop
+        assert (moved > 5e-3) == moves, (moved, unheld)
 
 
 def test_a_latch_holds_until_its_lever_is_turned_and_again_when_both_are_back() -> None:
