@@ -120,6 +120,17 @@ class GivenMechanism:
             values = last
         return ends
 
+    def list_pace_notes(self) -> Iterator[str]:
+        """Yield a sentence per moved joint with a pace that its loads assume, for motions whose pace nobody proves."""
+        moving = {move.joint for move in self.request.moves}
+        for joint in self.moved.joints:
+            if joint.name in moving and (self.moved.has_masses or joint.damping > 0.0):
+                unit = "m" if joint.kind == "prismatic" else "rad"
+                yield (
+                    f"task.mechanism: the loads of {joint.name} hold up to {joint.velocity:.3g} {unit}/s and "
+                    f"{joint.acceleration:.3g} {unit}/s^2, which an untimed motion leaves open"
+                )
+
     def list_joint_loads(self) -> tuple[tuple[JointLoad, ...], ...]:
         """Return per move what the hand must exert along the joints that carry its handle."""
         carriers = self.read.list_carriers(self.handle.joint)

@@ -226,6 +226,7 @@ def build_obstacles(
     if given is None:
         return tuple(pieces), tuple(notes)
     notes += (f"task.mechanism.urdf: {note}" for note in (*given.read.notes, *list_overlap_notes(given)))
+    notes += () if request.options.timed else given.list_pace_notes()
     return (*pieces, *given.pieces), tuple(notes)
 
 

@@ -7,17 +7,19 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from heavy_mechanisms import dynamics, inertial, joint, lid_urdf, link, read_task, robot, slide_urdf
+from heavy_mechanisms import dynamics, inertial, joint, lid_urdf, link, make_task, read_task, robot, slide_urdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from costs.robot import MechanismJoint, make_mechanism_model
 from costs.robot.elements.inertia import LinkInertia
+from service import parse_request
 from service.demands.given_mechanism import GivenMechanism, make_mechanism_phases
 from service.demands.hands import HANDS
 from service.demands.moved_object.loads import JointLoad, MovedObject
 from service.demands.moved_object.ranges import bound_polynomial, bound_waves
 from service.errors import RequestError
+from service.setup.prepare import prepare
 
 G = 9.81
 STAYS: dict[str, Any] = {"stays": True}
@@ -207,6 +209,26 @@ def test_a_spring_holds_its_joint_at_the_start_against_less_than_its_preload() -
         urdf, [("slide", 0.2)], joints={"slide": {"preload": 15.0}}, **STAYS
     )
     assert read_task(urdf, [("slide", 0.2)], joints={"slide": {"preload": 25.0}}, **STAYS)
+
+
+@pytest.mark.parametrize(("angle", "rests"), [("1.570796", True), ("1.5708", True), ("1.57", False)])
+def test_a_hinge_that_is_upright_but_for_rounding_rests(angle: str, rests: bool) -> None:
+    """A door of 20 kg whose hinge lies along y before it is turned: 1.57 leaves 0.8 mrad, and 0.047 N m."""
+    urdf = lid_urdf(20.0).replace('<origin xyz="0 0 0"/><axis', f'<origin xyz="0 0 0" rpy="{angle} 0 0"/><axis')
+    urdf = urdf.replace('lower="0"', 'lower="-1"')
+    if rests:
+        assert read_task(urdf, [("hinge", 1.0)])
+    else:
+        assert "gravity turns it with 0.0469 N m" in refuse(urdf, [("hinge", 1.0)])
+
+
+def test_an_untimed_motion_names_the_pace_that_its_loads_assume() -> None:
+    request = make_task(slide_urdf(5.0, "-1 0 0", dynamics(friction=2.0)), [("slide", 0.3)])
+    request["options"]["timed"] = False
+    notes = prepare(parse_request(request), checks_start=False).notes
+    assert notes[-1] == (
+        "task.mechanism: the loads of slide hold up to 0.155 m/s and 0.08 m/s^2, which an untimed motion leaves open"
+    )
 
 
 def test_a_latch_holds_what_it_locks() -> None:

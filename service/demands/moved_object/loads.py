@@ -21,6 +21,7 @@ from service.demands.moved_object.ranges import bound_polynomial, bound_waves
 
 AT_STOP = 1e-6  # by which a joint at its stop may be off [rad, m]
 LEAST_LOAD = 1e-6  # smaller loads count as none [N m, N]
+ANGLE_ROUNDING = 1e-5  # of a file's angles: what weight does to a joint that is off by this holds itself [rad]
 INERTIA_SHARE = 0.2  # of what an object opposes at rest, that its inertia may come to
 SLOWEST_S = 10.0  # a move is not made slower than this because of inertia
 _ANGLES = 2.0 * np.pi * np.arange(5) / 5.0  # of the waves of up to two periods per turn: 1, cos, sin, cos 2, sin 2
@@ -220,8 +221,9 @@ class MovedObject:
         below = np.inf if is_latched or values[index] >= upper - AT_STOP else rest  # of a push with the joint ...
         above = np.inf if is_latched or values[index] <= lower + AT_STOP else rest  # ... and of one against it
         lowest, highest = min(low, 0.0), max(high, 0.0)
-        lowest = 0.0 if -lowest <= below + LEAST_LOAD else lowest
-        highest = 0.0 if highest <= above + LEAST_LOAD else highest
+        least = LEAST_LOAD + self._measure_rounding(index, values)
+        lowest = 0.0 if -lowest <= below + least else lowest
+        highest = 0.0 if highest <= above + least else highest
         # The hand may exert from ``high - above`` to ``low + below`` without moving the joint.
         slack = (max(lowest - (high - above), 0.0), max(low + below - highest, 0.0))
         return JointLoad(joint.name, lowest, highest, 0.0, slack)
@@ -232,6 +234,18 @@ class MovedObject:
         spring = self.springs.get(joint.name)
         is_at_start = abs(float(values[index]) - joint.start) <= AT_STOP
         return joint.friction + (spring.preload if spring is not None and is_at_start else 0.0)
+
+    def _measure_rounding(self, index: int, values: Float[np.ndarray, "k"]) -> float:
+        """Return the largest load of a joint by weight if everything were tilted by the rounding of angles [N m, N]."""
+        if not self.has_masses:
+            return 0.0
+        model, none = self.model.copy(), np.zeros(len(values))
+        data, size = model.createData(), float(np.linalg.norm(self.model.gravity.linear))
+        pulls = []
+        for direction in np.eye(3):
+            model.gravity.linear = ANGLE_ROUNDING * size * direction
+            pulls.append(float(pin.rnea(model, data, values, none, none)[index]))
+        return float(np.linalg.norm(pulls))
 
     def _is_latched(self, joint: str, values: Float[np.ndarray, "k"]) -> bool:
         """Return whether a latch locks a joint at 0."""
