@@ -2,9 +2,17 @@
 
 from costs.robot.attach import AttachedBody, with_attached
 from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, with_contacts
+from costs.robot.elements.inertia import LinkInertia
 from costs.robot.errors import RobotError
 from costs.robot.load import Root
-from costs.robot.mechanism import Mechanism, MechanismJoint, Release, read_joint_axis, with_mechanism
+from costs.robot.mechanism import (
+    Mechanism,
+    MechanismJoint,
+    Release,
+    make_mechanism_model,
+    read_joint_axis,
+    with_mechanism,
+)
 from costs.robot.mechanism_urdf import (
     STOP_ROUNDING,
     LinkPlace,
@@ -27,6 +35,7 @@ __all__ = [
     "STOP_ROUNDING",
     "AttachedBody",
     "LinkBody",
+    "LinkInertia",
     "LinkPlace",
     "Mechanism",
     "MechanismJoint",
@@ -47,6 +56,7 @@ __all__ = [
     "find_package_folders",
     "format_srdf",
     "load_robot",
+    "make_mechanism_model",
     "read_joint_axis",
     "read_mechanism",
     "read_mesh_hulls",

@@ -15,6 +15,8 @@ from jaxtyping import Float
 
 from costs.primitive import make_round_shape
 from costs.robot import shapes
+from costs.robot.elements.joints import Joint
+from costs.robot.elements.shapes import LONG_M, Shape
 from costs.robot.errors import RobotError
 from costs.robot.followers import let_follow
 from costs.robot.mesh import Derived, DerivedCache, make_key, read_bytes, read_vertices, resolve_mesh
@@ -29,7 +31,6 @@ from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, Ro
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
 from costs.robot.urdf import Urdf, format_urdf, make_pinocchio_xml, merge_notes, parse_urdf
-from costs.robot.urdf_elements import LONG_M, Joint, Shape
 from costs.robot.xmlfile import read_xml_text
 
 DEFAULT_ACCELERATION = 10.0
@@ -71,6 +72,8 @@ def build_robot(
     if srdf.is_planar and root == "fixed" and PLANAR_NAMES[0] not in names:
         notes.append(f"the SRDF's joint '{srdf.virtual_joint}' is planar; `robot.root: planar` lets the base move")
     limits = _collect_limits(urdf, names, notes)
+    postures = {name: _read_posture(srdf, name, names, limits, root == "floating") for name in srdf.states}
+    _soften_postures(postures, urdf, names, notes)
     meshes = _MeshFiles(roots, {}, {})
     meshes.read(urdf, urdf_where)
     cache = DerivedCache.of_user()
@@ -97,7 +100,7 @@ def build_robot(
         is_floating=root == "floating",
         groups={name: tuple(j for j in names if j in joints) for name, joints in srdf.groups.items() if joints},
         link_groups=srdf.link_groups,
-        postures={name: _read_posture(srdf, name, names, limits, root == "floating") for name in srdf.states},
+        postures=postures,
         ignored_pairs=frozenset(reasons),
         fixed_links=frozenset(link for link in urdf.links if find_body_frame(model, link).parentJoint == 0),
         mechanism_links=frozenset(),
@@ -307,3 +310,18 @@ def _read_posture(
         yaw_pitch_roll = pin.rpy.matrixToRpy(pin.Quaternion(qw, qx, qy, qz).normalized().matrix())[::-1]
         posture[:6] = [x, y, z, *yaw_pitch_roll]
     return posture
+
+
+def _soften_postures(
+    postures: Mapping[str, Float[np.ndarray, "n"]], urdf: Urdf, names: Sequence[str], notes: list[str]
+) -> None:
+    """Bring postures within the joints' stops inside their soft limits, with a note."""
+    for column, name in enumerate(names):
+        joint = urdf.joints.get(name)
+        if joint is None or joint.stops is None:
+            continue
+        for posture, values in postures.items():
+            soft = min(max(float(values[column]), joint.lower), joint.upper)
+            if joint.stops[0] <= values[column] <= joint.stops[1] and values[column] != soft:
+                notes.append(f"posture '{posture}': {name} at {values[column]:g} is put at its soft limit {soft:g}")
+                values[column] = soft

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.primitive import Primitive
+from costs.robot.elements.inertia import LinkInertia
 from costs.robot.errors import RobotError
 from costs.robot.mesh.hull import find_hull_vertices, make_outer_hull
 from costs.robot.model import LinkBody, RobotModel
@@ -37,6 +38,9 @@ class MechanismJoint:
         start: value at the start of a motion [rad, m].
         velocity, acceleration: limits [rad/s or m/s, rad/s^2 or m/s^2].
         exact: by name the round shapes that bodies contain.
+        inertia: mass of the link, in the world with all joints at 0; None for a link without mass.
+        friction: dry friction [N m, N].
+        damping: [N m s/rad, N s/m].
     """
 
     name: str
@@ -52,6 +56,9 @@ class MechanismJoint:
     velocity: float = 1.0
     acceleration: float = 2.0
     exact: Mapping[str, Primitive] = field(default_factory=dict)
+    inertia: LinkInertia | None = None
+    friction: float = 0.0
+    damping: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,7 +125,8 @@ class Mechanism:
 def with_mechanism(robot: RobotModel, joints: Sequence[MechanismJoint]) -> RobotModel:
     """Return the robot with the joints of a mechanism, fixed in the world, as its last coordinates.
 
-    The new links have no mass, so that the model's centre of mass stays the robot's.
+    The new links have no mass, so that the model's weight, centre of mass and torques stay the robot's; what the
+    mechanism's masses demand of a hand follows from ``make_mechanism_model``.
 
     Args:
         robot: the robot.
@@ -131,6 +139,25 @@ def with_mechanism(robot: RobotModel, joints: Sequence[MechanismJoint]) -> Robot
     for joint in joints:
         robot = _with_joint(robot, joint)
     return robot
+
+
+def make_mechanism_model(joints: Sequence[MechanismJoint]) -> pin.Model:
+    """Return the joints and masses of a mechanism alone, fixed in the world, with gravity along -z.
+
+    Args:
+        joints: parents before children; their order is that of the coordinates.
+    """
+    model = pin.Model()
+    for joint in joints:
+        origin = np.asarray(joint.origin, dtype=float)
+        parent, place = _locate_parent(model, joint, origin)
+        index = model.addJoint(parent, _make_joint(joint), pin.SE3(np.eye(3), place), joint.name)
+        own = joint.inertia
+        inertia = pin.Inertia.Zero() if own is None else pin.Inertia(own.mass, own.centre - origin, own.moments)
+        model.appendBodyToJoint(index, inertia, pin.SE3.Identity())
+        model.addJointFrame(index)
+        model.addBodyFrame(joint.link, index, pin.SE3.Identity(), -1)
+    return model
 
 
 def read_joint_axis(robot: RobotModel, joint: int) -> Float[np.ndarray, "6"]:
@@ -146,10 +173,8 @@ def _with_joint(robot: RobotModel, joint: MechanismJoint) -> RobotModel:
     _check_names(robot, joint)
     _check_values(joint, origin, axis)
     model = robot.model.copy()
-    unit = axis / np.linalg.norm(axis)
-    kind = pin.JointModelRevoluteUnaligned(unit) if joint.kind == "revolute" else pin.JointModelPrismaticUnaligned(unit)
     parent, place = _locate_parent(model, joint, origin)
-    index = model.addJoint(parent, kind, pin.SE3(np.eye(3), place), joint.name)
+    index = model.addJoint(parent, _make_joint(joint), pin.SE3(np.eye(3), place), joint.name)
     model.appendBodyToJoint(index, pin.Inertia.Zero(), pin.SE3.Identity())
     model.addJointFrame(index)
     model.addBodyFrame(joint.link, index, pin.SE3.Identity(), -1)
@@ -166,6 +191,12 @@ def _with_joint(robot: RobotModel, joint: MechanismJoint) -> RobotModel:
         postures={key: np.append(posture, joint.start) for key, posture in robot.postures.items()},
         mechanism_links=robot.mechanism_links | {joint.link},
     )
+
+
+def _make_joint(joint: MechanismJoint) -> pin.JointModel:
+    unit = np.asarray(joint.axis, dtype=float) / np.linalg.norm(joint.axis)
+    is_turning = joint.kind == "revolute"
+    return pin.JointModelRevoluteUnaligned(unit) if is_turning else pin.JointModelPrismaticUnaligned(unit)
 
 
 def _locate_parent(

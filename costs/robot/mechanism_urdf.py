@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,14 @@ from jaxtyping import Float
 from costs.names import would_do
 from costs.primitive import Primitive, make_round_shape
 from costs.robot import shapes
+from costs.robot.elements.inertia import LinkInertia
+from costs.robot.elements.joints import Joint
+from costs.robot.elements.shapes import Shape
 from costs.robot.errors import RobotError
 from costs.robot.mechanism import MechanismJoint
 from costs.robot.mesh import read_vertices, resolve_mesh
 from costs.robot.mesh.hull import find_hull_vertices
 from costs.robot.urdf import Urdf, parse_urdf
-from costs.robot.urdf_elements import Joint, Shape
 
 STOP_ROUNDING = 1e-3  # by which a joint may pass its stops [rad, m]
 MOST_JOINTS = 16
@@ -54,12 +57,16 @@ class UrdfMechanism:
         still: vertices of the bodies that no joint moves, in the world, by name [m].
         links: the URDF's links by name.
         parents: per joint, the joint that carries it; None for the world.
+        stops: per joint, where it cannot move on: lower and upper value; infinite where it has no stop [rad, m].
+        notes: what the file leaves open or states in an unusual way, and how it is read.
     """
 
     joints: tuple[MechanismJoint, ...]
     still: Mapping[str, Float[np.ndarray, "V 3"]]
     links: Mapping[str, LinkPlace]
     parents: Mapping[str, str | None]
+    stops: Mapping[str, tuple[float, float]]
+    notes: tuple[str, ...]
 
     def list_carriers(self, joint: str) -> tuple[str, ...]:
         """Return a joint and the joints that carry it, the world's last."""
@@ -81,7 +88,8 @@ def read_mechanism(
     """Read a mechanism from the text of a URDF.
 
     Links joined by fixed joints are one link of the mechanism, named ``NAME/`` and the URDF's link below the moving
-    joint. A continuous joint may turn by a whole turn from its start.
+    joint. A continuous joint may turn by a whole turn from its start. Masses, friction and damping are the
+    file's.
 
     Args:
         text: the URDF.
@@ -152,6 +160,9 @@ def read_mechanism(
                 velocity=min(joint.velocity, FASTEST[kind]) if np.isinf(joint.velocity) else joint.velocity,
                 acceleration=DEFAULT_ACCELERATION[kind] if joint.acceleration is None else joint.acceleration,
                 exact=exact,
+                inertia=_join_inertias(urdf, poses, own),
+                friction=joint.friction,
+                damping=joint.damping,
             )
         )
         for member, parts in own.items():
@@ -163,7 +174,16 @@ def read_mechanism(
         parts = _name_bodies(f"{still_name}/{member}", bodies[member])
         still |= parts
         places[member] = LinkPlace(None, poses[member], tuple(parts))
-    return UrdfMechanism(tuple(joints), still, places, parents)
+    stops = {joint.name: (joint.lower, joint.upper) if joint.stops is None else joint.stops for joint in moving}
+    return UrdfMechanism(tuple(joints), still, places, parents, stops, urdf.notes)
+
+
+def _join_inertias(
+    urdf: Urdf, poses: Mapping[str, Float[np.ndarray, "4 4"]], members: Iterable[str]
+) -> LinkInertia | None:
+    """Return the mass of links that move together, in the world with all joints at 0; None if they have none."""
+    parts = [urdf.inertias[member].move(poses[member]) for member in members if member in urdf.inertias]
+    return reduce(LinkInertia.join, parts) if parts else None
 
 
 def _name_bodies(link: str, bodies: Sequence[Float[np.ndarray, "V 3"]]) -> dict[str, Float[np.ndarray, "V 3"]]:
@@ -259,8 +279,10 @@ def _make_points(shape: Shape, meshes: Meshes, where: str) -> Float[np.ndarray, 
 def _read_range(joint: Joint, start: float | None) -> tuple[float, float, float]:
     """Return lower and upper limit, and the start [rad, m]."""
     if joint.kind == "continuous":
-        at = 0.0 if start is None else start
-        return at - WHOLE_TURN, at + WHOLE_TURN, at
+        at = min(max(0.0, joint.lower), joint.upper) if start is None else start
+        lower, upper = max(joint.lower, at - WHOLE_TURN), min(joint.upper, at + WHOLE_TURN)
+        check_limits(joint.kind, at, lower, upper, f"joints.{joint.name}.start")
+        return lower, upper, at
     at = min(max(0.0, joint.lower), joint.upper) if start is None else start
     check_limits(joint.kind, at, joint.lower, joint.upper, f"joints.{joint.name}.start")
     return joint.lower, joint.upper, at

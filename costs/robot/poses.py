@@ -10,10 +10,11 @@ from costs.robot.errors import RobotError
 from costs.robot.xmlfile import parse_numbers
 
 FARTHEST_M = 1000.0  # largest distance of a part from the one that carries it
+WHOLE_TURN = 6.3  # larger angles of an origin may be in degrees [rad]
 
 
-def parse_origin(element: etree._Element, where: str) -> Float[np.ndarray, "4 4"]:
-    """Read the pose of an element's <origin>; the identity without one."""
+def parse_origin(element: etree._Element, where: str, notes: list[str] | None = None) -> Float[np.ndarray, "4 4"]:
+    """Read the pose of an element's <origin>; the identity without one. Add a note about angles beyond a turn."""
     pose = np.eye(4)
     origin = element.find("origin")
     if origin is not None:
@@ -23,7 +24,11 @@ def parse_origin(element: etree._Element, where: str) -> Float[np.ndarray, "4 4"
             raise RobotError(
                 f"{where}: origin xyz: {farthest:g} m is farther than {FARTHEST_M:g} m; are these millimetres?"
             )
-        pose[:3, :3] = rpy_matrix(parse_numbers(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy"))
+        rpy = parse_numbers(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy")
+        most = float(rpy[np.abs(rpy).argmax()])
+        if abs(most) > WHOLE_TURN and notes is not None:
+            notes.append(f"{where}: an origin's rpy of {most:g} rad is read as it is; are these degrees?")
+        pose[:3, :3] = rpy_matrix(rpy)
     return pose
 
 

@@ -10,9 +10,9 @@ from xml.sax.saxutils import quoteattr
 from lxml import etree
 
 from costs.names import would_do
+from costs.robot.elements.joints import MOVABLE
 from costs.robot.errors import RobotError
 from costs.robot.urdf import Urdf
-from costs.robot.urdf_elements import MOVABLE
 from costs.robot.xmlfile import parse_numbers, parse_xml, read_attribute
 
 

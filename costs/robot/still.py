@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from costs.robot.elements.joints import MOVABLE
 from costs.robot.errors import RobotError
 from costs.robot.mesh import resolve_mesh
 from costs.robot.shapes import make_points
 from costs.robot.urdf import Urdf, parse_urdf
-from costs.robot.urdf_elements import MOVABLE
 from costs.robot.xmlfile import parse_xml, read_xml_text
 
 MAX_SHAPES = 256

@@ -6,34 +6,33 @@ import copy
 import re
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 
 import numpy as np
 from lxml import etree
 
 from costs.names import would_do
-from costs.robot.errors import RobotError
-from costs.robot.poses import format_numbers, make_origin, parse_origin
-from costs.robot.urdf_bases import expand_bases, put_on_plane
-from costs.robot.urdf_elements import (
+from costs.robot.elements.bases import expand_bases, put_on_plane
+from costs.robot.elements.inertia import LinkInertia, parse_inertial
+from costs.robot.elements.joints import (
     DEFAULT_VELOCITY,
     MOVABLE,
     Joint,
-    Shape,
     check_locked_positions,
+    check_strengths,
     find_stopped_joints,
     follow_leaders,
     lock_joints,
     parse_joint,
-    parse_shape,
 )
-from costs.robot.xmlfile import parse_number, parse_xml, read_attribute
+from costs.robot.elements.shapes import Shape, parse_shape
+from costs.robot.errors import RobotError
+from costs.robot.poses import format_numbers, make_origin
+from costs.robot.xmlfile import parse_xml, read_attribute
 
 MAX_LINKS = 512
 MAX_DEPTH = 128
-INERTIA_ROUNDING = 1e-2  # of files that write few digits: principal moments this far below zero, of the largest
-LEAST_INERTIA = 1e-6  # moments smaller than this count as zero [kg m^2]
 MERGED = 3  # notes about more joints or links than this are merged into one
 
 
@@ -48,6 +47,7 @@ class Urdf:
         links: collision shapes by link name, in file order.
         joints: joints by name, in file order.
         notes: what the file leaves open or states in an unusual way, and how it is read.
+        inertias: masses by link name, in the link's frame; none where a link has no mass.
     """
 
     name: str
@@ -56,6 +56,7 @@ class Urdf:
     links: Mapping[str, tuple[Shape, ...]]
     joints: Mapping[str, Joint]
     notes: tuple[str, ...] = ()
+    inertias: Mapping[str, LinkInertia] = field(default_factory=dict)
 
 
 def parse_urdf(
@@ -99,20 +100,25 @@ def parse_urdf(
     _take_drawn_shapes(dict(zip(link_names, link_elements, strict=True)), drawn_links, where)
     joints = {}
     for element in tree.findall("joint"):
-        joint = parse_joint(element, where, notes)
+        joint = parse_joint(element, where, notes, is_robot=is_robot)
         joints[joint.name] = joint
     joints = follow_leaders(_give_speeds(joints, notes), where, notes)
     if is_robot:
         check_locked_positions(joints, locked_joints, where)
     joints = lock_joints(tree, joints, find_stopped_joints(joints.values(), notes) | dict(locked_joints), where)
-    links = {}
+    if is_robot:
+        check_strengths(joints.values(), notes)
+    links, inertias = {}, {}
     for element in link_elements:
         link = read_attribute(element, "name", where)
-        _check_inertia(element, f"{where}: link '{link}'", notes)
+        inertia = parse_inertial(element, f"{where}: link '{link}'", notes, is_robot=is_robot)
+        if inertia is not None and inertia.mass > 0.0:
+            inertias[link] = inertia
         shapes = (parse_shape(shape, f"{where}: link '{link}'", notes) for shape in element.findall("collision"))
         links[link] = tuple(shape for shape in shapes if shape is not None)
     root = _check_tree(links, joints, where)
-    return Urdf(name, tree, root, links, joints, merge_notes([note.removeprefix(f"{where}: ") for note in notes]))
+    shown = merge_notes([note.removeprefix(f"{where}: ") for note in notes])
+    return Urdf(name, tree, root, links, joints, shown, inertias)
 
 
 def _take_drawn_shapes(elements: Mapping[str, etree._Element], drawn_links: Sequence[str], where: str) -> None:
@@ -139,7 +145,10 @@ def _give_speeds(joints: dict[str, Joint], notes: list[str]) -> dict[str, Joint]
     moving = [joint for joint in joints.values() if joint.kind in MOVABLE and joint.mimic is None]
     if not moving or any(joint.velocity != 0.0 for joint in moving):
         return joints
-    notes.append(f"all velocity limits are 0, which counts as not stated: {DEFAULT_VELOCITY:g} rad/s or m/s are used")
+    names = ", ".join([joint.name for joint in moving[:MERGED]] + ["..."] * (len(moving) > MERGED))
+    notes.append(
+        f"all velocity limits are 0 ({names}), which counts as not stated: {DEFAULT_VELOCITY:g} rad/s or m/s are used"
+    )
     return {
         name: replace(joint, velocity=DEFAULT_VELOCITY) if joint.kind in MOVABLE else joint
         for name, joint in joints.items()
@@ -204,36 +213,6 @@ def _refuse_repeated(where: str, tag: str, names: list[str]) -> None:
     for name in names:
         if name in ("universe", "root_joint"):
             raise RobotError(f"{where}: {tag} name '{name}' is reserved; rename it")
-
-
-def _check_inertia(element: etree._Element, where: str, notes: list[str]) -> None:
-    """Check an <inertial>; remove one that lacks mass or inertia, with a note."""
-    inertial = element.find("inertial")
-    if inertial is None:
-        return
-    parse_origin(inertial, f"{where}: inertial")
-    mass = inertial.find("mass")
-    inertia = inertial.find("inertia")
-    if mass is None or inertia is None:
-        notes.append(
-            f"{where}: <inertial> lacks <{'mass' if mass is None else 'inertia'}>; the link counts as massless"
-        )
-        element.remove(inertial)
-        return
-    if parse_number(read_attribute(mass, "value", where), f"{where}: mass") < 0.0:
-        raise RobotError(f"{where}: mass {mass.get('value')} is negative")
-    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = {key: parse_number(read_attribute(inertia, key, where), f"{where}: inertia {key}") for key in keys}
-    for key in ("ixx", "iyy", "izz"):
-        if values[key] < -LEAST_INERTIA:
-            raise RobotError(f"{where}: inertia {key} is {values[key]:g}; a moment of inertia is never negative")
-    ixx, ixy, ixz, iyy, iyz, izz = values.values()
-    least, *_, most = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-    if least < -max(INERTIA_ROUNDING * most, LEAST_INERTIA):
-        raise RobotError(
-            f"{where}: inertia has the principal moments {least:.3g} to {most:.3g}; none may be negative: "
-            "ixy, ixz or iyz is too large"
-        )
 
 
 def _check_tree(links: Mapping[str, object], joints: Mapping[str, Joint], where: str) -> str:

@@ -25,6 +25,8 @@ from costs.robot import (
 )
 from costs.scene import ConvexPiece
 from service.demands.hands import Hand, list_robot_hands
+from service.demands.moved_object.loads import LEAST_LOAD, JointLoad, MovedObject, Spring, choose_pace
+from service.demands.moved_object.rest import check_rest
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.demands.pushes import find_nominal_pushes
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
@@ -87,12 +89,57 @@ class GivenMechanism:
     handle: Handle
 
     @cached_property
-    def mechanism(self) -> Mechanism:
-        """The joints with the request's starts and latches."""
+    def moved(self) -> MovedObject:
+        """What acts on the joints: the URDF's masses, damping and friction, and the request's springs.
+
+        Friction that the request states for a joint counts instead of the URDF's.
+        """
+        stated = self.request.joints
+        friction = {name: loads.friction for name, loads in stated.items() if loads.friction is not None}
+        joints = tuple(replace(joint, friction=friction.get(joint.name, joint.friction)) for joint in self.read.joints)
+        springs = {
+            name: Spring(loads.preload, loads.stiffness)
+            for name, loads in stated.items()
+            if loads.preload > 0.0 or loads.stiffness > 0.0
+        }
         releases = tuple(
             Release(release.joint, release.latch, release.at, release.free_beyond) for release in self.request.releases
         )
-        return Mechanism(MECHANISM, self.read.joints, releases)
+        whole = MovedObject(joints, springs, self.read.stops, releases)
+        return replace(whole, joints=tuple(choose_pace(whole, self.list_moves())))
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The joints with the request's starts and latches, and the pace that their loads are made for."""
+        return Mechanism(MECHANISM, self.moved.joints, self.moved.releases)
+
+    def list_moves(self) -> list[tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]]:
+        """Return the values of all joints before and after each move [rad, m]."""
+        names = [joint.name for joint in self.read.joints]
+        values = np.array([joint.start for joint in self.read.joints])
+        ends = []
+        for move in self.request.moves:
+            last = values.copy()
+            last[names.index(move.joint)] = move.to
+            ends.append((values, last))
+            values = last
+        return ends
+
+    def list_pace_notes(self) -> Iterator[str]:
+        """Yield a sentence per moved joint with a pace that its loads assume, for motions whose pace nobody proves."""
+        moving = {move.joint for move in self.request.moves}
+        for joint in self.moved.joints:
+            if joint.name in moving and (self.moved.has_masses or joint.damping > 0.0):
+                unit = "m" if joint.kind == "prismatic" else "rad"
+                yield (
+                    f"task.mechanism: the loads of {joint.name} hold up to {joint.velocity:.3g} {unit}/s and "
+                    f"{joint.acceleration:.3g} {unit}/s^2, which an untimed motion leaves open"
+                )
+
+    def list_joint_loads(self) -> tuple[tuple[JointLoad, ...], ...]:
+        """Return per move what the hand must exert along the joints that carry its handle."""
+        carriers = self.read.list_carriers(self.handle.joint)
+        return tuple(self.moved.list_loads(first, last, carriers) for first, last in self.list_moves())
 
     @property
     def pieces(self) -> tuple[ConvexPiece, ...]:
@@ -105,11 +152,14 @@ class GivenMechanism:
 
     def place_moving(self, values: Float[np.ndarray, "k"]) -> list[Float[np.ndarray, "V 3"]]:
         """Return the vertices of all bodies that joints move, with the joints at ``values`` [m]."""
-        placed = []
+        return [points for _, points in self.place_named(values)]
+
+    def place_named(self, values: Float[np.ndarray, "k"]) -> Iterator[tuple[str, Float[np.ndarray, "V 3"]]]:
+        """Yield names and vertices of all bodies that joints move, with the joints at ``values`` [m]."""
         for joint in self.mechanism.joints:
             pose = self.locate(joint.name, values)
-            placed += [(points - joint.origin) @ pose[:3, :3].T + pose[:3, 3] for points in joint.bodies.values()]
-        return placed
+            for name, points in joint.bodies.items():
+                yield name, (points - joint.origin) @ pose[:3, :3].T + pose[:3, 3]
 
     def locate(self, joint: str, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:
         """Return the pose of a joint's link in the world, with the joints at ``values`` [rad, m]."""
@@ -137,6 +187,7 @@ def read_given_mechanism(request: MechanismRequest) -> GivenMechanism:
         if name not in names:
             raise RequestError(
                 f"{field}.joints: unknown joint {shown(name)}; the mechanism has {would_do(name, names)}"
+                f"{_name_stopped(read)}"
             )
     for k, release in enumerate(request.releases):
         for key, name in (("joint", release.joint), ("latch", release.latch)):
@@ -145,7 +196,10 @@ def read_given_mechanism(request: MechanismRequest) -> GivenMechanism:
                 raise RequestError(f"{where}: unknown joint {shown(name)}; expected {would_do(name, names)}")
     handle = _read_handle(request, read)
     _check_moves(request, read, handle)
-    return GivenMechanism(request, read, handle)
+    given = GivenMechanism(request, read, handle)
+    moves = [(move.joint, *ends) for move, ends in zip(request.moves, given.list_moves(), strict=True)]
+    check_rest(given.moved, moves, read.list_carriers, handle.joint, stays=request.stays)
+    return given
 
 
 def _make_pose(request: MechanismRequest) -> Float[np.ndarray, "4 4"]:
@@ -182,10 +236,9 @@ def make_mechanism_phases(
     """Return the phases: reach, approach, one per move, retract unless the hand stays.
 
     Raises:
-        RequestError: a hand at the handle does not move a joint, or a spring acts on a link below which another moves.
+        RequestError: a hand at the handle does not move a joint.
     """
     handle, start = given.handle, given.mechanism.start
-    names = [joint.name for joint in given.mechanism.joints]
     tool = select_tool(given, hand)
     held = HandMotion(
         tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
@@ -202,25 +255,26 @@ def make_mechanism_phases(
         PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
         PhaseSpec("approach", start, start, line, touches, n_waypoints=LINE_WAYPOINTS),
     ]
-    values, ends = start, []
-    for move in given.request.moves:
-        last = values.copy()
-        last[names.index(move.joint)] = move.to
-        ends.append((values, last))
-        values = last
-    loads = [tuple(_list_loads(given, tool, move.joint, *ends[k])) for k, move in enumerate(given.request.moves)]
+    ends = given.list_moves()
+    values = ends[-1][1]
+    joint_loads = given.list_joint_loads()
+    loads = [tuple(_make_loads(given, tool, first, each)) for (first, _), each in zip(ends, joint_loads, strict=True)]
     crowded = next((k for k, carried in enumerate(loads) if len(carried) > MOST_LOADS), None)
     if crowded is not None:
         raise RequestError(
-            f"task.mechanism.joints: the hand would carry the loads of {len(loads[crowded])} joints in "
+            f"task.mechanism.joints: the hand would carry {len(loads[crowded])} loads, one per joint and direction, in "
             f"moves[{crowded}]; expected at most {MOST_LOADS}"
         )
-    bears = {name: (-joint.friction, joint.friction) for name, joint in given.request.joints.items()}
     travels = [measure_travel(given, first, last) for first, last in ends]
     for k, (move, (first, last)) in enumerate(zip(given.request.moves, ends, strict=True)):
         joint = given.mechanism.joint(move.joint)
         step = SLIDE_STEP if joint.kind == "prismatic" else TURN_STEP
         count = max(int(np.ceil(np.abs(last - first).max() / step)) + 1, 4)
+        bears = {
+            load.joint: (load.low - load.slack[0], load.high + load.slack[1])
+            for load in joint_loads[k]
+            if load.sense == 0.0
+        }
         phases.append(
             PhaseSpec(
                 _name_phase(given.request, k),
@@ -354,7 +408,8 @@ def _read_handle(request: MechanismRequest, read: UrdfMechanism) -> Handle:
         )
     place = read.links[handle.link]
     if place.link is None:
-        raise RequestError(f"{field}.link: no joint moves {shown(handle.link)}; expected a link that moves")
+        stopped = _name_stopped(read)
+        raise RequestError(f"{field}.link: no joint moves {shown(handle.link)}; expected a link that moves{stopped}")
     joint = next(joint.name for joint in read.joints if joint.link == place.link)
     rotation, shift = place.pose[:3, :3], place.pose[:3, 3]
     axis = rotation @ np.array(handle.axis)
@@ -366,6 +421,11 @@ def _read_handle(request: MechanismRequest, read: UrdfMechanism) -> Handle:
     return Handle(place.link, joint, at, axis, approach, slide, tilt, place.bodies)
 
 
+def _name_stopped(read: UrdfMechanism) -> str:
+    """Return the notes about joints that the file stops, for messages that miss one; empty if there are none."""
+    return "".join(f" ({note})" for note in read.notes if "velocity limit of 0:" in note)
+
+
 def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle) -> None:
     """Refuse moves of joints that the hand does not move, that go nowhere, or past a limit."""
     joints = {joint.name: joint for joint in read.joints}
@@ -374,9 +434,10 @@ def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle)
     for k, move in enumerate(request.moves):
         field = f"task.mechanism.moves[{k}]"
         if move.joint not in joints:
-            raise RequestError(
-                f"{field}.joint: unknown joint {shown(move.joint)}; the mechanism has {would_do(move.joint, joints)}"
-            )
+            # A joint that the file stops has a note about it.
+            stopped = next((f" ({note})" for note in read.notes if f"joint '{move.joint}'" in note), "")
+            known = would_do(move.joint, joints)
+            raise RequestError(f"{field}.joint: unknown joint {shown(move.joint)}; the mechanism has {known}{stopped}")
         if move.joint not in carriers:
             raise RequestError(
                 f"{field}.joint: {shown(move.joint)} does not move {shown(request.handle.link)}, which the hand holds; "
@@ -400,31 +461,14 @@ def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle)
         values[move.joint] = move.to
 
 
-def _list_loads(
-    given: GivenMechanism, tool: str, moving: str, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]
+def _make_loads(
+    given: GivenMechanism, tool: str, values: Float[np.ndarray, "k"], loads: tuple[JointLoad, ...]
 ) -> Iterator[HandLoad]:
-    """Yield what the hand carries while a joint moves: its friction, and the springs of all displaced joints."""
-    names = [joint.name for joint in given.mechanism.joints]
-    start = given.mechanism.start
-    for name in given.read.list_carriers(given.handle.joint):
-        column = names.index(name)
-        loads = given.request.joints.get(name)
-        if loads is None:
-            continue
-        travel = np.array([first[column], last[column]]) - start[column]
-        for sense in (1.0, -1.0):
-            farthest = float((sense * travel).max())
-            size = loads.preload + loads.stiffness * farthest if farthest > LEAST_TRAVEL else 0.0
-            if name == moving and sense * (last[column] - first[column]) > 0.0:
-                size += loads.friction
-            if size <= 0.0:
-                continue
-            if name != moving and name in given.read.list_carriers(moving):
-                raise RequestError(
-                    f"task.mechanism.joints.{name}: its spring pulls while the hand moves {moving} below it; expected "
-                    f"no preload and stiffness, or {name} moved after {moving}"
-                )
-            yield _make_load(given, tool, name, first, sense * size)
+    """Yield the forces at the handle of a move's loads, one per joint and direction."""
+    for load in loads:
+        for size in (max(load.high, 0.0), min(load.low, 0.0)):
+            if abs(size) > LEAST_LOAD:
+                yield _make_load(given, tool, load.joint, values, size)
 
 
 def _make_load(given: GivenMechanism, tool: str, name: str, values: Float[np.ndarray, "k"], size: float) -> HandLoad:

@@ -12,6 +12,7 @@ from costs.robot import Mechanism
 from service.demands.phase_spec import PhaseSpec
 from service.demands.stance import UNSETTLED
 from service.verify import Motion
+from service.verify.forces.hand_loads import bound_coordinate
 
 STILL = 1e-5  # by which a joint of the mechanism at rest may be off [rad, m]
 BORDER_OFF = 1.5e-3  # by which a joint of the mechanism may miss its value at a phase's border [rad, m]
@@ -91,3 +92,8 @@ def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[Pha
                 or abs(values[-1, index] - spec.last[index]) > BORDER_OFF
             ):
                 yield f"{names[index]} does not move as the task has it in phase '{phase.name}'"
+            elif spec is not None and index in moving:  # its loads are those between the two values
+                low, high = bound_coordinate(curve, len(curve.positions[0]) - k + index, phase.first, phase.last)
+                ends = sorted((float(spec.first[index]), float(spec.last[index])))
+                if low < ends[0] - BORDER_OFF or high > ends[1] + BORDER_OFF:
+                    yield f"{names[index]} leaves its way from {ends[0]:.4g} to {ends[1]:.4g} in phase '{phase.name}'"

@@ -36,13 +36,13 @@ class MechanismJointRequest(Section):
 
     Attributes:
         start: value at the start [rad, m].
-        friction: what moves the joint in either sense, and holds it nowhere.
+        friction: dry friction, which also holds the joint where nothing else does; None for that of the URDF.
         preload: with which a spring pulls the joint back to its start, once it has left it.
         stiffness: increase of that per travel from the start [N m/rad, N/m].
     """
 
     start: Value | None = None
-    friction: Load = 0.0
+    friction: Load | None = None
     preload: Load = 0.0
     stiffness: Annotated[Number, Field(ge=0.0, le=1e5)] = 0.0
 

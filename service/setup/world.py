@@ -17,6 +17,7 @@ from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
 from service.demands.door_demand import SeenDoor
 from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
+from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
 from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest
 from service.request.schema import PlanRequest
@@ -222,7 +223,11 @@ def build_obstacles(
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
     given = _read_mechanism(request)
-    return (*pieces, *(() if given is None else given.pieces)), tuple(notes)
+    if given is None:
+        return tuple(pieces), tuple(notes)
+    notes += (f"task.mechanism.urdf: {note}" for note in (*given.read.notes, *list_overlap_notes(given)))
+    notes += () if request.options.timed else given.list_pace_notes()
+    return (*pieces, *given.pieces), tuple(notes)
 
 
 def _place_shape(shape: CutRequest) -> Float[np.ndarray, "V 3"]:

@@ -14,7 +14,7 @@ from costs.robot.servo import DAMPING_S, default_stiffness, list_servo_joints
 from service.errors import ResultError
 from service.simulation.options import SimulationOptions
 from service.simulation.perturb import Perturbation, draw_perturbation
-from service.simulation.resistance import MechanismPhysics
+from service.simulation.resistance import MechanismPhysics, Resistance
 from service.simulation.spec import BASE, Follower, SpecBuilder
 from service.verify import Motion
 
@@ -138,7 +138,9 @@ def build_physics(
     for index, anchors in (part for parts in grips for part in parts):
         mj.eq_data[index, :6] = anchors  # the compiler takes the second one from the pose at 0
     mj.dof_solimp[:, :2] = HELD_BY_FRICTION
-    mj.dof_damping[[place[1] for place in moved]] = MECHANISM_DAMPING  # versions differ in the field of a spec
+    damped = [physics.joints.get(motion.robot.joint_names[column], Resistance()) for column in builder.moved_columns]
+    # Versions differ in the field of a spec.
+    mj.dof_damping[[place[1] for place in moved]] = [max(joint.damping, MECHANISM_DAMPING) for joint in damped]
     base = address(BASE) if motion.robot.is_floating else (-1, -1)
     owners = [builder.owner_of_geom[mj.geom(k).name] for k in range(mj.ngeom)]
     robot_geoms = np.array([owner[0] == "robot" for owner in owners], dtype=bool)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
+from costs.robot import LinkInertia
+from service.demands.given_mechanism import read_given_mechanism
 from service.demands.wheel import GROWTH_M
+from service.request.mechanism import MechanismRequest
 from service.request.names import HANDLE_JOINT, LEAF_JOINT, VALVE_JOINT
 from service.request.schema import PlanRequest
 
@@ -22,11 +25,15 @@ class Resistance:
         friction: dry friction in either sense; it holds the joint where nobody pushes.
         preload: of the spring that pulls the joint back to its start, once it has left it.
         stiffness: increase of the spring's force per travel [N m/rad, N/m].
+        damping: [N m s/rad, N s/m].
+        rest: value at which the spring pulls no way; None for the value at the motion's start [rad, m].
     """
 
     friction: float = 0.0
     preload: float = 0.0
     stiffness: float = 0.0
+    damping: float = 0.0
+    rest: float | None = None
 
 
 @dataclass(frozen=True)
@@ -38,19 +45,22 @@ class MechanismPhysics:
         growth_m: by which the recorded bodies are larger than the mechanism itself [m].
         is_gripped: whether a closed gripper holds the mechanism: it does not slip while its load acts.
         has_assumed_spokes: whether the hand presses a spoke that the plan assumes where the record shows none.
+        inertias: by joint, mass of its link in the frame of the joint; the others have an assumed mass without weight.
     """
 
     joints: Mapping[str, Resistance]
     growth_m: float = 0.0
     is_gripped: bool = False
     has_assumed_spokes: bool = False
+    inertias: Mapping[str, LinkInertia] = field(default_factory=dict)
 
 
 def read_mechanism_physics(request: PlanRequest) -> MechanismPhysics:
     """Return the resistances of the mechanism that a request moves.
 
     A wheel has the request's torque as dry friction. A lever or push bar has a spring that needs the request's torque
-    (force) where it releases. A leaf has the request's torque as dry friction; as a closer if the hand stays at it.
+    (force) where it releases. A leaf has the request's torque as dry friction; as a closer if the hand stays at it. The
+    joints of a URDF have its masses and damping, and everything else as the plan's loads have it.
     """
     task = request.task
     if task is None:
@@ -67,9 +77,20 @@ def read_mechanism_physics(request: PlanRequest) -> MechanismPhysics:
         release = door.press_m if is_bar else math.radians(door.release_deg)
         spring = Resistance(preload=LEVER_PRELOAD * most, stiffness=(1.0 - LEVER_PRELOAD) * most / release)
         return MechanismPhysics({LEAF_JOINT: leaf, HANDLE_JOINT: spring})
-    if task.mechanism is not None:
-        given = task.mechanism.joints
-        return MechanismPhysics(
-            {name: Resistance(joint.friction, joint.preload, joint.stiffness) for name, joint in given.items()}
-        )
-    return MechanismPhysics({})
+    return MechanismPhysics({}) if task.mechanism is None else _read_given_physics(task.mechanism)
+
+
+def _read_given_physics(request: MechanismRequest) -> MechanismPhysics:
+    moved = read_given_mechanism(request).moved
+    joints = {
+        joint.name: Resistance(friction=joint.friction, damping=joint.damping, rest=joint.start)
+        for joint in moved.joints
+    }
+    for name, spring in moved.springs.items():
+        joints[name] = replace(joints[name], preload=spring.preload, stiffness=spring.stiffness)
+    inertias = {
+        joint.name: replace(joint.inertia, centre=joint.inertia.centre - joint.origin)
+        for joint in moved.joints
+        if joint.inertia is not None
+    }
+    return MechanismPhysics(joints, inertias=inertias)

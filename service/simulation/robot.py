@@ -121,6 +121,10 @@ class SimulatedRobot:
         for address, follower in model.followers:
             data.qpos[address] = follower.offset + follower.ratio * configuration[follower.column]
         self._rest = np.array(configuration[n - n_moved :], dtype=float)
+        for k, name in enumerate(model.moved_names):  # the rest of a task may begin with a spring under tension
+            stated = model.physics.joints.get(name)
+            if stated is not None and stated.rest is not None:
+                self._rest[k] = stated.rest
         self._desired = data.qpos[model.qpos].copy()
         data.ctrl[model.actuator] = model.stiffness * self._desired
         data.qpos[model.qpos] += model.perturbation.start

@@ -249,6 +249,10 @@ class SpecBuilder:
 
     def _add_inertia(self, body: Any, joint: int, is_moved: bool) -> None:
         body.explicitinertial = True
+        known = self.physics.inertias.get(str(self.robot.model.names[joint])) if is_moved else None
+        if known is not None:
+            _set_inertia(body, known.mass, known.centre, known.moments)
+            return
         if is_moved:
             volume, middle, spread = 0.0, np.zeros(3), np.full(3, LEAST_INERTIA)
             parts = [b.vertices for b in self.robot.bodies if b.joint == joint]
@@ -266,14 +270,8 @@ class SpecBuilder:
             return
         inertia = self.robot.model.inertias[joint]
         factor = self.perturbation.masses[joint]
-        mass = factor * float(inertia.mass)
-        body.mass = max(mass, LEAST_MASS)
-        body.ipos = np.array(inertia.lever)
-        values, axes = np.linalg.eigh(factor * np.array(inertia.inertia))
-        if np.linalg.det(axes) < 0.0:
-            axes[:, 0] = -axes[:, 0]
-        body.inertia = np.maximum(values, LEAST_INERTIA)
-        body.iquat = _quaternion(axes)
+        moments = factor * np.array(inertia.inertia)
+        _set_inertia(body, factor * float(inertia.mass), np.array(inertia.lever), moments)
 
     def _add_joint(self, body: Any, joint: int, is_moved: bool) -> None:
         model = self.robot.model
@@ -294,7 +292,8 @@ class SpecBuilder:
             range=[low, high] if limited else [0.0, 0.0],
         )
         if is_moved:
-            made.armature, made.frictionloss = MECHANISM_ARMATURE, self._resist(name)
+            made.armature = 0.0 if name in self.physics.inertias else MECHANISM_ARMATURE
+            made.frictionloss = self._resist(name)
         else:
             made.armature = 0.0 if is_follower else self.armature
             made.frictionloss = 0.0 if is_follower else self.options.joint_friction * float(self.robot.effort[column])
@@ -343,6 +342,16 @@ def _list_followers(robot: RobotModel) -> list[Follower]:
             name = str(robot.model.names[joint])
             followers.append(Follower(name, leader, column, float(own.scaling), float(own.offset)))
     return followers
+
+
+def _set_inertia(body: Any, mass: float, centre: Float[np.ndarray, "3"], moments: Float[np.ndarray, "3 3"]) -> None:
+    """Give a body its mass, with moments about the centre of mass along the body's axes."""
+    body.mass, body.ipos = max(mass, LEAST_MASS), centre
+    values, axes = np.linalg.eigh(moments)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] = -axes[:, 0]
+    body.inertia = np.maximum(values, LEAST_INERTIA)
+    body.iquat = _quaternion(axes)
 
 
 def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -13,10 +14,11 @@ from hypothesis import strategies as st
 from small_robots import box, floating_joint, robot_of
 
 from costs.curve import Curve, TimeLaw
-from costs.robot import MechanismJoint, Release, RobotModel, with_mechanism
+from costs.robot import LinkInertia, MechanismJoint, Release, RobotModel, with_mechanism
 from costs.robot.mesh.hull import make_outer_hull
 from costs.robot.model import LinkBody
 from costs.scene import ConvexPiece, Scene
+from service.demands.moved_object.loads import MovedObject
 from service.errors import RequestError, ResultError
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference
@@ -200,6 +202,76 @@ def test_a_spring_holds_its_joint_up_to_its_preload_and_by_its_stiffness_beyond(
     assert abs(push(robot, {"turn": 1.0}, 3.0)["turn"]) < 0.01
     assert push(robot, {"turn": 5.0}, 12.0)["turn"] == pytest.approx(0.3, abs=0.01)
     assert abs(push(robot, {}, 12.0)["turn"]) < 0.01
+
+
+def test_a_spring_may_be_under_tension_where_the_motion_begins() -> None:
+    robot = simulated(mechanism(), MechanismPhysics({"turn": Resistance(stiffness=10.0, rest=0.5)}))
+    assert push(robot, {}, 12.0)["turn"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_mass_that_the_file_states_falls_as_its_weight_makes_it() -> None:
+    """3 kg on a slide that rises by 30 deg: sin(30 deg) g / 2 per squared second; without its mass it stays."""
+    slide = MechanismJoint(
+        "turn", "wheel", np.array([3.0, 0.0, 0.0]), np.array([np.cos(np.pi / 6), 0.0, 0.5]),
+        {"wheel/1": CUBE + np.array([3.0, 0.0, 0.0])}, kind="prismatic", lower=-9.0, upper=9.0,
+    )  # fmt: skip
+    motion = resting(with_mechanism(pendulum(), [slide]), [0.0, 0.0])
+    inertia = LinkInertia(3.0, np.zeros(3), 1e-3 * np.eye(3))
+    free = MechanismPhysics({}, inertias={"turn": inertia})
+    assert push(simulated(motion, free), {}, 0.5)["turn"] == pytest.approx(-0.5 * 0.5 * G * 0.5**2, rel=0.02)
+    held = MechanismPhysics({"turn": Resistance(friction=15.0)}, inertias={"turn": inertia})
+    assert abs(push(simulated(motion, held), {}, 0.5)["turn"]) < 1e-4
+    assert abs(push(simulated(motion), {}, 0.5)["turn"]) < 1e-6
+
+
+def test_damping_lets_a_joint_move_as_fast_as_the_push_allows() -> None:
+    """8 N m at 20 N m s/rad: 0.4 rad/s."""
+    robot = simulated(mechanism(), MechanismPhysics({"turn": Resistance(damping=20.0)}))
+    before = push(robot, {"turn": 8.0}, 0.5)["turn"]
+    assert push(robot, {"turn": 8.0}, 1.0)["turn"] - before == pytest.approx(0.4, rel=0.02)
+
+
+def test_a_moment_of_inertia_that_the_file_states_is_sped_up_by_a_torque() -> None:
+    """200 N m on 125 kg m^2 (25 about the centre of mass, and 100 kg 1 m off) for half a second: 0.2 rad."""
+    inertia = LinkInertia(100.0, np.array([1.0, 0.0, 0.0]), 25.0 * np.eye(3))
+    robot = simulated(mechanism(), MechanismPhysics({}, inertias={"turn": inertia}))
+    assert push(robot, {"turn": 200.0}, 0.5)["turn"] == pytest.approx(0.5 * 200.0 / 125.0 * 0.25, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_physics_agrees_on_whether_an_object_rests_without_a_hand(seed: int) -> None:
+    """Random chains of two joints with masses, with friction 5 % more and less than what they need, or at a stop."""
+    random = np.random.default_rng(seed)
+    joints, parent = [], None
+    for k in range(2):
+        origin = np.array([3.0 + k, 0.0, 0.0])
+        inertia = LinkInertia(random.uniform(1.0, 9.0), origin + random.uniform(-0.5, 0.5, 3), 0.2 * np.eye(3))
+        joints.append(
+            MechanismJoint(
+                f"j{k}", f"l{k}", origin, random.normal(size=3), {f"l{k}/1": CUBE + origin},
+                kind=("revolute", "prismatic")[int(random.integers(2))], parent=parent,  # type: ignore[arg-type]
+                lower=-0.5, upper=0.5, inertia=inertia,
+            )
+        )  # fmt: skip
+        parent = f"l{k}"
+    values = np.array([random.choice([-0.5, 0.0, 0.5]), 0.0])
+    stops = {joint.name: (joint.lower, joint.upper) for joint in joints}
+    loads = MovedObject(tuple(joints), stops=stops).bound_move(values, values).still[0]
+
+    for share, moves in ((1.05, False), (0.95, True)):
+        rough = [replace(joint, friction=share * abs(load)) for joint, load in zip(joints, loads, strict=True)]
+        unheld = MovedObject(tuple(rough), stops=stops).find_unheld(values, values)
+        physics = MechanismPhysics(
+            {joint.name: Resistance(friction=joint.friction) for joint in rough},
+            inertias={
+                joint.name: replace(joint.inertia, centre=joint.inertia.centre - joint.origin) for joint in rough
+            },
+        )
+        robot = simulated(resting(with_mechanism(pendulum(), joints), [0.0, *values]), physics)
+        at = push(robot, {}, 1.0)
+        moved = max(abs(at[f"j{k}"] - values[k]) for k in range(2))
+        assert (unheld is not None) == moves  # the second joint is never at a stop
+        assert (moved > 5e-3) == moves, (moved, unheld)
 
 
 def test_a_latch_holds_until_its_lever_is_turned_and_again_when_both_are_back() -> None:

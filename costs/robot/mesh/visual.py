@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from costs.robot.elements.shapes import parse_shape
 from costs.robot.errors import RobotError
 from costs.robot.mesh.locate import resolve_mesh
 from costs.robot.mesh.read import read_mesh
 from costs.robot.urdf import Urdf
-from costs.robot.urdf_elements import parse_shape
 
 MAX_TRIANGLES = 60_000
 MOST_BYTES = 128 * 2**20  # of all mesh files together

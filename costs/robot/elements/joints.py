@@ -1,4 +1,4 @@
-"""A URDF's collision shapes and joints: their limits, and joints locked at a position."""
+"""A URDF's joints: their limits, friction and damping, and joints locked at a position."""
 
 from __future__ import annotations
 
@@ -11,77 +11,17 @@ from jaxtyping import Float
 from lxml import etree
 
 from costs.names import would_do
+from costs.robot.elements.shapes import LONG_M
 from costs.robot.errors import RobotError
-from costs.robot.poses import axis_rotation, format_numbers, make_origin, parse_origin
+from costs.robot.poses import axis_rotation, make_origin, parse_origin
 from costs.robot.xmlfile import MADE_HERE, parse_limit, parse_number, parse_numbers, read_attribute
 
 LOCK_TOLERANCE = 1e-3  # of a locked position beyond the limits [rad, m]
 MOVABLE = ("revolute", "continuous", "prismatic")
 MOST_LIMIT = 1e4  # limits of position beyond it on both sides count as none [rad, m]
-MANY_RAD, LONG_M = 30.0, 20.0  # positions and sizes beyond them may be in another unit
+MANY_RAD = 30.0  # positions beyond it may be in another unit
 DEFAULT_VELOCITY = 1.0
 """Velocity limit of the joints of a file that gives none to any of them [rad/s, m/s]."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """One <collision> element.
-
-    Attributes:
-        kind: ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``.
-        size: box: full edge lengths (3,); sphere: radius; cylinder and capsule: radius, length along z (a capsule's
-            without its caps); mesh: scale (3,) [m, -].
-        uri: the mesh as the URDF names it ("" otherwise).
-        pose_link_shape: (4, 4).
-        element: the <geometry> child it came from.
-    """
-
-    kind: str
-    size: Float[np.ndarray, "k"]
-    uri: str
-    pose_link_shape: Float[np.ndarray, "4 4"]
-    element: etree._Element
-
-
-def parse_shape(element: etree._Element, where: str, notes: list[str]) -> Shape | None:
-    """Read and check one <collision>; return None for a shape without extent, and add a note."""
-    geometry = element.find("geometry")
-    if geometry is None or len(geometry) != 1:
-        raise RobotError(f"{where}: <{element.tag}> needs a <geometry> with one shape in it")
-    shape = geometry[0]
-    kind, uri = str(shape.tag), ""
-    if kind == "box":
-        size = parse_numbers(read_attribute(shape, "size", where), 3, f"{where}: box size")
-    elif kind == "sphere":
-        size = parse_numbers(read_attribute(shape, "radius", where), 1, f"{where}: sphere radius")
-    elif kind in ("cylinder", "capsule"):
-        text = f"{read_attribute(shape, 'radius', where)} {read_attribute(shape, 'length', where)}"
-        size = parse_numbers(text, 2, f"{where}: {kind} radius and length")
-    elif kind == "ellipsoid":
-        axes = [parse_number(read_attribute(shape, key, where), f"{where}: ellipsoid {key}") for key in "abc"]
-        kind, size = "box", 2.0 * np.array(axes)
-        notes.append(f"{where}: an ellipsoid is taken as the box around it")
-        parent = shape.getparent()
-        made = etree.SubElement(parent, "box", size=format_numbers(size))
-        parent.remove(shape)
-        shape = made
-    elif kind == "mesh":
-        uri = read_attribute(shape, "filename", where)
-        size = parse_numbers(shape.get("scale", "1 1 1"), 3, f"{where}: mesh scale")
-    else:
-        raise RobotError(f"{where}: shape <{kind}> is not known; use box, sphere, cylinder, capsule or mesh")
-    if kind != "mesh" and size.max() > LONG_M:
-        notes.append(f"{where}: a {kind} of {size.max():g} m is read as it is; are these millimetres?")
-    if kind == "mesh" and np.any(size == 0.0):
-        raise RobotError(f"{where}: mesh scale {shape.get('scale')!r} flattens the mesh; no factor may be 0")
-    if kind != "mesh" and np.all(size >= 0.0) and not np.any(size > 0.0):
-        notes.append(f"{where}: a {kind} of size 0 is left out")
-        return None
-    if kind == "sphere" and size[0] == 0.0:
-        return None
-    if kind != "mesh" and np.any(size <= 0.0):
-        raise RobotError(f"{where}: {kind} of size {format_numbers(size)}; every length must be positive")
-    return Shape(kind, size, uri, parse_origin(element, where), shape)
 
 
 @dataclass(frozen=True)
@@ -97,6 +37,9 @@ class Joint:
         velocity, effort: [rad/s or m/s, Nm or N].
         acceleration: [rad/s^2 or m/s^2], None when the URDF does not say.
         mimic: (joint, multiplier, offset) it follows, or None.
+        friction: dry friction [Nm or N].
+        damping: [Nm s/rad or N s/m].
+        stops: lower and upper limit where a controller keeps it from going as far; None where nothing narrows them.
     """
 
     name: str
@@ -111,10 +54,16 @@ class Joint:
     effort: float
     acceleration: float | None
     mimic: tuple[str, float, float] | None
+    friction: float = 0.0
+    damping: float = 0.0
+    stops: tuple[float, float] | None = None
 
 
-def parse_joint(element: etree._Element, where: str, notes: list[str]) -> Joint:
-    """Read and check one <joint>; add a note for what the file leaves open."""
+def parse_joint(element: etree._Element, where: str, notes: list[str], *, is_robot: bool = True) -> Joint:
+    """Read and check one <joint>; add a note for what the file leaves open.
+
+    The joints of a mechanism have no motors, so that limits of effort and speed need not be stated.
+    """
     name = read_attribute(element, "name", where)
     where = f"{where}: joint '{name}'"
     kind = read_attribute(element, "type", where)
@@ -135,9 +84,14 @@ def parse_joint(element: etree._Element, where: str, notes: list[str]) -> Joint:
         if length < 1e-6:
             raise RobotError(f"{where}: axis is zero; give it a direction")
         axis = axis / length
-    joint = Joint(name, ends["parent"], ends["child"], kind, parse_origin(element, where), axis,
+    joint = Joint(name, ends["parent"], ends["child"], kind, parse_origin(element, where, notes), axis,
                   0.0, 0.0, np.inf, np.inf, None, None)  # fmt: skip
-    return joint if kind == "fixed" else _with_limits(joint, element, where, notes)
+    if kind == "fixed":
+        return joint
+    unstated: list[str] = []
+    joint = _with_limits(joint, element, where, notes, unstated)
+    notes += unstated if is_robot else []
+    return _with_dynamics(_with_soft_limits(joint, element, where, notes), element, where)
 
 
 def follow_leaders(joints: dict[str, Joint], where: str, notes: list[str]) -> dict[str, Joint]:
@@ -189,6 +143,17 @@ def find_stopped_joints(joints: Iterable[Joint], notes: list[str]) -> dict[str, 
             stopped[joint.name] = float(np.clip(0.0, joint.lower, joint.upper))
             notes.append(f"joint '{joint.name}' has a velocity limit of 0: fixed at {stopped[joint.name]:g}")
     return stopped
+
+
+def check_strengths(joints: Iterable[Joint], notes: list[str]) -> None:
+    """Add a note about each joint whose motor is weaker than its friction."""
+    for joint in joints:
+        if joint.kind in MOVABLE and joint.mimic is None and joint.friction > joint.effort > 0.0:
+            unit = "N" if joint.kind == "prismatic" else "N m"
+            notes.append(
+                f"joint '{joint.name}': its friction of {joint.friction:g} {unit} is above its effort limit of "
+                f"{joint.effort:g} {unit}, so that its motor could not move it; motions of it are not covered"
+            )
 
 
 def check_locked_positions(joints: Mapping[str, Joint], locked: Mapping[str, float], where: str) -> None:
@@ -243,7 +208,7 @@ def lock_joints(
     return joints
 
 
-def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[str]) -> Joint:
+def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[str], unstated: list[str]) -> Joint:
     limit = element.find("limit")
     lower, upper, velocity, effort = -np.inf, np.inf, np.inf, np.inf
     acceleration = None
@@ -254,8 +219,8 @@ def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[
         is_open = element.find("mimic") is not None and limit.get("lower") is None and limit.get("upper") is None
         if joint.kind != "continuous" and not is_open:
             lower, upper = _read_range(joint, limit, where, notes)
-        velocity = _read_limit(limit, "velocity", where, notes)
-        effort = _read_limit(limit, "effort", where, notes)
+        velocity = _read_limit(limit, "velocity", where, unstated)
+        effort = _read_limit(limit, "effort", where, unstated)
         if limit.get("acceleration") is not None:
             acceleration = parse_number(limit.get("acceleration", ""), f"{where}: limit acceleration")
     if lower > upper:
@@ -270,6 +235,38 @@ def _with_limits(joint: Joint, element: etree._Element, where: str, notes: list[
                  parse_number(mimic_element.get("offset", "0"), f"{where}: mimic offset"))  # fmt: skip
     return replace(joint, lower=lower, upper=upper, velocity=velocity, effort=effort,
                    acceleration=acceleration, mimic=mimic)  # fmt: skip
+
+
+def _with_soft_limits(joint: Joint, element: etree._Element, where: str, notes: list[str]) -> Joint:
+    """Return a joint that keeps the soft limits of its <safety_controller>; both at 0 count as not stated."""
+    controller = element.find("safety_controller")
+    if controller is None:
+        return joint
+    low, high = (
+        parse_limit(controller.get(key, "0"), f"{where}: safety_controller {key}")
+        for key in ("soft_lower_limit", "soft_upper_limit")
+    )
+    lower, upper = max(joint.lower, low), min(joint.upper, high)
+    if low == high == 0.0 or (lower, upper) == (joint.lower, joint.upper):
+        return joint
+    if lower >= upper:
+        notes.append(f"{where}: its soft limits of {low:g} to {high:g} leave it no range and do not count")
+        return joint
+    notes.append(f"{where}: the soft limits of its <safety_controller> count as its limits")
+    return replace(joint, lower=lower, upper=upper, stops=(joint.lower, joint.upper))
+
+
+def _with_dynamics(joint: Joint, element: etree._Element, where: str) -> Joint:
+    """Return a joint with the friction and damping of its <dynamics>."""
+    dynamics = element.find("dynamics")
+    if dynamics is None:
+        return joint
+    friction, damping = (
+        parse_number(dynamics.get(key) or "0", f"{where}: dynamics {key}") for key in ("friction", "damping")
+    )
+    if friction < 0.0 or damping < 0.0:
+        raise RobotError(f"{where}: dynamics friction {friction:g} and damping {damping:g} must not be negative")
+    return replace(joint, friction=friction, damping=damping)
 
 
 def _read_range(joint: Joint, limit: etree._Element, where: str, notes: list[str]) -> tuple[float, float]:
