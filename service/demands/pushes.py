@@ -13,6 +13,7 @@ from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import AXIS, SAME_VALUE, HandMotion, PhaseSpec, find_rotation_onto
 from service.verify import HandContact, HandLoad, HandPush, HeldJoint
 from service.verify.forces.hand_contacts import (
+    LEAST_SHARE,
     Meeting,
     describe_failure,
     find_jamming_angle,
@@ -23,6 +24,8 @@ from service.verify.motion import HAND_CAP_N
 from service.verify.rounded import measure_beyond_hull, shrink_hull
 
 ACROSS = 0.5  # cosine of the angle between rod and way up to which the rod pushes by its side
+MOST_BESIDE = 0.03  # of a hand that comes or goes, beside the face that it presses [m]
+LEAST_BESIDE = 8e-3  # of a hand beside the face that it presses, from any other body [m]
 ALONG = 0.5  # cosine from which on a force counts as one along the way of a joint
 RESERVE = float(np.deg2rad(4.0))  # of the angles that friction permits, for the curve between the waypoints
 LITTLE_ACROSS = float(np.cos(np.deg2rad(5.0)))  # cosine from which on a contact pushes along the way alone
@@ -119,6 +122,37 @@ def find_nominal_pushes(
         joints = (joint, *(other.joint for other in stays))
         met = tuple(_meet(robot, mechanism, contact, held, joints, sense) for contact in contacts)
         yield _choose(HandPush(joint, sense, force, tuple(contacts), friction, stays), met)
+
+
+def find_side(
+    spec: PhaseSpec, robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
+) -> Float[np.ndarray, "3"]:
+    """Return how far a hand may be beside the face that it presses before it comes near another body [m].
+
+    In the link that the hand holds, away from the face; zero where it holds none, or where there is no room.
+    """
+    motion = spec.hand
+    if motion is None:
+        return np.zeros(3)
+    for nominal in find_nominal_pushes(spec, robot, mechanism, friction):
+        for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
+            if contact.link == motion.link:
+                side = -meeting.normal
+                others = [body for body in robot.bodies if body.link in robot.mechanism_links]
+                others = [body for body in others if body.name not in {each.body for each in nominal.push.contacts}]
+                for distance in np.linspace(MOST_BESIDE, 0.0, 6):
+                    moved = replace(motion, place=motion.place + distance * side)
+                    held = _HeldAt(motion.tool, _place_hand(moved, mechanism, spec.first), spec.first)
+                    gaps = [_measure_gap(robot, mechanism, contact, held, body) for body in others]
+                    if min(gaps, default=np.inf) >= LEAST_BESIDE:
+                        return np.asarray(distance * side)
+    return np.zeros(3)
+
+
+def _measure_gap(robot: RobotModel, mechanism: Mechanism, contact: HandContact, held: _HeldAt, body: LinkBody) -> float:
+    """Return how far a surface of a hand is from any body of the mechanism [m]."""
+    met = _meet(robot, mechanism, replace(contact, link=body.link, body=body.name), held, (), 1.0)
+    return float("inf") if met is None else met.gap
 
 
 def explain_refusal(
@@ -314,12 +348,12 @@ def _press_along_normal(load: HandLoad, mechanism: Mechanism, spec: PhaseSpec, n
     if len(nominal.met) != 1 or not _is_load_of(load, push, mechanism):
         return load
     (meeting,), (contact,) = nominal.met, push.contacts
-    along = float(meeting.normal @ meeting.way)
-    if nominal.angle > find_jamming_angle(push) or along > LITTLE_ACROSS:
-        return load
     turn = np.linalg.inv(mechanism.locate(load.link, spec.first)) @ mechanism.locate(contact.link, spec.first)
-    size = abs(_measure_along(load, mechanism)) / along
-    return replace(load, force=size * (turn[:3, :3] @ meeting.normal))
+    normal = turn[:3, :3] @ meeting.normal
+    share = push.sense * _measure_along(replace(load, force=normal), mechanism)
+    if nominal.angle > find_jamming_angle(push) or not LEAST_SHARE <= share <= LITTLE_ACROSS:
+        return load
+    return replace(load, force=abs(_measure_along(load, mechanism)) / share * normal)
 
 
 def _is_load_of(load: HandLoad, push: HandPush, mechanism: Mechanism) -> bool:

@@ -30,7 +30,7 @@ from service.demands.given_mechanism import (
 )
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
-from service.demands.pushes import explain_refusal, find_nominal_pushes
+from service.demands.pushes import explain_refusal, find_side
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
 from service.request.resume import ResumeRequest
@@ -42,7 +42,6 @@ from service.tasks.sequence import PhaseSequence, add_mechanism
 from service.verify import Motion
 
 HANDLE_MARGIN = 4e-3  # between a hand and the mechanism that it holds [m]
-ASIDE = 0.03  # of a hand that comes or goes, away from the face that it presses [m]
 MOST_GAP, MOST_INSIDE = 0.010, 0.004  # between the hand's rod and what it holds [m]
 SWEEP_SLIDE, SWEEP_TURN = 5e-3, float(np.deg2rad(1.0))  # between the values at which it is looked for pieces [m, rad]
 ROD_POINTS = 41  # along the rod, for its distance
@@ -124,26 +123,17 @@ def _plan_rest(
 def keep_aside(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[PhaseSpec]) -> tuple[PhaseSpec, ...]:
     """Return phases whose lines lead to the handle, and away from it, beside the face that the hand presses.
 
-    A rod that slides along it drags it along.
+    A rod that slides along a face drags it along.
     """
     moving = [k for k, spec in enumerate(specs) if spec.moving]
-    sides = [_find_side(solver, mechanism, specs[k]) for k in (moving[0], moving[-1])]
+    sides = [find_side(specs[k], solver.body.robot, mechanism, solver.hand_friction) for k in (moving[0], moving[-1])]
     kept = []
     for k, spec in enumerate(specs):
-        side = sides[0] if k < moving[0] else sides[1] if k > moving[-1] else None
-        if side is not None and spec.hand is not None and spec.hand.offset is not None:
-            spec = replace(spec, hand=replace(spec.hand, offset=spec.hand.offset + ASIDE * side))
+        if spec.hand is not None and spec.hand.offset is not None:
+            side = sides[0] if k < moving[0] else sides[1]
+            spec = replace(spec, hand=replace(spec.hand, offset=spec.hand.offset + side))
         kept.append(spec)
     return tuple(kept)
-
-
-def _find_side(solver: PhaseSolver, mechanism: Mechanism, spec: PhaseSpec) -> Float[np.ndarray, "3"] | None:
-    """Return the unit direction away from the face that a hand presses, in the link that it holds; None for no such."""
-    for nominal in find_nominal_pushes(spec, solver.body.robot, mechanism, solver.hand_friction):
-        for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
-            if spec.hand is not None and contact.link == spec.hand.link:
-                return -meeting.normal
-    return None
 
 
 def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, lasts: Sequence[PhaseSpec], mechanism: Mechanism) -> TaskPlan:

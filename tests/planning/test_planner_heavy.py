@@ -93,8 +93,9 @@ def test_a_lid_is_pushed_upwards_on_both_ways(lid: tuple[PlanResult, Path]) -> N
     (up,), (down,) = phases["move hinge"], phases["move hinge 2"]
     # 0.21 kg m^2 at the default limit of 2 rad/s^2 come on top of weight and friction.
     weight, arm = 2.0 * 9.81 * 0.3, float(np.hypot(0.66, 0.018))
-    assert np.linalg.norm(up.force) == pytest.approx((weight + 1.0 + 0.42) / arm, rel=1e-6)
-    assert np.linalg.norm(down.force) == pytest.approx((weight - 1.0 + 0.42) / arm, rel=1e-6)
+    # The rod's place is moved by some tenths of a millimetre until it touches.
+    assert np.linalg.norm(up.force) == pytest.approx((weight + 1.0 + 0.42) / arm, rel=1e-3)
+    assert np.linalg.norm(down.force) == pytest.approx((weight - 1.0 + 0.42) / arm, rel=1e-3)
     assert up.force[2] > 0.0
     assert down.force[2] > 0.0
 
@@ -102,13 +103,17 @@ def test_a_lid_is_pushed_upwards_on_both_ways(lid: tuple[PlanResult, Path]) -> N
 def test_physics_has_the_same_masses(
     drawer: tuple[PlanResult, Path], hatch: tuple[PlanResult, Path], lid: tuple[PlanResult, Path], tmp_path: Path
 ) -> None:
-    """The hand's largest force is that of the plan, though the physics engine knows nothing of the plan's loads."""
+    """The hand's largest force is that of the plan, though the physics engine knows nothing of the plan's loads.
+
+    Friction of 0.3 along the face, which the loads leave out, adds up to 1.044 / (1 - 0.3 tan a) of them, where the
+    normal is an angle a off the way: 1.3 at 33 deg.
+    """
     for name, (_, folder) in (("drawer", drawer), ("hatch", hatch), ("lid", lid)):
         made = simulate(folder, output=tmp_path / f"{name}.json")
         (moved,) = made["mechanism"]
         assert moved["share"] >= 0.95, name
         for load in (load for phase in made["phases"] for load in phase["loads"]):
-            assert 0.9 * load["expected_n"] < load["peak_n"] < 1.25 * load["expected_n"], name
+            assert 0.9 * load["expected_n"] < load["peak_n"] < 1.3 * load["expected_n"], name
 
 
 def test_a_plan_for_a_lighter_object_is_refused(drawer: tuple[PlanResult, Path], tmp_path: Path) -> None:

@@ -186,8 +186,8 @@ def meet(
     apart = float(coal.distance(core, coal.Transform3s(*pose), solid.core, solid.pose, request, result))
     normal = np.array(result.normal)
     point = np.array(result.getNearestPoint2()) - solid.radius * normal
-    moves = np.array([linear + np.cross(angular, point) for linear, angular in ways])
-    way = sense * moves[0] / max(float(np.linalg.norm(moves[0])), 1e-12)
+    moves = np.array([linear + np.cross(angular, point) for linear, angular in ways]).reshape(-1, 3)
+    way = sense * moves[0] / max(float(np.linalg.norm(moves[0])), 1e-12) if len(moves) else np.zeros(3)
     return Meeting(apart, apart - contact.radius - solid.radius, normal, way, moves[1:], point)
 
 
