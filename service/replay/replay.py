@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.demands.door_demand import SeenDoor
 from service.errors import RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
+from service.replay.folder_files import check_files
 from service.replay.rebuild import Grounds, Record, rebuild_demands
 from service.request.file import load_request, parse_request
 from service.request.schema import PlanRequest
@@ -34,8 +35,10 @@ OTHER = "it answers another request, or was changed after it was written"
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
 
 
-def verify_result(path: str | Path, request: Path | None = None, clouds: Sequence[Path] = ()) -> dict[str, Any]:
-    """Return the verdict on a result folder: the keys of ``summary_json`` and ``held_to``.
+def verify_result(
+    path: str | Path, request: Path | None = None, clouds: Sequence[Path] = (), checked: Collection[str] = ()
+) -> dict[str, Any]:
+    """Return the verdict on a result folder: the keys of ``summary_json``, ``held_to``, and ``unchecked``.
 
     The demands on a certified motion are rebuilt from the request, and the folder's are compared with them.
 
@@ -43,6 +46,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         path: the folder or its ``result.json``.
         request: file of the user's request; by default the request in the folder.
         clouds: files of the request's scan, to be read again; by default the recorded pieces are taken.
+        checked: files of the folder that the caller has checked, such as an approval; ``unchecked`` names all others
+            of which nothing is known.
 
     Raises:
         ResultError: the folder cannot be read, or its data contradict each other or the request.
@@ -72,6 +77,9 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         if data.get("certificate") is not None:
             differences += tuple(_compare_phases(data, reports))
             differences += find_contradictions(data, recorded, robot, certificate, table if table.is_file() else None)
+        compared = {TRAJECTORY_NAME} if data.get("certificate") is not None else set()
+        files = check_files(folder, data, robot, recorded, {*compared, *checked})
+        differences += files.differences
     if certificate.status is Status.CERTIFIED and is_claimed and differences:
         why = CHANGED if request is None else OTHER
         raise ResultError("\n".join(f"{folder}: {line}; {why}" for line in differences))
@@ -79,7 +87,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     return {
         "verdict": verdict,
         "explanation": [*explanation, *differences],
-        "notes": list(certificate.notes),
+        "notes": [*certificate.notes, *files.notes],
+        "unchecked": list(files.unchecked),
         "held_to": None if grounds is None else grounds.sentence(),
         "timings": {"verify": time.perf_counter() - started},
         **proof_summary(certificate),
