@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from other_planners import JOINTS, START, least_jerk, make_request, to_message, via_points
+from scipy.spatial.transform import Rotation
 
 from service import CertifiedTrajectory, RequestError, certify, load_request, parse_request, plan, read_trajectory
+from service.replay.exchange.base_motion import read_base_motion
 from service.replay.exchange.export import export
 from service.replay.exchange.messages import parse_trajectory
 from service.request.schema import PlanRequest
@@ -374,4 +376,45 @@ def test_our_own_export_with_its_base_is_certified(tmp_path: Path) -> None:
     assert outcome.notes[:2] == (
         "accelerations are not used, since those of 'virtual_joint' are not known",
         "the bag's trajectories on '/joint_trajectory' are not read",
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_twists_in_the_axes_of_the_world_give_the_rates_of_the_angles(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    place, rates = rng.uniform(-1.2, 1.2, 6), rng.uniform(-1.0, 1.0, 6)
+    h = 1e-6
+
+    def turn(t: float) -> Rotation:
+        return Rotation.from_euler("ZYX", place[3:] + t * rates[3:])
+
+    angular = (turn(h) * turn(-h).inv()).as_rotvec() / (2.0 * h)
+    points = []
+    for k in range(2):
+        pose = place + k * rates
+        w, x, y, z = Rotation.from_euler("ZYX", pose[3:]).as_quat(scalar_first=True).tolist()
+        transform = {
+            "translation": dict(zip("xyz", pose[:3], strict=True)),
+            "rotation": {"w": w, "x": x, "y": y, "z": z},
+        }
+        twist = {"linear": dict(zip("xyz", rates[:3], strict=True)), "angular": dict(zip("xyz", angular, strict=True))}
+        points.append({"transforms": [transform], "velocities": [twist], "time_from_start": float(k)})
+    motion = read_base_motion({"joint_names": ["virtual_joint"], "points": points}, "plan")
+    assert motion is not None
+    assert motion.rates is not None
+    np.testing.assert_allclose(motion.rates[0], rates, atol=1e-8)
+
+
+def test_a_base_alone_is_a_trajectory(tmp_path: Path) -> None:
+    data = make_request(tmp_path)
+    data["robot"]["root"] = "planar"
+    data["goal"] = {"joints": {"base_x": -0.2}}
+    base = _base(lambda t: [-0.2 * (t / 3.2) ** 2 * (3.0 - 2.0 * t / 3.2), 0.0, 0.0])
+    outcome = _certify(
+        {"joint_trajectory": {}, "multi_dof_joint_trajectory": base}, parse_request(data), interpolation="spline"
+    )
+    assert outcome.is_certified, outcome.failures
+    assert (
+        outcome.notes[0]
+        == "the trajectory leaves out base, shoulder, elbow, wrist: taken to stay at the request's start"
     )
