@@ -27,7 +27,7 @@ from service.result.approval import (
     check_approval,
     read_public_key,
 )
-from service.result.manifest import hash_file, list_files
+from service.result.manifest import hash_certificate, hash_file, list_files
 from service.store import Decision, ReviewRefusedError, Store
 
 NOW = 1.8e9  # time of the checks; an approval is given an hour before
@@ -44,9 +44,10 @@ class Desk:
         self.server, self.key = _make_key(scratch / "server.pem")
         self.stranger, _ = _make_key(scratch / "stranger.pem")
         files = {name: hash_file(path).removeprefix("sha256:") for name, path in list_files(self.folder).items()}
-        verdict = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))["verdict"]
-        page = files["viewer.html"]
-        self.approval = Approval("p1", verdict, "ada", "", NOW - 3600.0, "a" * 64, "b" * 64, "c" * 64, page, files)
+        data = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
+        proof, page = hash_certificate(data).removeprefix("sha256:"), files["viewer.html"]
+        hashes = ("a" * 64, "b" * 64, proof, page, files)
+        self.approval = Approval("p1", data["verdict"], "ada", "", NOW - 3600.0, *hashes)
         self.sign()
 
     def sign(self, signer: Signer | None = None, **changes: Any) -> None:
@@ -179,6 +180,10 @@ LIES: dict[str, tuple[str, Callable[[Desk], object]]] = {
     ),
     "of another key": ("not signed", lambda desk: desk.sign(desk.stranger)),
     "of another verdict": ("result.json says", lambda desk: desk.sign(verdict="TIME_LIMIT", despite="TIME_LIMIT")),
+    "of another certificate": (
+        "certificate in result.json",
+        lambda desk: desk.sign(certificate_sha256="d" * 64),
+    ),
     "without despite": ("does not say despite TIME_LIMIT", lambda desk: desk.sign(verdict="TIME_LIMIT")),
     "despite another verdict": (
         "does not say despite TIME_LIMIT",

@@ -79,6 +79,8 @@ def track_command(
     ABORTED or FELL.
     """
     stdout, stderr = consoles()
+    if trust is not None and (shift or adjust is not None):
+        raise typer.BadParameter("--trust goes without --shift and --adjust: the motion that they make is not approved")
     read_approval(result, trust, revocations or [])
     with progress(stderr, "verify plan") as report, cancellable(stderr) as should_stop, stops_when(should_stop):
         report("verify plan", 0.0)

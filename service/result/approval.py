@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from service.errors import ResultError, shown
 from service.result.folder import APPROVAL_NAME, RESULT_NAME, REVOCATION_NAME, VIEWER_NAME, read_result
-from service.result.manifest import hash_file, list_files
+from service.result.manifest import hash_certificate, hash_file, list_files
 from service.result.signing import MAX_FILE_BYTES, SigningKey, key_id, read_envelope, read_public_key
 from service.store.reviews import CERTIFIED, VALID_S
 
@@ -207,12 +207,15 @@ def _compare_files(folder: Path, approval: Approval) -> list[str]:
 
 
 def _compare_claims(folder: Path, approval: Approval) -> list[str]:
-    """Compare the page and the verdict that were shown to the reviewer with those of the approved files."""
+    """Compare page, certificate and verdict that were shown to the reviewer with those of the approved files."""
     problems = []
     if approval.page_sha256 != approval.files.get(VIEWER_NAME, ""):
         problems.append(f"{VIEWER_NAME} is not the page that the reviewer has seen")
     if (folder / RESULT_NAME).is_file():
-        verdict = read_result(folder).get("verdict", approval.verdict)
+        data = read_result(folder)
+        verdict, certificate = data.get("verdict", approval.verdict), hash_certificate(data)
+        if certificate and certificate != f"sha256:{approval.certificate_sha256}":
+            problems.append(f"the certificate in {RESULT_NAME} is not the approved one")
         if verdict != approval.verdict:
             problems.append(f"{RESULT_NAME} says {shown(verdict)}; the approved plan is {approval.verdict}")
     return problems

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import orjson
+
 from service.errors import ResultError, shown
 from service.result.folder import APPROVAL_NAME, MANIFEST_NAME, RESULT_NAME, REVOCATION_NAME, TRAJECTORY_NAME
 from service.viewer.files import replace_file
@@ -35,12 +37,9 @@ class Manifest:
 
 
 def hash_certificate(data: Mapping[str, Any]) -> str:
-    """Return ``sha256:`` of the compact JSON of a result's certificate; empty without one."""
+    """Return ``sha256:`` of the compact JSON of a result's certificate, as servers send it; empty without one."""
     certificate = data.get("certificate")
-    if certificate is None:
-        return ""
-    text = json.dumps(certificate, sort_keys=True, separators=(",", ":"))
-    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+    return "" if certificate is None else "sha256:" + hashlib.sha256(orjson.dumps(certificate)).hexdigest()
 
 
 def hash_file(path: Path) -> str:

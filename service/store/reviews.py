@@ -141,8 +141,10 @@ def _check_verdict(stored: str, seen: str, despite: str) -> None:
     if stored == CERTIFIED and despite:
         raise ReviewRefusedError(f"despite: the plan is {CERTIFIED}; leave out {despite}")
     if stored != CERTIFIED and despite != stored:
-        got = f", got {despite}" if despite else ""
-        raise ReviewRefusedError(f"despite: the plan is {stored}, not {CERTIFIED}; accept it despite {stored}{got}")
+        raise ReviewRefusedError(
+            f"despite: the plan is {stored}, not {CERTIFIED}; expected {stored} "
+            f"(scopt review --accept --despite {stored}), got {despite or 'none'}"
+        )
 
 
 def _check_validity(valid_s: float) -> None:

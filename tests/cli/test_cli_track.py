@@ -17,7 +17,8 @@ from service import parse_request, plan, write_result
 from service.cli.app import app
 from service.cli.run import EXIT_CODES
 from service.result.approval import Approval, Revocation, Signer
-from service.result.manifest import hash_file, list_files
+from service.result.folder import read_result
+from service.result.manifest import hash_certificate, hash_file, list_files
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +128,8 @@ def test_only_an_approved_plan_is_tracked_and_verified_where_a_key_is_trusted(re
     unsigned = _track(folder, "--trust", public)
     assert (unsigned.exit_code, "there is no approval.json" in unsigned.stderr) == (3, True)
     files = {name: hash_file(path).removeprefix("sha256:") for name, path in list_files(folder).items()}
-    approval = Approval("p1", "CERTIFIED", "ada", "", time.time(), "", "", "", files["viewer.html"], files)
+    proof = hash_certificate(read_result(folder)).removeprefix("sha256:")
+    approval = Approval("p1", "CERTIFIED", "ada", "", time.time(), "", "", proof, files["viewer.html"], files)
     (folder / "approval.json").write_bytes(Signer(private).sign(approval))
     assert _track(folder, "--trust", public).stdout.splitlines()[-1].startswith("TRACKED  to the end")
     verified = CliRunner().invoke(app, ["verify", str(folder), "--trust", str(public)])
@@ -144,3 +146,4 @@ def test_only_an_approved_plan_is_tracked_and_verified_where_a_key_is_trusted(re
         refused = CliRunner().invoke(app, options)
         assert (refused.exit_code, "was revoked by bob on 20" in refused.stderr) == (3, True)
     assert CliRunner().invoke(app, ["verify", str(folder), "--revocations", str(kept)]).exit_code == 2
+    assert _track(folder, "--trust", public, "--shift", "r_hand:0.02,0,0@0.3").exit_code == 2

@@ -326,3 +326,15 @@ def test_a_revocation_is_no_approval(folder: Path) -> None:
     _revoke(folder, folder / "approval.json")
     with pytest.raises(ResultError, match=r"approval\.json: payloadType is 'application/vnd\.scopt\.revocation\+json'"):
         check_approval(folder, read_public_key(folder.parent / "ours.pub"))
+
+
+def test_an_approval_of_another_certificate_is_refused(folder: Path) -> None:
+    text = b'{"format": "scopt-result/1", "certificate": {"status": "CERTIFIED"}}'
+    (folder / "result.json").write_bytes(text)
+    files = {**_approve().files, "result.json": hashlib.sha256(text).hexdigest()}
+    own = hashlib.sha256(b'{"status":"CERTIFIED"}').hexdigest()
+    _sign_anew(folder, "ours", approved_at=1796083200.0, files=files, certificate_sha256=own)
+    assert _check_at(folder, 1.0).certificate_sha256 == own
+    _sign_anew(folder, "ours", approved_at=1796083200.0, files=files)
+    with pytest.raises(ResultError, match=r"the certificate in result\.json is not the approved one"):
+        _check_at(folder, 1.0)
