@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from service.errors import RequestError, shown
-from service.replay.exchange.fields import Fields, note_rest, read_stamps, to_number
+from service.replay.exchange.fields import Fields, note_rest, read_stamps, to_coordinate
 
 WORLDS = ("", "world", "map", "/world", "/map")
 SAME_TIME_S = 1e-6
@@ -83,7 +83,19 @@ def read_base_pose(body: object, source: str) -> tuple[str, Float[np.ndarray, "7
     transforms = fields.take("transforms")
     if transforms is None:
         return None
-    return _read_name(fields.take("joint_names"), source), np.array(_read_only(transforms, 0, source))
+    pose = np.array(_read_only(transforms, 0, source))
+    if not np.any(pose[3:]):
+        raise RequestError(f"{source}: the base's quaternion is 0; expected one of length 1")
+    return _read_name(fields.take("joint_names"), source), pose
+
+
+def compute_angles(quaternions: Float[np.ndarray, "K 4"]) -> Float[np.ndarray, "K 3"]:
+    """Return yaw, pitch and roll of quaternions (w, x, y, z) that are not 0."""
+    turns = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    pitch = np.arcsin(np.clip(-turns[:, 2, 0], -1.0, 1.0))
+    return np.column_stack(
+        [np.arctan2(turns[:, 1, 0], turns[:, 0, 0]), pitch, np.arctan2(turns[:, 2, 1], turns[:, 2, 2])]
+    )
 
 
 def check_times(motion: BaseMotion, count: int, times: Float[np.ndarray, "K"] | None, source: str) -> None:
@@ -133,7 +145,7 @@ def _read_only(entries: object, row: int, source: str) -> list[float]:
 def _read_axes(value: object, axes: Sequence[str], field: str, source: str) -> list[float]:
     if not isinstance(value, Mapping) or not set(axes) <= set(value):
         raise RequestError(f"{source}: {field} is {shown(value)}; expected {', '.join(axes)}")
-    return [to_number(value[axis], field, source) for axis in axes]
+    return [to_coordinate(value[axis], field, source) for axis in axes]
 
 
 def _read_rates(twists: list[Any], poses: Float[np.ndarray, "K 7"], source: str) -> Float[np.ndarray, "K 6"] | None:
@@ -151,7 +163,7 @@ def _read_rates(twists: list[Any], poses: Float[np.ndarray, "K 7"], source: str)
         return None
     if not np.all(np.linalg.norm(poses[:, 3:], axis=1) > 0.0):
         return values  # that these are no rotations is for the reader of the poses to say
-    yaw, pitch, _ = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_euler("ZYX").T
+    yaw, pitch, _ = compute_angles(poses[:, 3:]).T
     x, y, z = values[:, 3:].T
     along = x * np.cos(yaw) + y * np.sin(yaw)
     cosine = np.where(np.abs(np.cos(pitch)) > 1e-6, np.cos(pitch), 1e-6)

@@ -11,6 +11,7 @@ from service.errors import RequestError, shown
 
 LISTED = 8  # names in a note
 MAX_DEPTH = 12
+LARGEST = 1e6  # of coordinates and their rates [m, rad; per s]
 
 
 class Fields:
@@ -78,10 +79,7 @@ def stack_rows(rows: list[Any], width: int, field: str, source: str) -> np.ndarr
         if not isinstance(row, list | tuple) or len(row) != width:
             held = f"{len(row)} numbers" if isinstance(row, list | tuple) else "none" if row is None else shown(row)
             raise RequestError(f"{source}: point {index} has {held} as {field}; expected {width}, one per joint")
-    try:
-        return np.array([[to_number(value, field, source) for value in row] for row in rows], dtype=float)
-    except OverflowError:
-        raise RequestError(f"{source}: {field} holds a number beyond all limits") from None
+    return np.array([[to_number(value, field, source) for value in row] for row in rows], dtype=float)
 
 
 def to_number(value: object, field: str, source: str) -> float:
@@ -90,7 +88,25 @@ def to_number(value: object, field: str, source: str) -> float:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise RequestError(f"{source}: {field} holds {shown(value)}; a number is needed")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise RequestError(f"{source}: {field} holds a number beyond all limits") from None
+
+
+def to_coordinate(value: object, field: str, source: str) -> float:
+    """Return a finite number of a plausible size for a place, an angle or a speed (RequestError where it is none)."""
+    number = to_number(value, field, source)
+    if not abs(number) <= LARGEST:
+        raise RequestError(f"{source}: {field} is {number:g}; expected at most {LARGEST:g}")
+    return number
+
+
+def to_list(value: object, field: str, source: str) -> list[Any]:
+    """Return a list or an array as a list, empty for None (RequestError where it is neither)."""
+    if not isinstance(value, list | tuple | np.ndarray | None):
+        raise RequestError(f"{source}: {field} is {shown(value)}; expected a list")
+    return [] if value is None else list(value)
 
 
 def read_stamps(stamps: list[Any], source: str) -> np.ndarray | None:

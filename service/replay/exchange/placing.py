@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel
 from service.errors import RequestError, shown, would_do
+from service.replay.exchange.base_motion import compute_angles
 from service.replay.exchange.followers import take_followers
 from service.replay.exchange.interpolation import NEEDS
 from service.replay.exchange.joint_trajectory import KINDS, JointTrajectory
@@ -114,7 +114,7 @@ def _read_base(
     if not (robot.is_floating or robot.is_planar):
         return other_names, rest, _pass_over_base(poses, robot, source)
     own, first = (BASE_NAMES, start[3:6]) if robot.is_floating else (PLANAR_NAMES, np.array([start[2], 0.0, 0.0]))
-    angles = np.unwrap(Rotation.from_quat(poses[:, 3:], scalar_first=True).as_euler("ZYX"), axis=0)
+    angles = np.unwrap(compute_angles(poses[:, 3:]), axis=0)
     angles += 2.0 * np.pi * np.round((first - angles[0]) / (2.0 * np.pi))  # the same turn as the start's
     turn = np.abs(np.diff(angles, axis=0)).max(initial=0.0)
     if turn > LARGEST_TURN_RAD:

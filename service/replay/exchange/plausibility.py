@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel, read_followers
 from service.errors import shown
+from service.replay.exchange.base_motion import compute_angles
 from service.replay.exchange.followers import expect_follower
 from service.replay.exchange.start_state import StartState
 
@@ -31,7 +31,8 @@ def note_times(
     """
     if times[0] > 0.0:
         yield f"the first point is at {times[0]:.4g} s: the robot waits at its start until then"
-    travel = np.abs(np.diff(positions, axis=0)).sum(axis=0)
+    with np.errstate(over="ignore"):
+        travel = np.abs(np.diff(positions, axis=0)).sum(axis=0)
     has_limit = np.isfinite(velocity) & (velocity > 0.0)
     least = float((travel[has_limit] / velocity[has_limit]).max(initial=0.0))
     duration = float(times[-1] - times[0])
@@ -110,9 +111,7 @@ def _place_base(state: StartState, robot: RobotModel, own: Mapping[str, float]) 
     """Return the base of a start state in the robot's coordinates, with angles within half a turn of the request's."""
     if state.base is None or not (robot.is_floating or robot.is_planar):
         return {}
-    length = float(np.linalg.norm(state.base[3:]))
-    quaternion = state.base[3:] / length if length > 0.0 else np.array([1.0, 0.0, 0.0, 0.0])
-    angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler("ZYX")
+    angles = compute_angles(state.base[None, 3:])[0]
     values = dict(zip(("base_x", "base_y", "base_z"), state.base[:3].tolist(), strict=True))
     for name, angle in zip(("base_yaw", "base_pitch", "base_roll"), angles.tolist(), strict=True):
         turns = np.round((own.get(name, 0.0) - angle) / (2.0 * np.pi))

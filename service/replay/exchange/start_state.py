@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from service.errors import RequestError, shown
 from service.replay.exchange.base_motion import read_base_pose
-from service.replay.exchange.fields import Fields, note_rest, to_number
+from service.replay.exchange.fields import Fields, note_rest, to_coordinate, to_list
 
 MOVING = 1e-3  # [rad/s, m/s]
 
@@ -43,17 +43,17 @@ def read_start_state(body: object, source: str) -> StartState | None:
     fields = Fields(body)
     joints = Fields(_to_mapping(fields.take("joint_state")))
     names, positions = joints.take("name"), joints.take("position")
-    names = [] if names is None else list(names)
-    values = [] if positions is None else list(positions)
+    names = to_list(names, "trajectory_start.joint_state.name", source)
+    values = to_list(positions, "trajectory_start.joint_state.position", source)
     if len(names) != len(values):
         raise RequestError(f"{source}: trajectory_start names {len(names)} joints and has {len(values)} positions")
     where = "trajectory_start"
-    state = {str(name): to_number(value, where, source) for name, value in zip(names, values, strict=True)}
-    velocities = joints.take("velocity")
+    state = {str(name): to_coordinate(value, where, source) for name, value in zip(names, values, strict=True)}
+    speeds = to_list(joints.take("velocity"), f"{where}.joint_state.velocity", source)
     moving = [
-        f"{where} moves: {shown(str(name))} at {to_number(value, where, source):g} rad/s or m/s"
-        for name, value in zip(names, [] if velocities is None else list(velocities), strict=False)
-        if abs(to_number(value, where, source)) > MOVING
+        f"{where} moves: {shown(str(name))} at {to_coordinate(value, where, source):g} rad/s or m/s"
+        for name, value in zip(names, speeds, strict=False)
+        if abs(to_coordinate(value, where, source)) > MOVING
     ]
     base = read_base_pose(fields.take("multi_dof_joint_state"), f"{source}: {where}")
     objects = fields.take("attached_collision_objects")
