@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from other_planners import JOINTS, START, least_jerk, make_request, to_message, via_points
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from service import CertifiedTrajectory, RequestError, certify, load_request, parse_request, plan, read_trajectory
+from service.cli.app import app
 from service.replay.exchange.base_motion import read_base_motion
 from service.replay.exchange.export import export
 from service.replay.exchange.messages import parse_trajectory
@@ -418,3 +420,14 @@ def test_a_base_alone_is_a_trajectory(tmp_path: Path) -> None:
         outcome.notes[0]
         == "the trajectory leaves out base, shoulder, elbow, wrist: taken to stay at the request's start"
     )
+
+
+def test_the_certificate_that_is_written_has_the_notes_on_the_trajectory(tmp_path: Path) -> None:
+    (tmp_path / "request.json").write_text(json.dumps(make_request(tmp_path)))
+    (tmp_path / "plan.json").write_text(json.dumps(_display(model_id="panda")))
+    command = ["certify", tmp_path / "plan.json", "-r", tmp_path / "request.json", "--certificate", tmp_path / "c.json"]
+    done = CliRunner().invoke(app, [str(word) for word in command])
+    assert done.exit_code == 0, done.output
+    note = "model_id is 'panda', the request's robot is 'arm': held to the request's"
+    assert note in json.loads((tmp_path / "c.json").read_text())["notes"]
+    assert f"note: {note}" in done.stdout
