@@ -22,7 +22,7 @@ from replayed_loads import forces, region_margin, touches
 from replayed_mechanism import release
 from replayed_motion import Array, Replay, covers, read_model
 from replayed_pushes import pushes
-from replayed_record import hashes, samples, speeds
+from replayed_record import hashes, rates, samples, speeds
 from replayed_targets import target
 
 
@@ -265,6 +265,7 @@ def main(folder: Path) -> int:
         raise SystemExit(f"{folder}: the result holds no certificate (verdict {data['verdict']})")
     replay = Replay(read_model(folder, data), data)
     claims = [("hashes", *hashes(folder, data)), ("samples", *samples(folder, replay, data))]
+    claims += [("rates", *rates(folder, replay, data))]
     claims += [("speeds", *speeds(replay, data)), ("clearance", *clearance(replay, data))]
     claims += [(f"release of {rule['joint']}", *release(replay, rule)) for rule in data["releases"]]
     for phase in data["phases"]:

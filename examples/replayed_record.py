@@ -62,6 +62,35 @@ def samples(folder: Path, replay: Replay, data: dict[str, Any]) -> Claim:
     return not any(off), f"{len(rows)} on the curve and in trajectory.csv" if not any(off) else "not on the curve"
 
 
+def rates(folder: Path, replay: Replay, data: dict[str, Any]) -> Claim:
+    """Check velocities and accelerations of the CSV table; where the law or the spline has a corner, either side's."""
+    header, *lines = (folder / "trajectory.csv").read_text().splitlines() or [""]
+    law, columns = data["curve"]["law"], header.split(",")[1 + len(data["trajectory"]["joint_names"]) :]
+    names = data["curve"]["joint_names"][: len(replay.own) - len(data["movables"])]
+    if law is None or not columns:
+        return not columns, "there are none" if not columns else "an untimed motion has rates"
+    if columns != [f"{kind}.{name}" for kind in ("velocity", "acceleration") for name in names]:
+        return False, "columns of rates are not those of the joints"
+    table = np.loadtxt(lines, delimiter=",", ndmin=2, comments=None)[:, -len(columns) :]
+    worst = 0.0
+    for row, s in zip(table, replay.samples, strict=True):
+        off = [np.abs(row - made) / (1.0 + np.abs(row)) for made in _sides(replay, law, s, len(names))]
+        worst = max(worst, float(np.min(off, axis=0).max()))
+    return worst <= 1e-4, f"{worst:.1e} off, relative above 1"
+
+
+def _sides(replay: Replay, law: dict[str, Any], s: float, n: int) -> Iterator[Array]:
+    """Yield velocities and accelerations at s, by the steps of the law and the pieces of the spline around it."""
+    times, path, speed = (np.array(law[key], float) for key in ("times", "path", "speed"))
+    step, piece = (int(np.searchsorted(grid, s, side="left")) for grid in (path, replay.knots))
+    for i in {int(np.clip(i, 0, len(path) - 2)) for i in (step - 1, step)}:
+        gain = (speed[i + 1] - speed[i]) / (times[i + 1] - times[i])
+        pace = np.sqrt(max(speed[i] ** 2 + 2 * gain * (s - path[i]), 0.0))
+        for k in {int(np.clip(k, 0, len(replay.knots) - 2)) for k in (piece - 1, piece)}:
+            slope, bend = replay.q(s, 1, k)[replay.own][:n], replay.q(s, 2, k)[replay.own][:n]
+            yield np.concatenate([slope * pace, slope * gain + bend * pace**2])
+
+
 def speeds(replay: Replay, data: dict[str, Any]) -> Claim:
     """Check the joint speeds against the URDF, at the ends of the law's steps and from sample to sample."""
     law, model = data["curve"]["law"], replay.model

@@ -183,8 +183,3 @@ def keys_in_another_order(folder: Folder) -> None:
 def views_deleted(folder: Folder) -> None:
     (folder.path / "viewer.html").unlink()
     (folder.path / "scene.glb").unlink()
-
-
-@CERTIFICATE.harmless("arm")
-def words_in_the_viewer_changed(folder: Folder) -> None:
-    folder.edit_text("viewer.html", lambda text: text.replace("<title>", "<title>my "))

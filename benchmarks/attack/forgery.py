@@ -22,6 +22,7 @@ import numpy as np
 from benchmarks.attack import bases, judges
 from benchmarks.attack.outcome import Answer, Attack
 from costs.robot import RobotError, RobotModel, load_robot
+from service.result.manifest import write_manifest
 from service.result.motion_json import motion_from_json, motion_json
 from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
 from service.result.result_json import add_reports
@@ -132,6 +133,8 @@ class Folder:
             with suppress(ValueError, KeyError, TypeError, IndexError, AttributeError, RobotError, VerifyError):
                 self._make_fit(level is Level.REMADE)
         (self.path / "result.json").write_text(json.dumps(self.data), encoding="utf-8")
+        if level is not Level.RAW and (self.path / "manifest.json").is_file():
+            write_manifest(self.path, self.data)
 
     def robot(self) -> RobotModel:
         """Return the robot read from the files of the folder."""

@@ -24,7 +24,7 @@ from costs.robot.mechanism_urdf import (
 from costs.robot.mesh import find_package_folders
 from costs.robot.mesh.visual import VisualMesh
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
-from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_robot_visuals
+from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_followers, read_robot_visuals
 from costs.robot.srdf import format_srdf
 from costs.robot.still import StillShape, read_object_shapes
 
@@ -57,6 +57,7 @@ __all__ = [
     "format_srdf",
     "load_robot",
     "make_mechanism_model",
+    "read_followers",
     "read_joint_axis",
     "read_mechanism",
     "read_mesh_hulls",

@@ -42,6 +42,12 @@ def read_robot_visuals(robot: RobotModel) -> tuple[VisualMesh, ...]:
     return read_visuals(urdf, robot.source.roots) if drawn - solid else ()
 
 
+def read_followers(robot: RobotModel) -> dict[str, tuple[str, float, float]]:
+    """Return the joints that follow others: by name the joint that moves by itself, multiplier and offset."""
+    joints = parse_urdf(robot.source.urdf, robot.name, {}).joints
+    return {joint.name: joint.mimic for joint in joints.values() if joint.mimic is not None}
+
+
 def load_robot(
     name: str | None = None,
     *,

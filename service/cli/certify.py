@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -66,7 +67,8 @@ def certify_command(
     if certificate is not None:
         from service.result.folder import write_whole
 
-        write_whole(certificate, outcome.certificate.to_json())
+        noted = replace(outcome.certificate, notes=(*outcome.certificate.notes, *outcome.notes))
+        write_whole(certificate, noted.to_json())
     if as_json:
         print_json(summary)
     else:

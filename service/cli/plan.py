@@ -181,35 +181,53 @@ def verify_command(
     ] = None,
     trust: Annotated[
         Path | None,
-        typer.Option(help="Public key (PEM): require approval.json in the folder, signed for exactly these files."),
+        typer.Option(help="Public key (PEM): require a valid approval.json in the folder, signed for these files."),
+    ] = None,
+    revocations: Annotated[
+        list[Path] | None,
+        typer.Option(help="With --trust: file or folder of revocations that are known besides; repeat."),
     ] = None,
     as_json: Json = False,
 ) -> str:
-    """Check a result anew, without the planner."""
+    """Check a result anew, without the planner; files that are not checked are named."""
+    from service.result.folder import APPROVAL_NAME, REVOCATION_NAME
+
     stdout, stderr = consoles()
-    approval = None if trust is None else _read_approval(result, trust)
+    approval = read_approval(result, trust, revocations or [])
     with progress(stderr, "read result") as report, cancellable(stderr) as should_stop:
         report("read result", 0.0)
         from service.replay.replay import verify_result
 
         report("verify", 0.1)
         with stops_when(should_stop):
-            summary = verify_result(result, request, cloud or [])
+            signed = () if approval is None else (APPROVAL_NAME, REVOCATION_NAME)
+            summary = verify_result(result, request, cloud or [], signed)
     if as_json:
         print_json(summary if approval is None else {**summary, "approval": dataclasses.asdict(approval)})
     else:
-        lines = {} if approval is None else {"approved by": f"{approval.reviewer}, plan {approval.plan_id}"}
+        lines = {} if approval is None else {"approved by": approval.describe()}
         if summary["standing"] is not None:
             lines["standing"] = summary["standing"]["sentence"]
         print_result(stdout, summary, lines)
     return str(summary["verdict"])
 
 
-def _read_approval(result: Path, trust: Path) -> Approval:
+def read_approval(result: Path, trust: Path | None, revocations: Sequence[Path]) -> Approval | None:
+    """Return the valid approval of a result's folder; None where no key is trusted.
+
+    Raises:
+        BadParameter: there are revocations and no key.
+        ResultError: the approval is missing, expired, revoked, forged or of other files.
+        TrustError: the key cannot be used.
+    """
+    if trust is None:
+        if revocations:
+            raise typer.BadParameter("--revocations goes with --trust")
+        return None
     from service.result.approval import check_approval, read_public_key
     from service.result.folder import result_path
 
-    return check_approval(result_path(result).parent, read_public_key(trust))
+    return check_approval(result_path(result).parent, read_public_key(trust), revocations=revocations)
 
 
 @command()

@@ -14,9 +14,11 @@ from service.cli.run import consoles, print_json
 from service.errors import RequestError
 
 if TYPE_CHECKING:
-    from service.proto.planner.v1.planner_pb2 import Review
+    from google.protobuf.timestamp_pb2 import Timestamp
 
-_COLUMNS = ("decision", "reviewer", "time", "comment")
+    from service.proto.planner.v1.planner_pb2 import PlanRecord
+
+_COLUMNS = ("decision", "reviewer", "time", "verdict", "expires", "comment")
 
 
 @command()
@@ -27,20 +29,33 @@ def review_command(
         bool | None, typer.Option("--accept/--reject", help="Your decision.", show_default=False)
     ] = None,
     comment: Annotated[str, typer.Option(help="Reason of the decision.")] = "",
+    despite: Annotated[
+        str,
+        typer.Option(help="Accept a plan that is not CERTIFIED: its verdict.", metavar="VERDICT", show_default=False),
+    ] = "",
+    valid_days: Annotated[
+        float | None, typer.Option(help="Validity of --accept in days (30).", min=0.001, max=366.0)
+    ] = None,
+    is_revoked: Annotated[bool, typer.Option("--revoke", help="Withdraw the approval.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the plan's files, viewer.html among them.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Accept or reject a plan of a server.
+    """Accept or reject a plan of a server, or withdraw its approval.
 
-    The review is bound to the hashes of the trajectory, the certificate and the viewer's page that are shown. Without
-    --accept or --reject, the plan and its reviews are shown. With --out, its files are fetched, with approval.json if
-    the server signs approvals.
+    The review is bound to the verdict and to the hashes of the trajectory, the certificate and the viewer's page that
+    are shown. An acceptance is valid for --valid-days; that of a plan without CERTIFIED needs --despite. Without
+    --accept, --reject or --revoke, the plan and its reviews are shown. With --out, its files are fetched, with
+    approval.json and revocation.json if the server signs them.
     """
     from service.cli.connect import connect
     from service.client.answers import summarize
     from service.proto.planner.v1.planner_pb2 import PlanState
     from service.result.folder import ResultFiles
 
+    if is_revoked and is_accepted is not None:
+        raise typer.BadParameter("--revoke goes without --accept and --reject")
+    if is_accepted is not True and (despite or valid_days is not None):
+        raise typer.BadParameter("--despite and --valid-days go with --accept")
     stdout, stderr = consoles()
     with connect(server, stderr) as client:
         stored = client.get_plan(plan_id, out=out)
@@ -56,9 +71,13 @@ def review_command(
                 **({} if files is None else {"viewer": files.viewer}),
             }
             print_result(stdout, summarize(record.result), lines)
-        if is_accepted is not None:
-            client.review(record, accept=is_accepted, comment=comment)
-            record = client.get_plan(plan_id, out=out).record  # with its approval, if the server signs
+        if is_revoked:
+            client.revoke(record, comment=comment)
+        elif is_accepted is not None:
+            client.review(record, accept=is_accepted, comment=comment, despite=despite, valid_days=valid_days)
+        if is_revoked or is_accepted is not None:
+            record = client.get_plan(plan_id, out=out).record  # with what the server has signed
+    rows = list_reviews(record)
     if as_json:
         print_json(
             {
@@ -69,19 +88,36 @@ def review_command(
                 "certificate_sha256": record.result.certificate.sha256,
                 "page_sha256": record.page_sha256,
                 "is_approved": record.is_approved,
-                "reviews": [dict(zip(_COLUMNS, _make_row(review), strict=True)) for review in record.reviews],
+                "reviews": [dict(zip(_COLUMNS, row, strict=True)) for row in rows],
             }
         )
         return
-    if record.reviews:
-        print_table(stdout, _COLUMNS, [_make_row(review) for review in record.reviews])
+    if rows:
+        print_table(stdout, _COLUMNS, rows)
     state = "approved" if record.is_approved else "not approved"
     stdout.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
 
 
-def _make_row(review: Review) -> tuple[str, str, str, str]:
+def list_reviews(record: PlanRecord) -> list[tuple[str, ...]]:
+    """Return a row of ``_COLUMNS`` for each review: a rejection after an acceptance is called REVOKED."""
     from service.proto.planner.v1.planner_pb2 import Decision
+    from service.proto.planner.v1.result_pb2 import Verdict
 
-    decision = Decision.Name(review.decision).removeprefix("DECISION_")
-    when = review.time.ToDatetime().isoformat(" ", "seconds")
-    return decision, review.reviewer, f"{when} UTC", review.comment
+    rows: list[tuple[str, ...]] = []
+    was_accepted = False
+    for number, review in enumerate(record.reviews, start=1):
+        decision, expires = Decision.Name(review.decision).removeprefix("DECISION_"), ""
+        if review.decision == Decision.DECISION_ACCEPTED:
+            is_expired = number == len(record.reviews) and not record.is_approved
+            expires = _format_time(review.expires) if review.HasField("expires") else "without validity"
+            expires = f"expired ({expires})" if is_expired else expires
+        elif was_accepted:
+            decision = "REVOKED"
+        was_accepted = review.decision == Decision.DECISION_ACCEPTED
+        verdict = Verdict.Name(review.verdict).removeprefix("VERDICT_") if review.verdict else ""
+        rows.append((decision, review.reviewer, _format_time(review.time), verdict, expires, review.comment))
+    return rows
+
+
+def _format_time(stamp: Timestamp) -> str:
+    return f"{stamp.ToDatetime().isoformat(' ', 'seconds')} UTC"

@@ -13,6 +13,7 @@ from rich.console import Console
 from costs.stopping import poll, stops_when
 from service.cli.command import command
 from service.cli.options import Json
+from service.cli.plan import read_approval
 from service.cli.report import print_findings, print_line, print_table, print_verdict
 from service.cli.run import cancellable, consoles, print_json, progress
 
@@ -63,6 +64,12 @@ def track_command(
         float, typer.Option(help="Size of random errors of the physics against the plan; 1: surfaces 1 cm, masses 5 %.")
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Of noise and errors.")] = 0,
+    trust: Annotated[
+        Path | None, typer.Option(help="Public key (PEM): carry out only what a valid approval.json covers.")
+    ] = None,
+    revocations: Annotated[
+        list[Path] | None, typer.Option(help="With --trust: file or folder of revocations that are known; repeat.")
+    ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File for the report (JSON).")] = None,
     as_json: Json = False,
 ) -> str:
@@ -72,6 +79,9 @@ def track_command(
     ABORTED or FELL.
     """
     stdout, stderr = consoles()
+    if trust is not None and (shift or adjust is not None):
+        raise typer.BadParameter("--trust goes without --shift and --adjust: the motion that they make is not approved")
+    read_approval(result, trust, revocations or [])
     with progress(stderr, "verify plan") as report, cancellable(stderr) as should_stop, stops_when(should_stop):
         report("verify plan", 0.0)
         from service.execution.execution import Execution

@@ -15,6 +15,7 @@ from service.client.received import ReceivedFiles
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneResponse,
     BuiltScene,
+    Decision,
     GetPlanResponse,
     PlanAccepted,
     PlanFinished,
@@ -22,7 +23,7 @@ from service.proto.planner.v1.planner_pb2 import (
     PlanResponse,
 )
 from service.proto.planner.v1.result_pb2 import Certificate, FileChunk, MotionResult, Verdict
-from service.result.folder import APPROVAL_NAME, FORMAT, VIEWER_NAME
+from service.result.folder import APPROVAL_NAME, FORMAT, REVOCATION_NAME, VIEWER_NAME
 from service.wire.hashes import hash_certificate, hash_trajectory
 from service.wire.plain import to_plain
 
@@ -167,9 +168,25 @@ class StoredReader(_FolderReader):
             page = self._files.read(VIEWER_NAME)
             if self._record.page_sha256:  # servers of an earlier version send none
                 _check_hash("page", self._record.page_sha256, "" if page is None else hashlib.sha256(page).hexdigest())
-            if self._record.is_approved and self._record.reviews[-1].approval:
-                self._write(FileChunk(path=APPROVAL_NAME, data=self._record.reviews[-1].approval, is_last=True))
+            for name, statement in select_statements(self._record).items():
+                self._write(FileChunk(path=name, data=statement, is_last=True))
         return StoredPlan(self._record, self._finish_files())
+
+
+def select_statements(record: PlanRecord) -> dict[str, bytes]:
+    """Return the signed statements about a plan by file name: the newest approval, and its revocation if there is one.
+
+    An approval that was withdrawn without a signature, on a server without a key, is left out.
+    """
+    reviews = list(record.reviews)
+    accepted = [k for k, review in enumerate(reviews) if review.decision == Decision.DECISION_ACCEPTED]
+    if not accepted or not reviews[accepted[-1]].approval:
+        return {}
+    found = {APPROVAL_NAME: reviews[accepted[-1]].approval}
+    if accepted[-1] == len(reviews) - 1:
+        return found
+    revocation = reviews[accepted[-1] + 1].approval  # the first review after an acceptance withdraws it
+    return {**found, REVOCATION_NAME: revocation} if revocation else {}
 
 
 class SceneReader:

@@ -32,9 +32,11 @@ from service.client.messages import (
 from service.client.received import receive_files
 from service.client.retry import Attempts, Retry, check_seconds
 from service.client.transport import AsyncTransport, Transport
+from service.errors import RequestError
 from service.proto.planner.v1.planner_pb2 import (
     BuiltScene,
     CloudsSpec,
+    Decision,
     DetectResponse,
     GetPlanRequest,
     GetSceneRequest,
@@ -311,11 +313,31 @@ class AsyncPlannerClient:
                     reader.take(part)
             return reader.finish()
 
-    async def review(self, seen: PlanRecord, *, accept: bool, comment: str = "") -> Review:
-        """Accept or reject exactly the trajectory and certificate of the record that ``get_plan`` returned."""
-        message = make_review_message(seen, accept, comment)
+    async def review(
+        self, seen: PlanRecord, *, accept: bool, comment: str = "", despite: str = "", valid_days: float | None = None
+    ) -> Review:
+        """Accept or reject exactly the trajectory, certificate, page and verdict of the record of ``get_plan``.
+
+        Args:
+            seen: record of the plan.
+            accept: whether the robot may carry it out.
+            comment: reason of the decision.
+            despite: the plan's verdict, to accept a plan that is not ``CERTIFIED``.
+            valid_days: validity of an acceptance; None for the server's 30 days.
+        """
+        message = make_review_message(seen, accept, comment, despite, valid_days)
         review: Review = (await self._call("ReviewPlan", message, self._timeout_s, is_repeatable=False)).review
         return review
+
+    async def revoke(self, seen: PlanRecord, *, comment: str = "") -> Review:
+        """Withdraw the approval of a plan.
+
+        Raises:
+            RequestError: the newest review of the record accepts nothing.
+        """
+        if not seen.reviews or seen.reviews[-1].decision != Decision.DECISION_ACCEPTED:
+            raise RequestError(f"plan {seen.plan_id} is not approved; there is nothing to revoke")
+        return await self.review(seen, accept=False, comment=comment)
 
     async def status(self) -> GetStatusResponse:
         """Return the server's workers, queue, verdict counts and latencies."""

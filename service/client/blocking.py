@@ -128,4 +128,5 @@ class PlannerClient:
     robots = _block(AsyncPlannerClient.robots)
     get_plan = _block(AsyncPlannerClient.get_plan)
     review = _block(AsyncPlannerClient.review)
+    revoke = _block(AsyncPlannerClient.revoke)
     status = _block(AsyncPlannerClient.status)

@@ -11,7 +11,7 @@ from google.protobuf.message import Message
 
 from service.client.connection import MAX_SENT_BYTES
 from service.client.known_objects import find_files, replace_by_id
-from service.errors import RequestError
+from service.errors import RequestError, shown, would_do
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     CloudsSpec,
@@ -27,12 +27,13 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.proto.planner.v1.planner_pb2 import PlanRequest as PlanMessage
 from service.proto.planner.v1.request_pb2 import CloudFile, MotionRequest
-from service.proto.planner.v1.result_pb2 import FileChunk
+from service.proto.planner.v1.result_pb2 import FileChunk, Verdict
 from service.request.schema import PlanRequest
 from service.result.folder import RESULT_NAME, ROBOT_NAME, TRAJECTORY_NAME, read_result
 from service.wire.plain import fill
 from service.wire.requests import request_to_message
 
+DAY_S = 86400.0
 Clouds = CloudsSpec | str | Path | Sequence[str | Path]
 """A message, or local files and ids of uploads, in the world frame and metres."""
 
@@ -169,14 +170,21 @@ def _read_motion_files(folder: Path) -> list[FileChunk]:
     ]
 
 
-def make_review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> ReviewPlanRequest:
-    """Return the review of exactly the trajectory, certificate and page of a record.
+def make_review_message(
+    seen: PlanRecord, is_accepted: bool, comment: str, despite: str = "", valid_days: float | None = None
+) -> ReviewPlanRequest:
+    """Return the review of exactly the trajectory, certificate, page and verdict of a record.
 
     Raises:
-        RequestError: the plan has not finished.
+        RequestError: the plan has not finished, ``despite`` is no verdict, or something belongs to acceptances only.
     """
     if seen.state != PlanState.PLAN_STATE_FINISHED:
         raise RequestError(f"plan {seen.plan_id} is not finished; expected a finished plan")
+    if not is_accepted and (despite or valid_days is not None):
+        raise RequestError(f"{'despite' if despite else 'valid_days'}: is of an acceptance, and this is a rejection")
+    names = [name.removeprefix("VERDICT_") for name in list(Verdict.keys())[1:]]
+    if despite and despite not in names:
+        raise RequestError(f"despite: unknown verdict {shown(despite)}; expected {would_do(despite, names)}")
     return ReviewPlanRequest(
         plan_id=seen.plan_id,
         decision=Decision.DECISION_ACCEPTED if is_accepted else Decision.DECISION_REJECTED,
@@ -184,6 +192,9 @@ def make_review_message(seen: PlanRecord, is_accepted: bool, comment: str) -> Re
         trajectory_sha256=seen.result.trajectory.sha256,
         certificate_sha256=seen.result.certificate.sha256,
         page_sha256=seen.page_sha256,
+        verdict=seen.result.verdict,
+        despite=f"VERDICT_{despite}" if despite else None,
+        valid_s=None if valid_days is None else valid_days * DAY_S,
     )
 
 

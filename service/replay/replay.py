@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.demands.door_demand import SeenDoor
 from service.errors import DamagedResultError, RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, find_contradictions
+from service.replay.folder_files import FileFindings, check_files
 from service.replay.rebuild import Grounds, Record, rebuild_demands
 from service.replay.standing import HELD_BEFORE, Standing, State
 from service.request.file import has_hash, load_request, parse_request
@@ -49,6 +50,7 @@ class _Result:
         robot, recorded: its robot, without the joints that the task moves, and its motion.
         request: file of the user's request, or None.
         clouds: files of the request's scan, to be read again.
+        files: what was found about the files of the folder.
     """
 
     data: dict[str, Any]
@@ -57,6 +59,7 @@ class _Result:
     recorded: Motion
     request: Path | None
     clouds: Sequence[Path]
+    files: FileFindings
 
     @property
     def table(self) -> Path | None:
@@ -89,8 +92,10 @@ class _Answer:
     standing: Standing | None = None
 
 
-def verify_result(path: str | Path, request: Path | None = None, clouds: Sequence[Path] = ()) -> dict[str, Any]:
-    """Return the verdict on a result folder: the keys of ``summary_json``, ``held_to`` and ``standing``.
+def verify_result(
+    path: str | Path, request: Path | None = None, clouds: Sequence[Path] = (), checked: Collection[str] = ()
+) -> dict[str, Any]:
+    """Return the verdict on a result folder: the keys of ``summary_json``, ``held_to``, ``standing``, ``unchecked``.
 
     The demands on a certified motion are rebuilt from the request, and the folder's are compared with them. A
     certificate of an earlier format that does not meet today's gets the verdict ``HELD_BEFORE``.
@@ -99,6 +104,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
         path: the folder or its ``result.json``.
         request: file of the user's request; by default the request in the folder.
         clouds: files of the request's scan, to be read again; by default the recorded pieces are taken.
+        checked: files of the folder that the caller has checked, such as an approval; ``unchecked`` names all others
+            of which nothing is known.
 
     Raises:
         ResultError: the folder cannot be read.
@@ -108,7 +115,11 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     started = time.perf_counter()
     data = read_result(path)
     folder = result_path(path).parent
-    result = _Result(data, folder, *read_record(data, folder), request, clouds)
+    robot, recorded = read_record(data, folder)
+    compared = {TRAJECTORY_NAME} if data.get("certificate") is not None else set()
+    with _explain_defects(folder):
+        files = check_files(folder, data, robot, recorded, {*compared, *checked})
+    result = _Result(data, folder, robot, recorded, request, clouds, files)
     if data["verdict"] != Status.CERTIFIED.value:
         answer = _verify_unclaimed(result)
     elif data.get("certificate") is None:
@@ -122,7 +133,8 @@ def verify_result(path: str | Path, request: Path | None = None, clouds: Sequenc
     return {
         "verdict": verdict,
         "explanation": [*explanation, *answer.differences],
-        "notes": list(certificate.notes),
+        "notes": [*certificate.notes, *files.notes],
+        "unchecked": list(files.unchecked),
         "held_to": None if answer.grounds is None else answer.grounds.sentence(),
         "standing": None if standing is None else standing.to_json(),
         "timings": {"verify": time.perf_counter() - started},
@@ -138,7 +150,7 @@ def _verify_unclaimed(result: _Result) -> _Answer:
     with _explain_defects(result.folder):
         certificate = verify(result.recorded)
         reports = report_phases(result.recorded, certificate, _read_unsolved(data))
-        differences: tuple[str, ...] = ()
+        differences = result.files.differences
         if data.get("certificate") is not None:
             differences = _compare_record(result, certificate, reports)
     return _Answer(certificate, reports, differences)
@@ -201,8 +213,8 @@ def _verify_record(result: _Result) -> Certificate | None:
             for phase in result.data["phases"]
             if phase["status"] not in (None, PhaseStatus.CERTIFIED.value)
         ]
-    if contradictions or unsolved:
-        lines = (*contradictions, *unsolved)
+    lines = (*contradictions, *unsolved, *result.files.differences)
+    if lines:
         raise DamagedResultError("\n".join(f"{result.folder}: {line}; {CHANGED}" for line in lines))
     return own
 
@@ -225,7 +237,7 @@ def _compare_demands(result: _Result, demands: Demands, certificate: Certificate
 def _compare_record(result: _Result, certificate: Certificate, reports: Sequence[PhaseReport]) -> tuple[str, ...]:
     """Return a sentence for each statement of a result that is not that of a new certificate."""
     contradictions = find_contradictions(result.data, result.recorded, result.robot, certificate, result.table)
-    return (*_compare_phases(result.data, reports), *contradictions)
+    return (*_compare_phases(result.data, reports), *contradictions, *result.files.differences)
 
 
 def _read_demands(

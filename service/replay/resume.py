@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import orjson
 
 from costs.robot import BASE_NAMES, RobotModel
 from service.demands import TaskDemand, has_scan
@@ -28,6 +26,7 @@ from service.request.resume import HoldChoice, NominalPhase, NominalRequest, Res
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest, PoseRequest, StartRequest, StateRequest, TaskRequest
 from service.result.folder import read_result, result_path
+from service.result.manifest import hash_certificate
 from service.result.motion_json import BASE_COLUMNS
 from service.setup.world import Surroundings
 from service.start.configuration import make_start_configuration
@@ -38,7 +37,7 @@ NOMINAL_DIGITS = 7  # of the positions of an earlier motion
 
 def hash_plan(data: Mapping[str, Any]) -> str:
     """Return the hash of the certificate of a parsed ``result.json``, as ``resume.plan`` cites it."""
-    return "sha256:" + hashlib.sha256(orjson.dumps(data["certificate"])).hexdigest()
+    return hash_certificate(data)
 
 
 def make_rest_request(

@@ -1,38 +1,34 @@
-"""Signed approvals: a statement about an accepted plan, and its check without the server.
+"""Signed approvals and revocations: what they state, and their check without the server.
 
-``approval.json`` is an envelope of DSSE (https://github.com/secure-systems-lab/dsse, protocol 1.0.0): the statement in
-base64 and an Ed25519 signature (RFC 8032) over type, length and bytes of the statement.
+``approval.json`` and ``revocation.json`` are signed statements (:mod:`service.result.signing`).
 """
 
 from __future__ import annotations
 
-import base64
-import binascii
-import hashlib
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from cryptography.hazmat.primitives.serialization import (
-    Encoding,
-    PublicFormat,
-    load_pem_private_key,
-    load_pem_public_key,
-)
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from service.errors import ResultError, shown
-from service.result.folder import APPROVAL_NAME
-from service.trust.errors import TrustError
+from service.result.folder import APPROVAL_NAME, RESULT_NAME, REVOCATION_NAME, VIEWER_NAME, read_result
+from service.result.manifest import hash_certificate, hash_file, list_files
+from service.result.signing import MAX_FILE_BYTES, SigningKey, key_id, read_envelope, read_public_key
+from service.store.reviews import CERTIFIED, VALID_S
 
-FORMAT = "scopt-approval/1"
+__all__ = ["Approval", "Revocation", "Signer", "check_approval", "open_approval", "open_revocation", "read_public_key"]
+
+FORMAT = "scopt-approval/2"
+EARLIER_FORMAT = "scopt-approval/1"  # of release 0.3.0: without a validity
+REVOCATION_FORMAT = "scopt-revocation/1"
 PAYLOAD_TYPE = "application/vnd.scopt.approval+json"
-MAX_FILE_BYTES = 4 * 2**20
-_FORBIDDEN_MODE = 0o027  # the group may read, as for mounted secrets
-_CHUNK_BYTES = 2**20
+REVOCATION_TYPE = "application/vnd.scopt.revocation+json"
+CLOCK_TOLERANCE_S = 300.0  # by which a robot's clock may be behind its server's
+MAX_REVOCATIONS = 10_000  # files that are read
 
 
 @dataclass(frozen=True)
@@ -41,14 +37,16 @@ class Approval:
 
     Attributes:
         plan_id: id of the plan on its server.
-        verdict: verdict of the plan.
+        verdict: verdict of the plan, which the reviewer has seen.
         reviewer: who accepted it.
         comment: the reviewer's comment.
         approved_at: [s since 1970].
         request_sha256: hash of the request's canonical form.
         trajectory_sha256, certificate_sha256: as in the messages ``Trajectory`` and ``Certificate``.
-        page_sha256: hash of ``viewer.html``; empty for a plan without files.
+        page_sha256: hash of ``viewer.html``, which the reviewer has seen; empty for a plan without files.
         files: hash of every file in the result folder, by path; empty for a plan without files.
+        despite: the verdict once more where it is not ``CERTIFIED``, as the reviewer gave it; else empty.
+        expires_at: end of its validity [s since 1970]; None for an approval of release 0.3.0, which has none.
     """
 
     plan_id: str
@@ -61,159 +59,217 @@ class Approval:
     certificate_sha256: str
     page_sha256: str
     files: Mapping[str, str]
+    despite: str = ""
+    expires_at: float | None = None
+
+    def describe(self) -> str:
+        """Return who approved which plan until when, in one clause."""
+        until = "" if self.expires_at is None else f", valid until {format_time(self.expires_at)}"
+        despite = f" despite {self.despite}" if self.despite else ""
+        return f"{self.reviewer}{despite} on {format_time(self.approved_at)}{until}, plan {self.plan_id}"
 
 
-class Signer:
-    """Ed25519 key of a server.
+@dataclass(frozen=True)
+class Revocation:
+    """Statement that all approvals of a plan until now are withdrawn.
 
-    Args:
-        path: unencrypted private key (PEM, PKCS 8), as ``openssl genpkey -algorithm ed25519`` writes it.
-
-    Raises:
-        TrustError: it is no such key, or others may read it.
+    Attributes:
+        plan_id: id of the plan on its server.
+        reviewer: who withdrew them.
+        comment: the reviewer's comment.
+        revoked_at: [s since 1970].
     """
 
-    def __init__(self, path: Path) -> None:
-        try:
-            key = load_pem_private_key(_read(path), password=None)
-        except (ValueError, TypeError, UnsupportedAlgorithm):
-            raise TrustError(f"{path}: {_EXPECTED_PRIVATE}") from None
-        if not isinstance(key, Ed25519PrivateKey):
-            raise TrustError(f"{path}: {_EXPECTED_PRIVATE}")
-        if path.stat().st_mode & _FORBIDDEN_MODE:
-            raise TrustError(f"{path}: others may read the private key; run chmod 600")
-        self._key = key
-        self.key_id = _key_id(key.public_key())
+    plan_id: str
+    reviewer: str
+    comment: str
+    revoked_at: float
+
+    def applies_to(self, approval: Approval) -> bool:
+        """Return whether an approval is withdrawn; one that is given later is not."""
+        return self.plan_id == approval.plan_id and approval.approved_at <= self.revoked_at
+
+
+class Signer(SigningKey):
+    """Ed25519 key of a server that signs approvals and revocations."""
 
     def sign(self, approval: Approval) -> bytes:
-        """Return the content of ``approval.json``."""
-        statement = json.dumps({"format": FORMAT, **asdict(approval)}, sort_keys=True).encode()
-        signature = self._key.sign(_encode(statement))
-        envelope = {
-            "payloadType": PAYLOAD_TYPE,
-            "payload": base64.b64encode(statement).decode(),
-            "signatures": [{"keyid": self.key_id, "sig": base64.b64encode(signature).decode()}],
-        }
-        return json.dumps(envelope).encode()
+        """Return the content of ``approval.json``; an approval without an end is valid for 30 days."""
+        if approval.expires_at is None:
+            approval = replace(approval, expires_at=approval.approved_at + VALID_S)
+        return self.seal(PAYLOAD_TYPE, {"format": FORMAT, **asdict(approval)})
 
-
-def read_public_key(path: Path) -> Ed25519PublicKey:
-    """Read a trusted public key (PEM), as ``openssl pkey -pubout`` writes it.
-
-    Raises:
-        TrustError: it is no Ed25519 public key.
-    """
-    try:
-        key = load_pem_public_key(_read(path))
-    except (ValueError, TypeError, UnsupportedAlgorithm):
-        raise TrustError(f"{path}: {_EXPECTED_PUBLIC}") from None
-    if not isinstance(key, Ed25519PublicKey):
-        raise TrustError(f"{path}: {_EXPECTED_PUBLIC}")
-    return key
+    def sign_revocation(self, revocation: Revocation) -> bytes:
+        """Return the content of ``revocation.json``."""
+        return self.seal(REVOCATION_TYPE, {"format": REVOCATION_FORMAT, **asdict(revocation)})
 
 
 def open_approval(envelope: bytes, key: Ed25519PublicKey) -> Approval:
-    """Return the statement of an envelope that the key has signed.
+    """Return the statement of an approval that the key has signed; of release 0.3.0, too, which has no end.
 
     Raises:
         ResultError: the envelope is malformed, or none of its signatures is the key's.
     """
-    try:
-        data = json.loads(envelope)
-        statement = base64.b64decode(data["payload"], validate=True)
-        signatures = [base64.b64decode(entry["sig"], validate=True) for entry in data["signatures"]]
-        payload_type = data["payloadType"]
-    except (ValueError, KeyError, TypeError, RecursionError, binascii.Error):
-        raise ResultError(f"{APPROVAL_NAME}: is no signed approval") from None
-    if payload_type != PAYLOAD_TYPE:
-        raise ResultError(f"{APPROVAL_NAME}: payloadType is {shown(payload_type)}; expected {PAYLOAD_TYPE!r}")
-    if not any(_is_signed(key, signature, statement) for signature in signatures[:10]):
-        raise ResultError(f"{APPROVAL_NAME}: is not signed by the trusted key {_key_id(key)}")
-    return _read_statement(statement)
+    statement = read_envelope(envelope, APPROVAL_NAME).open(PAYLOAD_TYPE, key, APPROVAL_NAME)
+    if statement.get("format") == EARLIER_FORMAT:
+        statement = {**statement, "format": FORMAT, "despite": "", "expires_at": None}
+    return Approval(**_take_fields(statement, FORMAT, Approval, APPROVAL_NAME))
 
 
-def check_approval(folder: Path, key: Ed25519PublicKey) -> Approval:
-    """Return the approval of a result folder in which every file is the approved one.
+def open_revocation(envelope: bytes, key: Ed25519PublicKey, name: str = REVOCATION_NAME) -> Revocation:
+    """Return the statement of a revocation that the key has signed.
 
     Raises:
-        ResultError: there is no approval, or it is not signed by the key; or a file differs, is missing, or is not
-            part of what was approved.
+        ResultError: the envelope is malformed, or none of its signatures is the key's; the message calls it ``name``.
     """
-    path = folder / APPROVAL_NAME
+    statement = read_envelope(envelope, name).open(REVOCATION_TYPE, key, name)
+    return Revocation(**_take_fields(statement, REVOCATION_FORMAT, Revocation, name))
+
+
+def check_approval(
+    folder: Path, key: Ed25519PublicKey, *, now: float | None = None, revocations: Sequence[Path] = ()
+) -> Approval:
+    """Return the valid approval of a result folder in which every file is the approved one.
+
+    Args:
+        folder: the result folder with ``approval.json`` and perhaps ``revocation.json``.
+        key: the trusted key.
+        now: time at which the approval has to be valid [s since 1970]; None for the computer's clock.
+        revocations: files, or folders of files, with revocations that are known beside the one in the folder.  Those of
+            other keys are passed over.
+
+    Raises:
+        ResultError: there is no approval, or it is not signed by the key, has expired, was revoked, is of a plan
+            without ``CERTIFIED`` and does not say so, or shows another verdict or page; or a file differs, is missing,
+            or is not part of what was approved.
+    """
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ResultError(f"{path} has more than {MAX_FILE_BYTES} bytes")
-        envelope = path.read_bytes()
-    except OSError:
+        approval = open_approval(_read_envelope_file(folder / APPROVAL_NAME), key)
+    except FileNotFoundError:
         raise ResultError(
             f"{folder}: there is no {APPROVAL_NAME}; an approved plan of a server with --sign-key has one "
             "(`scopt review PLAN_ID --out FOLDER`)"
         ) from None
-    try:
-        approval = open_approval(envelope, key)
     except ResultError as error:
         raise ResultError(f"{folder}: {error}") from None
+    for revocation in (*_read_own_revocation(folder, key), *_read_revocations(revocations, key)):
+        if revocation.applies_to(approval):
+            why = f": {shown(revocation.comment)}" if revocation.comment else ""
+            who = f"{revocation.reviewer} on {format_time(revocation.revoked_at)}"
+            raise ResultError(f"{folder}: the approval by {_name(approval)} was revoked by {who}{why}")
+    problem = _find_lapse(approval, time.time() if now is None else now)
+    if problem:
+        raise ResultError(f"{folder}: {problem}")
     if not approval.files:
         raise ResultError(f"{folder}: the approval names no files; the plan was made without any")
-    there = {
-        path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir() or path.is_symlink()
-    }
-    problems = [f"{name} is missing" for name in sorted(set(approval.files) - there)]
-    problems += [
-        f"{name} is not part of what was approved" for name in sorted(there - {*approval.files, APPROVAL_NAME})
-    ]
-    for name in sorted(there & set(approval.files)):
-        if (folder / name).is_symlink() or _hash_file(folder / name) != approval.files[name]:
-            problems.append(f"{name} is not the approved one")
+    problems = [*_compare_files(folder, approval), *_compare_claims(folder, approval)]
     if problems:
         raise ResultError("\n".join(f"{folder}: {problem}" for problem in problems[:10]))
     return approval
 
 
-_EXPECTED_PRIVATE = "expected an unencrypted Ed25519 private key in PEM; `openssl genpkey -algorithm ed25519` makes one"
-_EXPECTED_PUBLIC = "expected an Ed25519 public key in PEM; `openssl pkey -in PRIVATE_KEY -pubout` writes it"
-
-
-def _encode(statement: bytes) -> bytes:
-    """Return the signed bytes: DSSE's pre-authentication encoding."""
-    return b"DSSEv1 %d %s %d %s" % (len(PAYLOAD_TYPE), PAYLOAD_TYPE.encode(), len(statement), statement)
-
-
-def _is_signed(key: Ed25519PublicKey, signature: bytes, statement: bytes) -> bool:
+def format_time(seconds: float) -> str:
+    """Return a time since 1970 as date and minute, UTC."""
     try:
-        key.verify(signature, _encode(statement))
-    except InvalidSignature:
-        return False
-    return True
+        return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M UTC")
+    except (ValueError, OverflowError, OSError):
+        return f"{seconds:g} s since 1970"
 
 
-def _read_statement(statement: bytes) -> Approval:
-    """Read a signed statement."""
-    data: dict[str, Any] = json.loads(statement)
-    if data.pop("format", None) != FORMAT:
-        raise ResultError(f"{APPROVAL_NAME}: expected the format {FORMAT!r}")
-    names = {field.name for field in fields(Approval)}
-    if not names <= set(data):
-        raise ResultError(f"{APPROVAL_NAME}: lacks {', '.join(sorted(names - set(data)))}")
-    return Approval(**{name: data[name] for name in names})
+def _find_lapse(approval: Approval, now: float) -> str:
+    """Return why an approval is not valid at a time; empty if it is."""
+    given, today = f"the approval by {_name(approval)}", f"today is {format_time(now)}"
+    if approval.expires_at is None:
+        return f"{given} is of release 0.3.0, has no validity and counts as expired; review the plan again"
+    if now >= approval.expires_at:
+        return f"{given} expired on {format_time(approval.expires_at)} ({today}); review the plan again"
+    if now < approval.approved_at - CLOCK_TOLERANCE_S:
+        return f"{given} is of the future ({today}); check this computer's clock"
+    if approval.verdict != CERTIFIED and approval.despite != approval.verdict:
+        return f"{given} is of a plan that is {approval.verdict}, and does not say despite {approval.verdict}"
+    return ""
 
 
-def _key_id(key: Ed25519PublicKey) -> str:
-    """Return the first half of the sha256 of the raw public key."""
-    return hashlib.sha256(key.public_bytes(Encoding.Raw, PublicFormat.Raw)).hexdigest()[:32]
+def _name(approval: Approval) -> str:
+    return f"{approval.reviewer} on {format_time(approval.approved_at)}"
 
 
-def _hash_file(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
+def _compare_files(folder: Path, approval: Approval) -> list[str]:
+    there = list_files(folder)
+    own = {APPROVAL_NAME, REVOCATION_NAME}
+    problems = [f"{name} is missing" for name in sorted(set(approval.files) - set(there))]
+    problems += [f"{name} is not part of what was approved" for name in sorted(set(there) - {*approval.files, *own})]
+    for name in sorted(set(there) & set(approval.files)):
+        path = there[name]
+        if path.is_symlink() or not path.is_file() or hash_file(path) != f"sha256:{approval.files[name]}":
+            problems.append(f"{name} is not the approved one")
+    return problems
 
 
-def _read(path: Path) -> bytes:
+def _compare_claims(folder: Path, approval: Approval) -> list[str]:
+    """Compare page, certificate and verdict that were shown to the reviewer with those of the approved files."""
+    problems = []
+    if approval.page_sha256 != approval.files.get(VIEWER_NAME, ""):
+        problems.append(f"{VIEWER_NAME} is not the page that the reviewer has seen")
+    if (folder / RESULT_NAME).is_file():
+        data = read_result(folder)
+        verdict, certificate = data.get("verdict", approval.verdict), hash_certificate(data)
+        if certificate and certificate != f"sha256:{approval.certificate_sha256}":
+            problems.append(f"the certificate in {RESULT_NAME} is not the approved one")
+        if verdict != approval.verdict:
+            problems.append(f"{RESULT_NAME} says {shown(verdict)}; the approved plan is {approval.verdict}")
+    return problems
+
+
+def _read_own_revocation(folder: Path, key: Ed25519PublicKey) -> list[Revocation]:
+    """Return the revocation beside an approval; one that the key has not signed is an error."""
     try:
-        with path.open("rb") as file:
-            return file.read(MAX_FILE_BYTES)
+        return [open_revocation(_read_envelope_file(folder / REVOCATION_NAME), key)]
+    except FileNotFoundError:
+        return []
+    except ResultError as error:
+        raise ResultError(f"{folder}: {error}") from None
+
+
+def _read_revocations(paths: Sequence[Path], key: Ed25519PublicKey) -> list[Revocation]:
+    """Return the key's revocations in files and folders."""
+    files = [file for path in paths for file in (sorted(path.rglob("*.json")) if path.is_dir() else [path])]
+    if len(files) > MAX_REVOCATIONS:
+        raise ResultError(f"{paths[0]}: holds {len(files)} revocations; at most {MAX_REVOCATIONS} are read")
+    found = []
+    for file in files:
+        try:
+            content = _read_envelope_file(file)
+        except FileNotFoundError:
+            raise ResultError(f"{file}: does not exist; expected a revocation, or a folder of revocations") from None
+        ids = read_envelope(content, str(file)).key_ids
+        if not ids or key_id(key) in ids:
+            found.append(open_revocation(content, key, str(file)))
+    return found
+
+
+def _read_envelope_file(path: Path) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ResultError: it cannot be read, or is too large.
+    """
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ResultError(f"{path.name}: has more than {MAX_FILE_BYTES} bytes")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise
     except OSError as error:
-        raise TrustError(f"{path}: cannot be read ({error.strerror})") from None
+        raise ResultError(f"{path.name}: cannot be read: {error.strerror}") from None
+
+
+def _take_fields(statement: Mapping[str, Any], form: str, kind: type, name: str) -> dict[str, Any]:
+    """Return the fields of a signed statement."""
+    if statement.get("format") != form:
+        raise ResultError(f"{name}: format is {shown(statement.get('format'))}; expected {form!r}")
+    names = {field.name for field in fields(kind)}
+    if not names <= set(statement):
+        raise ResultError(f"{name}: lacks {', '.join(sorted(names - set(statement)))}")
+    return {key: statement[key] for key in names}

@@ -23,11 +23,12 @@ VIEWER_NAME = "viewer.html"
 GLB_NAME = "scene.glb"
 OPENRAVE_NAME = "openrave"
 ROBOT_NAME = "robot"
-APPROVAL_NAME = "approval.json"  # signed by a server
+MANIFEST_NAME = "manifest.json"
+APPROVAL_NAME, REVOCATION_NAME = "approval.json", "revocation.json"  # signed by a server
 SIMULATION_NAME, SIMULATION_PAGE = "simulation.json", "simulation.html"  # written by `scopt simulate`
 WRITTEN = {
     RESULT_NAME, TRAJECTORY_NAME, VIEWER_NAME, GLB_NAME, OPENRAVE_NAME, ROBOT_NAME, SIMULATION_NAME, SIMULATION_PAGE,
-    APPROVAL_NAME,
+    APPROVAL_NAME, REVOCATION_NAME, MANIFEST_NAME,
 }  # fmt: skip
 MAX_RESULT_BYTES = 512 * 2**20
 BEGINNING = b'{"format": "' + NAME.encode()

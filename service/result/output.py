@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from costs.robot import RobotModel, read_robot_visuals
 from service.errors import ResultError, shown
@@ -23,9 +24,11 @@ from service.result.folder import (
     check_folder,
     replace_folder,
 )
+from service.result.manifest import write_manifest
 from service.result.motion_json import samples_of
 from service.result.result import PlanResult
 from service.result.result_json import to_result_json
+from service.verify import Motion
 from service.viewer import list_drawn_frames, place_links, place_poses, write_glb, write_openrave, write_viewer
 
 
@@ -43,7 +46,8 @@ def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
             (fresh / RESULT_NAME).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
             _write_trajectory(result, data["trajectory"], fresh / TRAJECTORY_NAME)
             _write_robot(result.robot, fresh / ROBOT_NAME)
-            _write_views(result, data, fresh)
+            draw_views(result.robot, result.motion, result.start, data, fresh)
+            write_manifest(fresh, data)
     except OSError as error:
         raise ResultError(f"{folder} cannot be written: {error.strerror or error}") from None
     return ResultFiles(folder)
@@ -74,11 +78,22 @@ def _write_robot(robot: RobotModel, folder: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _write_views(result: PlanResult, data: Mapping[str, Any], folder: Path) -> None:
-    q = result.start[None] if result.motion is None else result.motion.curve(samples_of(result.motion))
-    visuals = [mesh for mesh in read_robot_visuals(result.robot) if result.robot.model.existFrame(mesh.link)]
-    links = tuple(dict.fromkeys([*list_drawn_frames(result.robot, data), *(mesh.link for mesh in visuals)]))
-    placements = place_links(result.robot, q[:, : result.robot.n], links)
-    write_viewer(data, placements, folder / VIEWER_NAME, place_poses(result.robot, data), visuals)
+def draw_views(
+    robot: RobotModel, motion: Motion | None, start: Float[np.ndarray, "n"], data: Mapping[str, Any], folder: Path
+) -> None:
+    """Write the drawings of a result into a folder; equal results give equal bytes.
+
+    Args:
+        robot: the result's robot, without the joints that the task moves.
+        motion: the result's motion; None draws the start.
+        start: configuration at the start.
+        data: content of ``result.json``.
+        folder: folder of the files.
+    """
+    q = start[None] if motion is None else motion.curve(samples_of(motion))
+    visuals = [mesh for mesh in read_robot_visuals(robot) if robot.model.existFrame(mesh.link)]
+    links = tuple(dict.fromkeys([*list_drawn_frames(robot, data), *(mesh.link for mesh in visuals)]))
+    placements = place_links(robot, q[:, : robot.n], links)
+    write_viewer(data, placements, folder / VIEWER_NAME, place_poses(robot, data), visuals)
     write_glb(data, placements, folder / GLB_NAME)
     write_openrave(data, folder / OPENRAVE_NAME)

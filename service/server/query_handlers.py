@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Iterable
 from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
+from typing import cast
 
 import grpc
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -17,7 +18,8 @@ from service.executor import Lane, Place, WorkerState
 from service.executor.linux import rss_bytes
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.result_pb2 import FileChunk
-from service.result.approval import Approval, Signer
+from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
+from service.result.approval import Approval, Revocation, Signer
 from service.server.jobs import JobRunner
 from service.server.plan_files import hash_files, read_files, stream_files
 from service.server.plan_handler import parse_result
@@ -26,7 +28,7 @@ from service.server.robots import RobotFolder
 from service.server.running_plans import RunningPlans
 from service.server.settings import ServerSettings
 from service.store import Decision, PlanRecord, PlanState, Review, Store
-from service.store.reviews import MAX_COMMENT_CHARACTERS
+from service.store.reviews import CERTIFIED, MAX_COMMENT_CHARACTERS, VALID_S
 from service.telemetry import PlanCounts, bind
 from service.trust import Role, current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
@@ -117,11 +119,16 @@ class QueryHandlers:
             message.comment,
             message.page_sha256,
             None if self._signer is None else partial(self._sign, self._signer),
+            verdict=_decode_verdict(message.verdict, "verdict") or CERTIFIED,
+            despite=_decode_verdict(message.despite, "despite"),
+            valid_s=message.valid_s if message.HasField("valid_s") else VALID_S,
         )
         return wire.ReviewPlanResponse(review=_review_to_message(review))
 
     def _sign(self, signer: Signer, plan: PlanRecord, review: Review) -> bytes:
-        """Return the signed statement about an accepted plan."""
+        """Return the signed statement about an accepted plan, or that its acceptance is withdrawn."""
+        if review.decision is Decision.REJECTED:
+            return signer.sign_revocation(Revocation(plan.plan_id, review.reviewer, review.comment, review.time))
         statement = Approval(
             plan_id=plan.plan_id,
             verdict=plan.verdict,
@@ -133,6 +140,8 @@ class QueryHandlers:
             certificate_sha256=review.certificate_sha256,
             page_sha256=review.page_sha256,
             files=hash_files(self._store, plan.plan_id) if plan.archive_bytes else {},
+            despite="" if review.verdict == CERTIFIED else review.verdict,
+            expires_at=review.expires,
         )
         return signer.sign(statement)
 
@@ -263,7 +272,7 @@ class QueryHandlers:
             request_id=record.request_id,
             state=wire.PLAN_STATE_RUNNING if running is not None and running.has_begun else _STATES[record.state],
             reviews=[_review_to_message(review) for review in reviews],
-            is_approved=bool(reviews) and reviews[-1].decision is Decision.ACCEPTED,
+            is_approved=self._store.reviews.is_valid(reviews),
             created=_timestamp(record.created),
             reason=record.why_lost,
             page_sha256=record.page_sha256,
@@ -291,6 +300,14 @@ def _join_chunks(chunks: Iterable[FileChunk]) -> dict[str, bytes]:
     return {path: b"".join(data) for path, data in parts.items()}
 
 
+def _decode_verdict(number: int, field: str) -> str:
+    """Return the name of a verdict; empty if unspecified (Refusal for a number that is none)."""
+    if number not in VerdictMessage.values():
+        raise refuse_invalid([f"{field}: {number} is no verdict"])
+    name = VerdictMessage.Name(cast(VerdictMessage, number)).removeprefix("VERDICT_")
+    return "" if name == "UNSPECIFIED" else name
+
+
 def _review_to_message(review: Review) -> wire.Review:
     return wire.Review(
         decision=_DECISIONS[review.decision],
@@ -301,6 +318,8 @@ def _review_to_message(review: Review) -> wire.Review:
         page_sha256=review.page_sha256,
         approval=review.approval,
         time=_timestamp(review.time),
+        verdict=encode_verdict(review.verdict) if review.verdict else None,
+        expires=_timestamp(review.expires) if review.expires else None,
     )
 
 

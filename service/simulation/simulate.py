@@ -9,6 +9,7 @@ from typing import Any
 
 from service.errors import ResultError
 from service.result.folder import SIMULATION_NAME, read_result, result_path
+from service.result.manifest import forget_files, record_files
 from service.simulation.options import SimulationOptions
 from service.simulation.page import write_page
 from service.simulation.report import make_report
@@ -41,6 +42,10 @@ def simulate(
     file = result_path(path).parent / SIMULATION_NAME if output is None else Path(output)
     execution = execute_folder(path, options, report)
     made = make_report(execution)
+    folder, names = result_path(path).parent, (file.name, file.with_suffix(".html").name)
+    is_of_result = output is None
+    if is_of_result:
+        forget_files(folder, names)
     write_simulation(made, file)
     if report is not None:
         report("write page", 1.0)
@@ -48,6 +53,8 @@ def simulate(
         write_page(read_result(path), execution, made, file.with_suffix(".html"))
     except OSError as error:
         raise ResultError(f"{file.with_suffix('.html')} cannot be written: {error.strerror}") from None
+    if is_of_result:
+        record_files(folder, names)
     return made
 
 

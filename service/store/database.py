@@ -12,12 +12,14 @@ from typing import Any
 
 from service.store.errors import DamagedError, DiskError, StoreError
 from service.store.folder import PARTIAL
-from service.store.seals import compute_seal
+from service.store.seals import LOCAL_COLUMNS, SEAL, compute_seal
 
-VERSION = 2
+VERSION = 3
+EARLIER = (1, 2)  # versions that are read; the second is that of release 0.3.0
 CHECKPOINT_WRITES, CHECKPOINT_BYTES = 2000, 32 * 2**20  # after which a checkpoint is due; of the write-ahead log
 LATEST_CHECKPOINT_PAGES = 50_000  # of 4 KiB, after which a write makes it itself, since nobody else does
 _APPLICATION_ID = 0x5C097001
+DAMAGED_SEAL = "damaged"  # equals no seal
 UNREADABLE_ROW = "a row of the store is damaged on this server's disk; its operator has to restore the store"
 
 # Triggers keep ``totals``, so that limits are checked without counting rows.
@@ -63,6 +65,8 @@ CREATE TABLE reviews (
     time REAL NOT NULL,
     page_sha256 TEXT NOT NULL DEFAULT '',
     approval BLOB NOT NULL DEFAULT x'',
+    verdict TEXT NOT NULL DEFAULT '',
+    expires REAL NOT NULL DEFAULT 0,
     seal TEXT NOT NULL
 ) STRICT;
 CREATE INDEX reviews_of_plan ON reviews (plan_id, number);
@@ -220,7 +224,8 @@ class Database:
         """
         with closing(sqlite3.connect(self.path)) as old:
             marks = [old.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")]
-            if marks != [_APPLICATION_ID, 1]:
+            application, version = marks
+            if application != _APPLICATION_ID or version not in EARLIER:
                 return
             old.execute("PRAGMA journal_mode = DELETE")  # everything is in the one file that is replaced
         partial = self._make_partial()
@@ -231,12 +236,10 @@ class Database:
             for table in ("plans", "scenes"):
                 names = ", ".join(row["name"] for row in new.execute(f"PRAGMA old.table_info({table})"))
                 new.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM old.{table}")
-            for row in new.execute("SELECT * FROM old.reviews ORDER BY plan_id, number").fetchall():
-                insert_review(new, {name: row[name] for name in row.keys() if name != "number"})  # noqa: SIM118
-            for (plan_id,) in new.execute("SELECT plan_id FROM plans").fetchall():
-                seal_plan(new, plan_id)
+            for plan in new.execute("SELECT * FROM old.plans").fetchall():
+                _migrate_plan(new, dict(plan), has_seals=version > 1)
             new.execute("COMMIT")
-        kept = self.path.with_name(f"{self.path.name}.version-1")
+        kept = self.path.with_name(f"{self.path.name}.version-{version}")
         kept.unlink(missing_ok=True)
         kept.hardlink_to(self.path)
         partial.rename(self.path)
@@ -309,11 +312,32 @@ def insert_review(db: sqlite3.Connection, review: Mapping[str, Any]) -> None:
     """Add a review (value by column) behind the earlier ones of its plan; ``seal_plan`` has to follow."""
     plan_id = review["plan_id"]
     (previous,) = db.execute("SELECT reviews_seal FROM plans WHERE plan_id = ?", (plan_id,)).fetchone()
-    complete = {"page_sha256": "", "approval": b"", **review}
+    complete = {"page_sha256": "", "approval": b"", "verdict": "", "expires": 0.0, **review}
     values = {**complete, "seal": compute_seal(complete, previous)}
     names = ", ".join(values)
     db.execute(f"INSERT INTO reviews ({names}) VALUES ({', '.join('?' * len(values))})", tuple(values.values()))
     db.execute("UPDATE plans SET is_reviewed = 1, reviews_seal = ? WHERE plan_id = ?", (values["seal"], plan_id))
+
+
+def _migrate_plan(new: sqlite3.Connection, plan: Mapping[str, Any], *, has_seals: bool) -> None:
+    """Copy the reviews of a plan of an earlier version and seal both; a row that was damaged stays damaged.
+
+    Args:
+        new: the new database, with the plans copied and the earlier one attached as ``old``.
+        plan: row of the earlier database.
+        has_seals: whether the earlier version sealed its rows.
+    """
+    plan_id, is_whole, seal = plan["plan_id"], True, ""
+    new.execute("UPDATE plans SET reviews_seal = '' WHERE plan_id = ?", (plan_id,))
+    for row in new.execute("SELECT * FROM old.reviews WHERE plan_id = ? ORDER BY number", (plan_id,)).fetchall():
+        if has_seals:
+            seal = compute_seal(dict(row), seal)
+            is_whole = is_whole and seal == row[SEAL]
+        insert_review(new, {name: value for name, value in dict(row).items() if name not in LOCAL_COLUMNS})
+    if has_seals and not (is_whole and seal == plan["reviews_seal"]):
+        new.execute("UPDATE plans SET reviews_seal = ? WHERE plan_id = ?", (DAMAGED_SEAL, plan_id))
+    if not has_seals or compute_seal(plan) == plan[SEAL]:
+        seal_plan(new, plan_id)
 
 
 @cache

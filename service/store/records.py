@@ -74,7 +74,9 @@ class Review:
     Attributes:
         time: [s since 1970].
         page_sha256: empty for a plan without files.
-        approval: signed statement of an acceptance; empty without one.
+        approval: signed statement of an acceptance, or of its withdrawal; empty without one.
+        verdict: of the reviewed plan; empty where an earlier version stored the review.
+        expires: end of an acceptance's validity [s since 1970]; 0 for other reviews and those of earlier versions.
     """
 
     plan_id: str
@@ -86,6 +88,8 @@ class Review:
     time: float
     page_sha256: str = ""
     approval: bytes = b""
+    verdict: str = ""
+    expires: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import shutil
+import time
 from pathlib import Path
 
 import pytest
 from click.testing import Result
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 from typer.testing import CliRunner
 
 from service import parse_request, plan, write_result
 from service.cli.app import app
 from service.cli.run import EXIT_CODES
+from service.result.approval import Approval, Revocation, Signer
+from service.result.folder import read_result
+from service.result.manifest import hash_certificate, hash_file, list_files
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +116,34 @@ def test_a_changed_folder_is_refused(reach: Path, tmp_path: Path) -> None:
     done = _track(tmp_path)
     assert done.exit_code == EXIT_CODES["INVALID_REQUEST"]
     assert done.stdout.startswith("INVALID_REQUEST")
+
+
+def test_only_an_approved_plan_is_tracked_and_verified_where_a_key_is_trusted(reach: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(reach, tmp_path / "out")
+    key = Ed25519PrivateKey.generate()
+    private, public = tmp_path / "key.pem", tmp_path / "key.pub"
+    private.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    private.chmod(0o600)
+    public.write_bytes(key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+    unsigned = _track(folder, "--trust", public)
+    assert (unsigned.exit_code, "there is no approval.json" in unsigned.stderr) == (3, True)
+    files = {name: hash_file(path).removeprefix("sha256:") for name, path in list_files(folder).items()}
+    proof = hash_certificate(read_result(folder)).removeprefix("sha256:")
+    approval = Approval("p1", "CERTIFIED", "ada", "", time.time(), "", "", proof, files["viewer.html"], files)
+    (folder / "approval.json").write_bytes(Signer(private).sign(approval))
+    assert _track(folder, "--trust", public).stdout.splitlines()[-1].startswith("TRACKED  to the end")
+    verified = CliRunner().invoke(app, ["verify", str(folder), "--trust", str(public)])
+    assert "approved by      ada on 20" in verified.stdout
+    assert "not checked:" not in verified.stdout
+    assert "not checked: 'approval.json' (--trust KEY checks the signature)" in (
+        CliRunner().invoke(app, ["verify", str(folder)]).stdout
+    )
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    (kept / "p1.json").write_bytes(Signer(private).sign_revocation(Revocation("p1", "bob", "", time.time())))
+    for command in ("track", "verify"):
+        options = [command, str(folder), "--trust", str(public), "--revocations", str(kept)]
+        refused = CliRunner().invoke(app, options)
+        assert (refused.exit_code, "was revoked by bob on 20" in refused.stderr) == (3, True)
+    assert CliRunner().invoke(app, ["verify", str(folder), "--revocations", str(kept)]).exit_code == 2
+    assert _track(folder, "--trust", public, "--shift", "r_hand:0.02,0,0@0.3").exit_code == 2

@@ -37,6 +37,7 @@ from service.cli.connect import ENDINGS
 from service.cli.run import EXIT_CODES
 from service.cli.top import draw_status
 from service.proto.planner.v1 import planner_pb2 as pb
+from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, VERDICT_TIME_LIMIT
 from service.result.result import Verdict
 
 Code = grpc.StatusCode
@@ -210,6 +211,38 @@ def test_a_review_shows_the_hashes_it_is_bound_to(stand_in: PlannerStandIn, targ
         ("REJECTED", "too close"),
         ("ACCEPTED", ""),
     ]
+
+
+def test_an_approval_names_its_verdict_and_validity_and_is_withdrawn(stand_in: PlannerStandIn, target: str) -> None:
+    nothing = _scopt("review", PLAN_ID, "--target", target, "--revoke")
+    assert nothing.exit_code == 3
+    assert f"plan {PLAN_ID} is not approved; there is nothing to revoke" in nothing.stderr
+    options = ("--accept", "--despite", "TIME_LIMIT", "--valid-days", "0.5")
+    assert _scopt("review", PLAN_ID, "--target", target, *options).exit_code == 0
+    (sent,) = (message for message in stand_in.requests if isinstance(message, pb.ReviewPlanRequest))
+    assert (sent.verdict, sent.despite, sent.valid_s) == (VERDICT_CERTIFIED, VERDICT_TIME_LIMIT, 43200.0)
+    revoked = _scopt("review", PLAN_ID, "--target", target, "--revoke", "--comment", "old scan", "--json")
+    decisions = [review["decision"] for review in json.loads(revoked.stdout)["reviews"]]
+    assert decisions == ["ACCEPTED", "REVOKED"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--revoke", "--accept"), "--revoke goes without --accept and --reject"),
+        (("--reject", "--despite", "TIME_LIMIT"), "--despite and --valid-days go with --accept"),
+        (("--valid-days", "3"), "--despite and --valid-days go with --accept"),
+        (("--accept", "--valid-days", "400"), "should be less than or equal to 366"),
+        (("--accept", "--despite", "TIME_LIMITS"), "despite: unknown verdict 'TIME_LIMITS'; expected TIME_LIMIT"),
+    ],
+)  # fmt: skip
+def test_options_of_a_review_that_do_not_go_together_are_refused(
+    stand_in: PlannerStandIn, target: str, options: tuple[str, ...], words: str
+) -> None:
+    refused = _scopt("review", PLAN_ID, "--target", target, *options)
+    assert refused.exit_code in (2, 3)
+    assert words in " ".join(refused.stderr.replace("│", " ").split())
+    assert stand_in.reviews == []
 
 
 def test_control_characters_of_a_comment_are_escaped(stand_in: PlannerStandIn, target: str) -> None:

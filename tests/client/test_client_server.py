@@ -79,7 +79,7 @@ def test_example_requests_are_certified_by_a_server(served: Served, tmp_path: Pa
     verified = CliRunner().invoke(app, ["verify", str(tmp_path / "plan"), "--json"])
     assert json.loads(verified.stdout)["verdict"] == "CERTIFIED"
     assert {path.name for path in (tmp_path / "plan").iterdir()} == {
-        "result.json", "trajectory.csv", "viewer.html", "scene.glb", "openrave", "robot",
+        "result.json", "manifest.json", "trajectory.csv", "viewer.html", "scene.glb", "openrave", "robot",
     }  # fmt: skip
 
 

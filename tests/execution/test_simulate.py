@@ -19,6 +19,7 @@ from service.errors import ResultError
 from service.execution.driver import JointCommand
 from service.execution.reference import BLEND_S, PlannedReference
 from service.planner import plan
+from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
 from service.result.folder import check_folder
 from service.result.output import write_result
@@ -211,6 +212,9 @@ def test_a_fixed_arm_is_simulated_with_servos_from_its_efforts(tmp_path: Path) -
     assert made["verdict"] == "STOOD"
     assert made["servo"]["stiffness"]["j0"] == pytest.approx(20.0 / 0.05)
     assert made["joint_error"]["worst"] < 0.05
+    verified = verify_result(folder)  # the simulation's files are part of the folder's manifest
+    assert (verified["verdict"], verified["unchecked"]) == ("CERTIFIED", [])
+    assert any("'simulation.json': as manifest.json has it" in note for note in verified["notes"])
 
 
 def test_a_plan_that_nobody_could_carry_out_is_refused_in_one_line(copied: Path, tmp_path: Path) -> None:

@@ -130,7 +130,8 @@ def test_gigantic_files_are_refused_before_they_are_read(tmp_path: Path) -> None
 
 @given(data=st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3), lambda inner: (
     st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(
-        ["joint_names", "points", "positions", "velocities", "times", "dt", "trajectory", "time_from_start", "sec"]),
+        ["joint_names", "points", "positions", "velocities", "times", "dt", "trajectory", "time_from_start", "sec",
+         "multi_dof_joint_trajectory", "transforms", "trajectory_start", "joint_state", "name", "position", "success"]),
         inner, max_size=4)), max_leaves=12))  # fmt: skip
 @settings(max_examples=40)
 def test_any_data_is_a_trajectory_or_refused(data: object) -> None:

@@ -9,7 +9,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,20 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from service.errors import ResultError
-from service.result.approval import Approval, Signer, check_approval, read_public_key
+from service.result.approval import (
+    PAYLOAD_TYPE,
+    Approval,
+    Revocation,
+    Signer,
+    check_approval,
+    open_approval,
+    read_public_key,
+)
+from service.result.signing import SigningKey
 from service.trust import TrustError
 
 CONTROLLER = Path(__file__).parents[2] / "examples" / "07_approved_plans_only.py"
+DAY_S = 86400.0
 FILES = {
     "result.json": b'{"format": "scopt-result/1"}',
     "trajectory.csv": b"time,l_arm_elx\n0.0,0.1\n0.5,0.2\n",
@@ -143,6 +153,13 @@ FORGERIES: dict[str, Callable[[Path], object]] = {
     "a signature with one other bit": lambda folder: _edit_signature(
         folder, lambda signature: bytes([signature[0] ^ 1]) + signature[1:]
     ),
+    "an approval that has expired": lambda folder: _sign_anew(folder, "ours", approved_at=time.time() - 31 * DAY_S),
+    "an approval with an edited end": lambda folder: _edit_statement(folder, expires_at=time.time() + 999 * DAY_S),
+    "a revocation beside it": lambda folder: _revoke(folder, folder / "revocation.json"),
+    "a revocation that another key has signed": lambda folder: _revoke(folder, folder / "revocation.json", "theirs"),
+    "a revocation that is no JSON": lambda folder: (folder / "revocation.json").write_bytes(b"revoked"),
+    "an approval of release 0.3.0": lambda folder: _sign_as_before(folder),
+    "a verdict that is not the plan's": lambda folder: _sign_anew(folder, "ours", verdict="TIME_LIMIT"),
     "another key": lambda folder: _sign_anew(folder, "theirs"),
     "another key for another trajectory": lambda folder: _approve_other_trajectory(folder, "theirs"),
     "an edited hash under the old signature": lambda folder: _approve_other_trajectory(folder, ""),
@@ -161,6 +178,19 @@ FORGERIES: dict[str, Callable[[Path], object]] = {
     ),
     "an approval without files": lambda folder: _sign_anew(folder, "ours", files={}),
 }
+
+
+def _revoke(folder: Path, path: Path, key: str = "ours", **changes: Any) -> None:
+    path.parent.mkdir(exist_ok=True)
+    revocation = replace(Revocation("p1", "bob", "the scan was old", time.time()), **changes)
+    path.write_bytes(Signer(folder.parent / f"{key}.pem").sign_revocation(revocation))
+
+
+def _sign_as_before(folder: Path) -> None:
+    """Sign an approval as release 0.3.0 did."""
+    statement = {key: value for key, value in asdict(_approve()).items() if key not in ("despite", "expires_at")}
+    key = SigningKey(folder.parent / "ours.pem")
+    (folder / "approval.json").write_bytes(key.seal(PAYLOAD_TYPE, {"format": "scopt-approval/1", **statement}))
 
 
 @pytest.mark.parametrize("forgery", list(FORGERIES))
@@ -220,3 +250,91 @@ def test_a_key_that_cannot_be_used_is_refused_by_its_file(folder: Path) -> None:
     ours.chmod(0o644)
     with pytest.raises(TrustError, match="others may read the private key; run chmod 600"):
         Signer(ours)
+
+
+def _check_at(folder: Path, days: float, *revocations: Path) -> Approval:
+    """Check an approval of 2026-12-01 some days later."""
+    now = 1796083200.0 + days * DAY_S
+    return check_approval(folder, read_public_key(folder.parent / "ours.pub"), now=now, revocations=revocations)
+
+
+@pytest.mark.parametrize(
+    ("changes", "days", "words"),
+    [
+        ({}, 30.0, r"by ada on 2026-12-01 00:00 UTC expired on 2026-12-31 00:00 UTC \(today is 2026-12-31"),
+        ({"expires_at": 1796083200.0 + DAY_S}, 1.01, r"expired on 2026-12-02 00:00 UTC"),
+        ({}, -0.01, r"is of the future \(today is 2026-11-30 23:45 UTC\); check this computer's clock"),
+        ({"verdict": "TIME_LIMIT"}, 1.0, r"is of a plan that is TIME_LIMIT, and does not say despite TIME_LIMIT"),
+        ({"verdict": "TIME_LIMIT", "despite": "CERTIFIED"}, 1.0, r"and does not say despite TIME_LIMIT"),
+        ({"page_sha256": "e" * 64}, 1.0, r"viewer\.html is not the page that the reviewer has seen"),
+    ],
+    ids=["expired", "expired after a day", "of the future", "despite missing", "despite another verdict", "other page"],
+)  # fmt: skip
+def test_an_approval_that_does_not_hold_now_is_refused_with_the_reason(
+    folder: Path, changes: dict[str, Any], days: float, words: str
+) -> None:
+    _sign_anew(folder, "ours", approved_at=1796083200.0)
+    assert _check_at(folder, 29.9).describe() == (
+        "ada on 2026-12-01 00:00 UTC, valid until 2026-12-31 00:00 UTC, plan p1"
+    )
+    _sign_anew(folder, "ours", **{"approved_at": 1796083200.0, **changes})
+    with pytest.raises(ResultError, match=words):
+        _check_at(folder, days)
+
+
+def test_an_approval_despite_its_verdict_holds_for_a_plan_with_that_verdict_only(folder: Path) -> None:
+    text = b'{"format": "scopt-result/1", "verdict": "TIME_LIMIT"}'
+    (folder / "result.json").write_bytes(text)
+    files = {**_approve().files, "result.json": hashlib.sha256(text).hexdigest()}
+    late = {"approved_at": 1796083200.0, "files": files, "verdict": "TIME_LIMIT", "despite": "TIME_LIMIT"}
+    _sign_anew(folder, "ours", **late)
+    assert _check_at(folder, 1.0).describe().startswith("ada despite TIME_LIMIT on ")
+    _sign_anew(folder, "ours", **{**late, "verdict": "CERTIFIED", "despite": ""})
+    with pytest.raises(ResultError, match=r"result\.json says 'TIME_LIMIT'; the approved plan is CERTIFIED"):
+        _check_at(folder, 1.0)
+
+
+def test_revocations_that_the_robot_keeps_count_and_a_later_approval_holds(folder: Path) -> None:
+    kept = folder.parent / "kept"
+    _sign_anew(folder, "ours", approved_at=1796083200.0)
+    _revoke(folder, kept / "other.json", revoked_at=1796083300.0, plan_id="p2")
+    _revoke(folder, kept / "theirs.json", "theirs", revoked_at=1796083300.0)  # of another server
+    assert _check_at(folder, 1.0, kept).plan_id == "p1"
+    _revoke(folder, kept / "own.json", revoked_at=1796083300.0)
+    for revocations in (kept, kept / "own.json"):
+        with pytest.raises(ResultError, match="was revoked by bob on 2026-12-01 00:01 UTC: 'the scan was old'"):
+            _check_at(folder, 1.0, revocations)
+    _sign_anew(folder, "ours", approved_at=1796083301.0)
+    assert _check_at(folder, 1.0, kept).plan_id == "p1"
+    (kept / "own.json").write_text("revoked")
+    with pytest.raises(ResultError, match=r"own\.json: is no signed statement"):
+        _check_at(folder, 1.0, kept)
+    with pytest.raises(ResultError, match=r"nothing\.json: does not exist; expected a revocation"):
+        _check_at(folder, 1.0, kept / "nothing.json")
+
+
+def test_an_approval_of_release_0_3_0_is_read_and_counts_as_expired(folder: Path) -> None:
+    _sign_as_before(folder)
+    key = read_public_key(folder.parent / "ours.pub")
+    approval = open_approval((folder / "approval.json").read_bytes(), key)
+    assert (approval.reviewer, approval.expires_at) == ("ada", None)
+    with pytest.raises(ResultError, match=r"is of release 0\.3\.0, has no validity and counts as expired"):
+        check_approval(folder, key)
+
+
+def test_a_revocation_is_no_approval(folder: Path) -> None:
+    _revoke(folder, folder / "approval.json")
+    with pytest.raises(ResultError, match=r"approval\.json: payloadType is 'application/vnd\.scopt\.revocation\+json'"):
+        check_approval(folder, read_public_key(folder.parent / "ours.pub"))
+
+
+def test_an_approval_of_another_certificate_is_refused(folder: Path) -> None:
+    text = b'{"format": "scopt-result/1", "certificate": {"status": "CERTIFIED"}}'
+    (folder / "result.json").write_bytes(text)
+    files = {**_approve().files, "result.json": hashlib.sha256(text).hexdigest()}
+    own = hashlib.sha256(b'{"status":"CERTIFIED"}').hexdigest()
+    _sign_anew(folder, "ours", approved_at=1796083200.0, files=files, certificate_sha256=own)
+    assert _check_at(folder, 1.0).certificate_sha256 == own
+    _sign_anew(folder, "ours", approved_at=1796083200.0, files=files)
+    with pytest.raises(ResultError, match=r"the certificate in result\.json is not the approved one"):
+        _check_at(folder, 1.0)

@@ -19,6 +19,7 @@ from planner_calls import ENDLESS, QUICK, finished, plan_request, refusal, wait_
 from planner_server import ServerProcess, planner_server
 
 from service.client import PlannerClient
+from service.errors import RequestError, ResultError
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED, VERDICT_NOT_FOUND, VERDICT_TIME_LIMIT, MotionResult
@@ -126,6 +127,22 @@ def test_finished_plan_can_be_fetched_verified_reviewed_and_checked_without_the_
         trajectory,
         record.page_sha256,
     )
+    assert approval.expires_at == pytest.approx(approval.approved_at + 30 * 86400.0)
+    with PlannerClient(server.address) as client:
+        client.revoke(client.get_plan(plan_id).record, comment="the scan was old")
+        revoked = client.get_plan(plan_id, out=tmp_path / "out").record
+        with pytest.raises(RequestError, match=f"plan {plan_id} is not approved; there is nothing to revoke"):
+            client.revoke(revoked)
+    assert not revoked.is_approved
+    with pytest.raises(ResultError, match=r"was revoked by .*: 'the scan was old'"):
+        check_approval(tmp_path / "out", read_public_key(server.log.parent / "key.pub"))
+    review.verdict = VERDICT_TIME_LIMIT
+    code, words, _ = refusal(lambda: stub.ReviewPlan(review, timeout=120))
+    assert (code, "verdict: expected that of the stored plan, CERTIFIED, got TIME_LIMIT" in words) == (
+        "FAILED_PRECONDITION",
+        True,
+    )
+    review.verdict = VERDICT_CERTIFIED
     review.trajectory_sha256 = "0" * 64
     with pytest.raises(grpc.RpcError) as refused:
         stub.ReviewPlan(review, timeout=120)

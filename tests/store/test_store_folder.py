@@ -72,7 +72,7 @@ def test_a_store_of_another_version_is_refused_and_left_as_it_is(tmp_path: Path)
         connection.execute("PRAGMA user_version = 7")
     connection.close()
     before = (tmp_path / "store.sqlite3").read_bytes()
-    with pytest.raises(StoreError, match=r"store\.sqlite3: expected version 2, got 7"):
+    with pytest.raises(StoreError, match=r"store\.sqlite3: expected version 3, got 7"):
         Store(tmp_path)
     assert (tmp_path / "store.sqlite3").read_bytes() == before
 

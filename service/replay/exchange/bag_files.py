@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from service.errors import RequestError, shown
 from service.replay.exchange.joint_trajectory import JointTrajectory
-from service.replay.exchange.ros_types import (
-    DISPLAY_TRAJECTORY,
-    JOINT_TRAJECTORY,
-    MISSING,
-    ROBOT_TRAJECTORY,
-    TRAJECTORIES,
-    load_types,
-)
-from service.replay.exchange.text_files import FIELDS
+from service.replay.exchange.messages import parse_trajectory
+from service.replay.exchange.ros_types import JOINT_TRAJECTORY, MISSING, TRAJECTORIES, load_types
 
 MAX_BAG_BYTES = 2**30
 MAX_MESSAGE_BYTES = 256 * 2**20
@@ -82,7 +74,10 @@ def _read(path: Path, store: Any, topic: str | None, message: int | None, *, is_
             if len(raw) > MAX_MESSAGE_BYTES:
                 raise RequestError(f"{path.name}: its message is {len(raw)} bytes long")
             read = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-            return convert_message(read(raw, connection.msgtype), connection.msgtype, path.name)
+            trajectory = convert_message(read(raw, connection.msgtype), path.name)
+            unread = [name for name in topics if name != connection.topic]
+            note = (f"the bag's trajectories on {_list(unread)} are not read",) if unread else ()
+            return replace(trajectory, notes=(*trajectory.notes, *note))
         raise RequestError(f"{path.name}: has no message {message}; it has {count} trajectories, 0 is the first")
 
 
@@ -90,39 +85,18 @@ def _list(names: Sequence[str]) -> str:
     return ", ".join(shown(name) for name in names[:5]) + (" and others" if len(names) > 5 else "")
 
 
-def convert_message(message: Any, kind: str, source: str) -> JointTrajectory:
+def convert_message(message: Any, source: str) -> JointTrajectory:
     """Return the trajectory of a message of ``trajectory_msgs`` or ``moveit_msgs``.
 
     Raises:
         RequestError: it holds no trajectory, or several.
     """
-    if kind == DISPLAY_TRAJECTORY:
-        if len(message.trajectory) != 1:
-            raise RequestError(f"{source}: holds {len(message.trajectory)} trajectories; expected one")
-        message, kind = message.trajectory[0], ROBOT_TRAJECTORY
-    if kind == ROBOT_TRAJECTORY:
-        if message.multi_dof_joint_trajectory.points and len(message.multi_dof_joint_trajectory.joint_names):
-            raise RequestError(f"{source}: moves joints of several degrees of freedom; columns base_x ... are read")
-        message = message.joint_trajectory
-    names = tuple(str(name) for name in message.joint_names)
-    columns = {field: _stack(message.points, field, len(names), source) for field in FIELDS}
-    if columns["positions"] is None:
-        raise RequestError(f"{source}: has no positions")
-    times = np.array([_seconds(point.time_from_start) for point in message.points])
-    return JointTrajectory(
-        names, times, columns["positions"], columns["velocities"], columns["accelerations"], source=source
-    )
+    return parse_trajectory(_to_plain(message), source)
 
 
-def _stack(points: Sequence[Any], field: str, width: int, source: str) -> np.ndarray | None:
-    rows = [np.asarray(getattr(point, field), dtype=float) for point in points]
-    if not any(len(row) for row in rows):
-        return None
-    for index, row in enumerate(rows):
-        if len(row) != width:
-            raise RequestError(f"{source}: point {index} has {len(row)} numbers as {field}; expected {width}")
-    return np.stack(rows)
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+def _to_plain(value: Any) -> Any:
+    """Return a message as mappings and lists; arrays stay arrays."""
+    if is_dataclass(value) and not isinstance(value, type):
+        names = (field.name for field in fields(value) if not field.name.startswith("__"))
+        return {name: _to_plain(getattr(value, name)) for name in names}
+    return [_to_plain(entry) for entry in value] if isinstance(value, list | tuple) else value

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from costs.robot import BASE_NAMES, RobotModel
+from costs.robot import RobotModel
 from costs.stopping import never, poll, stops_when
 from service.demands import Demands, hold_to_request
 from service.demands.program import ProgramDemand, report_fixed_joints_that_move
-from service.errors import RequestError, shown, would_do
+from service.errors import RequestError
 from service.replay.exchange.interpolation import (
     READ_AS,
     SENTENCES,
@@ -25,8 +23,10 @@ from service.replay.exchange.interpolation import (
     make_even_law,
 )
 from service.replay.exchange.joint_trajectory import JointTrajectory
+from service.replay.exchange.placing import Points, place_points
+from service.replay.exchange.plausibility import find_other_start, note_model, note_start, note_times
+from service.replay.exchange.start_state import StartState
 from service.request.schema import PlanRequest
-from service.result.motion_json import BASE_COLUMNS
 from service.setup.prepare import PlanSetup, prepare
 from service.verify import Basis, Certificate, Check, Motion, Phase, Status, VerifyError, VerifySettings, Where, verify
 from service.verify.coverage.required import list_waived_checks
@@ -38,7 +38,6 @@ CORNERS = (
     "a controller that is given positions alone moves on lines with corners; give velocities, or certify the spline "
     "through the points (--interpolation spline) or the path alone (--untimed)"
 )
-LARGEST_TURN_RAD = 0.5  # of a base between two points, whose quaternions are read as angles
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,9 @@ def certify(
         poll()
         timings["prepare"] = time.perf_counter() - started
         announce("read trajectory")
-        points, notes = _place_points(trajectory, setup.robot, setup.start)
         kind = choose_interpolation(trajectory, interpolation)
+        points, notes = place_points(trajectory, setup.robot, setup.start, kind)
+        notes += _list_doubts(trajectory, points, setup, timed=timed)
         motion = _make_motion(points, setup, kind, timed=timed, source=trajectory.source)
         announce("certificate")
         started = time.perf_counter()
@@ -126,7 +126,7 @@ def certify(
             certificate = verify(held, VerifySettings(rest_speed=REST_SPEED))
         except VerifyError as error:
             raise RequestError(f"{trajectory.source}: {error}") from None
-        certificate = _add_start(certificate, held, setup, demands.program)
+        certificate = _add_start(certificate, held, setup, demands.program, trajectory.start)
         timings["certificate"] = time.perf_counter() - started
     sentence = f"{SENTENCES[kind]}; all checks are of this curve"
     kept = [note for note in certificate.notes if not note.startswith("the curve itself is certified")]
@@ -171,94 +171,7 @@ def _refuse_tasks(request: PlanRequest) -> None:
         raise RequestError("resume: a trajectory is certified as a whole; leave it out")
 
 
-@dataclass(frozen=True)
-class _Points:
-    """A trajectory in the robot's coordinates, (K, n) each; times are None for a path."""
-
-    times: Float[np.ndarray, "K"] | None
-    positions: Float[np.ndarray, "K n"]
-    velocities: Float[np.ndarray, "K n"] | None
-    accelerations: Float[np.ndarray, "K n"] | None
-
-
-def _place_points(
-    trajectory: JointTrajectory, robot: RobotModel, start: Float[np.ndarray, "n"]
-) -> tuple[_Points, tuple[str, ...]]:
-    """Return the points in the robot's order of coordinates, and notes about joints that the trajectory leaves out.
-
-    Raises:
-        RequestError: unknown joints, an incomplete base, or derivatives of some joints only.
-    """
-    source, names, values = trajectory.source, trajectory.joint_names, trajectory.positions
-    if set(names) & set(BASE_COLUMNS[3:]):
-        names, values = _read_base(trajectory, robot, start)
-    unknown = [name for name in names if name not in robot.joint_names]
-    if unknown:
-        own = robot.joint_names[len(BASE_NAMES) :] if robot.is_floating else robot.joint_names
-        listed = would_do(unknown[0], own)
-        raise RequestError(f"{source}: unknown joint {shown(unknown[0])}; {robot.name} has {listed}")
-    columns = [robot.joint_names.index(name) for name in names]
-    positions = np.tile(start, (len(values), 1))
-    positions[:, columns] = values
-    rates = [_place_rates(trajectory, kind, robot, names) for kind in ("velocities", "accelerations")]
-    still = [name for name in robot.joint_names if name not in names and name not in BASE_NAMES]
-    notes = []
-    if still:
-        listed = ", ".join(still[:5]) + (f" and {len(still) - 5} more" if len(still) > 5 else "")
-        notes.append(f"the trajectory leaves out {listed}: taken to stay at the request's start")
-    if robot.is_floating and not set(names) & set(BASE_NAMES):
-        notes.append("the trajectory leaves out the base: taken to stay at the request's start")
-    return _Points(trajectory.times, positions, rates[0], rates[1]), tuple(notes)
-
-
-def _place_rates(
-    trajectory: JointTrajectory, kind: str, robot: RobotModel, names: tuple[str, ...]
-) -> Float[np.ndarray, "K n"] | None:
-    values = getattr(trajectory, kind)
-    if values is None:
-        return None
-    columns = trajectory.columns_of_rates
-    unequal = sorted(set(columns) ^ set(names))
-    if unequal:
-        raise RequestError(
-            f"{trajectory.source}: {kind} and positions are not of the same coordinates: {shown(unequal[0])} is in "
-            "only one of them"
-        )
-    rates = np.zeros((len(values), robot.n))
-    rates[:, [robot.joint_names.index(name) for name in columns]] = values
-    return rates
-
-
-def _read_base(
-    trajectory: JointTrajectory, robot: RobotModel, start: Float[np.ndarray, "n"]
-) -> tuple[tuple[str, ...], Float[np.ndarray, "K j"]]:
-    """Return names and positions with the base's quaternions replaced by its z-y-x angles."""
-    source, names = trajectory.source, trajectory.joint_names
-    missing = [name for name in BASE_COLUMNS if name not in names]
-    if missing:
-        raise RequestError(f"{source}: the base lacks {missing[0]}; expected {', '.join(BASE_COLUMNS)}")
-    if not robot.is_floating:
-        raise RequestError(f"{source}: gives a base, and the base of {robot.name} is fixed")
-    columns = [names.index(name) for name in BASE_COLUMNS]
-    quaternions = trajectory.positions[:, columns[3:]]
-    lengths = np.linalg.norm(quaternions, axis=1)
-    if np.any(np.abs(lengths - 1.0) > 1e-3):
-        row = int(np.argmax(np.abs(lengths - 1.0)))
-        raise RequestError(f"{source}: the base's quaternion at point {row} has the length {lengths[row]:.4g}, not 1")
-    angles = np.unwrap(Rotation.from_quat(quaternions, scalar_first=True).as_euler("ZYX"), axis=0)
-    angles += 2.0 * np.pi * np.round((start[3:6] - angles[0]) / (2.0 * np.pi))  # the same turn as the start's
-    turn = np.abs(np.diff(angles, axis=0)).max(initial=0.0)
-    if turn > LARGEST_TURN_RAD:
-        raise RequestError(
-            f"{source}: the base turns by {np.rad2deg(turn):.0f} deg between two points; "
-            f"expected at most {np.rad2deg(LARGEST_TURN_RAD):.0f}, or base_yaw, base_pitch and base_roll"
-        )
-    others = [k for k in range(len(names)) if k not in columns]
-    values = np.hstack([trajectory.positions[:, columns[:3]], angles, trajectory.positions[:, others]])
-    return (*BASE_NAMES, *(names[k] for k in others)), values
-
-
-def _make_motion(points: _Points, setup: PlanSetup, kind: str, *, timed: bool, source: str) -> Motion:
+def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, source: str) -> Motion:
     """Return the motion with a single phase, without promises.
 
     Raises:
@@ -266,7 +179,7 @@ def _make_motion(points: _Points, setup: PlanSetup, kind: str, *, timed: bool, s
     """
     times = points.times
     if timed and times is None:
-        raise RequestError(f"{source}: has no times; --untimed (or timed=False) certifies the path alone")
+        raise RequestError(f"{source}: has no times, or all are 0; --untimed (or timed=False) certifies the path alone")
     is_by_time = times is not None and kind != "linear"  # derivatives are by time, also where only the path counts
     if times is None and kind in ("cubic", "quintic"):
         raise RequestError(f"{source}: has velocities and no times; {kind} needs both")
@@ -280,6 +193,15 @@ def _make_motion(points: _Points, setup: PlanSetup, kind: str, *, timed: bool, s
         phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
     )
+
+
+def _list_doubts(trajectory: JointTrajectory, points: Points, setup: PlanSetup, *, timed: bool) -> tuple[str, ...]:
+    """Return notes on times, robot and start that are perhaps not what the planner meant."""
+    robot, attached = setup.robot, [body.name for body in setup.request.attached]
+    notes = [*note_model(trajectory.model_id, robot), *note_start(trajectory.start, robot, attached)]
+    if timed and points.times is not None:
+        notes += note_times(points.times, points.positions, robot.velocity)
+    return tuple(notes)
 
 
 def _make_demands(setup: PlanSetup) -> Demands:
@@ -305,9 +227,16 @@ def _hold(demands: Demands, motion: Motion) -> Motion:
 
 
 def _add_start(
-    certificate: Certificate, motion: Motion, setup: PlanSetup, program: ProgramDemand | None
+    certificate: Certificate,
+    motion: Motion,
+    setup: PlanSetup,
+    program: ProgramDemand | None,
+    state: StartState | None,
 ) -> Certificate:
-    """Return the certificate with a check of the first point against the request's start, and of fixed joints."""
+    """Return the certificate with checks of the first point and of the planner's own start against the request's start.
+
+    A TrajOpt problem adds those of its fixed joints.
+    """
     q = motion.curve.positions
     off = np.abs(q[0] - setup.start)
     worst = int(off.argmax())
@@ -319,6 +248,9 @@ def _add_start(
         text = f"{name} starts at {q[0, worst]:.4f}, the request's start has {setup.start[worst]:.4f}"
     where = Where(s, None if motion.law is None else s, None, (name,))
     checks = [Check("start", is_ok, value, START_TOLERANCE, "rad", text, where, Basis.PROOF)]
+    other = find_other_start(state, setup.robot, setup.start, START_TOLERANCE)
+    if other is not None:
+        checks.append(Check("start.state", False, other[1], START_TOLERANCE, "rad", other[0], where, Basis.PROOF))
     lines = () if program is None else report_fixed_joints_that_move(program, setup.robot, setup.start, q)
     checks += [Check("start.fixed", False, 1.0, 0.0, "1", line, where, Basis.PROOF) for line in lines]
     is_violated = any(not check.ok for check in checks)

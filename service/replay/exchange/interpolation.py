@@ -37,6 +37,8 @@ def choose_interpolation(trajectory: JointTrajectory, wanted: Interpolation) -> 
         if missing:
             raise RequestError(f"{trajectory.source}: {wanted} needs {missing[0]}, and the trajectory has none")
         return wanted
+    if trajectory.times is None:
+        return "linear"
     if trajectory.accelerations is not None:
         return "quintic"
     return "linear" if trajectory.velocities is None else "cubic"

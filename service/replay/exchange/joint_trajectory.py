@@ -9,10 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from service.errors import RequestError, shown
+from service.replay.exchange.start_state import StartState
 
 MAX_POINTS = 50_000
 MAX_JOINTS = 500
 LONGEST_S = 24 * 3600.0
+UNIX_S = 1e8  # times of the clock are later, in seconds since 1970
 KINDS = ("velocities", "accelerations")
 
 
@@ -28,6 +30,9 @@ class JointTrajectory:
         rate_names: columns of the derivatives where they differ from ``joint_names`` (a base whose orientation is a
             quaternion turns by ``base_yaw``, ``base_pitch`` and ``base_roll``).
         source: file, message or program that the trajectory comes from.
+        model_id: name of the robot that it was planned for; empty if it is not known.
+        start: state that it was planned from; None if it is not known.
+        notes: what was read past, and assumptions of the reader.
     """
 
     joint_names: tuple[str, ...]
@@ -37,6 +42,9 @@ class JointTrajectory:
     accelerations: Float[np.ndarray, "K r"] | None = None
     rate_names: tuple[str, ...] = ()
     source: str = "trajectory"
+    model_id: str = ""
+    start: StartState | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -113,10 +121,14 @@ def _list_bad_times(times: np.ndarray, count: int) -> Iterator[str]:
     elif not np.all(np.isfinite(times)):
         row = int(np.argmin(np.isfinite(times)))
         yield f"the time of point {row} is {times[row]}; a finite number is needed"
+    elif times[0] >= UNIX_S:
+        yield f"begins at {times[0]:.0f} s; are these times of the clock? Subtract the first"
     elif times[0] < 0.0:
         yield f"begins at {times[0]:g} s; expected 0 or later"
+    elif not np.any(np.diff(times)):
+        yield f"all {count} points are at {times[0]:g} s; expected times that increase, or none"
     elif np.any(np.diff(times) <= 0.0):
         row = int(np.argmax(np.diff(times) <= 0.0))
         yield f"times do not increase: point {row} is at {times[row]:g} s, point {row + 1} at {times[row + 1]:g} s"
     elif times[-1] > LONGEST_S:
-        yield f"lasts {times[-1]:g} s; expected at most {LONGEST_S:g} s (are these milliseconds?)"
+        yield f"lasts {times[-1]:g} s; expected at most {LONGEST_S:g} s (are these milliseconds or microseconds?)"

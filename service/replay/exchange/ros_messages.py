@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
 
 from service.replay.exchange.recorded_plan import RecordedPlan
 from service.replay.exchange.ros_types import DISPLAY_TRAJECTORY, JOINT_TRAJECTORY, PLANNING_SCENE, load_types
@@ -138,11 +139,28 @@ def _make_base_trajectory(plan: RecordedPlan) -> Any:
         make(
             "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
             transforms=[_make_transform(plan, row, 0).transform],
+            velocities=[] if plan.base_velocities is None else [_make_twist(plan, row)],
             time_from_start=_duration(time),
         )
         for row, time in enumerate(plan.times)
     ]
     return make(kind, header=_header(), joint_names=[VIRTUAL_JOINT], points=points)
+
+
+def _make_twist(plan: RecordedPlan, row: int) -> Any:
+    """Return the base's velocity and angular velocity in the world's axes."""
+    if plan.base is None or plan.base_velocities is None:
+        raise ValueError("a fixed base has no velocity")
+    x, y, z, yaws, pitches, rolls = (float(value) for value in plan.base_velocities[row])
+    yaw, pitch, _ = Rotation.from_quat(plan.base[row, 3:], scalar_first=True).as_euler("ZYX")
+    turn = (
+        rolls * np.cos(yaw) * np.cos(pitch) - pitches * np.sin(yaw),
+        rolls * np.sin(yaw) * np.cos(pitch) + pitches * np.cos(yaw),
+        yaws - rolls * np.sin(pitch),
+    )
+    vector = "geometry_msgs/msg/Vector3"
+    angular = make(vector, **dict(zip("xyz", map(float, turn), strict=True)))
+    return make("geometry_msgs/msg/Twist", linear=make(vector, x=x, y=y, z=z), angular=angular)
 
 
 def _make_state(plan: RecordedPlan, row: int, time_ns: int) -> Any:

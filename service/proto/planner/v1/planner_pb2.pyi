@@ -536,7 +536,7 @@ class PlanRecord(_message.Message):
     def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., reason: _Optional[str] = ..., page_sha256: _Optional[str] = ...) -> None: ...
 
 class Review(_message.Message):
-    __slots__ = ("decision", "reviewer", "comment", "trajectory_sha256", "certificate_sha256", "time", "page_sha256", "approval")
+    __slots__ = ("decision", "reviewer", "comment", "trajectory_sha256", "certificate_sha256", "time", "page_sha256", "approval", "verdict", "expires")
     DECISION_FIELD_NUMBER: _ClassVar[int]
     REVIEWER_FIELD_NUMBER: _ClassVar[int]
     COMMENT_FIELD_NUMBER: _ClassVar[int]
@@ -545,6 +545,8 @@ class Review(_message.Message):
     TIME_FIELD_NUMBER: _ClassVar[int]
     PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
     APPROVAL_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    EXPIRES_FIELD_NUMBER: _ClassVar[int]
     decision: Decision
     reviewer: str
     comment: str
@@ -553,23 +555,31 @@ class Review(_message.Message):
     time: _timestamp_pb2.Timestamp
     page_sha256: str
     approval: bytes
-    def __init__(self, decision: _Optional[_Union[Decision, str]] = ..., reviewer: _Optional[str] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., page_sha256: _Optional[str] = ..., approval: _Optional[bytes] = ...) -> None: ...
+    verdict: _result_pb2.Verdict
+    expires: _timestamp_pb2.Timestamp
+    def __init__(self, decision: _Optional[_Union[Decision, str]] = ..., reviewer: _Optional[str] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., page_sha256: _Optional[str] = ..., approval: _Optional[bytes] = ..., verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., expires: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ...) -> None: ...
 
 class ReviewPlanRequest(_message.Message):
-    __slots__ = ("plan_id", "decision", "comment", "trajectory_sha256", "certificate_sha256", "page_sha256")
+    __slots__ = ("plan_id", "decision", "comment", "trajectory_sha256", "certificate_sha256", "page_sha256", "verdict", "despite", "valid_s")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     DECISION_FIELD_NUMBER: _ClassVar[int]
     COMMENT_FIELD_NUMBER: _ClassVar[int]
     TRAJECTORY_SHA256_FIELD_NUMBER: _ClassVar[int]
     CERTIFICATE_SHA256_FIELD_NUMBER: _ClassVar[int]
     PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    DESPITE_FIELD_NUMBER: _ClassVar[int]
+    VALID_S_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     decision: Decision
     comment: str
     trajectory_sha256: str
     certificate_sha256: str
     page_sha256: str
-    def __init__(self, plan_id: _Optional[str] = ..., decision: _Optional[_Union[Decision, str]] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., page_sha256: _Optional[str] = ...) -> None: ...
+    verdict: _result_pb2.Verdict
+    despite: _result_pb2.Verdict
+    valid_s: float
+    def __init__(self, plan_id: _Optional[str] = ..., decision: _Optional[_Union[Decision, str]] = ..., comment: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., page_sha256: _Optional[str] = ..., verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., despite: _Optional[_Union[_result_pb2.Verdict, str]] = ..., valid_s: _Optional[float] = ...) -> None: ...
 
 class ReviewPlanResponse(_message.Message):
     __slots__ = ("review",)
