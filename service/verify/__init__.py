@@ -9,8 +9,8 @@ Read in this order:
 - ``clearance``: the checks of all pairs that may meet
 - ``coverage``: what was checked, what was left out, and which checks a motion requires
 - ``certificate``: the output as data; ``hashes`` ties it to its robot, scene and promises
-- ``prepared_motion``, ``curve_bounds``, ``joint_chain``, ``frame_paths``, ``phase_proof``, ``solids``, ``timeline``:
-  shared by the proofs
+- ``prepared_motion``, ``curve_bounds``, ``joint_chain``, ``frame_paths``, ``phase_proof``, ``pose_errors``, ``solids``,
+  ``timeline``: shared by the proofs; ``rounding``: numbers in the texts of checks
 """
 
 from service.verify.certificate import Basis, Certificate, Check, Exempt, Status, Stretches, Where

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from service.verify.joint_chain import Chain
 from service.verify.motion import Motion, VerifyError
+from service.verify.pose_errors import angle_of
 from service.verify.prepared_motion import PreparedMotion
 
 
@@ -84,6 +85,12 @@ class FramePath:
     ) -> Float[np.ndarray, "I"]:
         """Bound the distance of the tip of a unit vector fixed in the frame from its chord on these intervals [-]."""
         return self._deviation(self.turning, first, last)
+
+    def turning_angle(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> Float[np.ndarray, "I"]:
+        """Bound the turns of the frame along these intervals, and to and from a pose read between samples [rad]."""
+        over = self.prepared.over(first, last)
+        slack = self.turning.sampling_slack(over, self.rounding)
+        return np.asarray(self.turning.travel(over) + 2.0 * angle_of(slack))
 
     def _deviation(
         self, chain: Chain, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]

@@ -1,8 +1,15 @@
-"""Checks of a phase's targets along the whole curve: poses, axes, circles, kept relative poses and joint values."""
+"""Checks of a phase's targets along the whole curve: poses, axes, circles, kept relative poses and joint values.
+
+Lengths are Euclidean distances and angles those of rotations.  A distance changes by no more than its point moves, so
+that along the path it exceeds its bound on the chord by at most the distance between the two.  The same holds for the
+chord of an angle (``pose_errors``) and the tips of unit vectors; on straight lines both are convex, hence largest at an
+end.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +26,19 @@ from service.verify.motion import (
     VerifySettings,
 )
 from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
+from service.verify.pose_errors import (
+    AXIS_NAMES,
+    PositionDemand,
+    angle_of,
+    chord_of,
+    limits_rotation,
+    list_position_demands,
+    measure_angle,
+    measure_lean,
+    offset_from_target,
+)
 from service.verify.prepared_motion import PreparedMotion
+from service.verify.rounding import round_up
 
 
 def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
@@ -41,6 +60,44 @@ def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettin
             yield _axis_check(proof, target)
 
 
+@dataclass(frozen=True)
+class _Claim:
+    """A check's name, limit and sentences.
+
+    Attributes:
+        limit: in ``unit`` [m, rad].
+        holds: sentence on a bound or the limit, given that as text.
+        fails: sentence on the largest error, likewise.
+        names: links concerned.
+    """
+
+    name: str
+    limit: float
+    unit: str
+    holds: Callable[[str], str]
+    fails: Callable[[str], str]
+    names: tuple[str, ...]
+
+    def check(self, proof: PhaseProof, extreme: Extreme, position: Float[np.ndarray, "3"]) -> Check:
+        """Make the check of a bound; ``position`` is where the largest sample is [m]."""
+        text = self.holds(self._show(extreme.bound))
+        failure, promise = self.fails(self._show(extreme.sampled)), self.holds(self._show(self.limit))
+        return proof.check(
+            self.name,
+            extreme,
+            self.limit,
+            self.unit,
+            text,
+            position,
+            names=self.names,
+            failure=failure,
+            promise=promise,
+        )
+
+    def _show(self, value: float) -> str:
+        return f"{round_up(1e3 * value, 2)} mm" if self.unit == "m" else f"{round_up(float(np.rad2deg(value)), 3)} deg"
+
+
 def _joint_check(proof: PhaseProof, target: JointTarget) -> Check:
     motion = proof.prepared.motion
     value = float(motion.curve(np.array([target.at]))[0, motion.robot.joint_names.index(target.joint)])
@@ -50,50 +107,42 @@ def _joint_check(proof: PhaseProof, target: JointTarget) -> Check:
 
 
 def _pose_checks(proof: PhaseProof, target: PoseTarget) -> Iterator[Check]:
+    """Check the distance from a target's position, or offsets along its axes, and the angle off its orientation."""
     path = _origin_path(proof, target.frame)
-    wanted = np.eye(3) if target.rotation is None else target.rotation
+    name, during = f"target.{proof.phase.name}.{target.frame}", proof.phase.name
+    for demand in list_position_demands(target):
 
-    def shift(s: np.ndarray) -> np.ndarray:
-        offset = np.abs((path.at(s)[0][:, 0] - target.position) @ wanted)
-        return np.asarray(offset[:, np.isfinite(target.position_tolerance_m)])
+        def off(s: np.ndarray, demand: PositionDemand = demand) -> np.ndarray:
+            return demand.measure(offset_from_target(target, path.at(s)[0][:, 0]))
 
-    tolerance = target.position_tolerance_m[np.isfinite(target.position_tolerance_m)]
-    name = f"target.{proof.phase.name}.{target.frame}"
-    if len(tolerance):
-        yield _component_check(proof, target, path, shift, tolerance, name, "m")
-    if target.rotation is None or not np.any(np.isfinite(target.rotation_tolerance)):
-        return
+        limit = demand.tolerance_m
+        if target.at is None:
+            extreme = proof.bound_convex(off, path.point_deviation, limit)
+        else:
+            extreme = Extreme.at_one_pose(float(off(np.array([target.at]))[0]), target.at, limit)
+        axis = "" if demand.axis is None else AXIS_NAMES[demand.axis]
+        own_name = f"{name}.{axis}" if axis else name
+        claim = _make_pose_claim(target, own_name, limit, "m", during, axis)
+        yield claim.check(proof, extreme, path.origin_at(extreme.s))
+    if target.rotation is not None and limits_rotation(target):
+        limit = float(target.rotation_tolerance[0])
+        extreme = _bound_turn(proof, path, target.rotation, None, limit, target.at)
+        claim = _make_pose_claim(target, f"{name}.rotation", limit, "rad", during)
+        yield claim.check(proof, extreme, path.origin_at(extreme.s))
 
-    def turn(s: np.ndarray) -> np.ndarray:
-        return np.asarray(np.abs(_sine_vector(wanted.T @ path.at(s)[1]))[:, np.isfinite(target.rotation_tolerance)])
 
-    # The sine vector is linear in the rotation matrix, hence along the chord.
-    sines = np.sin(np.minimum(target.rotation_tolerance[np.isfinite(target.rotation_tolerance)], 0.5 * np.pi))
-    yield _component_check(proof, target, path, turn, sines, f"{name}.rotation", "rad")
-
-
-def _component_check(
-    proof: PhaseProof,
-    target: PoseTarget,
-    path: FramePath,
-    errors: Callable[[np.ndarray], np.ndarray],
-    tolerance: Float[np.ndarray, "k"],
-    name: str,
-    unit: str,
-) -> Check:
-    """Check the largest error in units of its tolerance, at one pose or along the phase."""
-    scale = float(tolerance.min())
-
-    def relative(s: np.ndarray) -> np.ndarray:
-        return np.asarray((errors(s) / tolerance).max(axis=1) * scale)
-
-    if target.at is None:
-        extreme = proof.bound_convex(relative, path.point_deviation if unit == "m" else path.direction_deviation, scale)
-    else:
-        extreme = Extreme.at_one_pose(float(relative(np.array([target.at]))[0]), target.at, scale)
-    shown = f"{1e3 * extreme.bound:.2f} mm" if unit == "m" else f"{np.rad2deg(extreme.bound):.3f} deg"
-    text = f"{target.frame} is within {shown} of its target in {proof.phase.name}"
-    return proof.check(name, extreme, scale, unit, text, path.origin_at(extreme.s), names=(target.frame,))
+def _make_pose_claim(target: PoseTarget, name: str, limit: float, unit: str, during: str, axis: str = "") -> _Claim:
+    place = "its target"
+    if axis:
+        place += f" along {axis} of {'the world' if target.rotation is None else 'the target'}"
+    return _Claim(
+        name,
+        limit,
+        unit,
+        lambda shown: f"{target.frame} is within {shown} of {place} in {during}",
+        lambda shown: f"{target.frame} is {shown} off {place} in {during}",
+        (target.frame,),
+    )
 
 
 def _circle_check(proof: PhaseProof, target: CircleTarget) -> Check:
@@ -116,72 +165,114 @@ def _circle_check(proof: PhaseProof, target: CircleTarget) -> Check:
         return upper + path.point_deviation(first, last), error(h0, f0), error(h1, f1)
 
     extreme, during = proof.bound(evaluate, target.tolerance_m), proof.phase.name
-    text = f"{target.frame} stays within {1e3 * extreme.bound:.2f} mm of its circle during {during}"
-    name, at = f"circle.{during}.{target.frame}", path.origin_at(extreme.s)
-    return proof.check(name, extreme, target.tolerance_m, "m", text, at, names=(target.frame,))
+    claim = _Claim(
+        f"circle.{during}.{target.frame}",
+        target.tolerance_m,
+        "m",
+        lambda shown: f"{target.frame} stays within {shown} of its circle during {during}",
+        lambda shown: f"{target.frame} is {shown} off its circle during {during}",
+        (target.frame,),
+    )
+    return claim.check(proof, extreme, path.origin_at(extreme.s))
 
 
 def _relative_pose_checks(proof: PhaseProof, target: RelativePoseTarget) -> Iterator[Check]:
     """Check how far a frame moves relative to another, and how far it turns."""
-    path = _origin_path(proof, target.frame, target.reference)
+    path, world_path = _origin_path(proof, target.frame, target.reference), _origin_path(proof, target.frame)
     to = "the world" if target.reference is None else target.reference
     during = f"relative to {to} during {proof.phase.name}"
     name = f"keep.{proof.phase.name}.{target.frame}.{target.reference or 'world'}"
     names = (target.frame,) if target.reference is None else (target.frame, target.reference)
-    kept = target.rotation if target.free_axis is None else target.rotation @ target.free_axis[:, None]
 
     def shift(s: np.ndarray) -> np.ndarray:
         return _distance_from_slide(path.at(s)[0][:, 0] - target.position, target.slide)
 
-    def chord(s: np.ndarray) -> np.ndarray:
-        """Return the largest distance of the tip of a kept unit vector from its place: 2 sin(half the angle) [-]."""
-        rotation = path.at(s)[1]
-        if target.free_axis is None:
-            return np.asarray(np.linalg.norm(rotation - kept, axis=(1, 2)) / np.sqrt(2.0))
-        return np.asarray(np.linalg.norm(rotation @ target.free_axis[:, None] - kept, axis=(1, 2)))
-
-    def turns(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        # The distance of the tip of a unit vector from its place is convex along the chord.
-        ends = values_at_ends(chord, first, last)
-        largest_chord = np.maximum(*ends) + path.direction_deviation(first, last)
-        return _angle(largest_chord), _angle(ends[0]), _angle(ends[1])
-
-    limit, angle = target.position_tolerance_m, target.rotation_tolerance_rad
-    off, turned = proof.bound_convex(shift, path.point_deviation, limit), proof.bound(turns, angle)
-    world_path = _origin_path(proof, target.frame)
-    text = f"{target.frame} stays within {1e3 * off.bound:.2f} mm of its place {during}"
-    failure = f"{target.frame} is {1e3 * off.sampled:.2f} mm off its place {during}"
-    yield proof.check(name, off, limit, "m", text, world_path.origin_at(off.s), names=names, failure=failure)
+    off = proof.bound_convex(shift, path.point_deviation, target.position_tolerance_m)
+    place = _Claim(
+        name,
+        target.position_tolerance_m,
+        "m",
+        lambda shown: f"{target.frame} stays within {shown} of its place {during}",
+        lambda shown: f"{target.frame} is {shown} off its place {during}",
+        names,
+    )
+    yield place.check(proof, off, world_path.origin_at(off.s))
     what = target.frame if target.free_axis is None else f"the axis of {target.frame}"
-    text = f"{what} turns at most {np.rad2deg(turned.bound):.3f} deg {during}"
-    failure = f"{what} turns by {np.rad2deg(turned.sampled):.3f} deg {during}"
-    at = world_path.origin_at(turned.s)
-    yield proof.check(f"{name}.rotation", turned, angle, "rad", text, at, names=names, failure=failure)
+    turned = _bound_turn(proof, path, target.rotation, target.free_axis, target.rotation_tolerance_rad)
+    turn = _Claim(
+        f"{name}.rotation",
+        target.rotation_tolerance_rad,
+        "rad",
+        lambda shown: f"{what} turns at most {shown} {during}",
+        lambda shown: f"{what} turns by {shown} {during}",
+        names,
+    )
+    yield turn.check(proof, turned, world_path.origin_at(turned.s))
 
 
 def _axis_check(proof: PhaseProof, target: AxisTarget) -> Check:
-    path = _origin_path(proof, target.frame)
+    path, during = _origin_path(proof, target.frame), proof.phase.name
+    extreme = _bound_lean(proof, path, target.frame_axis, target.axis, target.tolerance_rad, target.at)
+    claim = _Claim(
+        f"axis.{during}.{target.frame}",
+        target.tolerance_rad,
+        "rad",
+        lambda shown: f"the axis of {target.frame} leans at most {shown} during {during}",
+        lambda shown: f"the axis of {target.frame} leans by {shown} during {during}",
+        (target.frame,),
+    )
+    return claim.check(proof, extreme, path.origin_at(extreme.s))
 
-    def split(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        direction = path.at(s)[1] @ target.frame_axis
-        along = direction @ target.axis
-        return along, np.linalg.norm(direction - along[:, None] * target.axis, axis=1)
+
+def _bound_turn(
+    proof: PhaseProof,
+    path: FramePath,
+    wanted: Float[np.ndarray, "3 3"],
+    free_axis: Float[np.ndarray, "3"] | None,
+    limit: float,
+    at: float | None = None,
+) -> Extreme:
+    """Bound the angle between a frame and its wanted orientation, or between the directions of its free axis [rad]."""
+    if free_axis is not None:
+        return _bound_lean(proof, path, free_axis, wanted @ free_axis, limit, at)
+    return _bound_angle(proof, path, lambda s: measure_angle(wanted.T @ path.at(s)[1]), limit, at)
+
+
+def _bound_lean(
+    proof: PhaseProof,
+    path: FramePath,
+    frame_axis: Float[np.ndarray, "3"],
+    wanted: Float[np.ndarray, "3"],
+    limit: float,
+    at: float | None,
+) -> Extreme:
+    """Bound the angle between an axis of a frame and a wanted direction [rad]."""
+    return _bound_angle(proof, path, lambda s: measure_lean(path.at(s)[1] @ frame_axis, wanted), limit, at)
+
+
+def _bound_angle(
+    proof: PhaseProof,
+    path: FramePath,
+    angle: Callable[[np.ndarray], np.ndarray],
+    limit: float,
+    at: float | None,
+) -> Extreme:
+    """Bound an angle at one path parameter, or along the phase [rad].
+
+    By its chord, whose bound comes closer with the square of an interval's length; near half a turn, where the chord
+    says little of the angle, by how far the frame can turn on its ways from both ends.
+    """
+    if at is not None:
+        return Extreme.at_one_pose(float(angle(np.array([at]))[0]), at, limit)
 
     def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        (a0, p0), (a1, p1) = split(first), split(last)
-        deviation = path.direction_deviation(first, last)
-        # Across the axis the chord is farthest at an end, along it least at an end; the path is near the chord.
-        upper = np.arctan2(np.maximum(p0, p1) + deviation, np.minimum(a0, a1) - deviation)
-        return upper, np.arctan2(p0, a0), np.arctan2(p1, a1)
+        ends = values_at_ends(angle, first, last)
+        largest = np.maximum(*ends)
+        by_chord = angle_of(chord_of(largest) + path.direction_deviation(first, last))
+        by_turning = 0.5 * (ends[0] + ends[1] + path.turning_angle(first, last))
+        return np.maximum(np.minimum(by_chord, by_turning), largest), *ends
 
-    if target.at is None:
-        extreme = proof.bound(evaluate, target.tolerance_rad)
-    else:
-        along, across = split(np.array([target.at]))
-        extreme = Extreme.at_one_pose(float(np.arctan2(across, along)[0]), target.at, target.tolerance_rad)
-    text = f"the axis of {target.frame} leans at most {np.rad2deg(extreme.bound):.2f} deg during {proof.phase.name}"
-    name, at = f"axis.{proof.phase.name}.{target.frame}", path.origin_at(extreme.s)
-    return proof.check(name, extreme, target.tolerance_rad, "rad", text, at, names=(target.frame,))
+    return proof.bound(evaluate, limit, largest=np.pi)
 
 
 def _distance_from_slide(
@@ -199,25 +290,6 @@ def _distance_from_slide(
 
 def _origin_path(proof: PhaseProof, frame: str, reference: str | None = None) -> FramePath:
     return FramePath.of(proof.prepared, frame, np.zeros((1, 3)), proof.settings.rounding, reference)
-
-
-def _sine_vector(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S 3"]:
-    """Return sin(angle) times the rotation's axis; beyond a quarter turn a vector longer than any sine."""
-    sine = 0.5 * np.stack(
-        [
-            rotation[:, 2, 1] - rotation[:, 1, 2],
-            rotation[:, 0, 2] - rotation[:, 2, 0],
-            rotation[:, 1, 0] - rotation[:, 0, 1],
-        ],
-        axis=1,
-    )
-    is_far = np.trace(rotation, axis1=1, axis2=2) <= 1.0
-    return np.where(is_far[:, None], 2.0, sine)
-
-
-def _angle(chord: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
-    """Return the angle between unit vectors whose tips are ``chord`` apart [rad]; pi beyond the diameter."""
-    return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
 
 
 def _segment_distance(a: Float[np.ndarray, "I 3"], b: Float[np.ndarray, "I 3"]) -> Float[np.ndarray, "I"]:
