@@ -245,13 +245,14 @@ def test_an_angle_up_to_half_a_turn_is_compared_with_its_tolerance(degrees: floa
         assert np.rad2deg(check.value) == pytest.approx(degrees, abs=0.6 if not is_at_end else 1e-6)
 
 
-def test_an_angle_that_comes_near_half_a_turn_is_bounded_closely() -> None:
-    motion = make_turn(np.deg2rad(168.0))
-    target = AxisTarget("link1", np.eye(3)[0], np.eye(3)[0], np.pi)
-    phase = Phase("p", 0.0, 1.0, targets=(target,))
-    checks = verify(Motion(motion.robot, Scene(), motion.curve, phases=(phase,))).checks
-    (check,) = [check for check in checks if check.name == "axis.p.link1"]
-    assert 168.0 - 1e-6 <= np.rad2deg(check.value) <= 168.0 + RESOLUTION_SHARE * 180.0
+@pytest.mark.parametrize("seed", [3016, 3017, 3133, 3146])  # arms whose angles come within 12 deg of half a turn
+def test_an_angle_that_comes_near_half_a_turn_is_bounded_closely(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm = Arm.of(rng)
+    for claim in make_claims(arm, rng, rng.uniform(1.01, 5.0)):
+        if claim.limit == np.pi:
+            check, largest = arm.verify(claim.target)[claim.name], float(claim.errors.max())
+            assert largest - 1e-9 <= check.value <= largest + 1.01 * RESOLUTION_SHARE * np.pi
 
 
 def test_an_offset_along_all_axes_is_a_distance() -> None:
