@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from costs.robot import RobotModel
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
-from service.verify.pose_errors import (
+from service.verify.targets.pose_errors import (
     limits_rotation,
     list_position_demands,
     measure_angle,

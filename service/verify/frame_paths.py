@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from service.verify.joint_chain import Chain
 from service.verify.motion import Motion, VerifyError
-from service.verify.pose_errors import angle_of
 from service.verify.prepared_motion import PreparedMotion
 
 
@@ -90,7 +89,8 @@ class FramePath:
         """Bound the turns of the frame along these intervals, and to and from a pose read between samples [rad]."""
         over = self.prepared.over(first, last)
         slack = self.turning.sampling_slack(over, self.rounding)
-        return np.asarray(self.turning.travel(over) + 2.0 * angle_of(slack))
+        # An angle is at most pi / 2 times the chord between its arms, which is what the slack bounds.
+        return np.asarray(self.turning.travel(over) + np.pi * slack)
 
     def _deviation(
         self, chain: Chain, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]

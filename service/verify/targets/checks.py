@@ -26,7 +26,9 @@ from service.verify.motion import (
     VerifySettings,
 )
 from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
-from service.verify.pose_errors import (
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.rounding import round_up
+from service.verify.targets.pose_errors import (
     AXIS_NAMES,
     PositionDemand,
     angle_of,
@@ -37,8 +39,6 @@ from service.verify.pose_errors import (
     measure_lean,
     offset_from_target,
 )
-from service.verify.prepared_motion import PreparedMotion
-from service.verify.rounding import round_up
 
 
 def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
