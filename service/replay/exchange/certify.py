@@ -25,6 +25,7 @@ from service.replay.exchange.interpolation import (
     make_even_law,
 )
 from service.replay.exchange.joint_trajectory import JointTrajectory
+from service.replay.rebuild import make_setup_demands
 from service.request.schema import PlanRequest
 from service.result.motion_json import BASE_COLUMNS
 from service.setup.prepare import PlanSetup, prepare
@@ -120,7 +121,7 @@ def certify(
         motion = _make_motion(points, setup, kind, timed=timed, source=trajectory.source)
         announce("certificate")
         started = time.perf_counter()
-        demands = _make_demands(setup)
+        demands = make_setup_demands(setup)
         held = _hold(demands, motion)
         try:
             certificate = verify(held, VerifySettings(rest_speed=REST_SPEED))
@@ -280,15 +281,6 @@ def _make_motion(points: _Points, setup: PlanSetup, kind: str, *, timed: bool, s
         phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
     )
-
-
-def _make_demands(setup: PlanSetup) -> Demands:
-    program = None
-    if setup.program is not None:
-        from service.trajopt.verifier_targets import make_program_demand  # slow to import
-
-        program = make_program_demand(setup.program, setup.robot)
-    return Demands(setup.request, setup.robot, setup.start, setup.scene, program)
 
 
 def _hold(demands: Demands, motion: Motion) -> Motion:
