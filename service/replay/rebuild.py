@@ -32,6 +32,7 @@ from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
+from service.setup.given_objects import check_given_objects
 from service.setup.prepare import PlanSetup, resolve_start
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
 from service.start.mechanism_file import inline_mechanism
@@ -111,6 +112,7 @@ def rebuild_demands(
     elif has_scan(request):
         scene_from = "the recorded scene"
     obstacles, are_recorded = _rebuild_obstacles(request, record.scene, surroundings, given is not None)
+    check_given_objects(request, robot, start, obstacles)
     scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
     demands = _make_demands(request, robot, start, scene, program, surroundings)
