@@ -31,6 +31,7 @@ from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
 from service.motion.servo_sag import measure_sag
 from service.motion.timing import TimingSettings
+from service.replay.whole import certify_whole
 from service.request.schema import PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
@@ -139,7 +140,7 @@ def _search(setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> bool:
     for task in plan_task(setup, solver):
         attempt.begin(task)
         if task.phases:
-            _certify(task, setup.request, solver.monitor, attempt)
+            _certify(task, setup, solver.monitor, attempt)
         body = solver.body
         if attempt.verdict is not Verdict.CERTIFIED and not attempt.meeting <= body.kept_apart:
             apart = body.keep_apart(attempt.meeting)
@@ -150,19 +151,27 @@ def _search(setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> bool:
     return False
 
 
-def _certify(task: TaskPlan, request: PlanRequest, monitor: Monitor, attempt: Attempt) -> None:
-    """Make the task's motion, verify it, and repair it where a check fails."""
+def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attempt) -> None:
+    """Make the task's motion, verify it, and repair it where a check fails.
+
+    A motion that the optimiser calls infeasible counts as solved if it does the whole task and its certificate holds.
+    """
     repaired: TaskPlan | None = task
     for _ in range(MAX_REPAIRS + 1):
         if repaired is None:
             return
         with monitor.step("curve and timing", 0.75):
-            motion = _make_motion(repaired, request)
+            motion = _make_motion(repaired, setup.request)
         attempt.unverified = repaired, motion
         with monitor.step("certificate", 0.85):
             certificate = verify(motion)
+            is_solved = repaired.is_feasible
+            if not is_solved and certificate.status is not Status.VIOLATED:
+                whole = certify_whole(setup, motion)
+                if whole is not None and whole.status is not Status.VIOLATED:
+                    repaired, certificate = repaired.as_solved(), whole
         attempt.keep_better(repaired, motion, certificate)
-        if not repaired.is_feasible or certificate.status is Status.CERTIFIED:
+        if not is_solved or certificate.status is Status.CERTIFIED:
             return
         repaired = repair_plan(repaired, motion, certificate, monitor)
 

@@ -295,7 +295,7 @@ class PhaseSolver:
 def report_solutions(
     solutions: Iterable[tuple[str, Solved]], make_plan: Callable[[str, Solved], TaskPlan]
 ) -> Iterator[TaskPlan]:
-    """Yield a plan for every feasible solution; for the best attempt if none is, also when interrupted.
+    """Yield a plan for every solution that may be certified; for the best attempt if none is, also when interrupted.
 
     Args:
         solutions: name of the start and its solution, solved on demand.
@@ -303,17 +303,22 @@ def report_solutions(
     """
     best: tuple[str, Solved] | None = None
     is_solved = False
+    reported: list[Solved] = []
     interruption: Interrupted | None = None
     try:
         for name, solved in solutions:
             if solved.is_feasible:
                 is_solved = True
                 yield make_plan(name, solved)
-            elif best is None or solved.shortfall < best[1].shortfall:
+                continue
+            if best is None or solved.shortfall < best[1].shortfall:
                 best = name, solved
+            if solved.may_hold and not any(solved is other for other in reported):
+                reported.append(solved)
+                yield make_plan(name, solved)
     except Interrupted as error:
         interruption = error
-    if not is_solved and best is not None:
+    if not is_solved and best is not None and not any(best[1] is other for other in reported):
         yield make_plan(*best)
     if interruption is not None:
         raise interruption

@@ -21,6 +21,8 @@ from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeB
 from service.verify import HandLoad, HandPush, Motion, Target
 
 MOST_REASONS = 5
+FORGIVEN = 5.0  # times its tolerance: rows of a foot are kept to a fifth of what the verifier allows its corners
+WAY_POSES = 4  # looked at per step of a motion that the optimiser calls infeasible
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
 
 Targets = Callable[[float], tuple[Target, ...]]
@@ -135,6 +137,18 @@ class TaskPlan:
         """Whether every phase was solved."""
         return not self.reasons and bool(self.phases) and all(phase.is_feasible for phase in self.phases)
 
+    @property
+    def shortfall(self) -> float:
+        """Largest violation at the step without a solution relative to its tolerance; infinite where none is known."""
+        if self.is_feasible:
+            return 0.0
+        return float("inf") if self.stuck is None else self.stuck.best.shortfall
+
+    def as_solved(self) -> TaskPlan:
+        """Return the plan as one that does the whole task, for a motion of which the verifier shows it."""
+        phases = tuple(replace(phase, is_feasible=True) for phase in self.phases)
+        return replace(self, phases=phases, obstacle=(), stuck=None)
+
 
 def keeps_constraints(problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> bool:
     """Return whether waypoints keep every constraint; of the clearance margin only ``LEAST_CLEARANCE``."""
@@ -165,6 +179,22 @@ class Solved:
     def is_feasible(self) -> bool:
         """Whether every constraint is kept; of the clearance margin only ``LEAST_CLEARANCE`` is required."""
         return self.result.is_feasible or keeps_constraints(self.problem, self.x)
+
+    @cached_property
+    def may_hold(self) -> bool:
+        """Whether the motion may be sound although the optimiser misses an aim, so that the verifier has to decide.
+
+        The verifier looks at the curve, the optimiser at hulls of whole steps and at margins.  A motion is hopeless if
+        another constraint than clearance is missed by more than ``FORGIVEN``, or if links meet at a pose between the
+        waypoints.
+        """
+        violation = self.result.violation
+        others = (term for term in self.problem.constraints if term.name not in CLEARANCE_TERMS)
+        if len(self.x) < 2 or any(violation[term.name] > FORGIVEN * term.tolerance for term in others):
+            return False
+        shares = np.arange(WAY_POSES)[:, None] / WAY_POSES
+        ways = self.x[:-1, None] + shares * np.diff(self.x, axis=0)[:, None]
+        return self.body.are_apart(np.concatenate([*ways, self.x[-1:]]))
 
     @property
     def shortfall(self) -> float:

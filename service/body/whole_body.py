@@ -58,6 +58,7 @@ BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
 RESERVE_M = 0.045  # balance margin that is enough for position servos, and a little for the curve between waypoints [m]
 RESERVE_WEIGHT = 2000.0  # of what is missing of it, averaged over the waypoints [cost/m^2]
 ROOM_WEIGHT = 300.0  # of what is missing of the room, averaged over the waypoints [cost/m^2]
+LEAST_SEEN = 1e-4  # distance of links from which single poses count as apart [m]
 SAMPLING_CLEARANCE = 5e-3  # of a sampled start; the optimiser adds the rest of the margin [m]
 BASE_MOBILITY = 0.01  # of the base when a step is corrected: legs and arms move instead
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
@@ -194,6 +195,10 @@ class WholeBody:
     def make_pose_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PoseChecker:
         """Return a checker of some poses that requires a few millimetres, or a pair's distance at the ends if less."""
         return PoseChecker(self.engine, self.scene, self._fit_sampled_margins(ends))
+
+    def are_apart(self, q: Float[np.ndarray, "T n"]) -> bool:
+        """Return whether all pairs that may not touch are apart at every pose, those that meet at an end aside."""
+        return replace(self, sampled_clearance=LEAST_SEEN).make_pose_checker([q[0], q[-1]]).are_clear(q)
 
     def make_search_checker(self, ends: Sequence[Float[np.ndarray, "n"]]) -> SearchChecker:
         """Return a checker of the same for the many poses of a search."""

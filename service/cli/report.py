@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from rich.text import Text
 
 SEEN_TOUCH_M = 1e-4  # smaller overlaps are those of feet that rest on a floor
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
+MARGIN_SLACK = 1e-7  # of the last digit, so that a written decimal stays itself
 NAMED_LINKS = 3  # links without shape that are named in the verdict's line
 SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/cli/test_cli_report.py compares them)
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
@@ -60,7 +62,7 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
     if not sentence:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
         held_to = f", {summary['held_to']}" if summary.get("held_to") else ""
-        sentence = f"clearance {_format_mm(summary.get('min_clearance_m'))}{planned}{held_to}"
+        sentence = f"clearance {_format_margin(summary.get('min_clearance_m'))}{planned}{held_to}"
     sentence += describe_omissions(summary.get("coverage"))
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
     out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
@@ -116,10 +118,10 @@ def print_figures(out: Console, summary: Mapping[str, Any]) -> None:
     between = f" between {pair[0]} and {pair[1]}" if pair else ""
     touching = any(entry["deepest_m"] > SEEN_TOUCH_M for entry in summary.get("exempt") or [])
     aside = ", pairs that may touch aside" if touching else ""
-    out.print(f"clearance        {_format_mm(clearance)}{between}{aside}", markup=False)
+    out.print(f"clearance        {_format_margin(clearance)}{between}{aside}", markup=False)
     left = (summary.get("servo") or {}).get("margin_after_sag_m")
-    sagged = "" if left is None else f", {_format_mm(left)} after the sag of the servos"
-    out.print(f"balance margin   {_format_mm(summary.get('min_balance_margin_m'))}{sagged}", markup=False)
+    sagged = "" if left is None else f", {_format_margin(left)} after the sag of the servos"
+    out.print(f"balance margin   {_format_margin(summary.get('min_balance_margin_m'))}{sagged}", markup=False)
 
 
 def _name_phase(phase: Mapping[str, Any]) -> str:
@@ -216,8 +218,13 @@ def _format_value(value: float | None, unit: str) -> str:
     return f"{1000.0 * value:.4g} mm" if unit == "m" else f"{value:.4g} {unit}"
 
 
-def _format_mm(value: float | None) -> str:
-    return "none proven" if value is None else f"{1000.0 * value:.1f} mm"
+def _format_margin(value: float | None) -> str:
+    """Return a proven margin in millimetres, rounded down."""
+    return "none proven" if value is None else f"{math.floor(1e4 * value + MARGIN_SLACK) / 10.0:.1f} mm"
+
+
+def _format_mm(value: float) -> str:
+    return f"{1000.0 * value:.1f} mm"
 
 
 def _format_slowest(timings: Mapping[str, float]) -> str:

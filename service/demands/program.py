@@ -7,10 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel
 from service.verify import AxisTarget, JointTarget, PoseTarget, Target
+from service.verify.targets.pose_errors import (
+    limits_rotation,
+    list_position_demands,
+    measure_angle,
+    measure_lean,
+    offset_from_target,
+)
 
 STILL = 1e-6  # how far a coordinate that the problem does not move may be off [rad, m]
 ROUNDING = 1e-9
@@ -85,13 +91,12 @@ def _holds(robot: RobotModel, target: StepTarget, q: Float[np.ndarray, "n"]) -> 
     pin.framesForwardKinematics(robot.model, data, q[: robot.n])
     pose = data.oMf[robot.model.getFrameId(target.frame)]
     if isinstance(target, AxisTarget):
-        axis = pose.rotation @ target.frame_axis
-        angle = np.arctan2(np.linalg.norm(np.cross(axis, target.axis)), axis @ target.axis)
-        return bool(angle <= target.tolerance_rad + ROUNDING)
-    wanted = np.eye(3) if target.rotation is None else target.rotation
-    off = np.abs(wanted.T @ (pose.translation - target.position))
-    is_there = bool(np.all(off <= target.position_tolerance_m + ROUNDING))
-    if target.rotation is None or not np.any(np.isfinite(target.rotation_tolerance)):
+        lean = float(measure_lean((pose.rotation @ target.frame_axis)[None], target.axis)[0])
+        return lean <= target.tolerance_rad + ROUNDING
+    offset = offset_from_target(target, pose.translation[None])
+    demands = list_position_demands(target)
+    is_there = all(float(one.measure(offset)[0]) <= one.tolerance_m + ROUNDING for one in demands)
+    if target.rotation is None or not limits_rotation(target):
         return is_there
-    turn = np.abs(Rotation.from_matrix(wanted.T @ pose.rotation).as_rotvec())
-    return is_there and bool(np.all(turn <= target.rotation_tolerance + ROUNDING))
+    angle = float(measure_angle((target.rotation.T @ pose.rotation)[None])[0])
+    return is_there and angle <= target.rotation_tolerance[0] + ROUNDING

@@ -13,6 +13,7 @@ from costs.robot import RobotModel, read_joint_axis
 from service.body.holds import KeptPose, relative_pose
 from service.body.whole_body import WholeBody
 from service.verify import JointTarget, PoseTarget, Target
+from service.verify.targets.pose_errors import list_position_demands
 
 FOOT_DRIFT = 5e-3  # of a planted link's origin within the tolerance of its sole [m]
 
@@ -107,6 +108,9 @@ def find_too_far_apart(robot: RobotModel, first: PoseTarget, second: PoseTarget)
 
 def position_slack(pose: PoseTarget) -> float:
     """Return the largest distance of the frame's origin from its target [m]; infinite where an axis is free."""
+    demands = list_position_demands(pose)
+    if len(demands) == 1 and demands[0].axis is None:
+        return demands[0].tolerance_m
     return float(np.linalg.norm(pose.position_tolerance_m))
 
 

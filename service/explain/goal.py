@@ -23,6 +23,7 @@ from service.body.whole_body import WholeBody
 from service.explain.distance import find_never_kept, find_out_of_reach, find_too_far_apart, position_slack
 from service.start.overlaps import EXACT_ROUNDING_M, ExactShape, Overlap, find_overlaps_and_unresolved
 from service.verify import JointTarget, PoseTarget, Target
+from service.verify.targets.pose_errors import limits_rotation
 
 SAME_STANCE = 1e-3  # largest difference of the base poses that two planted links give [m, rad]
 STANCE_PLAY = 1e-2  # largest displacement of a link within the tolerance of the planted links [m]
@@ -262,11 +263,8 @@ def _name_overlap(body: LinkBody, other: LinkBody | ConvexPiece, depth: float, h
 
 
 def _rotation_slack(pose: PoseTarget) -> float:
-    """Return the largest rotation of the frame from its target [rad]; pi where an axis is free."""
-    if pose.rotation is None or not np.isfinite(pose.rotation_tolerance).all():
-        return float(np.pi)
-    sines = np.sin(np.minimum(pose.rotation_tolerance, 0.5 * np.pi))
-    return float(np.arcsin(min(float(np.linalg.norm(sines)), 1.0)))
+    """Return the largest rotation of the frame from its target [rad]; pi where any will do."""
+    return min(float(pose.rotation_tolerance[0]), float(np.pi)) if limits_rotation(pose) else float(np.pi)
 
 
 def _overlaps_anyhow(pose: PoseTarget, member: _CarriedBody, shape: ExactShape, other: ExactShape) -> bool:

@@ -32,7 +32,8 @@ from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
-from service.setup.prepare import resolve_start
+from service.setup.given_objects import check_given_objects
+from service.setup.prepare import PlanSetup, resolve_start
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
 from service.start.mechanism_file import inline_mechanism
 from service.start.robot import add_request_parts, attach_bodies, load_requested_robot
@@ -111,16 +112,37 @@ def rebuild_demands(
     elif has_scan(request):
         scene_from = "the recorded scene"
     obstacles, are_recorded = _rebuild_obstacles(request, record.scene, surroundings, given is not None)
+    check_given_objects(request, robot, start, obstacles)
     scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
+    demands = _make_demands(request, robot, start, scene, program, surroundings)
+    without = () if demands.program is None else demands.program.unproven
+    return demands, Grounds(request_from, scene_from, robot_from, without)
+
+
+def make_setup_demands(setup: PlanSetup) -> Demands:
+    """Return the demands of a prepared request.
+
+    Raises:
+        RequestError: the scan does not show what the task moves.
+    """
+    return _make_demands(setup.request, setup.robot, setup.start, setup.scene, setup.program, setup.surroundings)
+
+
+def _make_demands(
+    request: PlanRequest,
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    scene: Scene,
+    program: Program | None,
+    surroundings: Surroundings,
+) -> Demands:
     task = _rebuild_task(request, robot, start, surroundings)
     changing = None if request.task is None else request.task.contacts
     stances = () if changing is None else make_stances(changing, robot, scene, start)
     leaving = None if request.task is None else request.task.egress
     egress = None if leaving is None else EgressDemand.of(leaving, robot, scene, start, request.folder)
-    demands = Demands(request, robot, start, scene, _get_program(program, robot), task, stances, egress)
-    without = () if demands.program is None else demands.program.unproven
-    return demands, Grounds(request_from, scene_from, robot_from, without)
+    return Demands(request, robot, start, scene, _get_program(program, robot), task, stances, egress)
 
 
 def _get_program(program: Program | None, robot: RobotModel) -> ProgramDemand | None:

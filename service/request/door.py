@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from service.request.fields import SECTION, Number, Point, Section
 
+MOST_RISE_M = 0.05  # of a leaf's free edge over its hinge
 Metres = Annotated[Number, Field(gt=0.0, le=5.0)]
 
 
@@ -37,6 +38,13 @@ class LeafRequest(Section):
     def __post_init__(self) -> None:
         if math.hypot(self.edge[0] - self.hinge[0], self.edge[1] - self.hinge[1]) < 0.2:
             raise PydanticCustomError("leaf", "edge is less than 0.2 m from hinge; expected the width of a door")
+        rise = self.edge[2] - self.hinge[2]
+        if abs(rise) > MOST_RISE_M:
+            raise PydanticCustomError(
+                "leaf",
+                "edge: is {distance} m {side} hinge; expected the same level, both at the leaf's lower edge",
+                {"distance": f"{abs(rise):.2f}", "side": "above" if rise > 0.0 else "below"},
+            )
 
 
 @dataclass(config=SECTION)

@@ -34,6 +34,12 @@ class LeverRequest(Section):
     def __post_init__(self) -> None:
         if math.hypot(*self.direction) < 1e-6:
             raise PydanticCustomError("lever", "direction has no length; expected a direction such as [0, 0, 1]")
+        if self.length_m < 2.0 * self.radius_m:
+            raise PydanticCustomError(
+                "lever",
+                "length_m: {length} m, less than the bar's thickness of {thick} m (2 radius_m); expected a bar",
+                {"length": f"{self.length_m:g}", "thick": f"{2.0 * self.radius_m:g}"},
+            )
         if 0.0 < self.grip_m < 0.04:
             raise PydanticCustomError("lever", "grip_m is less than 0.04 m; expected 0 for a lever, or a crank's grip")
 

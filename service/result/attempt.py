@@ -59,12 +59,15 @@ class Attempt:
         uncovered = certificate.list_uncovered()
         self.meeting = certificate.list_meeting()
         self.is_repeated, self.uncovered = bool(uncovered) and uncovered == self.uncovered, uncovered
-        if self.certificate is not None and _RANK[certificate.status] <= _RANK[self.certificate.status]:
+        known = None if self.task is None or self.certificate is None else _rank(self.task, self.certificate)
+        if known is not None and _rank(task, certificate) <= known:
             return
         self.task, self.motion, self.certificate = task, motion, certificate
         if task.is_feasible:
             self.verdict = _VERDICT_OF_STATUS[certificate.status]
             self.explanation = list_shortfalls(certificate)
+        else:
+            self.explanation = task.reasons
 
     def is_final(self, task: TaskPlan) -> bool:
         """Return whether no plan after ``task`` would get a better certificate."""
@@ -127,6 +130,11 @@ class Attempt:
         from service.result.obstruction import describe_obstruction  # few results need it
 
         return describe_obstruction(setup)
+
+
+def _rank(task: TaskPlan, certificate: Certificate) -> tuple[bool, int, float]:
+    """Return the order of a verified motion: plans of the whole task last, then by certificate, then by violation."""
+    return task.is_feasible, _RANK[certificate.status], -task.shortfall
 
 
 def list_shortfalls(certificate: Certificate) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from service.result.motion_json import sample_rates, sample_times, samples_of
 from service.result.phase_report import PhaseReport, report_phases
 from service.verify.certificate import Certificate
 from service.verify.motion import Motion
+from service.verify.rounding import round_down
 
 
 class Verdict(Enum):
@@ -93,7 +94,7 @@ class PlanResult:
             reason = f": {self.explanation[0]}" if self.explanation else ""
             return f"<PlanResult {self.verdict.value}, no motion{reason}>"
         clearance = float("nan") if self.certificate is None else self.certificate.min_clearance_m
-        shown = "" if np.isnan(clearance) else f", clearance {1e3 * clearance:.1f} mm"
+        shown = "" if np.isnan(clearance) else f", clearance {round_down(1e3 * clearance, 1)} mm"
         duration = "untimed" if self.motion.law is None else f"{self.times[-1]:.2f} s"
         return f"<PlanResult {self.verdict.value}, {len(self.positions)} samples, {duration}{shown}>"
 

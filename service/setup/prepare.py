@@ -23,6 +23,7 @@ from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
 from service.setup.checks import StartCheck, check_goal_and_keep, check_start, find_soles
+from service.setup.given_objects import check_given_objects
 from service.setup.units import check_units
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
 from service.start.configuration import make_start_configuration
@@ -133,6 +134,7 @@ def prepare(
         return PlanSetup(
             request, robot, start, nothing, NOTHING, soles, kept, program, (), notes, timings, is_stopped=True
         )
+    check_given_objects(request, robot, start, obstacles)
     pieces, moved = move_floor_to_soles(around.pieces, soles)
     scene, renamed = compose_scene(request, robot, start, pieces, obstacles)
     stances = _read_stances(request, robot, scene, start)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from costs.kinematics import locate_links
 from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose, WithinTolerance
+from costs.terms import AxisDirection, FramePose, Joined, NormWithin, WithinTolerance
 from scopt import Constraint
 from service.body.holds import POSITION, ROTATION, Hold, project_within_limits
 from service.body.whole_body import WholeBody
@@ -19,7 +19,8 @@ from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, 
 from service.request.schema import GoalRequest, PoseGoalRequest
 from service.verify import Target
 
-AIM = 0.5  # share of a pose's tolerance for the optimiser, the rest is for the curve and the certificate
+# Part of a pose's tolerance that the optimiser leaves to its own inaccuracy: a share of it, and no more than is needed.
+RESERVE_SHARE, MOST_RESERVE = 0.5, {"m": 2.5e-3, "rad": 0.02}
 
 
 @dataclass(frozen=True)
@@ -70,30 +71,47 @@ class Goal:
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
     """Return constraints of a link's position and orientation; of the latter perhaps only one axis."""
-    rotation = make_goal_rotation(pose)
+    rotation = _find_limited_rotation(pose)
     target = np.eye(4)
     target[:3, 3] = pose.position
     if rotation is not None:
         target[:3, :3] = rotation
     robot, at = body.robot, [waypoint]
     position = FramePose(robot, pose.link, at, target, POSITION)
-    constraints = [_keep_within(f"position of {pose.link}", position, pose.position_tolerance_m, "m")]
+    constraints = [_keep_within(f"position of {pose.link}", position, 3, pose.position_tolerance_m, "m")]
     tolerance = np.deg2rad(pose.rotation_tolerance_deg)
     if rotation is not None and pose.free_axis == "none":
         orientation = FramePose(robot, pose.link, at, target, ROTATION)
-        constraints.append(_keep_within(f"orientation of {pose.link}", orientation, tolerance, "rad"))
+        constraints.append(_keep_within(f"orientation of {pose.link}", orientation, 3, tolerance, "rad"))
     elif rotation is not None:
         axis = np.eye(3)[AXES[pose.free_axis]]
         direction = AxisDirection(robot, pose.link, at, axis, rotation @ axis)
-        constraints.append(_keep_within(f"axis of {pose.link}", direction, tolerance, "rad"))
+        constraints.append(_keep_within(f"axis of {pose.link}", direction, 2, tolerance, "rad"))
     return constraints
 
 
+def _find_limited_rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+    """Return the requested orientation; None where any is within its tolerance."""
+    return None if pose.rotation_tolerance_deg >= 180.0 else make_goal_rotation(pose)
+
+
 def _keep_within(
-    name: str, residual: FramePose | AxisDirection, tolerance: float, unit: str
+    name: str, residual: FramePose | AxisDirection, k: int, tolerance: float, unit: str
 ) -> Constraint[MotionState]:
-    reserve = max((1.0 - AIM) * tolerance, 1e-5)
-    return Constraint(name, WithinTolerance(residual, AIM * tolerance), tolerance=reserve, unit=unit)
+    """Return a constraint on the norm of ``k`` rows.
+
+    A small ball counts as the cube in it: limits of single rows are met in half of the steps, since a norm has one
+    direction at a time.  In a large ball the optimiser needs the room, and the norm is smooth where it binds.
+    """
+    reserve = min(RESERVE_SHARE * tolerance, MOST_RESERVE[unit])
+    aim = tolerance - reserve
+    limits: WithinTolerance[MotionState] | Joined[MotionState]
+    if reserve < MOST_RESERVE[unit]:
+        side = 1.0 / np.sqrt(k)
+        limits, reserve = WithinTolerance(residual, side * aim), side * reserve
+    else:
+        limits = Joined([WithinTolerance(residual, aim), NormWithin(residual, k, aim)])
+    return Constraint(name, limits, tolerance=max(reserve, 1e-5), unit=unit)
 
 
 def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
@@ -124,7 +142,7 @@ def _make_link_holds(
     body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float
 ) -> tuple[Hold, ...]:
     """Return holds of a link's position, and of its orientation as far as its goal gives it."""
-    robot, rotation, target = body.robot, make_goal_rotation(pose), np.eye(4)
+    robot, rotation, target = body.robot, _find_limited_rotation(pose), np.eye(4)
     target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.position)
     position: Hold = lambda waypoints: FramePose(robot, pose.link, waypoints, target, POSITION)  # noqa: E731
     if rotation is None:

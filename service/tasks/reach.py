@@ -75,7 +75,7 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
     first = next(solutions)
     if first[1].is_feasible:  # most requests end here
         yield search.make_plan(*first)
-        solutions = (other for other in solutions if other[1].is_feasible)
+        solutions = (other for other in solutions if other[1].is_feasible or other[1].may_hold)
     else:
         solutions = chain([first], solutions)
     around = _leave_tight_ends(solver, goal, n_waypoints, reasons.notes) if solver.most_starts > 1 else None
@@ -320,8 +320,10 @@ class _ReachSearch:
         corners = self._sample(end, tree, replace(self.solver.body, sampled_clearance=tree.clearance))
         if corners is None:
             return
-        waypoints = self._count_along(corners, end)
+        name, waypoints = f"path of {tree.planner}, tree {tree.seed + 1}", self._count_along(corners, end)
         solved = self._solve_sampled(resample_path(corners, waypoints))
+        if solved.may_hold and not solved.is_feasible:
+            yield name, solved
         if not solved.is_feasible and self.n_waypoints is None:
             # The hull of a long step may contain what the step itself goes around.
             denser = self._solve_sampled(resample_path(corners, DENSER * waypoints))
@@ -331,7 +333,7 @@ class _ReachSearch:
             solved = narrow if narrow.is_feasible else solved
         if solved.is_feasible:
             solved = self._tighten(solved, tree)
-        yield f"path of {tree.planner}, tree {tree.seed + 1}", solved
+        yield name, solved
 
     def _sample(self, end: Float[np.ndarray, "n"], tree: Tree, body: WholeBody) -> Float[np.ndarray, "K n"] | None:
         """Return a sampled path from the start to an end; None where no tree finds one.
@@ -358,12 +360,12 @@ class _ReachSearch:
         return narrow._solve_sampled(resample_path(corners, min(waypoints, most)))
 
     def _solve_sampled(self, path: Float[np.ndarray, "T n"]) -> Solved:
-        """Return the solve from a sampled path; the path itself where the solve fails and the path does not."""
+        """Return the solve from a sampled path; the path itself where only that is feasible, or may hold."""
         solved = self._solve(path, **SAMPLED)
         if solved.is_feasible:
             return solved
         unchanged = self._solve(path, max_iterations=0)
-        return unchanged if unchanged.is_feasible else solved
+        return unchanged if unchanged.is_feasible or (unchanged.may_hold and not solved.may_hold) else solved
 
     def _tighten(self, solved: Solved, tree: Tree) -> Solved:
         """Return a shorter solution found from shortcuts between the waypoints, or the solution as it is."""

@@ -190,6 +190,11 @@ def read_given_valve(request: ValveRequest) -> ValveDetection | LeverDetection |
         return lever_from_sizes(*ends, lever.length_m, lever.radius_m, lever.grip_m)
     if request.radius is None:
         return None
+    if request.radius < 2.0 * TUBE_RADIUS:
+        raise RequestError(
+            f"task.valve.radius: {request.radius:g} m leaves no opening inside a rim {2e3 * TUBE_RADIUS:g} mm thick; "
+            f"expected at least {2.0 * TUBE_RADIUS:g} m"
+        )
     bare = wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
     if not request.spokes_deg:
         return bare

@@ -85,6 +85,13 @@ class FramePath:
         """Bound the distance of the tip of a unit vector fixed in the frame from its chord on these intervals [-]."""
         return self._deviation(self.turning, first, last)
 
+    def turning_angle(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> Float[np.ndarray, "I"]:
+        """Bound the turns of the frame along these intervals, and to and from a pose read between samples [rad]."""
+        over = self.prepared.over(first, last)
+        slack = self.turning.sampling_slack(over, self.rounding)
+        # An angle is at most pi / 2 times the chord between its arms, which is what the slack bounds.
+        return np.asarray(self.turning.travel(over) + np.pi * slack)
+
     def _deviation(
         self, chain: Chain, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]
     ) -> Float[np.ndarray, "I"]:

@@ -83,6 +83,10 @@ class Chain:
         curvature = r * (a * (2.0 * proximal + turning) + self._own(over.bend))
         return np.asarray(over.length**2 / 8.0 * curvature.sum(axis=1))
 
+    def travel(self, over: RateBounds) -> Float[np.ndarray, "I"]:
+        """Bound the length of the path of any point of the body on each interval [m]."""
+        return np.asarray(over.length * (self.reach * self._own(over.speed)).sum(axis=1))
+
     def sampling_slack(self, over: RateBounds, rounding: float) -> Float[np.ndarray, "I"]:
         """Bound the distance of a point of the body from the curve when exported samples are read linearly [m].
 

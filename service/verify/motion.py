@@ -110,10 +110,10 @@ class PoseTarget:
         frame: frame of the robot's model.
         position: (3,) in the world [m].
         rotation: (3, 3) rotation_world_frame wanted, or None for any.
-        position_tolerance_m: (3,) per axis of the wanted frame (of the world when ``rotation`` is None); an axis is
-            free when its tolerance is inf.
-        rotation_tolerance: (3,) largest rotation error about each axis of the wanted frame [rad], compared by sines
-            (``sin(angle) * axis``); inf frees an axis for small turns, for large ones use an :class:`AxisTarget`.
+        position_tolerance_m: (3,) three equal ones are the largest distance from the position; otherwise each is the
+            largest offset along its axis of the wanted frame (of the world when ``rotation`` is None), inf if free [m].
+        rotation_tolerance: (3,) three times the largest angle of the rotation from the wanted frame to the frame, up to
+            pi; inf for any orientation.  A free axis is an :class:`AxisTarget` [rad].
         at: path parameter, or None.
     """
 

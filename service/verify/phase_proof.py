@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,9 @@ from service.verify.timeline import edges_within, find_time
 
 # (first (I,), last (I,)) -> upper bounds over the intervals (I,), values at their first ends (I,) and last ends (I,)
 Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+RESOLUTION_SHARE = 0.05  # of a limit: how far a bound may exceed the largest value, where samples are close together
+_PROGRESS = 0.9  # of an interval's excess over its samples; halves that keep more of it show nothing new
 
 
 @dataclass(frozen=True)
@@ -51,11 +54,13 @@ def bound_largest(
     """Bound the largest value between the edges, halving intervals until each is below the limit.
 
     A bound above the largest sample by more than ``resolution`` is sharpened too, by at most ``max_sharpenings``
-    halvings, so that the reported margin is close.  An interval stays open when a sample on it exceeds the limit or
-    after ``max_halvings``.
+    halvings, so that the reported margin is close; also where the limit is exceeded, so that the largest sample is
+    close to the largest value.  Sharpening ends where half of an interval has nearly the bound of the whole, as where
+    the samples are far apart.  An interval stays open when a sample on it exceeds the limit or after ``max_halvings``.
     """
     first, last = edges[:-1], edges[1:]
     bound, sampled, where = -np.inf, -np.inf, float(edges[0])
+    before = np.full(len(first), np.inf)
     is_proven = True
     for halving in range(max_halvings + 1):
         poll()
@@ -66,7 +71,8 @@ def bound_largest(
             sampled = float(samples[best])
             where = float(first[best] if at_first[best] >= at_last[best] else last[best])
         is_high = ~(upper <= limit)  # a bound that is NaN proves nothing
-        is_blurred = ~is_high & (upper > sampled + resolution) & (halving < max_sharpenings)
+        above = upper - samples
+        is_blurred = (upper > sampled + resolution) & (above < _PROGRESS * before) & (halving < max_sharpenings)
         is_split = (is_high & (samples <= limit)) | is_blurred
         if halving == max_halvings:
             is_split[:] = False
@@ -79,6 +85,7 @@ def bound_largest(
         middle = 0.5 * (first[is_split] + last[is_split])
         first = np.concatenate([first[is_split], middle])
         last = np.concatenate([middle, last[is_split]])
+        before = np.tile(above[is_split], 2)
     return Extreme(bound, sampled, where, is_proven)
 
 
@@ -90,11 +97,25 @@ class PhaseProof:
     phase: Phase
     settings: VerifySettings
 
-    def bound(self, evaluate: Evaluate, limit: float, resolution: float | None = None) -> Extreme:
-        """Bound the largest value along the phase; ``resolution`` is a twentieth of the limit where it is not given."""
+    def bound(
+        self, evaluate: Evaluate, limit: float, resolution: float | None = None, largest: float = np.inf
+    ) -> Extreme:
+        """Bound the largest value along the phase.
+
+        Args:
+            evaluate: bounds on intervals, and values at their ends.
+            limit: of the quantity.
+            resolution: distance from the largest value within which a few halvings are tried; by default they go on
+                until it is within ``RESOLUTION_SHARE`` of the limit.
+            largest: value that the quantity never exceeds, though its bounds may.
+        """
         edges, settings = edges_within(self.prepared.edges, self.phase), self.settings
-        fine = limit / 20.0 if resolution is None else resolution
-        return bound_largest(edges, evaluate, limit, fine, settings.max_halvings, settings.max_sharpenings)
+        fine, sharpenings = resolution, settings.max_sharpenings
+        if fine is None:
+            fine, sharpenings = RESOLUTION_SHARE * min(limit, largest), settings.max_halvings
+        required = np.inf if limit >= largest else limit
+        extreme = bound_largest(edges, evaluate, required, fine, settings.max_halvings, sharpenings)
+        return replace(extreme, bound=min(extreme.bound, largest))
 
     def bound_convex(
         self,
@@ -129,6 +150,7 @@ class PhaseProof:
         names: tuple[str, ...] = (),
         negate: bool = False,
         failure: str = "",
+        promise: str = "",
     ) -> Check:
         """Make a check of a bound.
 
@@ -138,6 +160,7 @@ class PhaseProof:
             names: links or joints concerned.
             negate: report "at least -limit" instead of "at most limit".
             failure: sentence where a sample refutes; by default that ``text`` is not so.
+            promise: sentence on the limit, for a bound that is not proven; by default ``text``.
         """
         sign = -1.0 if negate else 1.0
         point = None if position is None else (float(position[0]), float(position[1]), float(position[2]))
@@ -146,7 +169,7 @@ class PhaseProof:
         value = sign * float(extreme.bound if extreme.is_proven else extreme.sampled)
         basis = Basis.PROOF if extreme.is_proven else Basis.UNPROVEN if is_ok else Basis.SAMPLES
         if not extreme.is_proven:
-            text = f"not shown that {text}" if is_ok else failure or f"not so: {text}"
+            text = f"not shown that {promise or text}" if is_ok else failure or f"not so: {text}"
         return Check(name, is_ok, value, sign * float(limit), unit, text, where, basis)
 
 

@@ -14,6 +14,7 @@ from service.verify.motion import Phase, PlantedContact, SupportPolygon, VerifyS
 from service.verify.phase_proof import Extreme, PhaseProof
 from service.verify.polygons import describe_inside, outside_polygon
 from service.verify.prepared_motion import PreparedMotion
+from service.verify.rounding import round_down, round_up
 from service.verify.timeline import edges_within
 
 # How far a support polygon may reach beyond the planted soles, which may themselves drift by about as much [m].
@@ -46,7 +47,8 @@ def _balance_check(proof: PhaseProof, support: SupportPolygon) -> Check:
 
     extreme = proof.bound_convex(outside, path.deviation, -support.margin_m, proof.settings.resolution_m)
     point = path.at(np.array([extreme.s]))[0]
-    text = f"the centre of mass stays {-1e3 * extreme.bound:.1f} mm inside the support polygon during {phase.name}"
+    margin = round_down(-1e3 * extreme.bound, 1)
+    text = f"the centre of mass stays {margin} mm inside the support polygon during {phase.name}"
     failure = f"the centre of mass is {describe_inside(-extreme.sampled)} the support polygon during {phase.name}"
     name, limit = f"balance.{phase.name}", -support.margin_m
     return proof.check(name, extreme, limit, "m", text, point, negate=True, failure=failure)
@@ -62,7 +64,7 @@ def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Chec
 
     extreme = proof.bound_convex(drift, path.point_deviation, contact.tolerance_m)
     at = path.at(np.array([extreme.s]))[0][0].mean(axis=0)
-    text = f"{contact.link} drifts at most {1e3 * extreme.bound:.2f} mm during {phase.name}"
+    text = f"{contact.link} drifts at most {round_up(1e3 * extreme.bound, 2)} mm during {phase.name}"
     name = f"planted.{phase.name}.{contact.link}"
     yield proof.check(name, extreme, contact.tolerance_m, "m", text, at, names=(contact.link,))
     knots = edges_within(proof.prepared.motion.curve.knots, phase)
@@ -70,7 +72,9 @@ def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Chec
         drifts = drift(knots)
         worst = int(drifts.argmax())
         at_knots = Extreme(float(drifts[worst]), float(drifts[worst]), float(knots[worst]), True)
-        text = f"{contact.link} is off by at most {1e3 * at_knots.bound:.3f} mm at the waypoints of {phase.name}"
+        text = (
+            f"{contact.link} is off by at most {round_up(1e3 * at_knots.bound, 3)} mm at the waypoints of {phase.name}"
+        )
         limit = contact.knot_tolerance_m
         yield proof.check(f"{name}.waypoints", at_knots, limit, "m", text, at, names=(contact.link,))
 

@@ -193,6 +193,11 @@ def _places(target: Target) -> Iterator[np.ndarray | float]:
         yield target.value
         return
     if isinstance(target, PoseTarget):
+        if not np.all(target.rotation_tolerance == target.rotation_tolerance[0]):
+            raise VerifyError(
+                f"the rotation tolerance of the target of '{target.frame}' is one angle, three times the same, got "
+                f"{target.rotation_tolerance}; a free axis is a target of kind axis"
+            )
         yield target.position
         return
     if isinstance(target, CircleTarget):

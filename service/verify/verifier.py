@@ -23,7 +23,7 @@ from service.verify.mechanism_checks import check_mechanism
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.stance_checks import check_stance
-from service.verify.target_checks import check_targets
+from service.verify.targets.checks import check_targets
 from service.verify.validation import validate_motion
 
 MotionCheck = Callable[[PreparedMotion, VerifySettings], Iterable[Check]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,13 @@ from service.demands.hands import HANDS
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
+from service.replay.whole import certify_whole
 from service.request.file import load_request, parse_request, request_hash
 from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.trust.folders import list_paths
+from service.verify import Status, verify
 from service.wire.requests import request_from_message, request_to_message
 
 
@@ -65,6 +68,22 @@ def test_a_drawer_is_pulled_out_and_replayed(drawer: tuple[PlanResult, Path]) ->
     assert result.figures["slide_m"] == pytest.approx(0.25, abs=1e-4)
     again = verify_result(folder)
     assert again["verdict"] == "CERTIFIED", again["explanation"]
+
+
+def test_only_all_phases_of_a_drawer_are_the_whole_task(drawer: tuple[PlanResult, Path]) -> None:
+    motion, setup = drawer[0].motion, prepare(parse_request(drawer_request()))
+    assert motion is not None
+    assert motion.law is not None
+    whole = certify_whole(setup, motion)
+    assert whole is not None
+    assert whole.status is Status.CERTIFIED
+    for count in range(1, len(motion.phases)):
+        curve = motion.curve.cut(motion.curve.find_knots(motion.curve.knots[0], motion.phases[count - 1].last))
+        law = motion.law.cut(float(curve.knots[0]), float(curve.knots[-1]))
+        samples = motion.samples[motion.samples <= curve.knots[-1]]
+        part = replace(motion, curve=curve, law=law, samples=samples, phases=motion.phases[:count])
+        assert verify(part).status is Status.CERTIFIED
+        assert certify_whole(setup, part) is None
 
 
 def test_the_hand_stays_behind_the_bar_while_the_drawer_comes_out(drawer: tuple[PlanResult, Path]) -> None:

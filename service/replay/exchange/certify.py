@@ -26,6 +26,7 @@ from service.replay.exchange.joint_trajectory import JointTrajectory
 from service.replay.exchange.placing import Points, place_points
 from service.replay.exchange.plausibility import find_other_start, note_model, note_start, note_times
 from service.replay.exchange.start_state import StartState
+from service.replay.rebuild import make_setup_demands
 from service.request.schema import PlanRequest
 from service.setup.prepare import PlanSetup, prepare
 from service.verify import Basis, Certificate, Check, Motion, Phase, Status, VerifyError, VerifySettings, Where, verify
@@ -120,7 +121,7 @@ def certify(
         motion = _make_motion(points, setup, kind, timed=timed, source=trajectory.source)
         announce("certificate")
         started = time.perf_counter()
-        demands = _make_demands(setup)
+        demands = make_setup_demands(setup)
         held = _hold(demands, motion)
         try:
             certificate = verify(held, VerifySettings(rest_speed=REST_SPEED))
@@ -202,15 +203,6 @@ def _list_doubts(trajectory: JointTrajectory, points: Points, setup: PlanSetup, 
     if timed and points.times is not None:
         notes += note_times(points.times, points.positions, robot.velocity)
     return tuple(notes)
-
-
-def _make_demands(setup: PlanSetup) -> Demands:
-    program = None
-    if setup.program is not None:
-        from service.trajopt.verifier_targets import make_program_demand  # slow to import
-
-        program = make_program_demand(setup.program, setup.robot)
-    return Demands(setup.request, setup.robot, setup.start, setup.scene, program)
 
 
 def _hold(demands: Demands, motion: Motion) -> Motion:

@@ -13,6 +13,7 @@ from service.verify.clearance.pairs import PairTable, collect_pairs
 from service.verify.clearance.search import ClearanceBounds, Examination, examine_pairs
 from service.verify.motion import Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
+from service.verify.rounding import round_down
 from service.verify.solids import DistanceQuery
 from service.verify.timeline import find_time
 
@@ -113,7 +114,7 @@ def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterato
         names = table.names(pair)
         lower, middle = float(lowers[row]), float(0.5 * (unproven.first[row] + unproven.last[row]))
         limit = -float(np.nan_to_num(table.allowed[pair, unproven.phase[row]]))
-        text = f"clearance of {names[0]} and {names[1]} not shown: {1e3 * lower:.3f} mm at least"
+        text = f"clearance of {names[0]} and {names[1]} not shown: {round_down(1e3 * lower, 3)} mm at least"
         where = Where(middle, find_time(prepared.motion.law, middle), None, names)
         yield Check("clearance", True, lower, limit, "m", text, where, Basis.UNPROVEN)
 
@@ -122,7 +123,7 @@ def _summary_check(
     prepared: PreparedMotion, examined: Examination, smallest: float, names: tuple[str, str] | None
 ) -> Check:
     """Make the check of a motion whose pairs are all proven."""
-    text = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {1e3 * smallest:.1f} mm"
+    text = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {round_down(1e3 * smallest, 1)} mm"
     text += f" ({names[0]} and {names[1]})" if names else ""
     is_touching = any(
         distance < 0.0 and not _rests_on_floor(prepared, examined.table, pair, prepared.phases[phase])

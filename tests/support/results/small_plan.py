@@ -93,7 +93,7 @@ def _motion(setup: PlanSetup) -> Motion:
     poses_of = locate_links(KinematicsEngine(setup.robot), setup.start, ["utorso", "r_hand"])
     chest = poses_of["utorso"]
     rim = ORIGIN + np.array([0.0, 0.0, 0.3])
-    held = (_held(chest, far), _kept("r_hand", "utorso", poses_of))
+    held = (_held(chest), _kept("r_hand", "utorso", poses_of))
     bend = Phase("bend", 0.0, 1.0, contacts, allowances, held, support)
     targets = (
         JointTarget("wheel_turn", 0.1, 1e-3, 2.0),
@@ -115,7 +115,7 @@ def _kept(frame: str, reference: str, poses: dict[str, np.ndarray]) -> RelativeP
     return RelativePoseTarget(frame, reference, pose[:3, 3], pose[:3, :3], 2e-3, 0.02)
 
 
-def _held(pose: np.ndarray, free: np.ndarray) -> PoseTarget:
-    """The chest stays where it is; its yaw is free."""
-    turn = np.array([0.01, 0.01, free[2]])
-    return PoseTarget("utorso", pose[:3, 3], pose[:3, :3], np.full(3, 1e-3), turn)
+def _held(pose: np.ndarray) -> PoseTarget:
+    """The chest stays above its place and turned as it is; its height is free."""
+    place = np.array([1e-3, 1e-3, np.inf])
+    return PoseTarget("utorso", pose[:3, 3], pose[:3, :3], place, np.full(3, 0.01))

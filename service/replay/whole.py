@@ -1,0 +1,22 @@
+"""Whether a motion does the whole of its request, so that its certificate decides and not the optimiser."""
+
+from __future__ import annotations
+
+from service.demands import compare_pace, hold_to_request
+from service.errors import RequestError
+from service.replay.rebuild import make_setup_demands
+from service.setup.prepare import PlanSetup
+from service.verify import Certificate, Motion, verify
+
+
+def certify_whole(setup: PlanSetup, motion: Motion) -> Certificate | None:
+    """Certify a motion for the demands of its request, made anew; None where phases or promises of it are missing."""
+    try:
+        demands = make_setup_demands(setup)
+    except RequestError:  # nothing to hold a motion to
+        return None
+    held = hold_to_request(demands, motion)
+    if held.differences:
+        return None
+    certificate = verify(held.motion)
+    return None if any(compare_pace(setup.request, certificate)) else certificate
