@@ -18,7 +18,7 @@ from scopt import Problem, Result
 from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
-from service.verify import HandLoad, Motion, Target
+from service.verify import HandLoad, Motion, PressedPart, Target
 
 MOST_REASONS = 5
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
@@ -61,6 +61,7 @@ class PlannedPhase:
         is_tight: whether the robot nearly touches at one of its ends, so that the samples are close together.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
         loads: forces that hands exert on the mechanism.
+        pressed: parts of the mechanism that hands press.
         regions: where the loaded feet hold the robot, by stretches of the waypoints that it was solved with.
         values: (T, k) of the mechanism's joints at those waypoints, its last coordinates.
         body: the robot on this phase's contacts, where they are not those of the whole motion.
@@ -78,6 +79,7 @@ class PlannedPhase:
     is_tight: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
     loads: tuple[HandLoad, ...] = ()
+    pressed: tuple[PressedPart, ...] = ()
     regions: tuple[PlannedRegion, ...] = ()
     values: Float[np.ndarray, "T k"] | None = None
     body: WholeBody | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +14,15 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot import Mechanism, MechanismJoint, Release
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
+from perception.detect.door.seen_parts import HANDLE_NAMES
 from service.demands.hands import Hand
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.pressed import add_pressed, find_pressed
 from service.request.names import DOOR, HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
+
+if TYPE_CHECKING:
+    from perception import SeenPart
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
 LARGEST_OPENING = np.deg2rad(170.0)
@@ -38,6 +44,7 @@ PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg lean
 PEG_ACROSS = np.deg2rad(30.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
 TORQUE_SHARE = 0.9  # of the joints before the hand; the rest is for the motion [-]
+LEAF, LEAF_NEAR = "leaf", 0.15  # name of the leaf, and distance from a hold within which it is counted [m]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
 
 
@@ -49,6 +56,7 @@ class Door:
         geometry: leaf and handle; ``opens`` is known.
         release: angle of the lever, or travel of the push bar, from which on the leaf is free [rad, m].
         lever_nm, hinge_nm, push_bar_n: what turns the lever, opens the leaf, and presses the bar.
+        seen: parts of it that the scan shows, with their counts; None where the request gives the door.
     """
 
     geometry: DoorGeometry
@@ -56,11 +64,17 @@ class Door:
     lever_nm: float
     hinge_nm: float
     push_bar_n: float
+    seen: tuple[SeenPart, ...] | None = None
 
     @property
     def handle(self) -> HandleGeometry | None:
         """The handle."""
         return self.geometry.handle
+
+    @property
+    def handle_name(self) -> str:
+        """What a hand holds: ``lever``, ``pull handle``, ``push bar``."""
+        return "handle" if self.handle is None else HANDLE_NAMES.get(self.handle.kind, self.handle.kind)
 
     @property
     def has_push_bar(self) -> bool:
@@ -179,10 +193,13 @@ def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = REAC
     phases: list[PhaseSpec] = []
     start = door.mechanism.start
     if choice.first > start[0]:
-        phases += _open_at_handle(door, choice, start, reach_waypoints)
+        specs = _open_at_handle(door, choice, start, reach_waypoints)
+        phases += add_pressed(specs, find_pressed(door.seen, door.handle_name, (choice.grip, 0.0)))
     if choice.push is not None:
         at = phases[-1].last if phases else start
-        phases += _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
+        specs = _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
+        place = choice.push.along, choice.push.up
+        phases += add_pressed(specs, find_pressed(door.seen, LEAF, place, LEAF_NEAR))
     return tuple(phases)
 
 

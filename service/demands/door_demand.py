@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +33,9 @@ from service.request.door import DoorRequest, HandleRequest
 from service.request.names import LEAF_JOINT
 from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
 from service.verify import JointTarget, Motion, Phase, RelativePoseTarget
+
+if TYPE_CHECKING:
+    from perception import SeenPart
 
 SAME_PLACE_M = 1e-6
 SURE = 0.5  # least confidence of a detection that is used
@@ -131,11 +134,16 @@ def _read_handle(handle: HandleRequest, along: Float[np.ndarray, "3"]) -> Handle
     return HandleGeometry(handle.kind, np.array(handle.centre), direction, length, handle.radius_m)
 
 
-def make_door(request: DoorRequest, geometry: DoorGeometry) -> Door:
-    """Return a door with the request's loads and release."""
+def make_door(request: DoorRequest, geometry: DoorGeometry, seen: tuple[SeenPart, ...] | None = None) -> Door:
+    """Return a door with the request's loads and release.
+
+    Args:
+        request, geometry: the task, and leaf and handle.
+        seen: parts that the scan shows; None where the request gives the door.
+    """
     is_bar = geometry.handle is not None and geometry.handle.kind == "push_bar"
     release = request.press_m if is_bar else float(np.deg2rad(request.release_deg))
-    return Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
+    return Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n, seen)
 
 
 def measure_peg(robot: RobotModel, hand: Hand) -> float:

@@ -26,7 +26,7 @@ from service.demands.stance import Stance, list_planted_feet, make_escape_allowa
 from service.demands.targets import make_goal_targets, make_kept_target
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
-from service.verify import Certificate, HandLoad, Motion, Phase, Target
+from service.verify import Certificate, HandLoad, Motion, Phase, PressedPart, Target
 from service.verify.coverage.required import list_waived_checks
 from service.verify.hashes import bodies_hash, robot_hash, scene_hash
 
@@ -235,9 +235,11 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
     targets = promises.last if index == len(recorded.phases) - 1 else ()
     touching: tuple[Allowance, ...] = ()
     loads: tuple[HandLoad, ...] = ()
+    pressed: tuple[PressedPart, ...] = ()
     spec = None if promises.task is None else promises.task.specs[index]
     if spec is not None and demands.task is not None:
-        targets, touching, loads = spec.targets(demands.task.mechanism, phase.last), spec.touches, spec.loads
+        targets, touching = spec.targets(demands.task.mechanism, phase.last), spec.touches
+        loads, pressed = spec.loads, spec.pressed
     if demands.program is not None:  # the planner itself promises targets between its steps
         targets = (*(target for target in phase.targets if getattr(target, "at", None) is None), *targets)
     return Phase(
@@ -250,6 +252,7 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         support=promises.stance.support(phase.name, first),
         loads=loads,
         regions=phase.regions,  # evidence, which the verifier proves
+        pressed=pressed,
     )
 
 
@@ -306,6 +309,8 @@ def compare_phase(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str
     for name in (*names, *(() if is_program else ("targets",))):
         if not _same(getattr(recorded, name), getattr(own, name)):
             yield f"{name} of phase '{recorded.name}' are not those of the request"
+    if recorded.pressed is not None and not _same(recorded.pressed, own.pressed):
+        yield f"pressed of phase '{recorded.name}' are not the parts, or not the counts of the scan"
 
 
 def compare_pace(request: PlanRequest, certificate: Certificate) -> Iterator[str]:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.robot import Mechanism
-from service.verify import HandLoad, JointTarget, RelativePoseTarget, Target
+from service.verify import HandLoad, JointTarget, PressedPart, RelativePoseTarget, Target
 
 AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
@@ -102,6 +102,7 @@ class PhaseSpec:
         torque_share: of the torque limits that the joints before the hand may use under the loads while the phase is
             planned; None for any.
         depth_reserve_m: of the depths of ``touches``, for the curve between the waypoints [m].
+        pressed: parts of the mechanism that the hand presses.
     """
 
     name: str
@@ -121,6 +122,7 @@ class PhaseSpec:
     guess_touches: tuple[Allowance, ...] = ()
     torque_share: float | None = None
     depth_reserve_m: float = DEPTH_RESERVE
+    pressed: tuple[PressedPart, ...] = ()
 
     @property
     def moving(self) -> tuple[int, ...]:

@@ -125,6 +125,7 @@ def _make_phase(
         loads=phase.loads,
         regions=_place_regions(phase, body, s),
         region_margin_m=None if body.region is None else margin,
+        pressed=phase.pressed,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from service.verify import (
     Phase,
     PlantedContact,
     PoseTarget,
+    PressedPart,
     RelativePoseTarget,
     SupportPolygon,
     Target,
@@ -46,6 +47,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "loads": [_write_load(load) for load in phase.loads],
         "regions": [_write_region(region, s) for region in phase.regions],
         "region_margin_m": phase.region_margin_m,
+        "pressed": None if phase.pressed is None else [asdict(part) for part in phase.pressed],
     }
 
 
@@ -69,7 +71,13 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         loads=tuple(_read_load(load) for load in data["loads"]),
         regions=tuple(_read_region(region, s) for region in data["regions"]),
         region_margin_m=None if data["region_margin_m"] is None else float(data["region_margin_m"]),
+        pressed=_read_pressed(data.get("pressed")),
     )
+
+
+def _read_pressed(parts: Sequence[Mapping[str, Any]] | None) -> tuple[PressedPart, ...] | None:
+    """Read the pressed parts of a phase; None where an earlier release wrote none."""
+    return None if parts is None else tuple(PressedPart(**part) for part in parts)
 
 
 def _write_allowance(allowance: Allowance) -> dict[str, Any]:

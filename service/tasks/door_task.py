@@ -168,7 +168,7 @@ def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
     geometry = choose_door(request, setup.surroundings.doors, base)
     if isinstance(geometry, str):
         return geometry
-    door = make_door(request, geometry)
+    door = make_door(request, geometry, setup.surroundings.seen if request.leaf is None else None)
     return door, describe_door(door)
 
 

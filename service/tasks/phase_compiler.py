@@ -360,6 +360,7 @@ class PhaseCompiler:
             allowances=spec.touches,
             targets=lambda at: spec.targets(self.mechanism, at),
             loads=spec.loads,
+            pressed=spec.pressed,
             regions=self.find_regions(spec, values),
             values=values if spec.loads else None,
         )
