@@ -15,6 +15,7 @@ from costs.robot import Mechanism, MechanismJoint, Release
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.seen_parts import HANDLE_NAMES
+from service.demands.door_edge import hold_edge, make_edge_load
 from service.demands.hands import Hand
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.demands.pressed import add_pressed, find_pressed
@@ -151,18 +152,20 @@ class Door:
 
 @dataclass(frozen=True)
 class Push:
-    """Where the peg's tip pushes the leaf after a regrasp.
+    """Where a hand pushes the leaf: the tip of its peg on the face, or the peg's side behind the free edge.
 
     Attributes:
         hand: the hand.
         along, up: place on the leaf from the hinge axis and from its lower edge [m].
         last: opening angle at the end [rad].
+        slant: of a peg behind the free edge: angle by which it points up; None of one whose tip is on the face [rad].
     """
 
     hand: Hand
     along: float
     up: float
     last: float
+    slant: float | None = None
 
 
 @dataclass(frozen=True)
@@ -267,7 +270,7 @@ def _open_at_handle(
 def _push_leaf(
     door: Door, choice: DoorChoice, push: Push, at: Float[np.ndarray, "k"], reach_waypoints: int, *, is_second: bool
 ) -> list[PhaseSpec]:
-    """Return reach, touch, push and retract of a hand that pushes the leaf open by the tip of its peg."""
+    """Return reach, touch, push and retract of a hand that pushes the leaf open."""
     geometry = door.geometry
     suffix = " 2" if is_second else ""
     side = -1.0 if door.is_push else 1.0  # a leaf that opens towards the robot is pushed on its back
@@ -279,11 +282,13 @@ def _push_leaf(
     )  # fmt: skip
     touches = (_allow(push.hand.hook, LEAF_LINK, "leaf"),)
     line = replace(tip, offset=-side * LINE_OUT * geometry.normal)
+    load = HandLoad(push.hand.tool, LEAF_LINK, place, side * _find_force(door, push) * geometry.normal, tip.slide)
+    if push.slant is not None:
+        tip, offset, normal = hold_edge(geometry, push)
+        line, load = replace(tip, offset=offset), make_edge_load(geometry, tip, normal, door.hinge_nm)
     last = at.copy()
     last[0] = push.last
     count = max(int(np.ceil((push.last - at[0]) / OPEN_STEP)) + 1, 3)
-    force = door.hinge_nm / max(push.along - PUSH_SLIDE, 0.05)
-    load = HandLoad(push.hand.tool, LEAF_LINK, place, side * force * geometry.normal, tip.slide)
     phases = [
         PhaseSpec(f"reach{suffix}", at, at, n_waypoints=reach_waypoints),
         PhaseSpec(f"touch{suffix}", at, at, line, touches, n_waypoints=LINE_WAYPOINTS),
@@ -305,6 +310,11 @@ def _push_leaf(
         away = replace(line, leaves=True)
         phases.append(PhaseSpec(f"retract{suffix}", last, last, away, touches, n_waypoints=LINE_WAYPOINTS))
     return phases
+
+
+def _find_force(door: Door, push: Push) -> float:
+    """Return the force of a tip that opens the leaf wherever it slides [N]."""
+    return door.hinge_nm / max(push.along - PUSH_SLIDE, 0.05)
 
 
 @dataclass(frozen=True)
