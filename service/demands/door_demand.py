@@ -261,8 +261,7 @@ class DoorDemand:
         geometry = self.door.geometry
         for hand in self._list_hands():
             for target in _list_holds(phase, hand.peg, LEAF_LINK):
-                inwards = target.rotation @ AXIS
-                slant = float(np.arctan2(inwards @ UP, -inwards @ geometry.along))
+                slant = float(np.arcsin(np.clip(target.rotation @ AXIS @ UP, -1.0, 1.0)))
                 push = Push(hand, geometry.width, float(target.position @ UP), last, slant)
                 hold = hold_edge(geometry, push)[0]
                 is_there = np.linalg.norm(hold.place - target.position) <= SAME_PLACE_M

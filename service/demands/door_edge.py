@@ -21,9 +21,9 @@ from service.verify import HandLoad
 if TYPE_CHECKING:
     from service.demands.door import Push
 
-EDGE_LEAN, EDGE_TILT = np.deg2rad(7.0), np.deg2rad(6.0)  # of the rod off the leaf's back, and from its place
+EDGE_LEAN, EDGE_TILT = np.deg2rad(6.0), np.deg2rad(5.0)  # of the rod off the leaf's back, and from its place
 TILT_RESERVE = np.deg2rad(2.0)
-MOST_SLANT = np.deg2rad(60.0)  # of the rod against the horizontal
+MOST_SLANT = np.deg2rad(40.0)  # of the rod against the horizontal
 SLANT_DIGITS = 6  # decimals of the slant [rad]
 EDGE_SPACE = 1e-3  # between the rod and the corner [m]
 PLACE_TOLERANCE = 5e-3  # [m]
@@ -41,10 +41,9 @@ def hold_edge(geometry: DoorGeometry, push: Push) -> tuple[HandMotion, Float[np.
         push: height and slant of the rod, and the hand.
     """
     slant = round(push.slant or 0.0, SLANT_DIGITS) + 0.0  # a record gives it up to rounding
-    inwards = -np.cos(slant) * geometry.along + np.sin(slant) * UP
-    axis = np.cos(EDGE_LEAN) * inwards - np.sin(EDGE_LEAN) * geometry.normal
-    normal = np.cross(axis, UP)
-    normal = normal / np.linalg.norm(normal)
+    level = -np.cos(EDGE_LEAN) * geometry.along - np.sin(EDGE_LEAN) * geometry.normal
+    axis = np.cos(slant) * level + np.sin(slant) * UP
+    normal = np.cross(level, UP)
     normal = normal * np.sign(normal @ geometry.normal)
     corner = find_corner(geometry) + push.up * UP
     place = corner - (push.hand.peg_radius + EDGE_SPACE) * normal
@@ -75,7 +74,7 @@ def measure_edge_gap(geometry: DoorGeometry, opening: float) -> float:
 
 
 def measure_edge_room(robot: RobotModel, hand: Hand) -> float:
-    """Return the width of the gap that a hand needs beyond the edge, with its rod at the back corner [m]."""
+    """Return the width of the gap that a hand needs beyond the edge, its rod on the way to the back corner [m]."""
     model = robot.model
     stub = model.frames[model.getFrameId(hand.stub)]
     widest = hand.peg_radius
@@ -83,4 +82,4 @@ def measure_edge_room(robot: RobotModel, hand: Hand) -> float:
         if body.link in (hand.link, hand.hook) and body.joint == stub.parentJoint:
             local = (body.vertices - stub.placement.translation) @ stub.placement.rotation
             widest = max(widest, float(np.hypot(local[:, 0], local[:, 1]).max()))
-    return hand.peg_radius + EDGE_SPACE + widest + GAP_RESERVE
+    return hand.peg_radius + EDGE_SPACE + LINE_BEHIND + widest + GAP_RESERVE

@@ -18,6 +18,7 @@ _MOST_THROUGH = 0.5  # share of the rays along a spoke's middle that do not end 
 _IN_PLANE = 0.012
 _CORRIDOR = 0.005
 _STEP_DEG = 2.0
+_RESOLVED = 0.7  # of the greatest half width that a spoke may have: returns that reach farther fill the openings
 _MOST_APART, _BETWEEN = 3, 0.25
 MIDDLE = 0.45  # of the rim's inner radius
 _FEWEST = 5
@@ -29,7 +30,8 @@ class Inside:
 
     Attributes:
         spoke_angles: of the spokes about the axis [rad].
-        spoke_share: share of the returns between hub and rim that lie on the spokes, 0 to 1.
+        spoke_share: share of the returns between hub and rim that lie on the spokes, 0 to 1; 0 where these are not
+            resolved.
         spokes_known: whether rays are dense enough between hub and rim to distinguish spokes from openings.
         widest_spoke: angle of the widest solid sector in the rim's plane [rad].
         hub_radius: radius within which almost all rays ended on the wheel [m].
@@ -159,9 +161,12 @@ def _spokes(
     distance = np.abs(place[solid] @ np.stack([-np.sin(lines), np.cos(lines)]))
     distance[place[solid] @ np.stack([np.cos(lines), np.sin(lines)]) <= 0.0] = np.inf
     nearest = distance.min(axis=1)
-    explained = nearest < 2.0 * corridor_half + 0.01
+    widest_half = 2.0 * corridor_half + 0.01
+    explained = nearest < widest_half
     half = float(np.percentile(nearest[explained], 90)) if explained.any() else 0.0
-    return _Spokes(tuple(sorted(lines.tolist())), half, float(explained.mean()), True, widest)
+    # Returns everywhere between hub and rim resolve no spokes.
+    share = float(explained.mean()) if half < _RESOLVED * widest_half else 0.0
+    return _Spokes(tuple(sorted(lines.tolist())), half, share, True, widest)
 
 
 def _in_corridors(
