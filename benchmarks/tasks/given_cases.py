@@ -106,7 +106,7 @@ def _make_door(
 
 
 def make_valves(count: int, seed: int) -> Iterator[Case]:
-    """Yield valves that are given by rim and, for a hook, spokes: radii from 0.1 to 0.25 m, axes tilted up to 30 deg."""
+    """Yield valves given by rim and, for a hook, spokes: radii from 0.1 to 0.25 m, axes tilted up to 30 deg."""
     rng = np.random.default_rng(seed + 1)
     for number, mode in zip(range(count), cycle(MODES), strict=False):
         radius = 0.1 + 0.15 * (number // 2) / max(count // 2 - 1, 1)

@@ -1,6 +1,8 @@
 """Turning a valve: from the shipped scan, by a given circle, with either hand and in both modes."""
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +10,9 @@ import pytest
 from stranger import Stranger
 
 from service.demands.hands import PEG_RADIUS
-from service.errors import RequestError
+from service.errors import RequestError, ResultError
 from service.planner import plan
+from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
 from service.result.output import write_result
 from service.result.result import Verdict
@@ -38,6 +41,12 @@ def shipped(tmp_path_factory):
     folder = tmp_path_factory.mktemp("valve") / "out"
     write_result(result, folder)
     return result, Stranger(folder)
+
+
+@pytest.fixture(scope="module")
+def shipped_folder(shipped, tmp_path_factory):
+    """The folder of that plan."""
+    return write_result(shipped[0], tmp_path_factory.mktemp("valve") / "again").folder
 
 
 def pair_of(allowance: dict) -> tuple:
@@ -139,6 +148,57 @@ def test_the_whole_body_helps(shipped):
     assert moved["base_x"] + moved["base_y"] + moved["base_z"] > 0.01
     assert max(moved[name] for name in moved if name.startswith("back_")) > 0.05
     assert max(moved[name] for name in moved if "_leg_" in name) > 0.05
+
+
+def test_the_pressed_spoke_is_counted_in_the_scan(shipped):
+    result, _ = shipped
+    (check,) = [check for check in result.certificate.checks if check.name.startswith("coverage.pressed.")]
+    assert check.name.startswith("coverage.pressed.spoke/")
+    assert check.value >= check.limit == 4
+
+
+def edit_result(folder: Path, target: Path, edit: Callable[[dict], None]) -> Path:
+    """Return a copy of a result's folder with its data changed."""
+    shutil.copytree(folder, target)
+    data = json.loads((target / "result.json").read_text())
+    edit(data)
+    (target / "result.json").write_text(json.dumps(data))
+    return target
+
+
+def test_a_scan_that_shows_nothing_at_the_peg_rules_out_the_certificate(shipped_folder, tmp_path):
+    """The record says that rays passed; verification counts again from the detection's parts."""
+
+    def empty(data: dict) -> None:
+        for part in data["detections"][0]["parts"]:
+            part["passes"], part["hits"] = part["hits"], [0] * len(part["hits"])
+
+    again = verify_result(edit_result(shipped_folder, tmp_path / "out", empty))
+    assert again["verdict"] == "FEASIBLE_AT_SAMPLES"
+    assert any("pressed of phase 'turn'" in line for line in again["explanation"])
+
+
+def test_counts_that_are_not_those_of_the_scan_are_refused(shipped_folder, tmp_path):
+    def claim(data: dict) -> None:
+        for phase in data["phases"]:
+            for part in phase["pressed"]:
+                part["n_points"] += 100
+
+    with pytest.raises(ResultError, match="pressed of phase 'turn' are not the parts"):
+        verify_result(edit_result(shipped_folder, tmp_path / "out", claim))
+
+
+def test_a_result_without_counts_is_not_certified_anew(shipped_folder, tmp_path):
+    """As an earlier release wrote it."""
+
+    def forget(data: dict) -> None:
+        del data["detections"][0]["parts"]
+        for phase in data["phases"]:
+            del phase["pressed"]
+
+    again = verify_result(edit_result(shipped_folder, tmp_path / "out", forget))
+    assert again["verdict"] == "FEASIBLE_AT_SAMPLES"
+    assert any(check["name"].startswith("coverage.pressed.spoke/") for check in again["checks"])
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def count_on_face(
         frame: (3, 3) rows: the two directions of its coordinates, and its normal; unit.
         corner: (3,) from which places count [m].
         size: along the two directions [m].
-        within: distance from the face, along the ray, within which a point lies on it [m].
+        within: distance from the face within which a point lies on it [m].
     """
     counts = [max(1, round(length / _FACE_CELL)) for length in size]
     steps = [length / count for length, count in zip(size, counts, strict=True)]
@@ -105,7 +105,7 @@ def count_on_face(
     cells = np.floor(at / steps)
     is_inside = faces & (crossing > 0.0) & (cells >= 0).all(axis=1) & (cells < counts).all(axis=1)
     cell = np.where(is_inside, cells[:, 0] * counts[1] + cells[:, 1], -1.0)
-    behind = rays.length - crossing
+    behind = (rays.length - crossing) * np.abs(slope)
     return _count_cells(name, places, cell, np.abs(behind) < within, behind >= within, within)
 
 
