@@ -22,8 +22,10 @@ from perception.detect import KINDS, detect, detect_each, detect_kinds
 from perception.detect.door.bodies import door_bodies
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening, read_door
+from perception.detect.seen_parts import count_seen_parts
 from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.shared.overlap import settle_overlaps
+from perception.detect.shared.seen_part import SeenPart
 from perception.detect.valve.bodies import (
     ValveDetection,
     has_clear_spokes,
@@ -67,9 +69,11 @@ __all__ = [
     "PerceptionError",
     "Piece",
     "Reach",
+    "SeenPart",
     "ValveDetection",
     "View",
     "choose_opening",
+    "count_seen_parts",
     "detect",
     "detect_each",
     "detect_kinds",

@@ -186,13 +186,18 @@ def _nearest(rays: Sightlines, places: Float[np.ndarray, "K 3"]) -> Float[np.nda
     return best
 
 
-def sight_index(cloud: Cloud) -> SightIndex:
-    """Index all rays of a cloud, including rays without a return."""
+def sight_rays(cloud: Cloud) -> Sightlines:
+    """Return all rays of a cloud, including rays without a return."""
     starts, ends = cloud.rays
     offset = ends - starts
     length = np.linalg.norm(offset, axis=1)
     keep = length > 1e-3
-    return index_of(Sightlines(np.asarray(starts[keep]), offset[keep] / length[keep, None], length[keep]))
+    return Sightlines(np.asarray(starts[keep]), offset[keep] / length[keep, None], length[keep])
+
+
+def sight_index(cloud: Cloud) -> SightIndex:
+    """Index all rays of a cloud, including rays without a return."""
+    return index_of(sight_rays(cloud))
 
 
 def index_of(rays: Sightlines) -> SightIndex:

@@ -106,7 +106,7 @@ def _make_door(
 
 
 def make_valves(count: int, seed: int) -> Iterator[Case]:
-    """Yield valves that are given by their rims: radii from 0.1 to 0.25 m, axes tilted up to 30 deg."""
+    """Yield valves given by rim and, for a hook, spokes: radii from 0.1 to 0.25 m, axes tilted up to 30 deg."""
     rng = np.random.default_rng(seed + 1)
     for number, mode in zip(range(count), cycle(MODES), strict=False):
         radius = 0.1 + 0.15 * (number // 2) / max(count // 2 - 1, 1)
@@ -119,6 +119,7 @@ def make_valves(count: int, seed: int) -> Iterator[Case]:
             "centre": [round(float(value), 4) for value in centre],
             "axis": [float(value) for value in axis],
             "radius": round(float(radius), 3),
+            **({"spokes_deg": [30.0, 150.0, 270.0]} if mode == "hook" else {}),
         }
         robot = {"name": "atlas", "hand": "hook" if mode == "hook" else "gripper"}
         request = {"robot": robot, "start": {"posture": "reach_ready"}, "task": {"valve": valve}}

@@ -41,7 +41,15 @@ DOOR = {
 }
 TASKS: dict[str, dict[str, Any]] = {
     "door": {"door": DOOR},
-    "valve": {"valve": {"centre": [0.68, 0.12, 1.1], "axis": [-1, 0, 0], "radius": 0.14, "turn_deg": 120}},
+    "valve": {
+        "valve": {
+            "centre": [0.68, 0.12, 1.1],
+            "axis": [-1, 0, 0],
+            "radius": 0.14,
+            "spokes_deg": [45, 135, 225, 315],
+            "turn_deg": 120,
+        }
+    },
 }
 
 

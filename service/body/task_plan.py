@@ -18,7 +18,7 @@ from scopt import Problem, Result
 from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
-from service.verify import HandLoad, HandPush, Motion, Target
+from service.verify import HandLoad, HandPush, Motion, PressedPart, Target
 
 MOST_REASONS = 5
 FORGIVEN = 5.0  # times its tolerance: rows of a foot are kept to a fifth of what the verifier allows its corners
@@ -64,6 +64,7 @@ class PlannedPhase:
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
         loads: forces that hands exert on the mechanism.
         pushes: the contacts by which they exert them.
+        pressed: parts of the mechanism that hands press.
         regions: where the loaded feet hold the robot, by stretches of the waypoints that it was solved with.
         values: (T, k) of the mechanism's joints at those waypoints, its last coordinates.
         body: the robot on this phase's contacts, where they are not those of the whole motion.
@@ -82,6 +83,7 @@ class PlannedPhase:
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
     loads: tuple[HandLoad, ...] = ()
     pushes: tuple[HandPush, ...] = ()
+    pressed: tuple[PressedPart, ...] = ()
     regions: tuple[PlannedRegion, ...] = ()
     values: Float[np.ndarray, "T k"] | None = None
     body: WholeBody | None = None

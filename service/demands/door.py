@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +14,16 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot import Mechanism, MechanismJoint, Release
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
+from perception.detect.door.seen_parts import HANDLE_NAMES
+from service.demands.door_edge import hold_edge, make_edge_load
 from service.demands.hands import Hand
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.pressed import add_pressed, find_pressed
 from service.request.names import DOOR, HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
+
+if TYPE_CHECKING:
+    from perception import SeenPart
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
 LARGEST_OPENING = np.deg2rad(170.0)
@@ -38,6 +45,7 @@ PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg lean
 PEG_ACROSS = np.deg2rad(30.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
 TORQUE_SHARE = 0.9  # of the joints before the hand; the rest is for the motion [-]
+LEAF, LEAF_NEAR = "leaf", 0.15  # name of the leaf, and distance from a hold within which it is counted [m]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
 GIVES_WAY = 0.2  # share of the force that releases a handle, for which one at rest hardly moves [-]
 
@@ -50,6 +58,7 @@ class Door:
         geometry: leaf and handle; ``opens`` is known.
         release: angle of the lever, or travel of the push bar, from which on the leaf is free [rad, m].
         lever_nm, hinge_nm, push_bar_n: what turns the lever, opens the leaf, and presses the bar.
+        seen: parts of it that the scan shows, with their counts; None where the request gives the door.
     """
 
     geometry: DoorGeometry
@@ -57,11 +66,17 @@ class Door:
     lever_nm: float
     hinge_nm: float
     push_bar_n: float
+    seen: tuple[SeenPart, ...] | None = None
 
     @property
     def handle(self) -> HandleGeometry | None:
         """The handle."""
         return self.geometry.handle
+
+    @property
+    def handle_name(self) -> str:
+        """What a hand holds: ``lever``, ``pull handle``, ``push bar``."""
+        return "handle" if self.handle is None else HANDLE_NAMES.get(self.handle.kind, self.handle.kind)
 
     @property
     def has_push_bar(self) -> bool:
@@ -138,18 +153,20 @@ class Door:
 
 @dataclass(frozen=True)
 class Push:
-    """Where the peg's tip pushes the leaf after a regrasp.
+    """Where a hand pushes the leaf: the tip of its peg on the face, or the peg's side behind the free edge.
 
     Attributes:
         hand: the hand.
         along, up: place on the leaf from the hinge axis and from its lower edge [m].
         last: opening angle at the end [rad].
+        slant: of a peg behind the free edge: angle by which it points up; None of one whose tip is on the face [rad].
     """
 
     hand: Hand
     along: float
     up: float
     last: float
+    slant: float | None = None
 
 
 @dataclass(frozen=True)
@@ -180,10 +197,13 @@ def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = REAC
     phases: list[PhaseSpec] = []
     start = door.mechanism.start
     if choice.first > start[0]:
-        phases += _open_at_handle(door, choice, start, reach_waypoints)
+        specs = _open_at_handle(door, choice, start, reach_waypoints)
+        phases += add_pressed(specs, find_pressed(door.seen, door.handle_name, (choice.grip, 0.0)))
     if choice.push is not None:
         at = phases[-1].last if phases else start
-        phases += _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
+        specs = _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
+        place = choice.push.along, choice.push.up
+        phases += add_pressed(specs, find_pressed(door.seen, LEAF, place, LEAF_NEAR))
     bears = _list_resistances(door)
     return tuple(replace(phase, bears=bears) for phase in phases)
 
@@ -261,7 +281,7 @@ def _open_at_handle(
 def _push_leaf(
     door: Door, choice: DoorChoice, push: Push, at: Float[np.ndarray, "k"], reach_waypoints: int, *, is_second: bool
 ) -> list[PhaseSpec]:
-    """Return reach, touch, push and retract of a hand that pushes the leaf open by the tip of its peg."""
+    """Return reach, touch, push and retract of a hand that pushes the leaf open."""
     geometry = door.geometry
     suffix = " 2" if is_second else ""
     side = -1.0 if door.is_push else 1.0  # a leaf that opens towards the robot is pushed on its back
@@ -273,11 +293,13 @@ def _push_leaf(
     )  # fmt: skip
     touches = (_allow(push.hand.hook, LEAF_LINK, "leaf"),)
     line = replace(tip, offset=-side * LINE_OUT * geometry.normal)
+    load = HandLoad(push.hand.tool, LEAF_LINK, place, side * _find_force(door, push) * geometry.normal, tip.slide)
+    if push.slant is not None:
+        tip, offset, normal = hold_edge(geometry, push)
+        line, load = replace(tip, offset=offset), make_edge_load(geometry, tip, normal, door.hinge_nm)
     last = at.copy()
     last[0] = push.last
     count = max(int(np.ceil((push.last - at[0]) / OPEN_STEP)) + 1, 3)
-    force = door.hinge_nm / max(push.along - PUSH_SLIDE, 0.05)
-    load = HandLoad(push.hand.tool, LEAF_LINK, place, side * force * geometry.normal, tip.slide)
     phases = [
         PhaseSpec(f"reach{suffix}", at, at, n_waypoints=reach_waypoints),
         PhaseSpec(f"touch{suffix}", at, at, line, touches, n_waypoints=LINE_WAYPOINTS),
@@ -299,6 +321,11 @@ def _push_leaf(
         away = replace(line, leaves=True)
         phases.append(PhaseSpec(f"retract{suffix}", last, last, away, touches, n_waypoints=LINE_WAYPOINTS))
     return phases
+
+
+def _find_force(door: Door, push: Push) -> float:
+    """Return the force of a tip that opens the leaf wherever it slides [N]."""
+    return door.hinge_nm / max(push.along - PUSH_SLIDE, 0.05)
 
 
 @dataclass(frozen=True)

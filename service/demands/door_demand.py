@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -25,14 +25,18 @@ from service.demands.door import (
     hold_handle,
     make_door_phases,
 )
+from service.demands.door_edge import MOST_SLANT, hold_edge
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.phase_spec import DEPTH_RESERVE, PhaseSpec
+from service.demands.phase_spec import AXIS, DEPTH_RESERVE, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.door import DoorRequest, HandleRequest
 from service.request.names import LEAF_JOINT
 from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
 from service.verify import JointTarget, Motion, Phase, RelativePoseTarget
+
+if TYPE_CHECKING:
+    from perception import SeenPart
 
 SAME_PLACE_M = 1e-6
 SURE = 0.5  # least confidence of a detection that is used
@@ -131,11 +135,16 @@ def _read_handle(handle: HandleRequest, along: Float[np.ndarray, "3"]) -> Handle
     return HandleGeometry(handle.kind, np.array(handle.centre), direction, length, handle.radius_m)
 
 
-def make_door(request: DoorRequest, geometry: DoorGeometry) -> Door:
-    """Return a door with the request's loads and release."""
+def make_door(request: DoorRequest, geometry: DoorGeometry, seen: tuple[SeenPart, ...] | None = None) -> Door:
+    """Return a door with the request's loads and release.
+
+    Args:
+        request, geometry: the task, and leaf and handle.
+        seen: parts that the scan shows; None where the request gives the door.
+    """
     is_bar = geometry.handle is not None and geometry.handle.kind == "push_bar"
     release = request.press_m if is_bar else float(np.deg2rad(request.release_deg))
-    return Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
+    return Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n, seen)
 
 
 def measure_peg(robot: RobotModel, hand: Hand) -> float:
@@ -235,6 +244,10 @@ class DoorDemand:
     def _read_push(self, phase: Phase) -> Push | str:
         """Return hand, place and angle of a phase that pushes the leaf."""
         geometry, last = self.door.geometry, _read_leaf_angle(phase)
+        if last is not None and not self.door.is_push:
+            edge = self._read_edge(phase, last)
+            if edge is not None:
+                return edge
         for hand in self._list_hands():
             for hold in _list_holds(phase, hand.tool, LEAF_LINK):
                 along, up = float(hold.position @ geometry.along), float(hold.position @ UP)
@@ -242,6 +255,19 @@ class DoorDemand:
                     return f"the hand is not on the leaf in phase '{phase.name}'"
                 return Push(hand, along, up, last)
         return f"no hand that the task permits is on the leaf in phase '{phase.name}'"
+
+    def _read_edge(self, phase: Phase, last: float) -> Push | None:
+        """Return how a phase pulls the leaf by its free edge; None where it does not."""
+        geometry = self.door.geometry
+        for hand in self._list_hands():
+            for target in _list_holds(phase, hand.peg, LEAF_LINK):
+                slant = float(np.arcsin(np.clip(target.rotation @ AXIS @ UP, -1.0, 1.0)))
+                push = Push(hand, geometry.width, float(target.position @ UP), last, slant)
+                hold = hold_edge(geometry, push)[0]
+                is_there = np.linalg.norm(hold.place - target.position) <= SAME_PLACE_M
+                if is_there and abs(slant) <= MOST_SLANT + SAME_PLACE_M and 0.0 < push.up < geometry.height:
+                    return push
+        return None
 
     def _read_hold(self, phase: Phase, push: Push | None) -> DoorChoice | str:
         """Return the choice whose hold a phase that opens the leaf promises."""
@@ -279,7 +305,7 @@ def keep_door_choice(choice: DoorChoice, door: Door) -> dict[str, HandleChoice |
         )
     }
     if push is not None:
-        kept["leaf"] = LeafChoice(push.hand.side, push.along, push.up, push.last)
+        kept["leaf"] = LeafChoice(push.hand.side, push.along, push.up, push.last, push.slant)
     return kept
 
 
@@ -313,7 +339,7 @@ def read_kept_choice(door: Door, request: DoorRequest, resume: ResumeRequest, ro
             f"expected the {request.open_deg:g} deg of the task"
         )
     size = door.geometry
-    if leaf is not None and not (0.0 < leaf.along_m < size.width and 0.0 < leaf.up_m < size.height):
+    if leaf is not None and not _is_on_leaf(leaf, door):
         problems.append("resume.leaf: the place is not on the leaf")
     bar = door.handle
     is_held = handle.until_rad > size.ajar
@@ -329,10 +355,19 @@ def read_kept_choice(door: Door, request: DoorRequest, resume: ResumeRequest, ro
     missing = [kept.hand for kept in (handle, leaf) if kept is not None and kept.hand not in hands]
     if missing:
         raise RequestError(f"resume: the robot has no {missing[0]} hand")
-    push = None if leaf is None else Push(hands[leaf.hand], leaf.along_m, leaf.up_m, leaf.until_rad)
+    push = None if leaf is None else Push(hands[leaf.hand], leaf.along_m, leaf.up_m, leaf.until_rad, leaf.slant_rad)
     hand = hands[handle.hand]
     sense = 1.0 if handle.is_towards_hinge else -1.0
     return DoorChoice(hand, measure_peg(robot, hand), handle.grip_m, sense, handle.until_rad, push, request.stays)
+
+
+def _is_on_leaf(leaf: LeafChoice, door: Door) -> bool:
+    """Return whether a hand is on the leaf's face, or behind the free edge of a leaf that is pulled."""
+    size = door.geometry
+    if leaf.slant_rad is None:
+        return 0.0 < leaf.along_m < size.width and 0.0 < leaf.up_m < size.height
+    is_at_edge = abs(leaf.along_m - size.width) <= SAME_PLACE_M and abs(leaf.slant_rad) <= MOST_SLANT + SAME_PLACE_M
+    return is_at_edge and 0.0 < leaf.up_m < size.height and not door.is_push
 
 
 def resume_door(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: int = 14) -> ResumedDemand:

@@ -28,6 +28,7 @@ from service.demands.hands import Hand, list_robot_hands
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad, MovedObject, Spring, choose_pace
 from service.demands.moved_object.rest import check_rest
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.pressed import add_pressed, find_pressed
 from service.demands.pushes import find_nominal_pushes
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do
@@ -285,7 +286,7 @@ def make_mechanism_phases(
     if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
         away = replace(line, leaves=True)
         phases.append(PhaseSpec("retract", values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
-    return tuple(phases)
+    return add_pressed(phases, find_pressed(None, given.request.handle.link, (0.0, 0.0)))
 
 
 def select_tool(given: GivenMechanism, hand: Hand) -> str:

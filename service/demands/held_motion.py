@@ -27,7 +27,7 @@ from service.demands.stance import Stance, list_planted_feet, make_escape_allowa
 from service.demands.targets import make_goal_targets, make_kept_target
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
-from service.verify import Certificate, HandLoad, HandPush, Motion, Phase, Target
+from service.verify import Certificate, HandLoad, HandPush, Motion, Phase, PressedPart, Target
 from service.verify.coverage.required import list_waived_checks
 from service.verify.hashes import bodies_hash, robot_hash, scene_hash
 
@@ -240,10 +240,11 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
     touching: tuple[Allowance, ...] = ()
     loads: tuple[HandLoad, ...] = ()
     pushes: tuple[HandPush, ...] = ()
+    pressed: tuple[PressedPart, ...] = ()
     spec = None if promises.task is None else promises.task.specs[index]
     if spec is not None and demands.task is not None:
         targets, touching = spec.targets(demands.task.mechanism, phase.last), spec.touches
-        loads, pushes = spec.loads, spec.pushes
+        loads, pushes, pressed = spec.loads, spec.pushes, spec.pressed
     if demands.program is not None:  # the planner itself promises targets between its steps
         targets = (*(target for target in phase.targets if getattr(target, "at", None) is None), *targets)
     return Phase(
@@ -257,6 +258,7 @@ def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises
         loads=loads,
         pushes=pushes,
         regions=phase.regions,  # evidence, which the verifier proves
+        pressed=pressed,
     )
 
 
@@ -313,6 +315,8 @@ def compare_phase(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str
     for name in (*names, *(() if is_program else ("targets",))):
         if not _same(getattr(recorded, name), getattr(own, name)):
             yield f"{name} of phase '{recorded.name}' are not those of the request"
+    if recorded.pressed is not None and not _same(recorded.pressed, own.pressed):
+        yield f"pressed of phase '{recorded.name}' are not the parts, or not the counts of the scan"
 
 
 def compare_pace(request: PlanRequest, certificate: Certificate) -> Iterator[str]:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.robot import Mechanism
-from service.verify import HandLoad, HandPush, JointTarget, RelativePoseTarget, Target
+from service.verify import HandLoad, HandPush, JointTarget, PressedPart, RelativePoseTarget, Target
 
 AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
 REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
@@ -95,7 +95,6 @@ class PhaseSpec:
         touches: pairs that may touch besides feet and floor.
         loads: forces that the hand exerts on the mechanism, each between zero and its largest.
         pushes: the contacts by which it exerts them.
-        knows_pressed: whether the task knows what the hand presses; else nothing shows that it pushes.
         bears: by joint of the mechanism that stays still, the forces of a hand that it bears by itself [N m, N].
         also: further targets of the whole phase.
         is_anchor: whether it is solved first; the phases before it are solved backwards from its start.
@@ -109,6 +108,7 @@ class PhaseSpec:
         torque_share: of the torque limits that the joints before the hand may use under the loads while the phase is
             planned; None for any.
         depth_reserve_m: of the depths of ``touches``, for the curve between the waypoints [m].
+        pressed: parts of the mechanism that the hand presses.
     """
 
     name: str
@@ -118,7 +118,6 @@ class PhaseSpec:
     touches: tuple[Allowance, ...] = ()
     loads: tuple[HandLoad, ...] = ()
     pushes: tuple[HandPush, ...] = ()
-    knows_pressed: bool = True
     bears: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     also: tuple[Target, ...] = ()
     is_anchor: bool = False
@@ -131,6 +130,7 @@ class PhaseSpec:
     guess_touches: tuple[Allowance, ...] = ()
     torque_share: float | None = None
     depth_reserve_m: float = DEPTH_RESERVE
+    pressed: tuple[PressedPart, ...] = ()
 
     @property
     def moving(self) -> tuple[int, ...]:

@@ -104,10 +104,10 @@ def find_nominal_pushes(
 ) -> Iterator[NominalPush]:
     """Yield the pushes of a phase: one per sense of each joint that moves or is loaded."""
     motion = spec.hand
-    if motion is None or motion.is_line or motion.link is None or not spec.knows_pressed:
+    if motion is None or motion.is_line or motion.link is None:
         return
     needs = _list_needs(spec, mechanism)
-    if not needs:
+    if not needs or any(part.source == "assumed" for part in spec.pressed):
         return
     hand = next((hand for hand in list_robot_hands(robot) if motion.tool in (hand.tool, hand.peg, hand.stub)), None)
     if hand is None:

@@ -13,17 +13,19 @@ from service.demands.grip import make_finger_targets, make_grip_allowances, plac
 from service.demands.hands import Hand
 from service.demands.peg import PegPlace, make_peg_allowances, place_peg
 from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.pressed import add_pressed, find_pressed
 from service.demands.wheel import Mode, Wheel, wrap_angle
 from service.request.fields import HAND_FRICTION
 from service.request.names import VALVE_LINK
 from service.request.schema import ValveRequest
-from service.verify import CircleTarget, HandLoad
+from service.verify import CircleTarget, HandLoad, PressedPart
 
 TURN = "turn"
 POSE_AT_WHEEL = "pose at the wheel"
 LARGEST_STROKES: Mapping[Mode, float] = {"hook": np.deg2rad(360.0), "grasp": np.deg2rad(120.0)}
 PROBE = np.deg2rad(10.0)  # to either side, where the sense of the turn is not known
 ROCK = np.deg2rad(5.0)  # to either side, before a stuck wheel is turned
+RIM, RIM_NEAR = "rim", 0.06  # name of a wheel's rim, and distance from a hold within which it is counted [m]
 STUCK_FACTOR = 2.0  # of the torque that a stuck wheel may take
 PEG_TOLERANCE = 1e-3  # largest distance of the peg's middle from its place in the wheel [m]
 GRIP_TOLERANCE = 1.5e-3  # the same of a gripper [m]
@@ -164,10 +166,36 @@ def make_turn_phases(
         entry = choice.entry if number == 0 else _find_next_entry(wheel, request.mode, choice, stroke)
         held = replace(choice, entry=entry)
         if request.mode == "hook":
-            phases += _make_peg_stroke(wheel, held, stroke, suffix, reach_waypoints, friction)
+            specs = _make_peg_stroke(wheel, held, stroke, suffix, reach_waypoints, friction)
         else:
-            phases += _make_grip_stroke(wheel, held, stroke, suffix, reach_waypoints)
+            specs = _make_grip_stroke(wheel, held, stroke, suffix, reach_waypoints)
+        phases += add_pressed(specs, find_pressed_part(wheel, held, request.mode, stroke.sense))
     return tuple(phases)
+
+
+def find_pressed_part(wheel: Wheel, choice: TurnChoice, mode: Mode, sense: float) -> PressedPart:
+    """Return the part of a wheel that a hand presses at its entry, with what the scan shows of it there.
+
+    Raises:
+        ValueError: the hand cannot enter there.
+    """
+    if mode == "grasp":
+        place = wheel.radius * np.array([np.cos(choice.entry), np.sin(choice.entry)])
+        return find_pressed(wheel.seen, RIM, (float(place[0]), float(place[1])), RIM_NEAR)
+    held = place_peg(wheel, choice.hand, choice.entry, sense)
+    if isinstance(held, str):
+        raise ValueError(held)
+    if held.spoke is None:
+        source = "the request gives" if wheel.seen is None else "the scan shows"
+        remedy = (
+            f"{source} no spokes: give the wheel's spokes_deg (with centre, axis and radius), or turn it with "
+            "mode: grasp"
+        )
+        return PressedPart("spoke", "assumed", remedy=remedy)
+    name = held.spoke.body.removeprefix(f"{VALVE_LINK}/")
+    if wheel.grip > 0.0:  # a short grip counts whole: of one that points at the sensor only the end is seen
+        return find_pressed(wheel.seen, name, (0.5 * wheel.grip, 0.0), wheel.grip)
+    return find_pressed(wheel.seen, name, (held.arm, 0.0))
 
 
 def _find_next_entry(wheel: Wheel, mode: Mode, choice: TurnChoice, stroke: Stroke) -> float:
@@ -199,7 +227,6 @@ def _make_peg_stroke(
         PhaseSpec(
             f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step=POSE_AT_WHEEL,
             n_waypoints=count_waypoints(stroke), loads=loads, also=(make_circle(wheel, motion),),
-            knows_pressed=held.spoke is not None,
             guess_touches=(Allowance(BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), THROUGH),),
             torque_share=TORQUE_SHARE,
             depth_reserve_m=PEG_RESERVE,

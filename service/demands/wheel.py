@@ -8,7 +8,7 @@ The lever of a valve is a wheel with one spoke, without a rim, between its stops
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from service.request.names import VALVE_JOINT, VALVE_LINK
 from service.request.schema import ValveRequest
 
 if TYPE_CHECKING:
-    from perception import LeverDetection, ValveDetection
+    from perception import LeverDetection, SeenPart, ValveDetection
 
 Mode = Literal["hook", "grasp"]
 
@@ -73,6 +73,7 @@ class Wheel:
         is_lever: whether it is a lever or a crank; ``radius`` is then where the hand presses the only spoke, the bar
             or the crank's grip, and ``rim`` is what else the hand may touch.
         grip: length of a crank's grip along the axis, from the bar; 0 without one [m].
+        seen: parts of it that the scan shows, with their counts; None where the request gives the wheel.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -89,6 +90,7 @@ class Wheel:
     stops: tuple[float, float] | None = None
     is_lever: bool = False
     grip: float = 0.0
+    seen: tuple[SeenPart, ...] | None = None
 
     @property
     def inner_radius(self) -> float:
@@ -111,8 +113,15 @@ class Wheel:
         return self.gaps
 
 
-def make_wheel(valve: ValveDetection | LeverDetection, request: ValveRequest) -> Wheel:
-    """Return the wheel, or the lever, of a detected or given valve; spokes and gaps in the order of their angles."""
+def make_wheel(
+    valve: ValveDetection | LeverDetection, request: ValveRequest, seen: tuple[SeenPart, ...] | None = None
+) -> Wheel:
+    """Return the wheel, or the lever, of a detected or given valve; spokes and gaps in the order of their angles.
+
+    Args:
+        valve, request: the valve and the task.
+        seen: parts that the scan shows; None where the request gives the valve.
+    """
     from perception import (  # slow to import, and needed for valves only
         LeverDetection,
         has_clear_spokes,
@@ -122,7 +131,7 @@ def make_wheel(valve: ValveDetection | LeverDetection, request: ValveRequest) ->
     )
 
     if isinstance(valve, LeverDetection):
-        return _make_lever(valve, request)
+        return replace(_make_lever(valve, request), seen=seen)
     mode = request.mode
     first, _, axis = wheel_basis(valve.axis)
     solids = valve_bodies(valve, margin=GROWTH_M)
@@ -150,6 +159,7 @@ def make_wheel(valve: ValveDetection | LeverDetection, request: ValveRequest) ->
         spokes,
         hub,
         float(heights.max()),
+        seen=seen,
     )
 
 

@@ -126,6 +126,7 @@ def _make_phase(
         pushes=phase.pushes,
         regions=_place_regions(phase, body, s),
         region_margin_m=None if body.region is None else margin,
+        pressed=phase.pressed,
     )
 
 

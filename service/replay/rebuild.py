@@ -40,7 +40,7 @@ from service.start.robot import add_request_parts, attach_bodies, load_requested
 from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:
-    from perception import LeverDetection, ValveDetection
+    from perception import LeverDetection, SeenPart, ValveDetection
     from service.trajopt import Program
 
 
@@ -76,12 +76,14 @@ class Record:
         scene: its pieces.
         valves: valves detected in the scan; the first is the task's.
         doors: doors detected in the scan; the first is the task's.
+        seen: parts of the task's valve or door that the scan shows.
     """
 
     robot: RobotModel
     scene: Scene
     valves: tuple[ValveDetection | LeverDetection, ...] = ()
     doors: tuple[SeenDoor, ...] = ()
+    seen: tuple[SeenPart, ...] = ()
 
 
 def rebuild_demands(
@@ -104,7 +106,9 @@ def rebuild_demands(
     start, _, program = resolve_start(robot, request)
     feet = list_planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
-    surroundings = Surroundings(select_scanned(request, record.scene), record.valves, doors=record.doors)
+    surroundings = Surroundings(
+        select_scanned(request, record.scene), record.valves, doors=record.doors, seen=record.seen
+    )
     scene_from = request_from
     if is_read:
         surroundings = _read_scan(request, robot, start, feet, clouds)
@@ -169,17 +173,21 @@ def _rebuild_task(
         geometry = choose_door(task.door, surroundings.doors, base)
         if isinstance(geometry, str):
             raise RequestError(f"task.door: {geometry}")
-        door = set_back(make_door(task.door, geometry), request.resume)
+        door = set_back(
+            make_door(task.door, geometry, surroundings.seen if task.door.leaf is None else None), request.resume
+        )
         opening = DoorDemand(door, task.door, robot)
         return opening if request.resume is None else resume_door(opening, request.resume)
     if task.valve is None:
         return None
     from service.tasks.valve_task import read_given_valve
 
-    valve = read_given_valve(task.valve) or next(iter(surroundings.valves), None)
+    given = read_given_valve(task.valve)
+    valve = given or next(iter(surroundings.valves), None)
     if valve is None:
         raise RequestError("task.valve: the scene shows no valve")
-    wheel = make_wheel(turn_back(valve, request.resume), task.valve)
+    seen = surroundings.seen if given is None else None
+    wheel = make_wheel(turn_back(valve, request.resume), task.valve, seen)
     turning = ValveDemand(wheel, task.valve, list_robot_hands(robot), request.options.hand_friction[1])
     return turning if request.resume is None else resume_valve(turning, request.resume)
 

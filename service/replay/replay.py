@@ -33,7 +33,7 @@ from service.result.versions import find_format
 from service.verify import Certificate, Motion, Status, VerifyError, verify
 
 if TYPE_CHECKING:
-    from perception import LeverDetection, ValveDetection
+    from perception import LeverDetection, SeenPart, ValveDetection
 
 VECTORS = ("centre", "axis", "direction")  # of detected valves
 OTHER = "it answers another request, or was changed after it was written"
@@ -246,7 +246,7 @@ def _read_demands(
     """Return the demands of the user's or the recorded request, and their sources."""
     request = read_request(data, folder) if given is None else load_request(given)
     with _explain_defects(folder):
-        record = replace(record, valves=read_valves(data), doors=read_doors(data))
+        record = replace(record, valves=read_valves(data), doors=read_doors(data), seen=read_seen_parts(data))
     try:
         return rebuild_demands(request, record, given, clouds)
     except RequestError as error:
@@ -308,6 +308,16 @@ def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
             door = DoorGeometry(**{**geometry, **vectors, "handle": handle})
             doors.append(SeenDoor(door, float(hit["confidence"]), bool(hit.get("knows_hinge", True))))
     return tuple(doors)
+
+
+def read_seen_parts(data: dict[str, Any]) -> tuple[SeenPart, ...]:
+    """Read the parts of the task's valve or door that the scan shows; none where an earlier release wrote none."""
+    parts = data["detections"][0].get("parts", ()) if data["detections"] else ()
+    if not parts:
+        return ()
+    from perception import SeenPart  # slow to import
+
+    return tuple(SeenPart.from_json(part) for part in parts)
 
 
 def read_request(data: dict[str, Any], folder: Path) -> PlanRequest:

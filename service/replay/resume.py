@@ -19,7 +19,7 @@ from service.demands.held_motion import Demands
 from service.demands.valve_demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.rebuild import Record, rebuild_demands, select_scanned
-from service.replay.replay import read_doors, read_record, read_request, read_valves
+from service.replay.replay import read_doors, read_record, read_request, read_seen_parts, read_valves
 from service.replay.resume_contacts import ChangedContacts
 from service.request.file import hash_request_data, load_section, replace_cloud
 from service.request.resume import HoldChoice, NominalPhase, NominalRequest, ResumeRequest
@@ -122,7 +122,9 @@ def _changes_contacts(request: PlanRequest) -> bool:
 
 
 def _rebuild(data: dict[str, Any], request: PlanRequest, robot: RobotModel, motion: Motion) -> Demands:
-    return rebuild_demands(request, Record(robot, motion.scene, read_valves(data), read_doors(data)), None, ())[0]
+    return rebuild_demands(
+        request, Record(robot, motion.scene, read_valves(data), read_doors(data), read_seen_parts(data)), None, ()
+    )[0]
 
 
 def read_recorded_scan(path: Path, request: PlanRequest) -> Surroundings | None:
@@ -141,7 +143,9 @@ def read_recorded_scan(path: Path, request: PlanRequest) -> Surroundings | None:
     _, motion = read_record(data, folder)
     earlier = read_request(data, folder).resume
     valves = tuple(turn_back(valve, earlier) for valve in read_valves(data))
-    return Surroundings(select_scanned(request, motion.scene), valves, doors=read_doors(data))
+    return Surroundings(
+        select_scanned(request, motion.scene), valves, doors=read_doors(data), seen=read_seen_parts(data)
+    )
 
 
 def _make_resume(

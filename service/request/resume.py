@@ -73,12 +73,14 @@ class LeafChoice(Section):
         hand: the hand.
         along_m, up_m: place on the leaf from the hinge axis and from its lower edge.
         until_rad: opening angle of the leaf at the end.
+        slant_rad: of a rod behind the free edge: angle by which it points up; None of a tip on the leaf's face.
     """
 
     hand: Literal["left", "right"]
     along_m: Number
     up_m: Number
     until_rad: Angle
+    slant_rad: Angle | None = None
 
 
 @dataclass(config=SECTION)

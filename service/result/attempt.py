@@ -12,6 +12,7 @@ from service.body.task_plan import TaskPlan
 from service.explain.conflict import Conflict
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup
+from service.setup.world import Surroundings
 from service.verify import Basis, Certificate, Motion, Status
 
 _RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
@@ -115,10 +116,7 @@ class Attempt:
             planning_time_s=time.perf_counter() - monitor.started,
             timings=monitor.timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
-            detections=(
-                *({"kind": "valve", **asdict(valve)} for valve in setup.surroundings.valves),
-                *({"kind": "door", **asdict(door)} for door in setup.surroundings.doors),
-            ),
+            detections=_list_detections(setup.surroundings),
             obstruction=self._describe_obstruction(setup),
             cloud=setup.surroundings.points,
         )
@@ -135,6 +133,17 @@ class Attempt:
 def _rank(task: TaskPlan, certificate: Certificate) -> tuple[bool, int, float]:
     """Return the order of a verified motion: plans of the whole task last, then by certificate, then by violation."""
     return task.is_feasible, _RANK[certificate.status], -task.shortfall
+
+
+def _list_detections(surroundings: Surroundings) -> tuple[dict[str, Any], ...]:
+    """Return valves and doors as data, the task's with the parts of it that the scan shows."""
+    hits = [
+        *({"kind": "valve", **asdict(valve)} for valve in surroundings.valves),
+        *({"kind": "door", **asdict(door)} for door in surroundings.doors),
+    ]
+    if hits:
+        hits[0]["parts"] = [asdict(part) for part in surroundings.seen]
+    return tuple(hits)
 
 
 def list_shortfalls(certificate: Certificate) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from service.verify import (
     Phase,
     PlantedContact,
     PoseTarget,
+    PressedPart,
     RelativePoseTarget,
     SupportPolygon,
     Target,
@@ -50,6 +51,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "pushes": [_write_push(push) for push in phase.pushes],
         "regions": [_write_region(region, s) for region in phase.regions],
         "region_margin_m": phase.region_margin_m,
+        "pressed": None if phase.pressed is None else [asdict(part) for part in phase.pressed],
     }
 
 
@@ -74,7 +76,13 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         pushes=tuple(_read_push(push) for push in data.get("pushes", ())),
         regions=tuple(_read_region(region, s) for region in data["regions"]),
         region_margin_m=None if data["region_margin_m"] is None else float(data["region_margin_m"]),
+        pressed=_read_pressed(data.get("pressed")),
     )
+
+
+def _read_pressed(parts: Sequence[Mapping[str, Any]] | None) -> tuple[PressedPart, ...] | None:
+    """Read the pressed parts of a phase; None where an earlier release wrote none."""
+    return None if parts is None else tuple(PressedPart(**part) for part in parts)
 
 
 def _write_allowance(allowance: Allowance) -> dict[str, Any]:

@@ -57,6 +57,7 @@ from service.scan.scene_file import (
     MeshRecord,
     SceneSettings,
     UpdatableRecord,
+    encode_parts,
     read_record,
     scene_document,
 )
@@ -274,7 +275,7 @@ def build_scene(request: SceneInput, on_step: OnStep, time_limit_s: float | None
         floor=[_encode_level(level) for level in seen.view.floors],
         searched=list(search.kinds),
         unfinished=search.unfinished(kinds),
-        detections=[encode_hit(hit) for hit in hits],
+        detections=[encode_hit(hit) | encode_parts(hit, seen.view.cloud) for hit in hits],
         meshes=[mesh.to_json() for mesh in meshes],
         timings=to_json_data(dict(seen.timings)),
         notes=[

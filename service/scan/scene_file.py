@@ -15,7 +15,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked
 
 from costs.scene import ConvexPiece, Scene
-from perception import LeverDetection, ValveDetection
+from perception import Cloud, Detection, LeverDetection, SeenPart, ValveDetection, count_seen_parts
 from service.errors import RequestError, shown
 from service.request.choices import Method, Unknown
 
@@ -71,8 +71,41 @@ class PieceRecord:
 
 
 @checked(frozen=True)
+class SpokesRecord:
+    """Spokes and hub of a wheel, with the names of ``perception.ValveDetection``."""
+
+    spoke_angles: Annotated[list[Number], Field(max_length=100)]
+    spoke_half_width: Number
+    spoke_share: Number
+    hub_radius: Number
+    inner_depth: tuple[Number, Number]
+
+
+@checked(frozen=True)
+class PartRecord:
+    """A part of an object that a hand may press, with the rays of the scan at each of its cells."""
+
+    name: Annotated[str, Field(max_length=200)]
+    places: Annotated[list[tuple[Number, Number]], Field(max_length=MOST_PIECES)]
+    hits: list[Annotated[int, Field(ge=0)]]
+    passes: list[Annotated[int, Field(ge=0)]]
+    within_m: Number
+
+    @property
+    def part(self) -> SeenPart:
+        """The part.
+
+        Raises:
+            ValueError: a cell lacks a count.
+        """
+        if not len(self.places) == len(self.hits) == len(self.passes):
+            raise ValueError(f"{shown(self.name)} has {len(self.places)} places; expected as many hits and passes")
+        return SeenPart(self.name, tuple(self.places), tuple(self.hits), tuple(self.passes), self.within_m)
+
+
+@checked(frozen=True)
 class HitRecord:
-    """A detected object."""
+    """A detected object; ``spokes`` are a wheel's, ``parts`` are what a hand may press."""
 
     kind: str
     confidence: Annotated[float, Field(ge=0.0, le=1.0)]
@@ -80,6 +113,8 @@ class HitRecord:
         list[Annotated[list[Number], Field(min_length=4, max_length=4)]], Field(min_length=4, max_length=4)
     ]
     sizes: Mapping[str, Number]
+    spokes: SpokesRecord | None = None
+    parts: list[PartRecord] = Field(default_factory=list)
 
 
 @checked(frozen=True)
@@ -137,10 +172,24 @@ class SceneFile:
 
     def valves(self, hint: Sequence[float] | None) -> tuple[ValveDetection | LeverDetection, ...]:
         """Return the wheels and levers of valves, nearest to the hint first; without one, highest confidence first."""
-        valves = [_valve(hit) for hit in self.hits if _is_valve(hit)]
+        return tuple(_valve(hit) for hit in self._sort_valves(hint))
+
+    def list_seen_parts(self, hint: Sequence[float] | None) -> tuple[SeenPart, ...]:
+        """Return the parts of the first valve that a hand may press, as the scan showed them.
+
+        Raises:
+            RequestError: a part contradicts itself.
+        """
+        try:
+            return tuple(entry.part for hit in self._sort_valves(hint)[:1] for entry in hit.parts)
+        except ValueError as error:
+            raise RequestError(f"scene.file: detections: parts: {error}") from None
+
+    def _sort_valves(self, hint: Sequence[float] | None) -> list[HitRecord]:
+        valves = [hit for hit in self.hits if _is_valve(hit)]
         if hint is None:
-            return tuple(sorted(valves, key=lambda valve: -valve.confidence))
-        return tuple(sorted(valves, key=lambda valve: float(np.linalg.norm(valve.centre - hint))))
+            return sorted(valves, key=lambda hit: -hit.confidence)
+        return sorted(valves, key=lambda hit: float(np.linalg.norm(np.array(hit.pose_world_object)[:3, 3] - hint)))
 
     def pieces_without(self, valves: Sequence[ValveDetection | LeverDetection]) -> tuple[ConvexPiece, ...]:
         """Return the pieces outside wheels and levers, which are contacts, not obstacles."""
@@ -242,7 +291,24 @@ def _valve(hit: HitRecord) -> ValveDetection | LeverDetection:
     rim = hit.sizes["rim_radius"]
     tube = hit.sizes.get("tube_radius", 0.1 * rim)
     wheel = wheel_from_circle(pose[:3, 3], pose[:3, 2], rim, tube)
-    return replace(wheel, outer_radius=hit.sizes.get("outer_radius", rim + tube), confidence=hit.confidence)
+    wheel = replace(wheel, outer_radius=hit.sizes.get("outer_radius", rim + tube), confidence=hit.confidence)
+    if hit.spokes is None:
+        return wheel
+    spokes = {**asdict(hit.spokes), "spoke_angles": tuple(hit.spokes.spoke_angles)}
+    return replace(wheel, **spokes)
+
+
+def encode_parts(hit: Detection, cloud: Cloud) -> dict[str, Any]:
+    """Return the keys of a hit that only scene files have: a wheel's spokes, and what a hand may press.
+
+    Args:
+        hit: the detection.
+        cloud: the scan, whose rays are counted.
+    """
+    data: dict[str, Any] = {"parts": [asdict(part) for part in count_seen_parts(cloud, hit)]}
+    if isinstance(hit.model, ValveDetection):
+        data["spokes"] = {name: getattr(hit.model, name) for name in SpokesRecord.__dataclass_fields__}
+    return data
 
 
 def wheel_from_circle(

@@ -26,7 +26,7 @@ from service.start.robot import pose_matrix
 from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
-    from perception import LeverDetection, Perceived, ValveDetection
+    from perception import LeverDetection, Perceived, SeenPart, ValveDetection
     from perception.solids.match import KnownMesh
     from perception.solids.mesh import Solid
     from perception.solids.rating import MeshMatch
@@ -43,6 +43,7 @@ class Surroundings:
         points: (M, 3) points of the scan for display [m].
         notes: sentences for the user.
         matches: matches of meshes with the scan, by name.
+        seen: parts of ``valves[0]`` or ``doors[0]`` that a hand may press, with the rays of the scan at each.
     """
 
     pieces: tuple[ConvexPiece, ...]
@@ -51,6 +52,7 @@ class Surroundings:
     notes: tuple[str, ...] = ()
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
     doors: tuple[SeenDoor, ...] = ()
+    seen: tuple[SeenPart, ...] = ()
 
 
 NOTHING = Surroundings(())
@@ -85,7 +87,7 @@ def read_surroundings(
         if task is None:
             return Surroundings(record.pieces)
         valves = record.valves(hint)
-        return Surroundings(record.pieces_without(valves[:1]), valves)
+        return Surroundings(record.pieces_without(valves[:1]), valves, seen=record.list_seen_parts(hint))
     if scene.cloud is None:
         return NOTHING
     return _perceive_scan(request, robot, start, list(soles.values()), hint, see)
@@ -102,6 +104,7 @@ def _perceive_scan(
     from perception import (  # takes a while, and most scenes need none
         PerceptionError,
         Reach,
+        count_seen_parts,
         perceive,
         read_clouds,
         read_door,
@@ -146,7 +149,8 @@ def _perceive_scan(
         if hit.kind == "door"
     )
     notes = (*seen.notes, *_note_taken_out(scene, cloud.points, taken_out))
-    return Surroundings(seen.scene.pieces, valves, seen.shown, notes, seen.matches, doors)
+    parts = count_seen_parts(seen.view.cloud, seen.detections[0]) if valves or doors else ()
+    return Surroundings(seen.scene.pieces, valves, seen.shown, notes, seen.matches, doors, parts)
 
 
 def _note_taken_out(

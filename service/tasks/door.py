@@ -17,6 +17,7 @@ from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
 from service.demands.door_demand import measure_peg
 from service.demands.hands import Hand
+from service.tasks.door_places import find_narrow_gap, list_push_places
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 
@@ -29,9 +30,7 @@ FEW_ANGLES = 2  # are tried from the largest on
 MOST_TRIES = 3  # of smaller angles at the handle
 HOW_FAR = "how far it opens"
 SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
-PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
-PUSH_UP = (1.05, 1.25, 0.9)  # heights of the peg's tip on the leaf [m]
-HAND_ROOM, AMPLE_ROOM = 0.25, 0.4  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
+AMPLE_ROOM = 0.4  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
 PULL_PLACES = (0.0, 0.08, -0.08)  # of the hand along a pull handle, from its middle [m]
 BAR_SHARES = (0.3, 0.1, 0.4)  # of the hand along a push bar, from its middle towards the free edge
 
@@ -71,8 +70,8 @@ def list_choices(
 AtHandle = tuple[tuple[PlannedPhase, ...], Stuck | None, float]
 """Phases at the handle, the step that has no solution, and the opening angle that they reach [rad]."""
 
-Place = tuple[Hand, float, float]
-"""Hand and place of its tip on the leaf, from the hinge axis and from the lower edge [m]."""
+PlaceKey = tuple[str, float, float, float | None]
+"""Side of the hand, place on the leaf [m], and slant of a rod behind its edge [rad]."""
 
 
 @dataclass(frozen=True)
@@ -81,11 +80,11 @@ class PushesTried:
 
     Attributes:
         farthest: index of the largest angle that a pose was found for, or None, by place and angles.
-        failed: place, angle at which the push begins, and at which it ends, where the push has no solution.
+        failed: number of a place, angle at which the push begins, and at which it ends, where it has no solution.
     """
 
-    farthest: dict[tuple[Place, tuple[float, ...]], int | None] = field(default_factory=dict)
-    failed: set[tuple[Place, float, float]] = field(default_factory=set)
+    farthest: dict[tuple[PlaceKey, tuple[float, ...]], int | None] = field(default_factory=dict)
+    failed: set[tuple[PlaceKey, float, float]] = field(default_factory=set)
 
 
 @dataclass(frozen=True)
@@ -168,6 +167,10 @@ class DoorOpening:
         if self.door.is_push:
             yield from ((choice, None) for choice in choices)
             return
+        at_edge = self._list_edge_choices()
+        has_bar = self.door.handle is not None and self.door.handle.kind == "pull"
+        if not has_bar:  # a bar is held more easily than the edge
+            yield from at_edge
         opens_little = self.target <= geometry.ajar + AT_HANDLE_ALONE
         later: list[tuple[DoorChoice, AtHandle]] = []
         unheld = list[DoorChoice]()
@@ -185,6 +188,15 @@ class DoorOpening:
                 later.append((choice, opened))
         yield from sorted(later, key=lambda pair: -pair[1][2])
         yield from ((choice, None) for choice in unheld)
+        if has_bar:
+            yield from at_edge
+
+    def _list_edge_choices(self) -> list[tuple[DoorChoice, AtHandle | None]]:
+        """Return the choice to pull an ajar leaf by its free edge, whatever the hand, where a hand fits behind it."""
+        robot, ajar = self.solver.body.robot, self.door.geometry.ajar
+        if self.door.is_latched or find_narrow_gap(self.door, self.hands, robot, ajar) is not None:
+            return []
+        return [(DoorChoice(self.hands[0], measure_peg(robot, self.hands[0]), 0.0, 1.0, ajar, stays=self.stays), None)]
 
     def _plan_choice(
         self, choice: DoorChoice, at_handle: AtHandle | None, tried: PushesTried
@@ -247,18 +259,10 @@ class DoorOpening:
     def _push(
         self, choice: DoorChoice, at: Float[np.ndarray, "n"], tried: PushesTried
     ) -> tuple[DoorChoice, tuple[PlannedPhase, ...], float] | None:
-        """Push the leaf from where it is with the peg's tip, as far as this stance allows; None if nowhere."""
+        """Push the leaf from where it is with the peg, as far as this stance allows; None if nowhere."""
         best: tuple[DoorChoice, tuple[PlannedPhase, ...], float] | None = None
-        geometry = self.door.geometry
-        if not self.door.is_push and geometry.width * np.sin(choice.first) < HAND_ROOM:
-            return None  # the hand does not get behind the leaf
         angles = self._angles(choice.first)
-        places = [
-            (hand, share * geometry.width, up - float(geometry.hinge[2]))
-            for hand in self.hands
-            for share in PUSH_ALONG
-            for up in PUSH_UP
-        ]
+        places = list_push_places(self.door, self.hands, self.solver.body.robot, choice.first)
         held: dict[int, float] = {}  # largest angle that a pose was found for, by place
         for candidates in (angles[:1], angles[1:]):
             for index, place in enumerate(places):
@@ -267,21 +271,22 @@ class DoorOpening:
                 if best is not None and candidates[0] <= best[2]:
                     return best
 
-                def at_angle(angle: float, place: Place = place) -> DoorChoice:
-                    return replace(choice, push=Push(*place, angle))
+                def at_angle(angle: float, place: Push = place) -> DoorChoice:
+                    return replace(choice, push=replace(place, last=angle))
 
-                asked = place, tuple(candidates)
+                key = place.hand.side, place.along, place.up, place.slant
+                asked = key, tuple(candidates)
                 if asked not in tried.farthest:
                     tried.farthest[asked] = self._find_farthest(candidates, at_angle)
                 farthest = tried.farthest[asked]
                 if farthest is None:
                     continue
                 held[index] = candidates[farthest]
-                if (place, choice.first, held[index]) in tried.failed:
+                if (key, choice.first, held[index]) in tried.failed:
                     continue
                 pushed = self._plan_push(at_angle(held[index]), at)
                 if pushed is None:
-                    tried.failed.add((place, choice.first, held[index]))
+                    tried.failed.add((key, choice.first, held[index]))
                 if pushed is not None and (best is None or held[index] > best[2]):
                     best = at_angle(held[index]), pushed, held[index]
                     if held[index] >= self.target:
@@ -340,9 +345,9 @@ class DoorOpening:
             kind = self.door.handle.kind.replace("_", " ")
             parts.append(f"at the {kind} to {np.rad2deg(choice.first):.0f} deg")
         if choice.push is not None:
-            parts.append(
-                f"on the leaf {choice.push.along:.2f} m from the hinge to {np.rad2deg(choice.push.last):.0f} deg"
-            )
+            push = choice.push
+            where = "behind its free edge" if push.slant is not None else f"{push.along:.2f} m from the hinge"
+            parts.append(f"on the leaf {where} to {np.rad2deg(push.last):.0f} deg")
         return ", then ".join(parts) or "no hold found"
 
     def measure(self, motion: Motion) -> Mapping[str, float]:

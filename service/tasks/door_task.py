@@ -22,6 +22,7 @@ from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door import LEAST_FIRST, DoorOpening
+from service.tasks.door_places import find_narrow_gap
 from service.tasks.door_sweep import BlockedOpening, find_blocked_opening
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
@@ -53,13 +54,12 @@ def _begin(
         return [TaskPlan(solver.body, (), (found,))]
     door, note = set_back(found[0], setup.request.resume), found[1]
     target = float(np.deg2rad(request.open_deg))
-    shut = find_shut(request, door)
-    if shut is not None:
-        return [TaskPlan(solver.body, (), (shut,))]
     hands = choose_hands(solver.body, request, door)
-    narrow = find_narrow_lever(solver.body, door, hands)
-    if narrow is not None:
-        return [TaskPlan(solver.body, (), (narrow,))]
+    refused = find_shut(request, door) or find_narrow_lever(solver.body, door, hands)
+    if refused is not None:
+        narrow = find_no_edge(solver.body, door, hands)
+        if narrow is not None:
+            return [TaskPlan(solver.body, (), (refused, *narrow))]
     near = list_clearances(hands, door)
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     if setup.request.resume is not None:
@@ -132,6 +132,14 @@ def find_shut(request: DoorRequest, door: Door) -> str | None:
     return None
 
 
+def find_no_edge(body: WholeBody, door: Door, hands: Sequence[Hand]) -> tuple[str, ...] | None:
+    """Return why no hand pulls a leaf by its free edge, if that is worth saying; None where one may."""
+    if door.is_push or door.is_latched or door.geometry.ajar < FREE_BEYOND:
+        return ()
+    narrow = find_narrow_gap(door, hands, body.robot, door.geometry.ajar)
+    return None if narrow is None else (narrow,)
+
+
 def find_narrow_lever(body: WholeBody, door: Door, hands: Sequence[Hand]) -> str | None:
     """Return a sentence where a pulled lever is too near to its leaf for the peg of every hand; None where it is not.
 
@@ -168,7 +176,7 @@ def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
     geometry = choose_door(request, setup.surroundings.doors, base)
     if isinstance(geometry, str):
         return geometry
-    door = make_door(request, geometry)
+    door = make_door(request, geometry, setup.surroundings.seen if request.leaf is None else None)
     return door, describe_door(door)
 
 

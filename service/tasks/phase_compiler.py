@@ -362,6 +362,7 @@ class PhaseCompiler:
             targets=lambda at: spec.targets(self.mechanism, at),
             loads=spec.loads,
             pushes=spec.pushes,
+            pressed=spec.pressed,
             regions=self.find_regions(spec, values),
             values=values if spec.loads else None,
         )

@@ -78,7 +78,8 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
         yield TaskPlan(solver.body, (), (refused,))
         return
     hands = choose_hands(solver.body, request, valve)
-    wheel = make_wheel(valve, request)
+    seen = setup.surroundings.seen if read_given_valve(request) is None else None
+    wheel = make_wheel(valve, request, seen)
     reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, valve.rim_radius) for hand in hands]
     if all(reasons):
         yield TaskPlan(solver.body, (), tuple(reason for reason in reasons if reason), is_impossible=True)

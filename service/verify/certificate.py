@@ -281,7 +281,7 @@ class Certificate:
         Links that are left out and overlap most at the start do so in every motion from there.
         """
         open_checks = [check for check in self.checks if not check.ok or check.basis is Basis.UNPROVEN]
-        kinds = ("coverage.shape.", "coverage.pairs", "coverage.missing.")
+        kinds = ("coverage.shape.", "coverage.pairs", "coverage.missing.", "coverage.pressed.assumed.")
 
         def is_described(check: Check) -> bool:
             starts_inside = check.where is not None and check.where.s == 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -284,6 +285,29 @@ class HandPush:
 
 
 @dataclass(frozen=True)
+class PressedPart:
+    """A part of a mechanism that a hand presses, and what shows that it is there.
+
+    Attributes:
+        name: of the part, such as ``spoke/0``.
+        source: a ``scan``; or the part is ``given`` by the request, or ``assumed``.
+        n_points: number of points of the scan on the part, near the hold.
+        n_through: number of rays of the scan that pass through it there.
+        near_m: distance along the part from the hold within which they are counted [m].
+        within_m: distance from the part's surface within which a point lies on it [m].
+        remedy: what would show or give the part; empty where nothing is to be said.
+    """
+
+    name: str
+    source: Literal["scan", "given", "assumed"]
+    n_points: int = 0
+    n_through: int = 0
+    near_m: float = 0.0
+    within_m: float = 0.0
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
 class LoadedRegion:
     """Places of the centre of mass on a stretch of a phase at which the feet hold the robot under the hand's loads.
 
@@ -322,6 +346,7 @@ class Phase:
             support, and with a region margin.
         region_margin_m: how far inside its regions the centre of mass stays, in a phase whose contacts are not soles on
             level ground; None elsewhere.
+        pressed: parts of the mechanism that hands press; None where a record of an earlier release does not say it.
     """
 
     name: str
@@ -335,6 +360,7 @@ class Phase:
     pushes: tuple[HandPush, ...] = ()
     regions: tuple[LoadedRegion, ...] = ()
     region_margin_m: float | None = None
+    pressed: tuple[PressedPart, ...] | None = ()
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from costs.stopping import never, stops_when
 from service.verify.certificate import Basis, Certificate, Check, Coverage, Status
 from service.verify.clearance.checks import prove_clearance
 from service.verify.coverage.checks import check_coverage
+from service.verify.coverage.pressed import note_given
 from service.verify.coverage.required import list_own_joints
 from service.verify.forces.dynamics import check_dynamics
 from service.verify.forces.hand_contacts import check_hand_contacts
@@ -110,4 +111,4 @@ def _notes(prepared: PreparedMotion, coverage: Coverage) -> tuple[str, ...]:
     if motion.robot.is_floating:
         assumed = [phase.name for phase in prepared.phases if phase.support is not None and not phase.contacts]
         notes += [f"the support polygon was taken as given in {', '.join(assumed)}"] if assumed else []
-    return (*notes, *coverage.sentences())
+    return (*notes, *note_given(prepared.phases), *coverage.sentences())

@@ -36,7 +36,15 @@ REQUESTS = Path(__file__).parents[2] / "examples" / "requests"
 ATLAS: dict[str, Any] = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}}
 VALVE = {
     **ATLAS,
-    "task": {"valve": {"centre": [0.68, 0.12, 1.1], "axis": [-1, 0, 0], "radius": 0.14, "turn_deg": 60}},
+    "task": {
+        "valve": {
+            "centre": [0.68, 0.12, 1.1],
+            "axis": [-1, 0, 0],
+            "radius": 0.14,
+            "spokes_deg": [45, 135, 225, 315],
+            "turn_deg": 60,
+        }
+    },
 }
 ARM_INERTIA = (
     '<inertial><mass value="1"/><origin xyz="0.15 0 0"/>'

@@ -30,7 +30,15 @@ CENTRE = np.array([0.68, 0.12, 1.1])
 VALVE: dict[str, Any] = {
     "robot": {"name": "atlas"},
     "start": {"posture": "reach_ready"},
-    "task": {"valve": {"centre": CENTRE.tolist(), "axis": [-1, 0, 0], "radius": 0.14, "turn_deg": 60}},
+    "task": {
+        "valve": {
+            "centre": CENTRE.tolist(),
+            "axis": [-1, 0, 0],
+            "radius": 0.14,
+            "spokes_deg": [45, 135, 225, 315],
+            "turn_deg": 60,
+        }
+    },
 }
 MOVED = np.array([0.006, -0.005, 0.004])
 

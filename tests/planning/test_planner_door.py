@@ -185,20 +185,6 @@ def test_a_heavy_door_is_planned_within_the_torques() -> None:
     assert shares["torque.open"] <= 0.93
 
 
-@pytest.mark.parametrize(("kind", "words"), [("knob", "knob"), (None, "no handle to pull it by")])
-def test_a_pulled_leaf_that_is_ajar_needs_a_handle_that_a_hand_can_hold(kind: str | None, words: str) -> None:
-    request = door_request(opens="pull")
-    door = request["task"]["door"]
-    door["leaf"]["ajar_deg"] = 10.0
-    if kind is None:
-        del door["handle"]
-    else:
-        door["handle"]["kind"] = kind
-    result = plan(parse_request(request))
-    assert result.verdict is Verdict.NOT_FOUND
-    assert any(words in line for line in result.explanation)
-
-
 def test_a_leaf_that_is_open_already_is_refused() -> None:
     request = door_request(open_deg=20.0)
     request["task"]["door"]["leaf"]["ajar_deg"] = 30.0

@@ -1,6 +1,8 @@
 """Turning a valve: from the shipped scan, by a given circle, with either hand and in both modes."""
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +10,17 @@ import pytest
 from stranger import Stranger
 
 from service.demands.hands import PEG_RADIUS
-from service.errors import RequestError
+from service.errors import RequestError, ResultError
 from service.planner import plan
+from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
 from service.result.output import write_result
 from service.result.result import Verdict
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TRUTH = json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())["valve"]
+
+SPOKES = [45.0, 135.0, 225.0, 315.0]
 
 
 def request(valve: dict, cloud: Path | None = None, start: str = "reach_ready", **more):
@@ -36,6 +41,12 @@ def shipped(tmp_path_factory):
     folder = tmp_path_factory.mktemp("valve") / "out"
     write_result(result, folder)
     return result, Stranger(folder)
+
+
+@pytest.fixture(scope="module")
+def shipped_folder(shipped, tmp_path_factory):
+    """The folder of that plan."""
+    return write_result(shipped[0], tmp_path_factory.mktemp("valve") / "again").folder
 
 
 def pair_of(allowance: dict) -> tuple:
@@ -139,11 +150,62 @@ def test_the_whole_body_helps(shipped):
     assert max(moved[name] for name in moved if "_leg_" in name) > 0.05
 
 
+def test_the_pressed_spoke_is_counted_in_the_scan(shipped):
+    result, _ = shipped
+    (check,) = [check for check in result.certificate.checks if check.name.startswith("coverage.pressed.")]
+    assert check.name.startswith("coverage.pressed.spoke/")
+    assert check.value >= check.limit == 4
+
+
+def edit_result(folder: Path, target: Path, edit: Callable[[dict], None]) -> Path:
+    """Return a copy of a result's folder with its data changed."""
+    shutil.copytree(folder, target)
+    data = json.loads((target / "result.json").read_text())
+    edit(data)
+    (target / "result.json").write_text(json.dumps(data))
+    return target
+
+
+def test_a_scan_that_shows_nothing_at_the_peg_rules_out_the_certificate(shipped_folder, tmp_path):
+    """The record says that rays passed; verification counts again from the detection's parts."""
+
+    def empty(data: dict) -> None:
+        for part in data["detections"][0]["parts"]:
+            part["passes"], part["hits"] = part["hits"], [0] * len(part["hits"])
+
+    again = verify_result(edit_result(shipped_folder, tmp_path / "out", empty))
+    assert again["verdict"] == "FEASIBLE_AT_SAMPLES"
+    assert any("pressed of phase 'turn'" in line for line in again["explanation"])
+
+
+def test_counts_that_are_not_those_of_the_scan_are_refused(shipped_folder, tmp_path):
+    def claim(data: dict) -> None:
+        for phase in data["phases"]:
+            for part in phase["pressed"]:
+                part["n_points"] += 100
+
+    with pytest.raises(ResultError, match="pressed of phase 'turn' are not the parts"):
+        verify_result(edit_result(shipped_folder, tmp_path / "out", claim))
+
+
+def test_a_result_without_counts_is_not_certified_anew(shipped_folder, tmp_path):
+    """As an earlier release wrote it."""
+
+    def forget(data: dict) -> None:
+        del data["detections"][0]["parts"]
+        for phase in data["phases"]:
+            del phase["pressed"]
+
+    again = verify_result(edit_result(shipped_folder, tmp_path / "out", forget))
+    assert again["verdict"] == "FEASIBLE_AT_SAMPLES"
+    assert any(check["name"].startswith("coverage.pressed.spoke/") for check in again["checks"])
+
+
 @pytest.mark.parametrize(
     ("valve", "phases"),
     [
-        (given(turn_deg=-90, hand="right", centre=(0.68, -0.12, 1.1)), 4),
-        (given(turn_deg=720), 8),
+        (given(turn_deg=-90, hand="right", centre=(0.68, -0.12, 1.1), spokes_deg=SPOKES), 4),
+        (given(turn_deg=720, spokes_deg=SPOKES), 8),
     ],
 )
 def test_given_valves_are_turned_as_asked(valve, phases):
@@ -151,6 +213,16 @@ def test_given_valves_are_turned_as_asked(valve, phases):
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert len(result.motion.phases) == phases
     assert result.figures["turned_deg"] == pytest.approx(valve["turn_deg"], abs=1.0)
+    assert any("given by the request, shown by no scan: spoke/" in note for note in result.certificate.notes)
+
+
+def test_a_spoke_that_nobody_knows_of_is_no_ground_for_a_certificate():
+    """A wheel that is given by its rim alone: the plan is made, and names the field that is missing."""
+    result = plan(request(given(turn_deg=60)))
+    assert result.verdict is Verdict.FEASIBLE_AT_SAMPLES
+    assert len(result.explanation) == 1
+    assert "the spoke that the hand presses is assumed" in result.explanation[0]
+    assert "spokes_deg" in result.explanation[0]
 
 
 def test_a_valve_out_of_reach_comes_with_the_shift_that_would_help():
@@ -172,9 +244,11 @@ def test_a_scan_without_a_valve_says_so(shared_data):
     assert "no valve was found" in result.explanation[0]
 
 
-def test_the_valve_of_another_scan_is_turned(shared_data):
+def test_the_valve_of_another_scan_is_turned_without_a_certificate(shared_data):
+    """Its spokes are not resolved between a thick rim and a large hub: the peg presses one that is assumed."""
     result = plan(request({"turn_deg": 360}, shared_data / "scenes" / "valve_a" / "scan0.pcd"))
-    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.verdict is Verdict.FEASIBLE_AT_SAMPLES, result.explanation
+    assert ["the spoke that the hand presses is assumed" in line for line in result.explanation] == [True]
     assert result.figures["turned_deg"] == pytest.approx(360.0, abs=0.5)
 
 

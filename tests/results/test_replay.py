@@ -26,7 +26,15 @@ CARRY = EXAMPLES / "requests" / "carry.yaml"
 VALVE = {
     "robot": {"name": "atlas"},
     "start": {"posture": "reach_ready"},
-    "task": {"valve": {"centre": [0.68, 0.12, 1.1], "axis": [-1, 0, 0], "radius": 0.14, "turn_deg": 60}},
+    "task": {
+        "valve": {
+            "centre": [0.68, 0.12, 1.1],
+            "axis": [-1, 0, 0],
+            "radius": 0.14,
+            "spokes_deg": [45, 135, 225, 315],
+            "turn_deg": 60,
+        }
+    },
 }
 
 

@@ -28,7 +28,15 @@ OURS = {
     side: {"link": f"{side[0]}_hand", **{key: f"{side[0]}_{name}" for key, name in RENAMED.items()}}
     for side in ("left", "right")
 }
-VALVE = {"valve": {"centre": [0.68, 0.12, 1.1], "axis": [-1, 0, 0], "radius": 0.14, "turn_deg": 20}}
+VALVE = {
+    "valve": {
+        "centre": [0.68, 0.12, 1.1],
+        "axis": [-1, 0, 0],
+        "radius": 0.14,
+        "spokes_deg": [45, 135, 225, 315],
+        "turn_deg": 20,
+    }
+}
 
 
 @pytest.fixture(scope="module")

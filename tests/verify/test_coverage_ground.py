@@ -128,7 +128,15 @@ def test_a_floating_robot_that_lacks_masses_changes_no_contacts(tmp_path) -> Non
     notes = " ".join(prepare(parse_request(data)).notes)
     assert "the links of atlas have 0 kg in all: its balance and its torques are not checked" in notes
     del data["goal"]
-    data["task"] = {"valve": {"centre": [0.6, 0.0, 1.2], "axis": [1, 0, 0], "radius": 0.15, "turn_deg": 30}}
+    data["task"] = {
+        "valve": {
+            "centre": [0.6, 0.0, 1.2],
+            "axis": [1, 0, 0],
+            "radius": 0.15,
+            "spokes_deg": [45, 135, 225, 315],
+            "turn_deg": 30,
+        }
+    }
     with pytest.raises(RequestError, match="the links of atlas have 0 kg in all, and this task keeps the balance"):
         prepare(parse_request(data))
 

@@ -63,7 +63,7 @@ class DoorModel:
     def list_sides(self) -> Float[np.ndarray, "F 4"]:
         """Return the half-spaces of the leaf where it was seen, with its noise before and behind it."""
         geometry = self.geometry
-        along, normal = _leaf_axes(geometry)
+        along, normal = find_leaf_axes(geometry)
         back, front = geometry.face - geometry.thickness - self.noise, geometry.face + self.noise
         limits = ((along, 0.0, geometry.width), (normal, back, front), (UP, 0.0, geometry.height))
         sides = []
@@ -160,11 +160,11 @@ def _leaving(
 def _in_leaf(geometry: DoorGeometry, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
     """Return (N, 3) coordinates from the hinge along the leaf, along its normal, and up, in the seen leaf's frame."""
     away = points - geometry.hinge
-    along, normal = _leaf_axes(geometry)
+    along, normal = find_leaf_axes(geometry)
     return np.column_stack([away @ along, away @ normal, away @ UP])
 
 
-def _leaf_axes(geometry: DoorGeometry) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def find_leaf_axes(geometry: DoorGeometry) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the directions along the leaf, from the hinge, and of its normal, where the leaf was seen."""
     c, s = np.cos(geometry.ajar), np.sin(geometry.ajar)
     outwards = -1.0 if geometry.opens == "push" else 1.0

@@ -7,14 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.detect.valve.ring import Passage, Ring
+from perception.detect.valve.ring import CLOSE, Gate, Passage, Ring, depth_error, rim_hits
 from perception.sightlines import Sightlines
 
 _DEPTH = 0.06
 _SPOKE_DEPTH = 0.04
+# Depths of a spoke's returns about their median: standard deviations of the rim's, least and most [m].
+_SPREAD, _SPREAD_LIMITS = 2.5, (0.015, _SPOKE_DEPTH)
+_MOST_THROUGH = 0.5  # share of the rays along a spoke's middle that do not end on it, such as mixed pixels at its edge
 _IN_PLANE = 0.012
 _CORRIDOR = 0.005
 _STEP_DEG = 2.0
+_RESOLVED = 0.7  # of the greatest half width that a spoke may have: returns that reach farther fill the openings
 _MOST_APART, _BETWEEN = 3, 0.25
 MIDDLE = 0.45  # of the rim's inner radius
 _FEWEST = 5
@@ -26,7 +30,8 @@ class Inside:
 
     Attributes:
         spoke_angles: of the spokes about the axis [rad].
-        spoke_share: share of the returns between hub and rim that lie on the spokes, 0 to 1.
+        spoke_share: share of the returns between hub and rim that lie on the spokes, 0 to 1; 0 where these are not
+            resolved.
         spokes_known: whether rays are dense enough between hub and rim to distinguish spokes from openings.
         widest_spoke: angle of the widest solid sector in the rim's plane [rad].
         hub_radius: radius within which almost all rays ended on the wheel [m].
@@ -63,7 +68,9 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
     inner = ring.radius - ring.half_width
     behind = rays.length - passage.crossing
     solid, through = np.abs(behind) < _DEPTH, behind >= _DEPTH
-    known = (distance < inner - 0.004) & (solid | through)
+    # Seen aslant, the rim's far wall stops rays that crossed its plane inside: they show neither spoke nor opening.
+    at_rim = rim_hits(rays, ring, passage, Gate(_DEPTH, CLOSE.beside))
+    known = (distance < inner - 0.004) & (solid | through) & ~at_rim
     if known.sum() < _FEWEST or inner <= 0.02:
         return Inside((), 0.0, 0.0, False, 0.0, max(inner, 0.0), (-ring.half_depth, ring.half_depth), 0.0, 0, 0.0)
     at_wheel = known & solid
@@ -75,10 +82,12 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
     middle = known & (distance < MIDDLE * inner)
     band = known & (distance > max(1.1 * hub, 0.45 * inner))
     spacing = float(np.sqrt(np.pi * inner**2 / known.sum()))
-    spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 0.8 * spacing))
+    spread = _SPREAD * depth_error(rays, passage, rim_hits(rays, ring, passage, CLOSE))
+    spread = float(np.clip(spread, *_SPREAD_LIMITS))
+    spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 0.8 * spacing), spread)
     if not spokes.known:
         # Scan lines may be further apart than the rays along them.
-        spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 1.3 * spacing))
+        spokes = _spokes(passage.place[band], behind[band], max(_CORRIDOR, 1.3 * spacing), spread)
     return Inside(
         spokes.angles,
         spokes.half_width,
@@ -105,23 +114,29 @@ def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], 
     return radius
 
 
-def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], corridor_half: float) -> _Spokes:
+def _spokes(
+    place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], corridor_half: float, spread: float
+) -> _Spokes:
     """Return the spokes: the angles at which most rays in a narrow radial corridor ended on the wheel.
 
     Args:
         place: (N, 2) crossings of rays with the rim's plane between hub and rim [m].
         behind: (N,) distance along the ray from that crossing to its end [m].
         corridor_half: half width of the corridor [m].
+        spread: distance from the spokes' depth within which a ray ended on a spoke [m].
     """
-    solid = np.abs(behind) < _SPOKE_DEPTH
     angle = np.radians(np.arange(0.0, 360.0, _STEP_DEG))
-    along = place @ np.stack([np.cos(angle), np.sin(angle)])
-    apart = np.abs(place @ np.stack([-np.sin(angle), np.cos(angle)]))
-    corridor = (along > 0.0) & (apart < corridor_half)
+    corridor = _in_corridors(place, angle, corridor_half)
     total = corridor.sum(axis=0)
     known = bool((total < 2).mean() <= 0.2)
-    if not known or not solid.any():
+    near = np.abs(behind) < _SPOKE_DEPTH
+    if not known or not near.any():
         return _Spokes(known=known)
+    share = corridor[near].sum(axis=0) / np.maximum(total, 1)
+    on_some = near & corridor[:, share > 0.4].any(axis=1)
+    # Mixed pixels and what stands behind the wheel end at other depths than its spokes.
+    middle = float(np.median(behind[on_some])) if on_some.any() else 0.0
+    solid = near & (np.abs(behind - middle) < spread)
     hits = corridor[solid].sum(axis=0)
     share = hits / np.maximum(total, 1)
     # One or two mixed pixels are not a spoke.
@@ -132,21 +147,40 @@ def _spokes(place: Float[np.ndarray, "N 2"], behind: Float[np.ndarray, "N"], cor
     # Solid parts off the rim's plane, such as the end of a stem or the body below it, are not part of the wheel.
     depth = corridor[solid].T @ behind[solid] / np.maximum(hits, 1)
     in_plane, _ = _runs(is_spoke & (np.abs(depth) < _IN_PLANE))
-    whole = _rejoin(runs, np.roll(share, -start))
+    widest = float(np.radians(_STEP_DEG) * (in_plane[:, 1] - in_plane[:, 0]).max(initial=0))
     angles = []
-    for low, high in whole:
+    for low, high in _rejoin(runs, np.roll(share, -start)):
         mine = (np.arange(low, high) + start) % len(angle)
         mine = mine[is_spoke[mine]]
         centre = np.sum(share[mine] * np.exp(1j * angle[mine]))
         angles.append(float(np.angle(centre) % (2.0 * np.pi)))
     lines = np.array(angles)
+    lines = lines[_are_met(_in_corridors(place, lines, corridor_half), solid)]
+    if not len(lines):
+        return _Spokes(known=True, widest=widest)
     distance = np.abs(place[solid] @ np.stack([-np.sin(lines), np.cos(lines)]))
     distance[place[solid] @ np.stack([np.cos(lines), np.sin(lines)]) <= 0.0] = np.inf
     nearest = distance.min(axis=1)
-    explained = nearest < 2.0 * corridor_half + 0.01
+    widest_half = 2.0 * corridor_half + 0.01
+    explained = nearest < widest_half
     half = float(np.percentile(nearest[explained], 90)) if explained.any() else 0.0
-    widest = float(np.radians(_STEP_DEG) * (in_plane[:, 1] - in_plane[:, 0]).max(initial=0))
-    return _Spokes(tuple(sorted(angles)), half, float(explained.mean()), True, widest)
+    # Returns everywhere between hub and rim resolve no spokes.
+    share = float(explained.mean()) if half < _RESOLVED * widest_half else 0.0
+    return _Spokes(tuple(sorted(lines.tolist())), half, share, True, widest)
+
+
+def _in_corridors(
+    place: Float[np.ndarray, "N 2"], angle: Float[np.ndarray, "A"], half: float
+) -> Bool[np.ndarray, "N A"]:
+    """Return which places lie in the radial corridor at each angle."""
+    along = place @ np.stack([np.cos(angle), np.sin(angle)])
+    return np.asarray((along > 0.0) & (np.abs(place @ np.stack([-np.sin(angle), np.cos(angle)])) < half))
+
+
+def _are_met(corridor: Bool[np.ndarray, "N A"], solid: Bool[np.ndarray, "N"]) -> Bool[np.ndarray, "A"]:
+    """Return at which angles most of the rays along the middle of a spoke ended on it."""
+    hits, total = corridor[solid].sum(axis=0), corridor.sum(axis=0)
+    return np.asarray((hits >= 3) & (hits > (1.0 - _MOST_THROUGH) * total))
 
 
 def _runs(these: Bool[np.ndarray, "A"]) -> tuple[Int[np.ndarray, "R 2"], int]:

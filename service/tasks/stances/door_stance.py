@@ -16,7 +16,8 @@ from service.demands.door import Door, DoorChoice, Push, make_door_phases
 from service.demands.door_demand import measure_peg
 from service.demands.hands import Hand
 from service.demands.phase_spec import PhaseSpec
-from service.tasks.door import HAND_ROOM, LEAST_FIRST, PUSH_ALONG, PUSH_UP, list_choices
+from service.tasks.door import LEAST_FIRST, list_choices
+from service.tasks.door_places import HAND_ROOM, PUSH_ALONG, PUSH_UP
 from service.tasks.door_sweep import find_blocked_opening
 from service.tasks.stances.poses import (
     HeldPose,

@@ -10,6 +10,7 @@ from service.verify.certificate import SMALL_LINK_M, Basis, Check, Coverage, Sha
 from service.verify.clearance.pairs import PairTable
 from service.verify.coverage.left_out import check_overlaps, find_left_out_pairs
 from service.verify.coverage.link_tree import LinkTree
+from service.verify.coverage.pressed import check_pressed
 from service.verify.coverage.required import (
     find_joints_without_torque_limit,
     list_required_checks,
@@ -23,7 +24,7 @@ from service.verify.prepared_motion import PreparedMotion
 def check_coverage(
     prepared: PreparedMotion, table: PairTable, checks: Sequence[Check], settings: VerifySettings
 ) -> tuple[Coverage, tuple[Check, ...]]:
-    """Return what was checked, and an unproven check for everything that rules out a certificate.
+    """Return what was checked, an unproven check for everything that rules out a certificate, and pressed parts.
 
     Args:
         table: pairs of bodies whose clearance was examined.
@@ -49,7 +50,7 @@ def check_coverage(
         find_joints_without_torque_limit(motion),
         waived,
     )
-    against = [*report_missing_checks(required, checks), *check_overlaps(left_out)]
+    against = [*report_missing_checks(required, checks), *check_overlaps(left_out), *check_pressed(prepared.phases)]
     drawn = list_drawn_links(prepared) - tree.shaped
     against += [
         _size_check(item, item.link in tree.shaped, item.link in drawn) for item in shapeless if not item.is_small

@@ -56,7 +56,7 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
         moving = list_moving_joints(motion, phase)
         if motion.waived is None:
             waived += [f"what moves {joint} in '{phase.name}'" for joint in moving if not _is_pushed(phase, joint)]
-        else:
+        elif not any(part.source == "assumed" for part in phase.pressed or ()):  # a check of its own says so
             names += [f"{check}.{phase.name}.{joint}" for joint in moving for check in ("hand_touch", "hand_contact")]
         names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
         if not motion.robot.is_floating:

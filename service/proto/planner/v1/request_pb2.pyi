@@ -1082,13 +1082,15 @@ class HandleChoice(_message.Message):
     def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., grip_m: _Optional[float] = ..., until_rad: _Optional[float] = ..., is_towards_hinge: bool = ..., ajar_rad: _Optional[float] = ..., turned_rad: _Optional[float] = ...) -> None: ...
 
 class LeafChoice(_message.Message):
-    __slots__ = ("hand", "along_m", "up_m", "until_rad")
+    __slots__ = ("hand", "along_m", "up_m", "until_rad", "slant_rad")
     HAND_FIELD_NUMBER: _ClassVar[int]
     ALONG_M_FIELD_NUMBER: _ClassVar[int]
     UP_M_FIELD_NUMBER: _ClassVar[int]
     UNTIL_RAD_FIELD_NUMBER: _ClassVar[int]
+    SLANT_RAD_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     along_m: float
     up_m: float
     until_rad: float
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., along_m: _Optional[float] = ..., up_m: _Optional[float] = ..., until_rad: _Optional[float] = ...) -> None: ...
+    slant_rad: float
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., along_m: _Optional[float] = ..., up_m: _Optional[float] = ..., until_rad: _Optional[float] = ..., slant_rad: _Optional[float] = ...) -> None: ...
