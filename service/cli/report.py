@@ -16,8 +16,9 @@ SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/cli/
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {
     "CERTIFIED": "green",
-    "STOOD": "green",
+    "DONE": "green",
     "TRACKED": "green",
+    "STOOD": "yellow",
     "FEASIBLE_AT_SAMPLES": "yellow",
     "TIME_LIMIT": "yellow",
     "CANCELLED": "yellow",
