@@ -13,9 +13,9 @@ from service.execution.reference import PlannedReference, ReferencePhase
 from service.simulation.resistance import MechanismPhysics
 from service.simulation.seen import Seen
 
-TRAVEL_SHARE = 0.05  # of a planned travel, by which a joint may be off
+TRAVEL_SHARE = 0.05  # of a planned travel, by which a joint may fall short
 LEAST_TRAVEL = 1e-3  # of a joint that counts as moved [rad, m]
-STRAY = {"rad": float(np.deg2rad(3.0)), "m": 5e-3}  # of a joint that the plan does not move
+STRAY = {"rad": float(np.deg2rad(3.0)), "m": 5e-3}  # by which a joint may go where the plan does not move it
 LATE_S = 0.25  # after a move, within which servos may still bring its end
 
 
@@ -27,11 +27,13 @@ class JointMove:
         phase, joint: names.
         unit: of all values.
         planned: signed travel of the plan.
-        reached: farthest travel in physics along the plan's sense, signed like the plan's, from where the move began.
+        reached: farthest travel in physics along the plan's sense, signed like the plan's: from where the plan begins, or
+            from where the joint was if that is elsewhere.
         planned_end: value of the plan at the end of the phase.
         end: value in physics then, the nearest to the plan within a quarter of a second before it moves again.
         range: of the plan's values of this joint so far.
         has_spring: whether the joint returns by itself, so that it may be moved farther than planned.
+        freed: whether the joint freed the latch that it is there for.
     """
 
     phase: str
@@ -43,6 +45,7 @@ class JointMove:
     end: float
     range: float
     has_spring: bool
+    freed: bool
 
     @property
     def share(self) -> float:
@@ -51,15 +54,20 @@ class JointMove:
 
     @property
     def is_done(self) -> bool:
-        """Whether the move was made, and ended where the plan ends it, within 5 % of the planned travel.
+        """Whether the move was made, and ended where the plan ends it.
 
-        A small move after a large one may end off its place by 5 % of the large one.
+        It falls short by at most 5 % of its travel, and of its end by at most 5 % of the joint's range so far: a small
+        move after a large one begins where the large one ended.  It goes too far by at most 5 mm or 3 deg more, since a
+        hand is in its place to within millimetres; a joint with a spring comes back from anywhere.  A lever that frees
+        a latch has done its work once the latch is free.
         """
-        off = abs(self.end - self.planned_end)
-        if self.has_spring:
+        beyond = float(np.sign(self.planned)) * (self.end - self.planned_end)
+        is_near = abs(beyond) <= TRAVEL_SHARE * abs(self.planned)
+        if self.freed or is_near:
+            return True
+        if self.share < 1.0 - TRAVEL_SHARE or self.has_spring:
             return self.share >= 1.0 - TRAVEL_SHARE
-        is_made = self.share >= 1.0 - TRAVEL_SHARE or off <= TRAVEL_SHARE * abs(self.planned)
-        return is_made and off <= TRAVEL_SHARE * self.range
+        return -TRAVEL_SHARE * self.range <= beyond <= TRAVEL_SHARE * self.range + STRAY[self.unit]
 
     def describe(self) -> str:
         """Return a sentence on the travel, and on the end where the travel alone is as planned."""
@@ -126,18 +134,23 @@ def _measure_phase(
         if abs(travel) < LEAST_TRAVEL:
             continue
         sense = float(np.sign(travel))
-        true = seen.configuration[:, first + k]
+        true, unit = seen.configuration[:, first + k], read_unit(reference, joint)
+        start = true[rows.start] if abs(true[rows.start] - begin[k]) > STRAY[unit] else begin[k]
         is_there = np.abs(seen.planned[late, first + k] - end[k]) <= LEAST_TRAVEL  # until the next move begins
         is_there[0] = True
         ends = true[late][is_there]
         yield JointMove(
             phase=phase.name,
             joint=joint,
-            unit=read_unit(reference, joint),
+            unit=unit,
             planned=travel,
-            reached=sense * float((sense * (true[rows] - true[rows.start])).max()),
+            reached=sense * float((sense * (true[rows] - start)).max()),
             planned_end=float(end[k]),
             end=float(ends[np.abs(ends - end[k]).argmin()]),
             range=max(float(np.ptp(so_far[:, first + k])), abs(travel)),
             has_spring=physics.has_spring(joint),
+            freed=any(
+                release.latch == joint and not seen.is_latched[: rows.stop, r].all()
+                for r, release in enumerate(reference.motion.releases)
+            ),
         )

@@ -128,18 +128,22 @@ def _list_displaced(
 ) -> Iterator[str]:
     """Yield a sentence per joint of the mechanism that does not rest where the plan leaves it.
 
-    A joint with a spring is left out: it returns once the hand has gone.
+    As far off as a move may end; a joint with a spring is left out: it returns once the hand has gone.
     """
     undone = {move.joint for move in moves if not move.is_done}
     first = reference.robot.n - len(reference.mechanism_names)
     for k, joint in enumerate(reference.mechanism_names):
         if joint in undone or physics.has_spring(joint):
             continue
+        own = [move for move in moves if move.joint == joint]
         unit = read_unit(reference, joint)
-        own = [move.range for move in moves if move.joint == joint]
-        allowed = TRAVEL_SHARE * max(own) if own else STRAY[unit]
         planned, end = float(seen.planned[-1, first + k]), float(seen.configuration[-1, first + k])
-        if abs(end - planned) > allowed:
+        beyond = (end - planned) * (float(np.sign(own[-1].planned)) if own else 1.0)
+        short, far = STRAY[unit], STRAY[unit]
+        if own:
+            short = TRAVEL_SHARE * own[-1].range
+            far += short
+        if not -short <= beyond <= far:
             yield f"{joint} rests at {format_value(end, unit)} instead of {format_value(planned, unit)}"
 
 

@@ -108,24 +108,34 @@ def test_each_move_counts_by_itself_in_its_own_sense():
     assert "pull" in stuck.reasons[0]
 
 
-@pytest.mark.parametrize(("share", "verdict"), [(0.94, "STOOD"), (0.96, "DONE"), (1.04, "DONE"), (1.07, "STOOD")])
-def test_a_joint_is_within_five_percent_of_the_planned_travel(share: float, verdict: str):
+@pytest.mark.parametrize(("share", "verdict"), [(0.94, "STOOD"), (0.96, "DONE"), (1.1, "DONE"), (1.15, "STOOD")])
+def test_a_joint_falls_short_by_at_most_five_percent_and_goes_too_far_by_at_most_five_millimetres_more(
+    share: float, verdict: str
+):
     assert (
-        judged_with(plug(), 1, lambda t, x: np.where(t <= 1.0, share * x, x + (share - 1.0) * 0.08)).verdict == verdict
+        judged_with(
+            plug(), 1, lambda t, x: np.where(t <= 1.0, share * x, x + np.clip(2.0 - t, 0.0, 1.0) * (share - 1.0) * 0.08)
+        ).verdict
+        == verdict
     )
+
+
+def test_what_the_hand_displaces_on_its_way_there_counts_as_moved():
+    early = judged_with(plug(), 1, lambda t, x: np.clip(x + 0.003, 0.0, 0.08))
+    assert (early.verdict, round(early.moves[0].share, 3)) == ("DONE", 1.0)
 
 
 def test_a_joint_with_a_spring_may_go_farther_since_it_returns():
     springs = MechanismPhysics({"out": Resistance(preload=2.0)})
-    assert judged_with(plug(), 1, lambda t, x: 1.1 * x, springs).verdict == "DONE"
-    assert judged_with(plug(), 1, lambda t, x: 1.1 * x).verdict == "STOOD"
+    assert judged_with(plug(), 1, lambda t, x: 1.3 * x, springs).verdict == "DONE"
+    assert judged_with(plug(), 1, lambda t, x: 1.3 * x).verdict == "STOOD"
     assert judged_with(plug(), 1, lambda t, x: 0.9 * x, springs).verdict == "STOOD"
 
 
 def test_a_joint_that_the_plan_leaves_alone_stays():
     judged = judged_with(plug(), 2, lambda t, x: np.full_like(x, 0.1))
     assert judged.reasons == ("lever rests at 5.7 deg instead of 0.0 deg",)
-    assert judged_with(plug(), 2, lambda t, x: np.full_like(x, 0.02)).verdict == "DONE"
+    assert judged_with(plug(), 2, lambda t, x: np.full_like(x, 0.04)).verdict == "DONE"
 
 
 def test_an_object_that_goes_on_moving_or_returns_is_not_done():
@@ -138,6 +148,8 @@ def test_a_latch_that_the_plan_frees_is_freed():
     seen = see(reference)
     assert judge(reference, seen, PLAIN).reasons == ("the latch of lever held: out reached 80.0 mm of 60.0 mm",)
     seen.is_latched[20:] = False
+    assert judge(reference, seen, PLAIN).verdict == "DONE"
+    seen.configuration[:, 1] = 0.9 * seen.planned[:, 1]  # 72 mm of 80, and the latch is free at 60
     assert judge(reference, seen, PLAIN).verdict == "DONE"
 
 
