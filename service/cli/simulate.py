@@ -120,11 +120,15 @@ def print_travel(out: Console, runs: Sequence[Mapping[str, Any]]) -> None:
         if not run["mechanism"]:
             continue
         print_line(out, "hand friction", f"{run['hand_friction']:g}: {run['verdict']}")
-        for move in run["mechanism"]:
-            reached, planned = (_format_travel(move[key], move["unit"]) for key in ("reached", "planned"))
-            share = f"{round(100.0 * move['share'], 1) + 0.0:.1f} %"
-            line = f"{reached} of {planned} planned ({share}), to {_format_travel(move['end'], move['unit'])}"
-            print_line(out, move["joint"], f"{line}  {move['phase']}")
+        print_moves(out, run["mechanism"])
+
+
+def print_moves(out: Console, moves: Sequence[Mapping[str, Any]]) -> None:
+    """Print a line per move of a mechanism's joint."""
+    for move in moves:
+        reached, planned = (_format_travel(move[key], move["unit"]) for key in ("reached", "planned"))
+        line = f"{reached} of {planned} planned ({round(100.0 * move['share'], 1) + 0.0:.1f} %)"
+        print_line(out, move["joint"], f"{line}, to {_format_travel(move['end'], move['unit'])}  {move['phase']}")
 
 
 def _format_travel(value: float, unit: str) -> str:

@@ -166,6 +166,17 @@ def execute(
     return watch.finish(time.process_time() - started)
 
 
+def has_fallen(pose_world_base: Float[np.ndarray, "4 4"], wanted: ReferenceState) -> bool:
+    """Return whether a floating base is far below its planned height, or tilted far from its planned pose."""
+    if not wanted.is_floating:
+        return False
+    if not np.isfinite(pose_world_base).all():
+        return True
+    planned = wanted.pose_world_base
+    tilt = np.arccos(np.clip(float(pose_world_base[:3, 2] @ planned[:3, 2]), -1.0, 1.0))
+    return bool(pose_world_base[2, 3] < planned[2, 3] - FALLEN_M or tilt > FALLEN_TILT)
+
+
 class _Watch:
     """Samples of a simulation as it goes."""
 
@@ -201,12 +212,8 @@ class _Watch:
         for (link, other), force in sums.items():
             table = self._moved if other in moved else self._pairs
             table.setdefault((link, other), {})[k] = -force if other in moved else np.asarray(np.linalg.norm(force))
-        if self.fell_at_s is None and self.reference.robot.is_floating:
-            pose, wanted = robot.pose_world_base, state.pose_world_base
-            tilt = np.arccos(np.clip(float(pose[:3, 2] @ wanted[:3, 2]), -1.0, 1.0))
-            is_down = pose[2, 3] < wanted[2, 3] - FALLEN_M or tilt > FALLEN_TILT
-            if is_down or not np.isfinite(pose).all():
-                self.fell_at_s = time_s
+        if self.fell_at_s is None and has_fallen(robot.pose_world_base, state):
+            self.fell_at_s = time_s
 
     def is_at_rest(self) -> bool:
         """Return whether robot and mechanism have been at rest for half a second."""

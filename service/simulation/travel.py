@@ -27,8 +27,8 @@ class JointMove:
         phase, joint: names.
         unit: of all values.
         planned: signed travel of the plan.
-        reached: farthest travel in physics along the plan's sense, signed like the plan's: from where the plan begins, or
-            from where the joint was if that is elsewhere.
+        reached: farthest travel in physics along the plan's sense, signed like the plan's: from where the plan begins,
+            or from where the joint was if that is elsewhere.
         planned_end: value of the plan at the end of the phase.
         end: value in physics then, the nearest to the plan within a quarter of a second before it moves again.
         range: of the plan's values of this joint so far.
@@ -73,7 +73,7 @@ class JointMove:
         """Return a sentence on the travel, and on the end where the travel alone is as planned."""
         words = (
             f"{self.joint} moved by {format_value(self.reached, self.unit, bare=True)} of "
-            f"{format_value(self.planned, self.unit)} in phase '{self.phase}' ({100.0 * self.share + 0.0:.0f} %)"
+            f"{format_value(self.planned, self.unit)} in phase '{self.phase}' ({round(100.0 * self.share)} %)"
         )
         if self.share < 1.0 - TRAVEL_SHARE or self.has_spring:
             return words
