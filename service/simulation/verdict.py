@@ -155,8 +155,9 @@ def _list_misplaced(reference: PlannedReference, seen: Seen) -> Iterator[str]:
         row = find_row(seen.times, phase.end_s)
         pin.framesForwardKinematics(model, data, seen.configuration[row])
         for contact in phase.contacts:
-            true = data.oMf[model.getFrameId(contact.link)].translation
-            off = float(np.linalg.norm(true - contact.pose_world_link[:3, 3]))
+            pose = data.oMf[model.getFrameId(contact.link)]
+            true = pose.rotation @ contact.sole.mean(axis=0) + pose.translation
+            off = float(np.linalg.norm(true - contact.points.mean(axis=0)))
             if off > PLACE_M:
                 yield (
                     f"{contact.link} ends phase '{phase.name}' {1e3 * off:.0f} mm from its place; expected at most "
