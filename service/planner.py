@@ -29,6 +29,7 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
+from service.motion.hand_sag import list_short_hands
 from service.motion.servo_sag import measure_sag
 from service.motion.timing import TimingSettings
 from service.replay.whole import certify_whole
@@ -106,14 +107,20 @@ def plan(
 
 
 def _expect_sag(result: PlanResult) -> PlanResult:
-    """Return the result of a complete plan with the sag of its centre of mass on the request's servos."""
+    """Return the result of a complete plan with the sag of its centre of mass and hands on the request's servos."""
     if result.motion is None or result.verdict not in (Verdict.CERTIFIED, Verdict.FEASIBLE_AT_SAMPLES):
         return result
     if result.request.robot.torque is not None:
         return result  # the default stiffness follows from the limits that are left out
     proven = None if result.certificate is None else result.certificate.min_balance_margin_m
-    sag = measure_sag(result.motion, resolve_stiffness(result.robot, result.request), proven)
-    return result if sag is None else replace(result, servo=sag.to_json(), notes=(*result.notes, *sag.list_notes()))
+    stiffness = resolve_stiffness(result.robot, result.request)
+    sag = measure_sag(result.motion, stiffness, proven)
+    if sag is None:
+        return result
+    hands = list_short_hands(result.motion, stiffness)
+    servo = {**sag.to_json(), "hands": [hand.to_json() for hand in hands]}
+    notes = (*sag.list_notes(), *(hand.describe() for hand in hands[:1]))
+    return replace(result, servo=servo, notes=(*result.notes, *notes))
 
 
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:

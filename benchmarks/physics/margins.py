@@ -93,8 +93,8 @@ def carry_out(number: int, asked: float, result: PlanResult, options: Simulation
     """Carry out one plan."""
     assert result.motion is not None
     done = execute_motion(result.motion, result.request, result.verdict.value, request_hash(result.request), options)
-    made = make_report(done)
-    balance, stood = made["balance"], made["verdict"] == "STOOD"
+    made, _ = make_report(done)
+    balance, stood = made["balance"], made["verdict"] != "FELL"
     return Run(
         number,
         asked,

@@ -42,7 +42,7 @@ class Run:
     Attributes:
         plan, control: which plan, and ``servos`` or ``tracking``.
         seed: of the errors.
-        has_stood, has_ended: whether the robot stood, and whether it carried the plan out to its end.
+        has_stood, has_ended: whether the robot stood, and whether it did the plan's work (tracked: came to its end).
         cause: of a fall or an abort.
         pelvis_m: largest error of the estimated pelvis; 0 for servos.
         cpu_s: processor time.
@@ -61,10 +61,10 @@ class Run:
 def run_servos(name: str, folder: Path, options: SimulationOptions) -> Run:
     """Carry out a plan by servos alone."""
     began = time.process_time()
-    made = make_report(execute_folder(folder, options))
-    stood = made["verdict"] == "STOOD"
+    made, _ = make_report(execute_folder(folder, options))
     cause = next(iter(made["explanation"]), "")
-    return Run(name, "servos", options.seed, stood, stood, cause, 0.0, time.process_time() - began)
+    stood, done = made["verdict"] != "FELL", made["verdict"] == "DONE"
+    return Run(name, "servos", options.seed, stood, done, cause, 0.0, time.process_time() - began)
 
 
 def run_tracking(name: str, folder: Path, reference: PlannedReference, options: SimulationOptions, steps: int) -> Run:

@@ -1,4 +1,4 @@
-"""Certified plans carried out in physics: how many robots stand, how far they slip and sag, and why the others fall.
+"""Certified plans carried out in physics: how many robots stand and do their work, how far they slip and sag.
 
 ``python -m benchmarks.physics.plans [--reaches N] [--valves N] [--doors N] [--examples NAME ...] [--seed S] [--long]
 [--feed-forward K] [--noise K] [--track MS] [--only TEXT] [--each] [--out FILE]``
@@ -51,8 +51,8 @@ LONG_REACHES, LONG_VALVES, LONG_DOORS = 160, 24, 16
 PLAN_LIMIT_S, STANCE_LIMIT_S = 900.0, 120.0  # wall time, so that a busy machine does not decide
 OPEN_DEG = 45.0
 HEADER = (
-    "plans", "certified", "stood", "slip [mm]", "hand [mm]", "margin [mm]", "turned", "force/abort", "above", "tracked",
-    "x real time",
+    "plans", "certified", "stood", "done", "slip [mm]", "hand [mm]", "margin [mm]", "turned", "force/abort", "above",
+    "tracked", "x real time",
 )  # fmt: skip
 
 
@@ -92,7 +92,7 @@ class Run:
     @property
     def is_certified(self) -> bool:
         """Whether the plan was certified, and so simulated."""
-        return self.verdict in ("STOOD", "FELL")
+        return self.verdict in ("DONE", "STOOD", "FELL")
 
 
 def run_plan(
@@ -108,7 +108,7 @@ def run_plan(
         result = plan(request, robot=robot)
         if result.verdict is not Verdict.CERTIFIED or result.motion is None:
             return Run(group, name, result.verdict.value, next(iter(result.explanation), ""))
-        made = make_report(
+        made, _ = make_report(
             execute_motion(result.motion, result.request, result.verdict.value, request_hash(result.request), options)
         )
         tracked = follow_plan(result.motion, result.request, options, track_ms) if track_ms else ""
@@ -167,8 +167,9 @@ def _place(case: Case) -> PlanRequest:
 def summary(group: str, runs: Sequence[Run]) -> tuple[str, ...]:
     """Return one row of the table: medians, and the worst in brackets."""
     done = [run for run in runs if run.is_certified]
-    stood = [run for run in done if run.verdict == "STOOD"]
-    cells = [group, str(len(runs)), str(len(done)), f"{len(stood)}/{len(done)}"]
+    stood = [run for run in done if run.verdict != "FELL"]
+    worked = sum(run.verdict == "DONE" for run in done)
+    cells = [group, str(len(runs)), str(len(done)), f"{len(stood)}/{len(done)}", f"{worked}/{len(done)}"]
     if not stood:
         return (*cells, "-", "-", "-", "-", "-", "-", "-", "-")
     for key in ("slip_m", "hand_m"):
@@ -228,7 +229,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     title = "Certified plans in physics, position servos with feed-forward, no balance control; medians (worst)"
     print_table(title, ("group", *HEADER), [*rows, summary("all", runs)])
     for run in runs:
-        if run.verdict == "FELL":
+        if run.verdict in ("FELL", "STOOD"):
             print(f"  {run.name}: {run.cause}")
     print(f"  {time.perf_counter() - began:.0f} s in all")
     if given.out is not None:

@@ -33,7 +33,8 @@ EXIT_CODE_HELP = (
     "{}130 CANCELLED."
 )
 TRACK_EXIT_CODES = (
-    "Exit codes: 0 TRACKED, 2 usage, 3 INVALID_REQUEST, 7 FELL, 8 ABORTED, 70 internal error, 130 CANCELLED."
+    "Exit codes: 0 TRACKED or DONE, 1 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 8 ABORTED, 70 internal error, "
+    "130 CANCELLED."
 )
 VERIFY_EXIT_CODES = (
     "Exit codes: 0 CERTIFIED (holds today), 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 9 HELD_BEFORE "
@@ -41,7 +42,9 @@ VERIFY_EXIT_CODES = (
 )
 LOCAL_EXIT_CODES = EXIT_CODE_HELP.format("", "")
 REMOTE_EXIT_CODES = EXIT_CODE_HELP.format("6 OVERLOADED, 69 UNAVAILABLE, ", "77 NOT_ALLOWED, ")
-SIMULATION_EXIT_CODES = "Exit codes: 0 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 70 internal error, 130 CANCELLED."
+SIMULATION_EXIT_CODES = (
+    "Exit codes: 0 DONE, 1 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 70 internal error, 130 CANCELLED."
+)
 EXIT_CANCELLED = 130
 app = typer.Typer(
     name="scopt",

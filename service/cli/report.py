@@ -18,8 +18,9 @@ SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/cli/
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
 _COLOURS = {
     "CERTIFIED": "green",
-    "STOOD": "green",
+    "DONE": "green",
     "TRACKED": "green",
+    "STOOD": "yellow",
     "FEASIBLE_AT_SAMPLES": "yellow",
     "TIME_LIMIT": "yellow",
     "HELD_BEFORE": "yellow",
@@ -63,9 +64,21 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
         held_to = f", {summary['held_to']}" if summary.get("held_to") else ""
         sentence = f"clearance {_format_margin(summary.get('min_clearance_m'))}{planned}{held_to}"
-    sentence += describe_omissions(summary.get("coverage"))
+    sentence += describe_servos(summary.get("servo")) + describe_omissions(summary.get("coverage"))
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
     out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
+
+
+def describe_servos(servo: Mapping[str, Any] | None) -> str:
+    """Return a clause, after a semicolon, on hands that give way on position servos; empty where they do not."""
+    hands = (servo or {}).get("hands") or []
+    if not hands:
+        return ""
+    worst = hands[0]
+    return (
+        f"; needs stiffer servos or torques fed forward: {worst['tool']} gives way by {1e3 * worst['sag_m']:.1f} of "
+        f"{1e3 * worst['travel_m']:.1f} mm in phase '{worst['phase']}'"
+    )
 
 
 def describe_omissions(coverage: Mapping[str, Any] | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,6 +25,10 @@ def simulate_command(
         Path | None, typer.Option("--output", "-o", help="File to write; by default simulation.json in the folder.")
     ] = None,
     friction: Annotated[float, typer.Option(help="Coefficient of friction between robot and world.")] = 0.8,
+    hand_friction: Annotated[
+        float | None,
+        typer.Option(help="Between hands and what they move; by default both ends of the request's interval."),
+    ] = None,
     feed_forward: Annotated[
         float, typer.Option(help="Share of the planned torques that the servos add: 0 for pure position servos.")
     ] = 1.0,
@@ -40,10 +44,10 @@ def simulate_command(
     seed: Annotated[int, typer.Option(help="Of noise and errors.")] = 0,
     as_json: Json = False,
 ) -> str:
-    """Carry out a plan in physics: does the robot stand, and does the wheel turn?
+    """Carry out a plan in physics: does the robot stand, and is the work done?
 
-    Servos follow the plan without balance control. The verdict is STOOD or FELL; the table compares the forces with
-    those that the plan expects. Needs MuJoCo: pip install 'scopt[sim]'.
+    Servos follow the plan without balance control. The verdict is DONE, STOOD (the robot stands, the work is not done)
+    or FELL; the table compares the forces with those that the plan expects. Needs MuJoCo: pip install 'scopt[sim]'.
     """
     stdout, stderr = consoles()
     with progress(stderr, "read result") as report, cancellable(stderr) as should_stop:
@@ -53,6 +57,7 @@ def simulate_command(
 
         options = SimulationOptions(
             friction=friction,
+            hand_friction=hand_friction,
             feed_forward=feed_forward,
             stiffness_scale=stiffness_scale,
             noise=noise,
@@ -75,8 +80,7 @@ def print_simulation(out: Console, made: Mapping[str, Any], lines: Mapping[str, 
     """Print what ``service.simulate`` returned: phases with forces, errors, notes, ``lines`` and the verdict."""
     print_table(out, TABLE, [row for phase in made["phases"] for row in _list_rows(phase)])
     print_findings(out, {"explanation": made["explanation"], "notes": made["notes"]})
-    for joint in made["mechanism"]:
-        print_line(out, joint["joint"], f"{_format_travel(joint)} ({100.0 * joint['share']:.1f} %)")
+    print_travel(out, made["runs"])
     if made["slip"]:
         slips = (f"{slip['link']} {1e3 * slip['worst_m']:.1f} mm" for slip in made["slip"])
         print_line(out, "slip", ", ".join(slips))
@@ -110,8 +114,23 @@ def _list_rows(phase: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _format_travel(joint: Mapping[str, Any]) -> str:
-    if joint["unit"] == "m":
-        return f"{1e3 * joint['reached']:.1f} mm of {1e3 * joint['planned']:.1f} mm planned"
-    degrees = 57.29577951308232
-    return f"{degrees * joint['reached']:.1f} deg of {degrees * joint['planned']:.1f} deg planned"
+def print_travel(out: Console, runs: Sequence[Mapping[str, Any]]) -> None:
+    """Print per run with a mechanism its friction, verdict and moves."""
+    for run in runs:
+        if not run["mechanism"]:
+            continue
+        print_line(out, "hand friction", f"{run['hand_friction']:g}: {run['verdict']}")
+        print_moves(out, run["mechanism"])
+
+
+def print_moves(out: Console, moves: Sequence[Mapping[str, Any]]) -> None:
+    """Print a line per move of a mechanism's joint."""
+    for move in moves:
+        reached, planned = (_format_travel(move[key], move["unit"]) for key in ("reached", "planned"))
+        line = f"{reached} of {planned} planned ({round(100.0 * move['share'], 1) + 0.0:.1f} %)"
+        print_line(out, move["joint"], f"{line}, to {_format_travel(move['end'], move['unit'])}  {move['phase']}")
+
+
+def _format_travel(value: float, unit: str) -> str:
+    factor, name = (1e3, "mm") if unit == "m" else (57.29577951308232, "deg")
+    return f"{round(factor * value, 1) + 0.0:.1f} {name}"

@@ -16,6 +16,7 @@ from service.cli.options import Json
 from service.cli.plan import read_approval
 from service.cli.report import print_findings, print_line, print_table, print_verdict
 from service.cli.run import cancellable, consoles, print_json, progress
+from service.cli.simulate import print_moves
 
 if TYPE_CHECKING:
     from service.execution.driver import RobotDriver
@@ -23,9 +24,10 @@ if TYPE_CHECKING:
     from service.execution.reference import PlannedReference
     from service.execution.settings import ExecutionSettings
     from service.execution.tracking import Action
+    from service.simulation.follow import WorkWatch
     from service.simulation.options import SimulationOptions
 
-SETTLE_S = 1.0  # that a robot in physics stands before and after the plan [s]
+SETTLE_S = 3.0  # that a robot in physics stands after the plan [s]
 SHIFT = re.compile(r"([^:@\s]+):([^@]+)@(.+)")
 SHIFT_HELP = "LINK:X,Y,Z@TIME"
 
@@ -63,6 +65,10 @@ def track_command(
     perturb: Annotated[
         float, typer.Option(help="Size of random errors of the physics against the plan; 1: surfaces 1 cm, masses 5 %.")
     ] = 0.0,
+    hand_friction: Annotated[
+        float | None,
+        typer.Option(help="In physics, between hands and what they move; by default the least of the request."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of noise and errors.")] = 0,
     trust: Annotated[
         Path | None, typer.Option(help="Public key (PEM): carry out only what a valid approval.json covers.")
@@ -76,7 +82,7 @@ def track_command(
     """Carry out a plan with online pose control at 1 kHz: does it end, and how far off is it?
 
     Every cycle solves a quadratic program for the joint speeds. The plan is verified first. The verdict is TRACKED,
-    ABORTED or FELL.
+    ABORTED or FELL; with --physics a plan that is tracked to its end is DONE or STOOD, as in scopt simulate.
     """
     stdout, stderr = consoles()
     if trust is not None and (shift or adjust is not None):
@@ -93,11 +99,13 @@ def track_command(
         folder = result.parent if result.is_file() else result
         reference = read_certified(folder)
         look: Callable[[Cycle], Mapping[str, float]] | None = None
+        work: WorkWatch | None = None
         driver: RobotDriver
         if physics:
             from service.simulation.options import SimulationOptions
 
-            driver, look = _make_physics(folder, reference, SimulationOptions(noise=noise, perturb=perturb, seed=seed))
+            options = SimulationOptions(noise=noise, perturb=perturb, seed=seed, hand_friction=hand_friction)
+            driver, look, work = _make_physics(folder, reference, options)
         else:
             driver = KinematicRobot(reference.joint_names, reference.at(0.0).q)
         execution = Execution(reference, driver, settings)
@@ -105,6 +113,8 @@ def track_command(
 
         def watch(cycle: Cycle) -> None:
             poll()
+            if work is not None:
+                work.look(execution)
             if look is not None:
                 for key, value in look(cycle).items():
                     truth[key] = max(truth.get(key, 0.0), value)
@@ -117,13 +127,23 @@ def track_command(
 
         made = track(execution, actions, on_cycle=watch, replan=plan_again, settle_s=SETTLE_S if physics else 0.0)
         summary = {"result": str(folder), "physics": physics, "gains": gains, **made.to_dict(), "truth": truth}
+        if work is not None:
+            summary |= _report_work(work, made.verdict)
         if output is not None:
             _write_report(output, summary)
     if as_json:
         print_json(summary)
     else:
         _print_track(stdout, summary)
-    return made.verdict
+    return str(summary["verdict"])
+
+
+def _report_work(work: WorkWatch, tracked: str) -> dict[str, Any]:
+    """Return the verdict of a run in physics, and what became of the plan's work."""
+    judged = work.judge()
+    verdict = judged.verdict if tracked == "TRACKED" or judged.verdict == "FELL" else tracked
+    moves = [move.to_json() for move in judged.moves]
+    return {"verdict": verdict, "explanation": list(judged.reasons), "mechanism": moves}
 
 
 def _make_settings(gains: str, speed: float, abort_share: float, *, stiff: bool) -> ExecutionSettings:
@@ -205,11 +225,12 @@ def _read_shift(option: str, text: str) -> Action:
 
 def _make_physics(
     folder: Path, reference: PlannedReference, options: SimulationOptions
-) -> tuple[RobotDriver, Callable[[Cycle], Mapping[str, float]]]:
-    """Return a simulated robot that stands at the plan's start, and a function that compares it with what is known."""
+) -> tuple[RobotDriver, Callable[[Cycle], Mapping[str, float]], WorkWatch]:
+    """Return a simulated robot at the plan's start, a function that compares it with what is known, and its work."""
     import numpy as np
     import pinocchio as pin
 
+    from service.simulation.follow import WorkWatch
     from service.simulation.stand import read_recorded_request, stand_in_physics
 
     robot = stand_in_physics(reference, read_recorded_request(folder), options)
@@ -238,7 +259,7 @@ def _make_physics(
             off[f"upright force on {foot} [N]"] = float(wrench[2])
         return off
 
-    return robot, look
+    return robot, look, WorkWatch(robot)
 
 
 def _write_report(path: Path, summary: Mapping[str, Any]) -> None:
@@ -261,7 +282,9 @@ def _print_track(out: Console, summary: Mapping[str, Any]) -> None:
     ]
     print_table(out, ("time", "plan", "mode", "phase", "why"), rows)
     reason = [summary["reason"]] if summary["reason"] else []
+    reason += summary.get("explanation", [])
     print_findings(out, {"explanation": reason})
+    print_moves(out, summary.get("mechanism", []))
     off = ", ".join(f"{link} {1e3 * value:.1f} mm" for link, value in summary["off_m"].items())
     print_line(out, "off the plan", off or "no feet or hands")
     for label, value in summary["truth"].items():

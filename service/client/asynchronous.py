@@ -289,7 +289,7 @@ class AsyncPlannerClient:
         """Carry out a motion in physics: that of a plan on the server (id as str) or of a local folder (``Path``).
 
         ``options`` are the fields of ``SimulatePlanRequest``: friction, feed_forward, stiffness_scale, noise, delay_ms,
-        joint_friction, seed, perturb.
+        joint_friction, seed, perturb, hand_friction.
         """
         message = make_simulation_message(plan, options or {})
         reply: SimulatePlanResponse = await self._call("SimulatePlan", message, deadline_s)

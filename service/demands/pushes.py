@@ -20,8 +20,8 @@ from service.verify.forces.hand_contacts import (
     measure_excess,
     meet,
 )
+from service.verify.forces.rounded import measure_beyond_hull, shrink_hull
 from service.verify.motion import HAND_CAP_N
-from service.verify.rounded import measure_beyond_hull, shrink_hull
 
 ACROSS = 0.5  # cosine of the angle between rod and way up to which the rod pushes by its side
 MOST_BESIDE = 0.03  # of a hand that comes or goes, beside the face that it presses [m]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,19 +111,35 @@ def compute_sags(
     an inverted pendulum, so that ``x`` grows to ``(1 - C w / h)^-1 x`` with the compliance ``C`` of the centre of mass.
     Where that is unstable, the sag is ``h``.
     """
+    weight = GRAVITY * sum(float(inertia.mass) for inertia in motion.robot.model.inertias[1:])
+    ground = float(np.mean(np.concatenate([contact.points[:, 2] for contact in phase.contacts])))
+    sags = []
+    for data, com, turned in list_deflections(motion, phase, q, stiffness):
+        moved_com = com @ turned
+        height = max(float(data.com[0][2]) - ground, 1e-3)
+        sag = moved_com[:, 2:].T
+        sag[:, :2] = _tip(moved_com[:2, :2] * weight / height, moved_com[:2, 2:], height).T
+        sags.append(sag)
+    return np.stack(sags, axis=1)
+
+
+def list_deflections(
+    motion: Motion, phase: Phase, q: Float[np.ndarray, "S n"], stiffness: Mapping[str, float]
+) -> Iterator[tuple[pin.Data, Float[np.ndarray, "3 n"], Float[np.ndarray, "n K+2"]]]:
+    """Yield per configuration kinematic data, the centre of mass's Jacobian, and how far servos at rest turn [rad, m].
+
+    The columns are those of a unit force on the centre of mass along x and along y, of gravity alone, and of gravity
+    with all loads of the hands where the phase has any.  The mechanism's joints and the contacts stay where they are.
+    """
     robot, model = motion.robot, motion.robot.model
-    apart = find_mechanism_joints(motion)
-    moved = [int(model.joints[joint].idx_v) for joint in apart]
+    moved = [int(model.joints[joint].idx_v) for joint in find_mechanism_joints(motion)]
     n = robot.n
     diagonal = np.full(n, _SMALL)
     for name, value in stiffness.items():
         diagonal[robot.joint_names.index(name)] = value
-    weight = GRAVITY * sum(float(inertia.mass) for inertia in model.inertias[1:])
-    ground = float(np.mean(np.concatenate([contact.points[:, 2] for contact in phase.contacts])))
     cases = list_load_cases(robot, q, phase.loads)
     cases = (cases[0], cases[-1]) if len(cases) > 1 else cases
     data = borrow_data(model)
-    sags = np.zeros((len(cases), len(q), 3))
     for i, row in enumerate(q):
         poll()
         gravity = pin.rnea(model, data, row, np.zeros(n), np.zeros(n))
@@ -137,11 +153,7 @@ def compute_sags(
             for joint, wrench in case.parts:
                 torque += (jacobians.T @ wrench[i]) @ map_axes(model, joint)
             torques.append(torque)
-        moved_com = com @ _deflect(diagonal, held, np.stack(torques, axis=1))
-        height = max(float(data.com[0][2]) - ground, 1e-3)
-        sags[:, i] = moved_com[:, 2:].T
-        sags[:, i, :2] = _tip(moved_com[:2, :2] * weight / height, moved_com[:2, 2:], height).T
-    return sags
+        yield data, com, _deflect(diagonal, held, np.stack(torques, axis=1))
 
 
 def _tip(share: Float[np.ndarray, "2 2"], sag: Float[np.ndarray, "2 K"], height: float) -> Float[np.ndarray, "2 K"]:

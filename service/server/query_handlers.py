@@ -43,6 +43,11 @@ _STATES = {
     PlanState.LOST: wire.PLAN_STATE_LOST,
 }
 _DECISIONS = {Decision.ACCEPTED: wire.DECISION_ACCEPTED, Decision.REJECTED: wire.DECISION_REJECTED}
+_SIMULATION_VERDICTS = {
+    "DONE": wire.SIMULATION_VERDICT_DONE,
+    "STOOD": wire.SIMULATION_VERDICT_STOOD,
+    "FELL": wire.SIMULATION_VERDICT_FELL,
+}
 END_NOT_STORED = "its end could not be stored"  # such as on a full disk
 MAX_PATH = 1000  # characters; a folder is made for each slash
 MAX_FILES = 1000  # to verify; a result and its robot have a few dozen
@@ -202,7 +207,10 @@ class QueryHandlers:
         if isinstance(answer, Refused):
             raise refuse_invalid(answer.problems)
         response = wire.SimulatePlanResponse(
-            has_stood=answer["verdict"] == "STOOD", explanation=answer["explanation"], notes=answer["notes"]
+            has_stood=answer["verdict"] != "FELL",
+            explanation=answer["explanation"],
+            notes=answer["notes"],
+            verdict=_SIMULATION_VERDICTS[answer["verdict"]],
         )
         response.figures.update(answer)
         return response

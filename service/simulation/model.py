@@ -34,6 +34,7 @@ class PhysicsModel:
         base_qpos, base_dof: addresses of the floating base, or -1.
         moved_qpos, moved_dof: (m,) addresses of the mechanism's joints, in the order of the plan's last columns.
         link_of_geom: per geom the robot's or mechanism's link, or the piece that it belongs to.
+        shape_of_geom: per geom the name of its convex body or piece.
         is_robot: (G,) whether a geom belongs to the robot.
         is_mechanism: (G,) whether it belongs to the mechanism.
         stiffness, damping, effort, velocity: (k,) of the servos.
@@ -56,6 +57,7 @@ class PhysicsModel:
     moved_qpos: Int[np.ndarray, "m"]
     moved_dof: Int[np.ndarray, "m"]
     link_of_geom: tuple[str, ...]
+    shape_of_geom: tuple[str, ...]
     is_robot: np.ndarray
     is_mechanism: np.ndarray
     stiffness: Float[np.ndarray, "k"]
@@ -157,6 +159,7 @@ def build_physics(
         moved_qpos=np.array([place[0] for place in moved], dtype=int),
         moved_dof=np.array([place[1] for place in moved], dtype=int),
         link_of_geom=tuple(owner[1] for owner in owners),
+        shape_of_geom=tuple(mj.geom(k).name.split(":", 1)[1] for k in range(mj.ngeom)),
         is_robot=robot_geoms,
         is_mechanism=mechanism_geoms,
         stiffness=kp,

@@ -18,7 +18,7 @@ from service.viewer.payload import make_payload, pack, quantize, select_samples
 
 
 def write_page(data: Mapping[str, Any], execution: Execution, report: Mapping[str, Any], path: Path) -> None:
-    """Write the viewer page of a result with the simulated robot as a layer (``y`` hides it).
+    """Write the viewer page of a result with the simulated robot as a layer (``y`` hides it) and its verdict on top.
 
     Args:
         data: content of ``result.json``.
@@ -33,15 +33,16 @@ def write_page(data: Mapping[str, Any], execution: Execution, report: Mapping[st
     poses = place_poses(robot, data)
     if poses is not None:
         payload["pose_graph"] = make_pose_graph(data["pose_graph"], poses)
-    lines = [*report["explanation"], *report["notes"]]
-    payload["notes"] = [*payload["notes"], *(f"in physics: {line}" for line in lines)]
-    payload["simulated"] = _make_simulated(data, execution, str(report["verdict"]), frames)
+    payload["notes"] = [*payload["notes"], *(f"in physics: {line}" for line in report["notes"])]
+    payload["simulated"] = {
+        "verdict": report["verdict"],
+        "reasons": report["explanation"],
+        **_make_simulated(data, execution, frames),
+    }
     replace_file(path, render_viewer(payload).encode("utf-8"))
 
 
-def _make_simulated(
-    data: Mapping[str, Any], execution: Execution, verdict: str, frames: tuple[str, ...]
-) -> dict[str, Any]:
+def _make_simulated(data: Mapping[str, Any], execution: Execution, frames: tuple[str, ...]) -> dict[str, Any]:
     """Return the poses of the payload's links in physics, and the ground's force, at the page's frame rate."""
     record, reference = execution.record, execution.reference
     rows = np.flatnonzero(record.times >= -1e-9)
@@ -61,7 +62,6 @@ def _make_simulated(
         for table in (record.planned_wrenches, record.wrenches)
     ]
     return {
-        "verdict": verdict,
         "times": pack(record.times[rows], "f4"),
         "positions": quantize(poses[..., :3]),
         "rotations": pack(np.round(poses[..., 3:] * 32767.0), "i2"),

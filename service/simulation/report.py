@@ -1,54 +1,71 @@
-"""Verdict on a simulated plan: whether the robot stood, and slip, forces, errors and angles against the plan's."""
+"""Report on a simulated plan: its verdict, and slip, forces, errors and travel against the plan's."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Bool, Float
 
-from costs.robot import RobotModel
 from service.execution.guards import GuardSettings
 from service.execution.reference import PlannedReference, ReferencePhase
 from service.result.motion_json import file_columns, file_positions
-from service.simulation.run import Execution, Record
-from service.verify import PoseTarget
+from service.simulation.cause import LONG_S, SLIP_M, find_cause
+from service.simulation.measures import Frames, list_planted, list_rows, measure_hand_force, measure_slips, smooth
+from service.simulation.run import Execution
+from service.simulation.verdict import DONE, FELL, STOOD, judge, list_goal_frames
 from service.verify.polygons import outside_polygon
 from service.verify.timeline import list_phases
 
-FORMAT = "scopt-simulation/1"
-STOOD, FELL = "STOOD", "FELL"
-FILTER_SAMPLES = 3  # samples of 20 ms whose mean is a force's value
+FORMAT = "scopt-simulation/2"
 SATURATED = 0.999  # share of the effort limit that counts as saturation
-SLIP_M = 0.02  # from which a slip is named [m]
 TOUCH_N = 20.0  # from which an unplanned touch is named [N]
-LONG_S = 0.05  # for which a torque has to be saturated to be named [s]
-BEFORE_FALL_S = 3.0  # in which the cause of a fall is looked for
-EARLIER_S = 0.5  # before a fall without an unusual event, when the centre of mass is reported
-LEAST_SHARE = 0.9  # of a mechanism's planned travel; less is named
-LEAST_TRAVEL = 1e-3  # of a mechanism's joint that counts as moved [rad, m]
 ABORT_AFTER_S = GuardSettings().hold_s  # above its threshold a hand's force aborts an execution [s]
 TRACK_PERIOD_S = 0.02
+_WORSE = (DONE, STOOD, FELL)
 
 
-def make_report(execution: Execution) -> dict[str, Any]:
-    """Return what ``simulation.json`` holds (docs/simulation.md)."""
+def make_report(executions: Sequence[Execution]) -> tuple[dict[str, Any], Execution]:
+    """Return what ``simulation.json`` holds (docs/simulation.md), and the run that it shows: the worst one.
+
+    Args:
+        executions: of one plan, one per friction of the hands.
+    """
+    made = [_report_run(execution) for execution in executions]
+    worst = max(range(len(made)), key=lambda k: _WORSE.index(made[k]["verdict"]))  # the first of equals
+    if len(made) > 1:
+        for report in made:
+            friction = report["options"]["hand_friction"]
+            report["explanation"] = [f"hand friction {friction:g}: {line}" for line in report["explanation"]]
+    runs = [
+        {
+            "hand_friction": report["options"]["hand_friction"],
+            **{key: report[key] for key in ("verdict", "explanation", "fell_at_s", "mechanism")},
+        }
+        for report in made
+    ]
+    return {**made[worst], "runs": runs}, executions[worst]
+
+
+def _report_run(execution: Execution) -> dict[str, Any]:
+    """Return the report on one run."""
     reference, record = execution.reference, execution.record
-    frames = _Frames(reference, record, [*_list_planted(reference), *_list_hands(reference)])
+    frames = Frames(reference, record, [*list_planted(reference), *_list_hands(reference)])
     phases = [_report_phase(execution, phase) for phase in reference.phases]
-    slips = _measure_slips(reference, record, frames)
+    slips = measure_slips(reference, record, frames)
     hands = _report_hands(execution, frames)
     saturation = _list_saturation(execution)
-    mechanism = _report_mechanism(execution)
+    judged = judge(reference, record, execution.model.physics)
     touches = _list_touches(execution)
-    cause = None if record.fell_at_s is None else _find_cause(execution, frames, slips, saturation, touches)
+    explanation = list(judged.reasons)
+    if record.fell_at_s is not None:
+        explanation.insert(0, find_cause(execution, frames, slips, saturation, touches))
     report: dict[str, Any] = {
         "format": FORMAT,
-        "verdict": STOOD if record.fell_at_s is None else FELL,
-        "explanation": [] if cause is None else [cause],
+        "verdict": judged.verdict,
+        "explanation": explanation,
         "notes": [],
         "plan": {
             "verdict": execution.verdict,
@@ -72,7 +89,7 @@ def make_report(execution: Execution) -> dict[str, Any]:
         "joint_error": _report_joint_error(execution),
         "saturation": saturation,
         "touches": touches,
-        "mechanism": mechanism,
+        "mechanism": [move.to_json() for move in judged.moves],
         "balance": _report_balance(execution, frames),
         "track": _write_track(execution),
     }
@@ -80,59 +97,11 @@ def make_report(execution: Execution) -> dict[str, Any]:
     return report
 
 
-class _Frames:
-    """Poses of frames and the centre of mass along the record, simulated and planned."""
-
-    def __init__(self, reference: PlannedReference, record: Record, names: Iterable[str]) -> None:
-        model: pin.Model = reference.robot.model
-        self._index = {name: k for k, name in enumerate(dict.fromkeys(names))}
-        frames = [model.getFrameId(name) for name in self._index]
-        self._poses = np.zeros((2, len(record.times), len(frames), 4, 4))
-        self._com = np.zeros((2, len(record.times), 3))
-        data = model.createData()
-        for k, table in enumerate((record.configuration, record.planned)):
-            for i, q in enumerate(table):
-                self._com[k, i] = pin.centerOfMass(model, data, q, False)
-                for j, frame in enumerate(frames):
-                    self._poses[k, i, j] = pin.updateFramePlacement(model, data, frame).homogeneous
-
-    def place(self, frame: str, planned: bool = False) -> Float[np.ndarray, "S 4 4"]:
-        """Return the poses of a frame."""
-        return np.asarray(self._poses[int(planned), :, self._index[frame]])
-
-    def locate(self, frame: str, planned: bool = False) -> Float[np.ndarray, "S 3"]:
-        """Return the origins of a frame [m]."""
-        return self.place(frame, planned)[:, :3, 3]
-
-    def com(self, planned: bool = False) -> Float[np.ndarray, "S 3"]:
-        """Return the centres of mass [m]."""
-        return np.asarray(self._com[int(planned)])
-
-
-def _list_planted(reference: PlannedReference) -> list[str]:
-    """Return the links that the plan plants in any phase."""
-    return list(dict.fromkeys(contact.link for phase in reference.phases for contact in phase.contacts))
-
-
 def _list_hands(reference: PlannedReference) -> list[str]:
     """Return the frames whose errors are reported: tools that press, frames with a target, hands."""
-    robot = reference.robot
     names = dict.fromkeys(load.tool for phase in reference.phases for load in phase.loads)
-    for phase in list_phases(reference.motion):
-        names |= dict.fromkeys(target.frame for target in phase.targets if isinstance(target, PoseTarget))
-    names |= dict.fromkeys(robot.link_groups.get("hands", ()))
-    return [name for name in names if robot.model.existFrame(name)]
-
-
-def _rows(record: Record, phase: ReferencePhase) -> np.ndarray:
-    """Return the samples of a phase."""
-    return np.flatnonzero((record.times >= phase.begin_s - 1e-9) & (record.times <= phase.end_s + 1e-9))
-
-
-def _smooth(values: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
-    """Return the mean of neighbouring samples, which leaves out the impacts of a single instant."""
-    width = min(FILTER_SAMPLES, len(values))
-    return np.convolve(values, np.ones(width) / width, mode="same") if len(values) else values
+    names |= dict.fromkeys(list_goal_frames(reference.motion))
+    return [name for name in names if reference.robot.model.existFrame(name)]
 
 
 def find_longest_stretch(times: Float[np.ndarray, "S"], is_over: Bool[np.ndarray, "S"]) -> float:
@@ -146,7 +115,7 @@ def find_longest_stretch(times: Float[np.ndarray, "S"], is_over: Bool[np.ndarray
 
 def _report_phase(execution: Execution, phase: ReferencePhase) -> dict[str, Any]:
     record, reference = execution.record, execution.reference
-    rows = _rows(record, phase)
+    rows = list_rows(record, phase)
     ground = np.sum([wrench[:, 2] for wrench in record.wrenches.values()], axis=0) if record.wrenches else None
     loads = []
     for load in phase.loads:
@@ -171,57 +140,13 @@ def _report_phase(execution: Execution, phase: ReferencePhase) -> dict[str, Any]
         "end_s": phase.end_s,
         "is_reached": bool(len(rows)),
         "contacts": [contact.link for contact in phase.contacts],
-        "ground_peak_n": None if ground is None or not len(rows) else float(_smooth(ground)[rows].max()),
+        "ground_peak_n": None if ground is None or not len(rows) else float(smooth(ground)[rows].max()),
         "loads": loads,
         "joint_error": float(error.max()) if error.size else 0.0,
     }
 
 
-def measure_hand_force(robot: RobotModel, record: Record, tool: str) -> Float[np.ndarray, "S"]:
-    """Return the size of the force of hand, rod and fingers of a tool on the mechanism, mean of 60 ms [N]."""
-    model: pin.Model = robot.model
-    carrier = int(model.frames[model.getFrameId(tool)].parentJoint)
-    total = np.zeros((len(record.times), 3))
-    for (frame, _), force in record.mechanism_force.items():
-        if carrier in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint]):
-            total += force
-    return np.asarray(np.linalg.norm([_smooth(column) for column in total.T], axis=0))
-
-
-def _measure_slips(
-    reference: PlannedReference, record: Record, frames: _Frames
-) -> dict[str, tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"]]]:
-    """Return per planted link times and distances along the ground from where it was planted [s, m].
-
-    Measured at the middle of its contact points, from a fifth of a second after it came.
-    """
-    slips: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for link in _list_planted(reference):
-        poses = frames.place(link)
-        times, distances = [], []
-        rows: list[int] = []
-        for k, phase in enumerate(reference.phases):
-            contact = next((c for c in phase.contacts if c.link == link), None)
-            if contact is not None:
-                rows += [row for row in _rows(record, phase).tolist() if not rows or row > rows[-1]]
-                after = reference.phases[k + 1].contacts if k + 1 < len(reference.phases) else ()
-                if any(c.link == link for c in after):
-                    continue
-                held = [row for row in rows if record.times[row] >= record.times[rows[0]] + 0.2] or rows
-                middle = contact.sole.mean(axis=0)
-                at = poses[held][:, :3, :3] @ middle + poses[held][:, :3, 3]
-                normal = contact.pose_world_link[:3, 2] if contact.normal is None else contact.normal
-                moved = at - at[:1] if len(at) else at
-                along = moved - (moved @ normal)[:, None] * normal
-                times.append(record.times[held])
-                distances.append(np.linalg.norm(along, axis=1))
-            rows = []
-        if times and sum(len(part) for part in times):
-            slips[link] = (np.concatenate(times), np.concatenate(distances))
-    return slips
-
-
-def _report_hands(execution: Execution, frames: _Frames) -> list[dict[str, Any]]:
+def _report_hands(execution: Execution, frames: Frames) -> list[dict[str, Any]]:
     """Return the distance of each tool and hand from its planned place."""
     reference, record = execution.reference, execution.record
     rows = np.flatnonzero((record.times >= 0.0) & (record.times <= reference.duration_s + 1e-9))
@@ -265,35 +190,6 @@ def _list_saturation(execution: Execution) -> list[dict[str, Any]]:
     return sorted(joints, key=lambda joint: -float(str(joint["seconds"])))
 
 
-def _report_mechanism(execution: Execution) -> list[dict[str, Any]]:
-    """Return how far each joint of the mechanism moved, at most in the planned sense, against the plan."""
-    reference, record = execution.reference, execution.record
-    n = reference.robot.n
-    moved = []
-    for k, name in enumerate(reference.mechanism_names):
-        column = n - len(reference.mechanism_names) + k
-        planned, true = record.planned[:, column], record.configuration[:, column]
-        travel = planned - planned[0]
-        farthest = int(np.abs(travel).argmax())
-        if abs(travel[farthest]) < LEAST_TRAVEL:
-            continue
-        sense = float(np.sign(travel[farthest]))
-        reached = float((sense * (true - true[0])).max())
-        joint = reference.robot.model.joints[reference.robot.model.getJointId(name)]
-        moved.append(
-            {
-                "joint": name,
-                "unit": "m" if "Prismatic" in joint.shortname() else "rad",
-                "planned": float(travel[farthest]),
-                "reached": sense * reached,
-                "share": reached / abs(float(travel[farthest])),
-                "planned_end": float(planned[-1]),
-                "end": float(true[-1]),
-            }
-        )
-    return moved
-
-
 def _list_touches(execution: Execution) -> list[dict[str, Any]]:
     """Return forces between the robot and what the plan lets it not touch, the strongest first."""
     reference, record = execution.reference, execution.record
@@ -311,33 +207,33 @@ def _list_touches(execution: Execution) -> list[dict[str, Any]]:
         allowed.append(pairs)
     touches = []
     for (link, other), force in record.touches.items():
-        smooth = _smooth(force)
+        mean = smooth(force)
         rows = []
         for k, (span, pairs) in enumerate(zip(reference.phases, allowed, strict=True)):
             near = planned[max(k - 1, 0) : k + 2]  # a foot lands before its contact begins
             if any(contact.link == link for phase in near for contact in phase.contacts) or (link, other) in pairs:
                 continue
-            rows += _rows(record, span).tolist()
-        strong = [row for row in rows if smooth[row] > TOUCH_N]
+            rows += list_rows(record, span).tolist()
+        strong = [row for row in rows if mean[row] > TOUCH_N]
         if strong:
             touches.append(
                 {
                     "link": link,
                     "other": other,
-                    "peak_n": float(smooth[strong].max()),
+                    "peak_n": float(mean[strong].max()),
                     "first_s": float(record.times[min(strong)]),
                 }
             )
     return sorted(touches, key=lambda touch: -float(str(touch["peak_n"])))
 
 
-def _report_balance(execution: Execution, frames: _Frames) -> dict[str, Any]:
+def _report_balance(execution: Execution, frames: Frames) -> dict[str, Any]:
     """Return the smallest distance of the centre of mass inside the feet, planned and simulated, on level soles [m]."""
     reference, record = execution.reference, execution.record
     planned, true, worst = np.inf, np.inf, None
     com, wanted = frames.com(), frames.com(True)
     for phase, span in zip(list_phases(reference.motion), reference.phases, strict=True):
-        rows = _rows(record, span)
+        rows = list_rows(record, span)
         if phase.support is None or not len(rows):
             continue
         inside = -outside_polygon(phase.support.polygon, com[rows][:, :2])
@@ -356,48 +252,10 @@ def _report_balance(execution: Execution, frames: _Frames) -> dict[str, Any]:
     }
 
 
-def _find_cause(
-    execution: Execution,
-    frames: _Frames,
-    slips: Mapping[str, tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"]]],
-    saturation: list[dict[str, Any]],
-    touches: list[dict[str, Any]],
-) -> str:
-    """Return a sentence on the fall: when, in which phase, and the first unusual event before it."""
-    reference, record = execution.reference, execution.record
-    fell = record.fell_at_s or 0.0
-    phase = reference.find_phase(fell).name
-    events: list[tuple[float, str]] = []
-    for joint in saturation:
-        if joint["seconds"] >= LONG_S and joint["first_s"] < fell:
-            events.append((joint["first_s"], f"{joint['joint']} reached its torque limit"))
-    for link, (times, slip) in slips.items():
-        rows = np.flatnonzero((slip > SLIP_M) & (times < fell))
-        if len(rows):
-            events.append((float(times[rows[0]]), f"{link} slipped by more than {1e3 * SLIP_M:.0f} mm"))
-    for touch in touches:
-        if touch["first_s"] < fell:
-            events.append((touch["first_s"], f"{touch['link']} pressed {touch['other']}"))
-    for span in reference.phases:
-        rows = _rows(record, span)
-        for load in span.loads:
-            force = measure_hand_force(reference.robot, record, load.tool)
-            high = [row for row in rows.tolist() if force[row] > load.abort_n and record.times[row] < fell]
-            if high:
-                events.append((float(record.times[high[0]]), f"the force of {load.tool} passed {load.abort_n:.0f} N"))
-    recent = sorted(event for event in events if event[0] > fell - BEFORE_FALL_S)
-    words = f"fell at {fell:.2f} s in phase '{phase}'"
-    if not recent:
-        earlier = int(np.abs(record.times - (fell - EARLIER_S)).argmin())
-        off = 1e3 * float(np.linalg.norm((frames.com() - frames.com(True))[earlier, :2]))
-        return f"{words}; {EARLIER_S:g} s before, the centre of mass was {off:.0f} mm off the plan"
-    return f"{words}; before that, at {recent[0][0]:.2f} s, {recent[0][1]}"
-
-
 def _write_track(execution: Execution) -> dict[str, Any]:
     """Return the simulated motion in the columns of a trajectory, and the ground's force, planned and simulated."""
     reference, record = execution.reference, execution.record
-    rows = np.flatnonzero((record.times >= -1e-9) & (record.times <= reference.duration_s + execution.options.after_s))
+    rows = np.flatnonzero(record.times >= -1e-9)
     step = max(round(TRACK_PERIOD_S / max(float(record.times[1] - record.times[0]), 1e-9)), 1)
     rows = rows[::step]
     n_own = reference.robot.n - len(reference.mechanism_names)
@@ -426,10 +284,7 @@ def _column(wrench: Float[np.ndarray, "S 6"], rows: np.ndarray) -> Float[np.ndar
 
 
 def _write_notes(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield sentences on what a person should know of a simulation; after a fall only of what was moved."""
-    for joint in report["mechanism"]:
-        if joint["share"] < LEAST_SHARE:
-            yield f"{joint['joint']} moved {100.0 * joint['share']:.0f} % of its planned travel"
+    """Yield sentences on what a person should know of a simulation; none after a fall."""
     if report["fell_at_s"] is not None:
         return
     for phase in report["phases"]:

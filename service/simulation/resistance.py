@@ -54,6 +54,11 @@ class MechanismPhysics:
     has_assumed_spokes: bool = False
     inertias: Mapping[str, LinkInertia] = field(default_factory=dict)
 
+    def has_spring(self, joint: str) -> bool:
+        """Return whether a spring pulls a joint back."""
+        resistance = self.joints.get(joint)
+        return resistance is not None and bool(resistance.preload or resistance.stiffness)
+
 
 def read_mechanism_physics(request: PlanRequest) -> MechanismPhysics:
     """Return the resistances of the mechanism that a request moves.

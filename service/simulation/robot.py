@@ -30,14 +30,18 @@ class ContactForce:
 
     Attributes:
         first, second: link or piece.
+        shapes: names of the convex bodies of the two that touch.
         point: (3,) in the world [m].
         force: (3,) on ``second``, world axes [N].
+        normal: (3,) of the contact, from ``first`` to ``second``, in world axes.
     """
 
     first: str
     second: str
+    shapes: tuple[str, str]
     point: Float[np.ndarray, "3"]
     force: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
 
 
 class SimulatedRobot:
@@ -238,6 +242,11 @@ class SimulatedRobot:
         return {name: float(value) for name, value in zip(self.model.moved_names, values, strict=True)}
 
     @property
+    def is_latched(self) -> tuple[bool, ...]:
+        """Whether each release of the motion still holds its joint."""
+        return tuple(self._is_latched)
+
+    @property
     def torque(self) -> Float[np.ndarray, "k"]:
         """(k,) true torques of the servos [N m, N]."""
         return np.array(self.data.actuator_force[self.model.actuator])
@@ -260,16 +269,16 @@ class SimulatedRobot:
 
     def list_contact_forces(self) -> list[ContactForce]:
         """Return all contact forces of the last step; none between parts of the same link."""
-        pairs, points, forces = self._collect_contacts()
-        names = self.model.link_of_geom
+        pairs, points, forces, normals = self._collect_contacts()
+        names, shapes = self.model.link_of_geom, self.model.shape_of_geom
         return [
-            ContactForce(names[first], names[second], point, force)
-            for (first, second), point, force in zip(pairs.tolist(), points, forces, strict=True)
+            ContactForce(names[first], names[second], (shapes[first], shapes[second]), point, force, normal)
+            for (first, second), point, force, normal in zip(pairs.tolist(), points, forces, normals, strict=True)
         ]
 
     def list_pair_forces(self) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
         """Return per contact point a robot's link, what it touches, and the force on the link in world axes [N]."""
-        pairs, _, forces = self._collect_contacts()
+        pairs, _, forces, _ = self._collect_contacts()
         names, is_robot = self.model.link_of_geom, self.model.is_robot
         return [
             (names[second], names[first], force) if is_robot[second] else (names[first], names[second], -force)
@@ -293,7 +302,7 @@ class SimulatedRobot:
 
         Planted links are those that the plan plants in any phase.
         """
-        pairs, points, forces = self._collect_contacts()
+        pairs, points, forces, _ = self._collect_contacts()
         total = np.zeros((len(self._planted), 6))
         if len(pairs):
             turned = self.data.xmat[self._planted_bodies].reshape(-1, 3, 3)
@@ -308,17 +317,17 @@ class SimulatedRobot:
             total[:, 3:] -= _cross(origins, total[:, :3])
         return dict(zip(self._planted, total, strict=True))
 
-    def _collect_contacts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return geoms (K, 2), points (K, 3) and forces on the second geom (K, 3) in world axes."""
+    def _collect_contacts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return geoms (K, 2), points, forces on the second geom and normals towards it (K, 3) in world axes."""
         contact = self.data.contact
         active = np.flatnonzero(np.asarray(contact.efc_address) >= 0)
         if not len(active):
-            return np.zeros((0, 2), dtype=int), np.zeros((0, 3)), np.zeros((0, 3))
+            return np.zeros((0, 2), dtype=int), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
         rows = np.asarray(contact.efc_address)[active][:, None] + np.arange(3)
         local = np.asarray(self.data.efc_force)[rows]  # elliptic cones: normal and two tangents
         frames = np.asarray(contact.frame)[active].reshape(-1, 3, 3)
         forces = (local[:, None, :] @ frames)[:, 0]
-        return np.asarray(contact.geom)[active], np.asarray(contact.pos)[active], forces
+        return np.asarray(contact.geom)[active], np.asarray(contact.pos)[active], forces, frames[:, 0]
 
 
 def _cross(a: Float[np.ndarray, "K 3"], b: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from service.simulation.model import PhysicsModel, build_physics, import_mujoco
 from service.simulation.options import SimulationOptions
 from service.simulation.resistance import read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
+from service.simulation.seen import Seen
+from service.simulation.verdict import REST_S, find_unrest
 from service.start.robot import resolve_stiffness
 from service.verify import Motion
 
@@ -27,35 +30,29 @@ SAMPLE_STEPS = 20  # steps of the physics between two records
 FALLEN_M = 0.25  # of the base below its planned height [m]
 FALLEN_TILT = float(np.deg2rad(30.0))  # of the base against its planned pose
 SHOWN_AFTER_FALL_S = 0.5  # that the simulation goes on, for those who look at it
+MOST_AFTER_S = 10.0  # after the plan, in which a robot comes to rest or falls
 _Samples = dict[tuple[str, str], dict[int, np.ndarray]]  # by pair, values by number of the sample
 
 
 @dataclass(frozen=True)
-class Record:
-    """What was seen at ``S`` times of a simulation.
+class Record(Seen):
+    """What was seen at ``S`` times of a simulation; times before the plan begins are negative.
 
     Attributes:
-        times: (S,) on the plan's clock; negative before the plan begins, beyond its duration after it [s].
-        configuration, planned: (S, n) true and planned configurations of the plan's model.
         torque_share: (S, k) servo torques relative to the effort limits.
         planned_wrenches, wrenches: by planted link (S, 6), planned and true [N, N m].
         mechanism_force: by robot frame and mechanism link (S, 3) force on the mechanism, world axes [N]; a closed
             gripper is named by its tool.
         touches: by (robot link, piece or robot link) (S,) size of the force between them [N].
         computing_s: processor time of the physics and its commands.
-        fell_at_s: when the robot fell, or None.
     """
 
-    times: Float[np.ndarray, "S"]
-    configuration: Float[np.ndarray, "S n"]
-    planned: Float[np.ndarray, "S n"]
     torque_share: Float[np.ndarray, "S k"]
     planned_wrenches: dict[str, Float[np.ndarray, "S 6"]]
     wrenches: dict[str, Float[np.ndarray, "S 6"]]
     mechanism_force: dict[tuple[str, str], Float[np.ndarray, "S 3"]]
     touches: dict[tuple[str, str], Float[np.ndarray, "S"]]
     computing_s: float
-    fell_at_s: float | None
 
 
 @dataclass(frozen=True)
@@ -82,10 +79,11 @@ def execute_folder(
     path: str | Path,
     options: SimulationOptions | None = None,
     report: Callable[[str, float | None], None] | None = None,
-) -> Execution:
-    """Carry out the plan of a result folder in physics.
+) -> tuple[Execution, ...]:
+    """Carry out the plan of a result folder in physics, once per end of the request's friction of the hands.
 
-    The folder is read like ``scopt verify`` reads it; its robot files must be inside it.
+    The folder is read like ``scopt verify`` reads it; its robot files must be inside it. A friction of the options
+    replaces the request's interval; a plan without a mechanism is carried out once.
 
     Raises:
         ResultError: one line: the folder cannot be used, the plan has no time law, the robot lacks masses or efforts,
@@ -106,25 +104,47 @@ def execute_motion(
     request_hash: str,
     options: SimulationOptions | None = None,
     report: Callable[[str, float | None], None] | None = None,
-) -> Execution:
-    """Carry out a motion in physics, with the mechanism and the servos of a request (ResultError as above)."""
+) -> tuple[Execution, ...]:
+    """Carry out a motion in physics, with the mechanism and the servos of a request (as above)."""
     options = options or SimulationOptions()
     reference = PlannedReference(motion)
     stiffness = resolve_stiffness(motion.robot, request)
-    model = build_physics(motion, read_mechanism_physics(request), options, stiffness)
-    record = execute(reference, SimulatedRobot(model, reference.at(0.0).configuration, options), report)
-    return Execution(reference, model, options, record, verdict, request_hash)
+    executions = []
+    for friction in list_hand_frictions(motion, request, options):
+        chosen = replace(options, hand_friction=friction)
+        model = build_physics(motion, read_mechanism_physics(request), chosen, stiffness)
+        record = execute(reference, SimulatedRobot(model, reference.at(0.0).configuration, chosen), report)
+        executions.append(Execution(reference, model, chosen, record, verdict, request_hash))
+    return tuple(executions)
+
+
+def list_hand_frictions(motion: Motion, request: PlanRequest, options: SimulationOptions) -> tuple[float, ...]:
+    """Return the coefficients between hands and mechanism with which a motion is carried out, the least first."""
+    if options.hand_friction is not None:
+        return (options.hand_friction,)
+    low, high = request.options.hand_friction
+    return (low, high) if motion.mechanism_links and high > low else (low,)
 
 
 def execute(
     reference: PlannedReference,
     robot: SimulatedRobot,
     report: Callable[[str, float | None], None] | None = None,
+    look: Callable[[float, SimulatedRobot], None] | None = None,
 ) -> Record:
-    """Let a simulated robot stand on the first pose, follow the plan, and stand on the last pose."""
+    """Let a simulated robot stand on the first pose, follow the plan, and stand on the last pose until it is at rest.
+
+    Args:
+        reference: the plan.
+        robot: at its start.
+        report: called with a step and the share that is done.
+        look: called with the plan's time and the robot at every sample.
+    """
     watch = _Watch(reference, robot)
     options, step = robot.options, robot.period_s
-    n_settle, n_plan, n_after = (round(s / step) for s in (options.settle_s, reference.duration_s, options.after_s))
+    longest = max(options.after_s, MOST_AFTER_S)
+    n_settle, n_plan, n_after = (round(s / step) for s in (options.settle_s, reference.duration_s, longest))
+    n_least = n_plan + round(options.after_s / step)
     started = time.process_time()
     steps = np.arange(-n_settle, n_plan + n_after + 1)
     q, qd, tau = reference.tabulate_commands(steps * step)
@@ -134,12 +154,27 @@ def execute(
             poll()
             watch.look(k * step, reference.at(k * step))
             robot.hold_grips(reference.find_phase_number(k * step))
+            if look is not None:
+                look(k * step, robot)
             if watch.fell_at_s is not None and k * step > watch.fell_at_s + SHOWN_AFTER_FALL_S:
+                break
+            if k >= n_least and watch.is_at_rest():
                 break
             if report is not None and k % 500 == 0:
                 report("simulate", i / len(steps))
         robot.command(JointCommand(q[i], qd[i], tau[i]))
     return watch.finish(time.process_time() - started)
+
+
+def has_fallen(pose_world_base: Float[np.ndarray, "4 4"], wanted: ReferenceState) -> bool:
+    """Return whether a floating base is far below its planned height, or tilted far from its planned pose."""
+    if not wanted.is_floating:
+        return False
+    if not np.isfinite(pose_world_base).all():
+        return True
+    planned = wanted.pose_world_base
+    tilt = np.arccos(np.clip(float(pose_world_base[:3, 2] @ planned[:3, 2]), -1.0, 1.0))
+    return bool(pose_world_base[2, 3] < planned[2, 3] - FALLEN_M or tilt > FALLEN_TILT)
 
 
 class _Watch:
@@ -151,6 +186,7 @@ class _Watch:
         self._times: list[float] = []
         self._configuration: list[np.ndarray] = []
         self._planned: list[np.ndarray] = []
+        self._latched: list[tuple[bool, ...]] = []
         self._shares: list[np.ndarray] = []
         self._wrenches: list[dict[str, np.ndarray]] = []
         self._planned_wrenches: list[dict[str, np.ndarray]] = []
@@ -163,6 +199,7 @@ class _Watch:
         self._times.append(time_s)
         self._configuration.append(robot.configuration())
         self._planned.append(state.configuration)
+        self._latched.append(robot.is_latched)
         self._shares.append(robot.torque / robot.model.effort)
         self._wrenches.append(robot.measure_contact_wrenches())
         self._planned_wrenches.append(dict(state.contact_wrenches))
@@ -175,12 +212,13 @@ class _Watch:
         for (link, other), force in sums.items():
             table = self._moved if other in moved else self._pairs
             table.setdefault((link, other), {})[k] = -force if other in moved else np.asarray(np.linalg.norm(force))
-        if self.fell_at_s is None and self.reference.robot.is_floating:
-            pose, wanted = robot.pose_world_base, state.pose_world_base
-            tilt = np.arccos(np.clip(float(pose[:3, 2] @ wanted[:3, 2]), -1.0, 1.0))
-            is_down = pose[2, 3] < wanted[2, 3] - FALLEN_M or tilt > FALLEN_TILT
-            if is_down or not np.isfinite(pose).all():
-                self.fell_at_s = time_s
+        if self.fell_at_s is None and has_fallen(robot.pose_world_base, state):
+            self.fell_at_s = time_s
+
+    def is_at_rest(self) -> bool:
+        """Return whether robot and mechanism have been at rest for half a second."""
+        n = sum(1 for _ in takewhile(lambda t: t >= self._times[-1] - REST_S - 1e-9, reversed(self._times)))
+        return not find_unrest(self.reference, np.stack(self._configuration[-n:]))
 
     def finish(self, computing_s: float) -> Record:
         """Return the samples as arrays."""
@@ -200,6 +238,7 @@ class _Watch:
             times=np.array(self._times),
             configuration=np.stack(self._configuration),
             planned=np.stack(self._planned),
+            is_latched=np.array(self._latched, dtype=bool).reshape(n, -1),
             torque_share=np.stack(self._shares),
             planned_wrenches={link: np.stack([w[link] for w in self._planned_wrenches]) for link in links},
             wrenches={link: np.stack([w[link] for w in self._wrenches]) for link in links},

@@ -31,7 +31,8 @@ def simulate(
 
     Args:
         path: the folder or its ``result.json``.
-        options: friction, feed-forward, noise, delay.
+        options: friction, feed-forward, noise, delay. Without a friction of the hands both ends of the request's
+            interval are tried, and the worse verdict counts.
         output: file to write; None for ``simulation.json`` in the folder. A page of the same name ends in ``.html``.
         report: called with a step and the share that is done.
 
@@ -40,8 +41,7 @@ def simulate(
             or efforts, or MuJoCo is not installed.
     """
     file = result_path(path).parent / SIMULATION_NAME if output is None else Path(output)
-    execution = execute_folder(path, options, report)
-    made = make_report(execution)
+    made, execution = make_report(execute_folder(path, options, report))
     folder, names = result_path(path).parent, (file.name, file.with_suffix(".html").name)
     is_of_result = output is None
     if is_of_result:

@@ -11,7 +11,6 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotHand, RobotModel, read_joint_axis
-from service.demands.hands import HOLD_FRICTION
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
@@ -27,7 +26,11 @@ MECHANISM_DENSITY = 500.0  # of a mechanism's bodies [kg/m^3]
 MECHANISM_ARMATURE = 0.01  # [kg m^2, kg]
 # Of the world's surfaces: with MuJoCo's defaults the feet turn in the floor almost as easily as the robot tips.
 STIFF: Mapping[str, list[float]] = {"solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
+# Of the mechanism's surfaces: MuJoCo scales the stiffness of a contact by the lighter body's mass, and a hand of 40 N
+# would sink 10 mm into a bar of 60 g with its defaults.
+HARD: Mapping[str, list[float]] = {"solref": [0.005, 1.0], "solimp": [0.99, 0.999, 0.001, 0.5, 2.0]}
 SELF_FRICTION = 0.5  # between links of the robot
+HAND_FRICTION = 0.3  # between a hand and a mechanism, where no request says it
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
 LEAST_VOLUME = 1e-9  # of a hull that gets a shape [m^3]
 IMU = "imu"
@@ -312,7 +315,8 @@ class SpecBuilder:
     def _add_geom(self, body: Any, name: str, owner: tuple[str, str], **fields: Any) -> None:
         kind = owner[0]
         of_world = max(self.options.friction + self.perturbation.friction, 0.0)
-        friction = {"robot": SELF_FRICTION, "mechanism": HOLD_FRICTION, "world": of_world}[kind]
+        of_hand = HAND_FRICTION if self.options.hand_friction is None else self.options.hand_friction
+        friction = {"robot": SELF_FRICTION, "mechanism": of_hand, "world": of_world}[kind]
         body.add_geom(
             name=f"{kind}:{name}",
             contype=1 if kind == "robot" else 0,
@@ -321,7 +325,7 @@ class SpecBuilder:
             friction=[friction, 0.005, 1e-4],
             density=0.0,
             condim=3,
-            **(STIFF if kind == "world" else {}),
+            **{"world": STIFF, "mechanism": HARD, "robot": {}}[kind],
             **fields,
         )
         self.owner_of_geom[f"{kind}:{name}"] = owner

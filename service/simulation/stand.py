@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +27,14 @@ def stand_in_physics(
     Args:
         reference: the plan.
         request: of the plan, for its servos and its mechanism.
-        options: of the simulation.
+        options: of the simulation; without a friction of the hands they have the least one of the request.
         steps: of the physics, 1 ms each, per command.
 
     Raises:
         ResultError: MuJoCo is not installed, or cannot use the robot.
     """
+    if options.hand_friction is None:
+        options = replace(options, hand_friction=request.options.hand_friction[0])
     stiffness = resolve_stiffness(reference.motion.robot, request)
     model = build_physics(reference.motion, read_mechanism_physics(request), options, stiffness)
     start = reference.at(0.0)

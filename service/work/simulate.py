@@ -13,7 +13,8 @@ from service.work.look import with_result_folder
 from service.work.plan import Refused
 
 SIMULATION_FIELDS = (
-    "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed", "perturb",
+    "friction", "hand_friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed",
+    "perturb",
 )  # fmt: skip
 
 
@@ -34,7 +35,7 @@ def simulate(files: Mapping[str, bytes], given: Mapping[str, float], control: Co
         from service.simulation.report import make_report
         from service.simulation.run import execute_folder
 
-        made = make_report(execute_folder(folder, options))
+        made, _ = make_report(execute_folder(folder, options))
         return {key: value for key, value in made.items() if key != "track"}
 
     return with_result_folder(files, carry_out, control)

@@ -84,7 +84,7 @@ def test_every_verdict_has_its_exit_code_one_object_and_a_folder(
 
 def test_exit_codes_are_the_documented_ones() -> None:
     plans = {verdict.value for verdict in Verdict}
-    carried_out = {"VIOLATED": 4, "STOOD": 0, "TRACKED": 0, "FELL": 7, "ABORTED": 8}
+    carried_out = {"VIOLATED": 4, "DONE": 0, "STOOD": 1, "TRACKED": 0, "FELL": 7, "ABORTED": 8}
     recorded = {"HELD_BEFORE": 9, "DAMAGED": 74}
     documented = {"CERTIFIED": 0, "INVALID_REQUEST": 3, "TIME_LIMIT": 5, "CANCELLED": 130}
     assert {**dict.fromkeys(plans, 4), **documented, **carried_out, **recorded} == EXIT_CODES

@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 
 
 def test_a_follower_moves_with_its_leader_in_physics(folder):
-    made = execute_folder(folder, SimulationOptions())
+    (made,) = execute_folder(folder, SimulationOptions())
     model = made.model
     assert model.joint_names == ("j0", "j1")
     ((address, follower),) = model.followers

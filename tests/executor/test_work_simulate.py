@@ -34,7 +34,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 def test_a_worker_simulates_the_files_of_a_result(files: dict[str, bytes]) -> None:
     answer = simulate(files, {"feed_forward": 1.0, "seed": 3}, NeverStops())
     assert not isinstance(answer, Refused)
+    # Nobody touches the wheel that this plan turns.
     assert (answer["verdict"], answer["options"]["seed"]) == ("STOOD", 3)
+    assert [run["hand_friction"] for run in answer["runs"]] == [0.3, 0.6]
     assert "track" not in answer
 
 

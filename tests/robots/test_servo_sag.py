@@ -8,22 +8,50 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from rich.console import Console
 from small_robots import floating_joint, robot_of
 
 from costs.curve import Curve
-from costs.robot import RobotModel, load_robot
+from costs.robot import MechanismJoint, RobotModel, load_robot, with_mechanism
 from costs.robot.servo import ATLAS_STIFFNESS, default_stiffness, list_group_joints, list_servo_joints, make_stiffness
 from costs.scene import Scene
+from service.cli.report import print_verdict
 from service.errors import RequestError
+from service.motion.hand_sag import list_short_hands
 from service.motion.servo_sag import measure_sag
 from service.planner import plan
 from service.request.file import parse_request, request_hash
 from service.result.result_json import summary_json
 from service.setup.prepare import prepare
-from service.verify import Motion, Phase, PlantedContact, SupportPolygon
+from service.verify import HandLoad, Motion, Phase, PlantedContact, SupportPolygon
 
 FOOT, ARM, LENGTH, G = 3.0, 5.0, 0.8, 9.81
 ANGLE, STIFFNESS = 0.3, 900.0
+CAP = (
+    '<robot name="m"><link name="panel"/><link name="cap"><collision><origin rpy="0 1.5708 0"/>'
+    '<geometry><cylinder radius="0.02" length="0.02"/></geometry></collision></link>'
+    '<joint name="press" type="prismatic"><parent link="panel"/><child link="cap"/><axis xyz="1 0 0"/>'
+    '<limit lower="0" upper="0.015" velocity="1" effort="200"/></joint></robot>'
+)
+BUTTON: dict[str, Any] = {
+    "robot": {"name": "atlas"},
+    "start": {"posture": "reach_ready"},
+    "task": {
+        "mechanism": {
+            "urdf": CAP,
+            "position": [0.75, -0.25, 1.2],
+            "handle": {
+                "link": "cap",
+                "place": [-0.008, 0, 0],
+                "axis": [1, 0, 0],
+                "tool": "tip",
+                "approach": [-0.08, 0, 0],
+            },
+            "joints": {"press": {"friction": 60}},
+            "moves": [{"joint": "press", "to": 0.008}],
+        }
+    },
+}
 REACH: dict[str, Any] = {"robot": {"name": "atlas"}, "goal": {"joints": {"l_arm_elx": 1.6}}}
 
 
@@ -107,6 +135,60 @@ def test_a_robot_without_a_table_gets_its_stiffness_from_its_efforts_and_its_mas
     mass = sum(float(inertia.mass) for inertia in atlas.model.inertias)
     assert table["l_leg_hpz"] > 2.0 * mass * G  # stiff enough to stand, though its effort is small
     assert set(table) == set(list_servo_joints(atlas))
+
+
+def pushing(force: float, angle: float = 0.0) -> Motion:
+    """The pendulum pushes a slide forward by 0.1 m with a force at the end of its rod."""
+    robot = leaning_pendulum()
+    robot.model.addFrame(
+        pin.Frame("tool", 2, 0, pin.SE3(np.eye(3), np.array([0.0, 0.0, LENGTH])), pin.FrameType.OP_FRAME)
+    )
+    vertices = np.array([[x, y, z] for x in (1.0, 1.1) for y in (0.0, 0.1) for z in (0.7, 0.8)])
+    slide = MechanismJoint(
+        "slide",
+        "drawer",
+        np.array([1.0, 0.0, 0.8]),
+        np.array([1.0, 0.0, 0.0]),
+        {"drawer/1": vertices},
+        kind="prismatic",
+    )
+    robot = with_mechanism(robot, [slide])
+    q = np.zeros((2, 8))
+    q[:, 6], q[1, 7] = angle, 0.1
+    sole = np.array([[x, y, 0.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
+    load = HandLoad("tool", "drawer", np.zeros(3), np.array([force, 0.0, 0.0]))
+    phase = Phase("push", 0.0, 1.0, (PlantedContact("foot", np.eye(4), sole),), loads=(load,))
+    curve = Curve(np.array([0.0, 1.0]), q, np.zeros_like(q))
+    return Motion(robot, Scene(()), curve, phases=(phase,), mechanism_links=robot.mechanism_links)
+
+
+def test_a_hand_gives_way_by_its_force_over_the_stiffness_of_its_arm() -> None:
+    (sag,) = list_short_hands(pushing(20.0), {"joint0": STIFFNESS})
+    # The rod is upright: the force turns it by F l / K, and its end goes back by l times that.
+    assert (sag.phase, sag.tool, sag.travel_m) == ("push", "tool", pytest.approx(0.1))
+    assert sag.sag_m == pytest.approx(20.0 * LENGTH**2 / STIFFNESS, rel=1e-4)
+    assert sag.stiffer == pytest.approx(sag.sag_m / 5e-3)
+    assert f"tool gives way by {1e3 * sag.sag_m:.1f} of 100.0 mm in phase 'push'" in sag.describe()
+    assert list_short_hands(pushing(20.0), {"joint0": 1.01 * sag.stiffer * STIFFNESS}) == ()
+
+
+def test_gravity_that_leans_on_the_object_takes_from_what_a_hand_gives_way() -> None:
+    light, heavy = (list_short_hands(pushing(40.0, angle), {"joint0": STIFFNESS}) for angle in (0.0, 0.1))
+    assert heavy[0].sag_m < light[0].sag_m - 0.9 * LENGTH**2 * ARM * G * np.sin(0.1) / STIFFNESS
+
+
+def test_a_plan_that_position_servos_do_not_carry_out_says_so_in_its_last_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    result = plan(parse_request(BUTTON))
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    (note,) = [note for note in result.notes if "needs stiffer servos" in note]
+    assert "r_tool gives way by" in note
+    assert "of 8.0 mm in phase 'move press'" in note
+    print_verdict(Console(width=400), summary_json(result))
+    assert "; needs stiffer servos or torques fed forward: r_tool gives way by" in capsys.readouterr().out
+    stiff = {**BUTTON, "robot": {"name": "atlas", "servo": {"stiffness": dict.fromkeys(("leg", "back", "arm"), 5e5)}}}
+    assert not [note for note in plan(parse_request(stiff)).notes if "stiffer servos" in note]
 
 
 def test_a_plan_says_stiffness_and_sag_and_soft_servos_get_a_note() -> None:

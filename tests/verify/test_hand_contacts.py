@@ -25,7 +25,7 @@ from service.verify.forces.hand_contacts import (
     measure_excess,
     meet,
 )
-from service.verify.rounded import MOST_ROUNDING_M, RoundedBody, measure_beyond_hull, shrink_hull
+from service.verify.forces.rounded import MOST_ROUNDING_M, RoundedBody, measure_beyond_hull, shrink_hull
 
 ROD = np.array([[0.0, 0.0, -0.06], [0.0, 0.0, -0.009]])  # the rod's axis, its tip at the frame's origin
 RADIUS = 0.009

@@ -28,7 +28,14 @@ DEPTH = 0.013  # of the rods in the hook [m]; 30 mm are allowed in the rim
 
 
 def valve_request(obstacles=()):
-    valve = {"centre": [0.68, 0.12, 1.1], "axis": [-1.0, 0.0, 0.0], "radius": 0.14, "turn_deg": 90, "hand": "left"}
+    valve = {
+        "centre": [0.68, 0.12, 1.1],
+        "axis": [-1.0, 0.0, 0.0],
+        "radius": 0.14,
+        "turn_deg": 90,
+        "hand": "left",
+        "spokes_deg": [45, 135, 225, 315],
+    }
     start = {"posture": "reach_ready"}
     return parse_request(
         {"robot": {"name": "atlas"}, "start": start, "scene": {"obstacles": list(obstacles)}, "task": {"valve": valve}}

@@ -1,7 +1,7 @@
 """Checks of hands that move a mechanism: their surfaces touch it, and push it the way that it moves.
 
 At a contact the force is inside the friction cone about the normal, which the shapes decide: the direction from the
-core of the hand's surface to the core of the body (``service.verify.rounded``).
+core of the hand's surface to the core of the body (``service.verify.forces.rounded``).
 
 - A joint is pushed if forces in the cones of the contacts that touch, with the least friction, have the part along its
   way that it takes, and along every other joint that carries the body no more than that joint bears by itself.  The
@@ -29,11 +29,11 @@ from scipy.optimize import nnls
 from costs.robot import LinkBody, read_joint_axis
 from service.verify.certificate import Check
 from service.verify.forces.hand_loads import bound_coordinate
+from service.verify.forces.rounded import RoundedBody, measure_beyond_hull
 from service.verify.frame_paths import FramePath, find_mechanism_joints
 from service.verify.motion import HandContact, HandPush, Motion, Phase, VerifyError, VerifySettings
 from service.verify.phase_proof import PhaseProof, values_at_ends
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.rounded import RoundedBody, measure_beyond_hull
 from service.verify.solids import make_coal_convex
 
 TOUCH_GAP_M = 4e-3  # between surfaces that touch: parts are not drawn to the millimetre

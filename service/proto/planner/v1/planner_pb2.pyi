@@ -34,6 +34,13 @@ class StandingState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     STANDING_STATE_HOLDS: _ClassVar[StandingState]
     STANDING_STATE_HELD_BEFORE: _ClassVar[StandingState]
 
+class SimulationVerdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SIMULATION_VERDICT_UNSPECIFIED: _ClassVar[SimulationVerdict]
+    SIMULATION_VERDICT_DONE: _ClassVar[SimulationVerdict]
+    SIMULATION_VERDICT_STOOD: _ClassVar[SimulationVerdict]
+    SIMULATION_VERDICT_FELL: _ClassVar[SimulationVerdict]
+
 class PlanState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     PLAN_STATE_UNSPECIFIED: _ClassVar[PlanState]
@@ -59,6 +66,10 @@ PART_SHAPE_LEVER: PartShape
 STANDING_STATE_UNSPECIFIED: StandingState
 STANDING_STATE_HOLDS: StandingState
 STANDING_STATE_HELD_BEFORE: StandingState
+SIMULATION_VERDICT_UNSPECIFIED: SimulationVerdict
+SIMULATION_VERDICT_DONE: SimulationVerdict
+SIMULATION_VERDICT_STOOD: SimulationVerdict
+SIMULATION_VERDICT_FELL: SimulationVerdict
 PLAN_STATE_UNSPECIFIED: PlanState
 PLAN_STATE_QUEUED: PlanState
 PLAN_STATE_RUNNING: PlanState
@@ -420,7 +431,7 @@ class Standing(_message.Message):
     def __init__(self, state: _Optional[_Union[StandingState, str]] = ..., release: _Optional[str] = ..., format: _Optional[int] = ..., lacks: _Optional[_Iterable[str]] = ..., fails: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class SimulatePlanRequest(_message.Message):
-    __slots__ = ("plan_id", "files", "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed", "perturb")
+    __slots__ = ("plan_id", "files", "friction", "feed_forward", "stiffness_scale", "noise", "delay_ms", "joint_friction", "seed", "perturb", "hand_friction")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     FILES_FIELD_NUMBER: _ClassVar[int]
     FRICTION_FIELD_NUMBER: _ClassVar[int]
@@ -431,6 +442,7 @@ class SimulatePlanRequest(_message.Message):
     JOINT_FRICTION_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
     PERTURB_FIELD_NUMBER: _ClassVar[int]
+    HAND_FRICTION_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     files: _containers.RepeatedCompositeFieldContainer[_result_pb2.FileChunk]
     friction: float
@@ -441,19 +453,22 @@ class SimulatePlanRequest(_message.Message):
     joint_friction: float
     seed: int
     perturb: float
-    def __init__(self, plan_id: _Optional[str] = ..., files: _Optional[_Iterable[_Union[_result_pb2.FileChunk, _Mapping]]] = ..., friction: _Optional[float] = ..., feed_forward: _Optional[float] = ..., stiffness_scale: _Optional[float] = ..., noise: _Optional[float] = ..., delay_ms: _Optional[float] = ..., joint_friction: _Optional[float] = ..., seed: _Optional[int] = ..., perturb: _Optional[float] = ...) -> None: ...
+    hand_friction: float
+    def __init__(self, plan_id: _Optional[str] = ..., files: _Optional[_Iterable[_Union[_result_pb2.FileChunk, _Mapping]]] = ..., friction: _Optional[float] = ..., feed_forward: _Optional[float] = ..., stiffness_scale: _Optional[float] = ..., noise: _Optional[float] = ..., delay_ms: _Optional[float] = ..., joint_friction: _Optional[float] = ..., seed: _Optional[int] = ..., perturb: _Optional[float] = ..., hand_friction: _Optional[float] = ...) -> None: ...
 
 class SimulatePlanResponse(_message.Message):
-    __slots__ = ("has_stood", "explanation", "notes", "figures")
+    __slots__ = ("has_stood", "explanation", "notes", "figures", "verdict")
     HAS_STOOD_FIELD_NUMBER: _ClassVar[int]
     EXPLANATION_FIELD_NUMBER: _ClassVar[int]
     NOTES_FIELD_NUMBER: _ClassVar[int]
     FIGURES_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
     has_stood: bool
     explanation: _containers.RepeatedScalarFieldContainer[str]
     notes: _containers.RepeatedScalarFieldContainer[str]
     figures: _struct_pb2.Struct
-    def __init__(self, has_stood: bool = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., figures: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
+    verdict: SimulationVerdict
+    def __init__(self, has_stood: bool = ..., explanation: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., figures: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., verdict: _Optional[_Union[SimulationVerdict, str]] = ...) -> None: ...
 
 class ListRobotsRequest(_message.Message):
     __slots__ = ()

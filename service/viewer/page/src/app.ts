@@ -6,7 +6,7 @@ import { Body, Movable, Result, readPayload, spanAt } from "./data";
 import { el, tellTimes } from "./dom";
 import { Ghosts } from "./ghosts";
 import { Goal } from "./goal";
-import { Header, makeHeader, makeHelp, tone } from "./header";
+import { Header, makeHeader, makeHelp, headline, tone } from "./header";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
 import { Loads } from "./loads";
@@ -106,7 +106,7 @@ export class App implements Player {
     this.help = makeHelp(this.layers);
     document.body.append(this.panel.element, this.timeline.element, this.help);
     document.body.classList.toggle("still", motion.nFrames < 2);
-    document.body.classList.add(tone(result.verdict));
+    document.body.classList.add(tone(headline(result)));
     this.stage.onFrame = () => this.labels.place(this.stage.camera, ...this.stage.size);
     this.stage.onMoved = () => this.header.setView((this.view = null));
     const wantsLight = matchMedia("(prefers-color-scheme: light)");

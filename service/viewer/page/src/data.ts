@@ -47,9 +47,9 @@ export interface Check {
 
 // The same links as physics carried the plan out, and the ground's force, planned and in physics [N].
 export interface Simulated {
-  verdict: string; times: Float32Array; positions: Float32Array; rotations: Int16Array; ground: Float32Array;
+  verdict: string; reasons: string[]; times: Float32Array; positions: Float32Array; rotations: Int16Array; ground: Float32Array;
 }
-interface PackedSimulated { verdict: string; times: Packed; positions: Quantized; rotations: Packed; ground: Packed }
+interface PackedSimulated { verdict: string; reasons: string[]; times: Packed; positions: Quantized; rotations: Packed; ground: Packed }
 
 interface Payload {
   verdict: string; robot: string; task: string; explanation: string[]; notes: string[];
@@ -102,6 +102,7 @@ export function readPayload(): Result {
     cloud: points(payload.cloud),
     simulated: payload.simulated ? {
       verdict: payload.simulated.verdict,
+      reasons: payload.simulated.reasons,
       times: floats(payload.simulated.times),
       positions: points(payload.simulated.positions),
       rotations: new Int16Array(bytesOf(payload.simulated.rotations)),

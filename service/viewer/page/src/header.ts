@@ -6,7 +6,12 @@ import { Told, basisTold, clearanceTold, family, insideTold } from "./standing";
 import { VIEWS, View } from "./stage";
 
 const GOOD = "CERTIFIED";
-const FAIR = "FEASIBLE_AT_SAMPLES";
+const TONES: Record<string, "good" | "fair"> = { CERTIFIED: "good", DONE: "good", FEASIBLE_AT_SAMPLES: "fair", STOOD: "fair" };
+const IN_PHYSICS: Record<string, string> = {
+  DONE: "the robot stands and its work is done",
+  STOOD: "the robot stands, its work is not done",
+  FELL: "the robot fell",
+};
 const MEANING: Record<string, string> = {
   FEASIBLE_AT_SAMPLES: "holds at dense samples; a proof is missing",
   NOT_FOUND: "no feasible trajectory found; this is the best attempt",
@@ -15,7 +20,10 @@ const MEANING: Record<string, string> = {
   CANCELLED: "stopped by the user; this is the best attempt so far",
 };
 
-export const tone = (verdict: string): "good" | "fair" | "bad" => (verdict === GOOD ? "good" : verdict === FAIR ? "fair" : "bad");
+export const tone = (verdict: string): "good" | "fair" | "bad" => TONES[verdict] ?? "bad";
+
+// The verdict of the page: that of the simulation where the plan was carried out in physics.
+export const headline = (result: Result): string => result.simulated?.verdict ?? result.verdict;
 
 function chip(name: string, value: string, title = ""): HTMLElement {
   const element = el("span", "chip", el("small", "", name), el("b", "", value));
@@ -54,8 +62,10 @@ export function makeHeader(
     button("round", "☰", "Panel (i)", toggle.panel),
   );
   const meaning = result.verdict === GOOD ? basisTold(result) : MEANING[result.verdict] ?? "";
-  const said = result.times.length > 0 ? meaning : meaning.split("; this is")[0];
-  const verdict = el("div", `verdict ${tone(result.verdict)}`, words(result.verdict || "NO VERDICT"));
+  const planned = result.times.length > 0 ? meaning : meaning.split("; this is")[0];
+  const carried = result.simulated;
+  const said = carried ? `in physics ${carried.reasons[0] ?? IN_PHYSICS[carried.verdict]}; the plan is ${words(result.verdict)}` : planned;
+  const verdict = el("div", `verdict ${tone(headline(result))}`, words(headline(result) || "NO VERDICT"));
   verdict.title = said;
   const title = [result.robot, result.task].filter(Boolean).map(words).join(" · ");
   const says = el("span", "says", said);

@@ -71,6 +71,10 @@ export class Panel {
     const count = (standing: Standing): number => result.checks.filter((check) => standingOf(check) === standing).length;
     const [failed, unproven] = [count("refuted"), count("unproven")];
     const scroll = el("div", "scroll");
+    if (result.simulated && result.simulated.reasons.length > 0) {
+      const reasons = result.simulated.reasons.map((line) => el("li", "", line));
+      scroll.append(section(`In physics: ${result.simulated.verdict}`, el("ul", "why", ...reasons)));
+    }
     if (result.explanation.length > 0) {
       scroll.append(section("What stands in the way", el("ul", "why", ...result.explanation.map((line) => el("li", "", line)))));
     }
