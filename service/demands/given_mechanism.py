@@ -24,8 +24,8 @@ from costs.robot import (
 )
 from costs.scene import ConvexPiece
 from service.demands.hands import Hand, list_robot_hands
+from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
-from service.demands.pressed import add_pressed, find_pressed
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do
 from service.request.mechanism import MechanismRequest, is_urdf_text

@@ -32,7 +32,7 @@ from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
 from service.request.resume import ResumeRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.door_sweep import find_first_met
+from service.tasks.doors.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism
