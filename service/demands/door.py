@@ -15,10 +15,10 @@ from costs.robot import Mechanism, MechanismJoint, Release
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.seen_parts import HANDLE_NAMES
-from service.demands.door_edge import hold_edge, make_edge_load
 from service.demands.hands import Hand
+from service.demands.holds.door_edge import hold_edge, make_edge_load
+from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
-from service.demands.pressed import add_pressed, find_pressed
 from service.request.names import DOOR, HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
 

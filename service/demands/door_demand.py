@@ -25,8 +25,8 @@ from service.demands.door import (
     hold_handle,
     make_door_phases,
 )
-from service.demands.door_edge import MOST_SLANT, hold_edge
 from service.demands.hands import Hand, list_robot_hands
+from service.demands.holds.door_edge import MOST_SLANT, hold_edge
 from service.demands.phase_spec import AXIS, DEPTH_RESERVE, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.errors import RequestError

@@ -25,11 +25,11 @@ from costs.robot import (
 )
 from costs.scene import ConvexPiece
 from service.demands.hands import Hand, list_robot_hands
+from service.demands.holds.pressed import add_pressed, find_pressed
+from service.demands.holds.pushes import find_nominal_pushes
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad, MovedObject, Spring, choose_pace
 from service.demands.moved_object.rest import check_rest
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
-from service.demands.pressed import add_pressed, find_pressed
-from service.demands.pushes import find_nominal_pushes
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do
 from service.request.fields import HAND_FRICTION

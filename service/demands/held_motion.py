@@ -19,9 +19,9 @@ from costs.scene import Scene
 from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ContactPhase, ContactStance, ends_with_new_contacts, list_contact_phases
+from service.demands.holds.pushes import add_pushes
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
-from service.demands.pushes import add_pushes
 from service.demands.recorded_task import RecordedTask, TaskDemand
 from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
 from service.demands.targets import make_goal_targets, make_kept_target

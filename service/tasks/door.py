@@ -17,7 +17,7 @@ from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
 from service.demands.door_demand import measure_peg
 from service.demands.hands import Hand
-from service.tasks.door_places import find_narrow_gap, list_push_places
+from service.tasks.doors.places import find_narrow_gap, list_push_places
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 

@@ -22,8 +22,8 @@ from service.errors import RequestError
 from service.request.door import DoorRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door import LEAST_FIRST, DoorOpening
-from service.tasks.door_places import find_narrow_gap
-from service.tasks.door_sweep import BlockedOpening, find_blocked_opening
+from service.tasks.doors.places import find_narrow_gap
+from service.tasks.doors.sweep import BlockedOpening, find_blocked_opening
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism

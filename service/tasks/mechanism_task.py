@@ -29,13 +29,13 @@ from service.demands.given_mechanism import (
     settle_handle,
 )
 from service.demands.hands import Hand
+from service.demands.holds.pushes import explain_refusal, find_side
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
-from service.demands.pushes import explain_refusal, find_side
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
 from service.request.resume import ResumeRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.door_sweep import find_first_met
+from service.tasks.doors.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism

@@ -18,8 +18,8 @@ from jaxtyping import Float
 from costs.robot import Mechanism, with_mechanism
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck
+from service.demands.holds.pushes import add_pushes
 from service.demands.phase_spec import PhaseSpec, check_moves
-from service.demands.pushes import add_pushes
 from service.tasks.phase_compiler import QUICK_EFFORT, QUICK_GUESSES, PhaseCompiler
 
 

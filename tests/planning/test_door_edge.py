@@ -13,8 +13,15 @@ from hypothesis import strategies as st
 
 from perception.detect.door.geometry import UP, DoorGeometry
 from service.demands.door import Push
-from service.demands.door_edge import EDGE_LEAN, EDGE_TILT, MOST_SLANT, hold_edge, make_edge_load, measure_edge_gap
 from service.demands.hands import HANDS, PEG_FROM_END
+from service.demands.holds.door_edge import (
+    EDGE_LEAN,
+    EDGE_TILT,
+    MOST_SLANT,
+    hold_edge,
+    make_edge_load,
+    measure_edge_gap,
+)
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request

@@ -13,7 +13,7 @@ from tiny_robots import atlas
 from costs.robot import with_mechanism
 from service.demands.given_mechanism import make_mechanism_phases, read_given_mechanism, settle_handle
 from service.demands.hands import HANDS
-from service.demands.pushes import find_nominal_pushes
+from service.demands.holds.pushes import find_nominal_pushes
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request

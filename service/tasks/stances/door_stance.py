@@ -17,8 +17,8 @@ from service.demands.door_demand import measure_peg
 from service.demands.hands import Hand
 from service.demands.phase_spec import PhaseSpec
 from service.tasks.door import LEAST_FIRST, list_choices
-from service.tasks.door_places import HAND_ROOM, PUSH_ALONG, PUSH_UP
-from service.tasks.door_sweep import find_blocked_opening
+from service.tasks.doors.places import HAND_ROOM, PUSH_ALONG, PUSH_UP
+from service.tasks.doors.sweep import find_blocked_opening
 from service.tasks.stances.poses import (
     HeldPose,
     Outcome,

@@ -8,8 +8,8 @@ import numpy as np
 
 from costs.robot import RobotModel
 from service.demands.door import Door, Push
-from service.demands.door_edge import measure_edge_gap, measure_edge_room
 from service.demands.hands import Hand
+from service.demands.holds.door_edge import measure_edge_gap, measure_edge_room
 
 PUSH_ALONG = (0.75, 0.6, 0.45)  # shares of the leaf's width
 PUSH_UP = (1.05, 1.25, 0.9)  # heights of the peg's tip on the leaf [m]
