@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 POSES = 25  # of a phase
 FACET = np.deg2rad(12.0)  # by which the normal of a polygon may be off that of what it stands for
 TOUCHING_M = 6e-3  # between surfaces; polygons are around round parts by 2 mm at most
-LEAST_SHARE = 0.25  # of the pressure of a contact that slides, along the way
+LEAST_SHARE = 0.4  # of the pressure of a contact that slides, along the way
 EDGES = 12  # of a pyramid in place of a cone
 Closest = Callable[[Array, Array, float], tuple[float, Array]]
 

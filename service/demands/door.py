@@ -40,7 +40,7 @@ TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
 HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(20.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
 PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
-ABOVE_LEVER = 3e-3  # of the hand's front, which leans [m]
+ABOVE_LEVER = 1.5e-3  # of the hand's front, which leans [m]
 PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg leans [m]
 PEG_ACROSS = np.deg2rad(30.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
@@ -211,10 +211,11 @@ def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = REAC
 def _list_resistances(door: Door) -> dict[str, tuple[float, float]]:
     """Return by joint the forces of a hand that it bears by itself: the hinge's friction, little of a handle's spring.
 
-    A handle at rest gives way as its spring does, and stays in the hand for a small share of what releases it.
+    A handle at rest gives way as its spring does, and stays in the hand for a small share of what releases it.  A leaf
+    that opens early, while its handle is pressed, goes the way that it is to go.
     """
-    spring = door.push_bar_n if door.has_push_bar else door.lever_nm
-    return {LEAF_JOINT: (-door.hinge_nm, door.hinge_nm), HANDLE_JOINT: (0.0, GIVES_WAY * spring)}
+    gives_way = np.inf if door.has_push_bar else GIVES_WAY * door.lever_nm  # a bar may be pressed further
+    return {LEAF_JOINT: (-door.hinge_nm, np.inf), HANDLE_JOINT: (0.0, gives_way)}
 
 
 def _open_at_handle(
@@ -457,7 +458,8 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
         return HandleHold(door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches)
     # The peg hangs behind the lever, leaning so that the hand keeps off the leaf; its front rests on the lever.
     axis = -np.cos(PEG_LEAN) * UP - np.sin(PEG_LEAN) * normal
-    place = at_grip - peg / np.cos(PEG_LEAN) * normal + (radius + peg * np.tan(PEG_LEAN) + ABOVE_LEVER) * UP
+    above = (radius + ABOVE_LEVER) * np.cos(PEG_LEAN) + peg * np.sin(PEG_LEAN)
+    place = at_grip - (peg / np.cos(PEG_LEAN) - above * np.tan(PEG_LEAN)) * normal + above * UP
     offset = -(LINE_OUT + choice.peg_m) * axis
     return HandleHold(door, hand.stub, place, at_grip, axis, offset, float(LEAN_TILT), touches)
 

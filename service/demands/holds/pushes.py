@@ -23,7 +23,7 @@ from service.verify.forces.hand_contacts import (
 from service.verify.forces.rounded import measure_beyond_hull, shrink_hull
 from service.verify.motion import HAND_CAP_N
 
-ACROSS = 0.5  # cosine of the angle between rod and way up to which the rod pushes by its side
+MOST_LEAN = float(np.deg2rad(30.0))  # of a rod that pushes by its side, from square to the way
 MOST_BESIDE = 0.03  # of a hand that comes or goes, beside the face that it presses [m]
 LEAST_BESIDE = 8e-3  # of a hand beside the face that it presses, from any other body [m]
 ALONG = 0.5  # cosine from which on a force counts as one along the way of a joint
@@ -93,10 +93,11 @@ def _limit_lean(spec: PhaseSpec, mechanism: Mechanism, found: Sequence[NominalPu
     (contact,), (meeting,) = nominal.push.contacts, nominal.met
     turned = np.linalg.inv(mechanism.locate(str(motion.turns_with), spec.first))
     way = (turned @ mechanism.locate(contact.link, spec.first))[:3, :3] @ meeting.way
-    if abs(float(way @ motion.axis)) > ACROSS:
-        return motion
+    lean = float(np.arcsin(min(abs(float(way @ motion.axis)), 1.0)))
     room = -measure_excess(nominal.push, nominal.met) - RESERVE
-    return replace(motion, way=way, way_lean_rad=max(room, 0.0))
+    if lean > MOST_LEAN or room <= 0.0:
+        return motion
+    return replace(motion, way=way, way_lean_rad=lean + room)
 
 
 def find_nominal_pushes(

@@ -8,7 +8,7 @@ core of the hand's surface to the core of the body (``service.verify.forces.roun
   cones have a third of the friction angle where another joint is to stay: a hand that sets on slips before it sticks.
 - A single contact may slide: it exerts ``N (n - mu v)`` with any slip ``v`` along the surface.  Of a way that is an
   angle a off the normal, its part along it is at least ``N (cos a - mu sin a)``.  The contact jams where that vanishes,
-  and presses many times harder than the way needs shortly before; a quarter of the pressure has to be left at every
+  and presses many times harder than the way needs shortly before; 0.4 of the pressure has to be left at every
   friction up to the largest.  What the way does not need is borne by the joint's bearings.
 
 Between two poses the normal is bounded as well.  With the core's points at most ``e`` away from where they are at a
@@ -19,7 +19,7 @@ vectors are the shortest of convex sets that are within ``e`` of each other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import coal
 import numpy as np
@@ -39,10 +39,11 @@ from service.verify.solids import make_coal_convex
 TOUCH_GAP_M = 4e-3  # between surfaces that touch: parts are not drawn to the millimetre
 SURFACE_SLACK_M = 2e-3  # by which a stated surface of a hand may stand out of the link's shapes
 LEAST_APART_M = 1e-3  # of the two cores; nearer ones have no normal
-LEAST_SHARE = 0.25  # of the pressure of a contact that slides, along the way
+LEAST_SHARE = 0.4  # of the pressure of a contact that slides, along the way
 HELD_SHARE = 1.0 / 3.0  # of the friction angle that keeps another joint still while the hand sets on
 MOVES = 1e-4  # by which a joint moves [rad, m]
 _DISTANCE_ERROR_M = 1e-6  # tolerance of coal's distances, which counts like a displacement of the core
+MOST_HALVINGS = 6  # of intervals: a contact that needs more is at the edge of its cone
 _GAP_RESOLUTION_M = 5e-4
 _RESOLUTION = float(np.deg2rad(1.0))
 _SIDES = 8  # of the pyramids inside the cones
@@ -69,7 +70,7 @@ def check_hand_contacts(prepared: PreparedMotion, phase: Phase, settings: Verify
         VerifyError: a push names a joint, link, body or frame that the motion does not have, or a surface that stands
             out of its link.
     """
-    proof = PhaseProof(prepared, phase, settings)
+    proof = PhaseProof(prepared, phase, replace(settings, max_halvings=min(settings.max_halvings, MOST_HALVINGS)))
     for push in phase.pushes:
         for contact in push.contacts:
             _check_surface(prepared.motion, contact)
@@ -308,10 +309,36 @@ def _search_widening(push: HandPush, touching: Sequence[tuple[HandContact, Meeti
     low, high = -cone, 0.5 * np.pi - cone - 1e-3
     if not _is_balanced(push, touching, cone + high):
         return float("inf")
+    if len(touching) == 1 and _holds_about(push, touching[0], 0.0):
+        return -cone - _search_freedom(push, touching[0])
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _is_balanced(push, touching, cone + middle) else (middle, high)
     return high
+
+
+def _search_freedom(push: HandPush, touching: tuple[HandContact, Meeting]) -> float:
+    """Search for the largest angle by which a single contact's normal may be off without needing friction [rad]."""
+    low, high = 0.0, 0.25 * np.pi
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _holds_about(push, touching, middle) else (low, middle)
+    return low
+
+
+def _holds_about(push: HandPush, touching: tuple[HandContact, Meeting], off: float) -> bool:
+    """Return whether a single contact holds without friction, for every normal within an angle of its own."""
+    contact, meeting = touching
+    normals = np.vstack([meeting.normal, _list_edges(meeting.normal[None], off / np.cos(np.pi / _SIDES))])
+    share = normals @ meeting.way
+    if share.min() <= 0.0:
+        return False
+    pressure = max(push.force_n, _LEAST_FORCE_N) / share
+    if pressure.max() > contact.cap_n:
+        return False
+    parts = pressure[:, None] * (normals @ meeting.held.T)
+    low, high = (np.array([getattr(held, end) for held in push.held]) for end in ("low", "high"))
+    return bool(((parts >= low - _REST * pressure.max()) & (parts <= high + _REST * pressure.max())).all())
 
 
 def _is_balanced(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]], half: float) -> bool:
