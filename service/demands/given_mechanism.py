@@ -45,6 +45,7 @@ TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad,
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
 SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
+STAYS_SHARE = 0.5  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
 MOST_LOADS = 4  # at a time: the robot is held under every combination of them
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
@@ -272,7 +273,7 @@ def make_mechanism_phases(
         step = SLIDE_STEP if joint.kind == "prismatic" else TURN_STEP
         count = max(int(np.ceil(np.abs(last - first).max() / step)) + 1, 4)
         bears = {
-            load.joint: (load.low - load.slack[0], load.high + load.slack[1])
+            load.joint: (load.low - STAYS_SHARE * load.slack[0], load.high + STAYS_SHARE * load.slack[1])
             for load in joint_loads[k]
             if load.sense == 0.0
         }
