@@ -18,7 +18,7 @@ vectors are the shortest of convex sets that are within ``e`` of each other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import coal
@@ -305,80 +305,89 @@ def measure_excess(push: HandPush, met: Sequence[Meeting]) -> float:
 
 def _search_widening(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> float:
     """Search for the least widening of all cones in which forces balance the push [rad]."""
+    balance = _Balance(push, touching)
     cone = float(np.arctan(push.friction[0])) * (HELD_SHARE if push.held else 1.0)
-    low, high = -cone, 0.5 * np.pi - cone - 1e-3
-    if not _is_balanced(push, touching, cone + high):
+    if len(touching) == 1 and balance.holds_about(0.0):
+        return -cone - _bisect(0.0, 0.25 * np.pi, balance.holds_about)
+    widest = 0.5 * np.pi - cone - 1e-3
+    if not balance.exists(cone + widest):
         return float("inf")
-    if len(touching) == 1 and _holds_about(push, touching[0], 0.0):
-        return -cone - _search_freedom(push, touching[0])
-    for _ in range(_STEPS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if _is_balanced(push, touching, cone + middle) else (middle, high)
-    return high
+    ends = (0.0, cone) if balance.exists(cone) else (-widest, 0.0)
+    return -_bisect(*ends, lambda narrower: balance.exists(cone - narrower))
 
 
-def _search_freedom(push: HandPush, touching: tuple[HandContact, Meeting]) -> float:
-    """Search for the largest angle by which a single contact's normal may be off without needing friction [rad]."""
-    low, high = 0.0, 0.25 * np.pi
+def _bisect(low: float, high: float, holds: Callable[[float], bool]) -> float:
+    """Return the largest angle found that holds, where the low one does and the high one may not [rad]."""
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _holds_about(push, touching, middle) else (low, middle)
+        low, high = (middle, high) if holds(middle) else (low, middle)
     return low
 
 
-def _holds_about(push: HandPush, touching: tuple[HandContact, Meeting], off: float) -> bool:
-    """Return whether a single contact holds without friction, for every normal within an angle of its own."""
-    contact, meeting = touching
-    normals = np.vstack([meeting.normal, _list_edges(meeting.normal[None], off / np.cos(np.pi / _SIDES))])
-    share = normals @ meeting.way
-    if share.min() <= 0.0:
-        return False
-    pressure = max(push.force_n, _LEAST_FORCE_N) / share
-    if pressure.max() > contact.cap_n:
-        return False
-    parts = pressure[:, None] * (normals @ meeting.held.T)
-    low, high = (np.array([getattr(held, end) for held in push.held]) for end in ("low", "high"))
-    return bool(((parts >= low - _REST * pressure.max()) & (parts <= high + _REST * pressure.max())).all())
+class _Balance:
+    """Forces of contacts that push a joint and leave the held ones where they are.
 
-
-def _is_balanced(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]], half: float) -> bool:
-    """Return whether forces within a half-angle of the normals push the joint and leave the held ones where they are.
-
-    A non-negative least-squares problem: coefficients of the cones' edges, and slacks of caps and of held joints.
     Several contacts do not press across the way, where they would hold against each other.
     """
-    if half <= 0.0:
-        return False
-    force = max(push.force_n, _LEAST_FORCE_N)
-    met = [meeting for _, meeting in touching]
-    normals = np.array([meeting.normal for meeting in met])
-    owner = np.repeat(np.arange(len(met)), _SIDES)
-    edges = _list_edges(normals, half)
-    way = np.array([meeting.way for meeting in met])
-    equal = [((way[owner] * edges).sum(axis=1), force)]
-    if len(met) > 1:
-        equal += [(edges @ across, 0.0) for across in np.linalg.svd(way.mean(axis=0)[None])[2][1:]]
-    bounds = []
-    for k, held in enumerate(push.held):
-        part = (np.array([meeting.held[k] for meeting in met])[owner] * edges).sum(axis=1)
-        bounds += [(part, held.high)] if np.isfinite(held.high) else []
-        bounds += [(-part, -held.low)] if np.isfinite(held.low) else []
-    for k, (contact, _) in enumerate(touching):
-        bounds.append(((owner == k) * (edges * normals[owner]).sum(axis=1), contact.cap_n))
-    rows, values = zip(*equal, *bounds, strict=True)
-    slacks = np.concatenate([np.zeros((len(equal), len(bounds))), np.eye(len(bounds))])
-    _, rest = nnls(np.hstack([np.array(rows), slacks]), np.array(values))
-    return bool(rest < _REST * force)
+
+    def __init__(self, push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> None:
+        self._force = max(push.force_n, _LEAST_FORCE_N)
+        self._caps = np.array([contact.cap_n for contact, _ in touching])
+        self._normals = np.array([meeting.normal for _, meeting in touching])
+        self._ways = np.array([meeting.way for _, meeting in touching])
+        self._held = np.array([meeting.held for _, meeting in touching])
+        self._low = np.array([held.low for held in push.held])
+        self._high = np.array([held.high for held in push.held])
+        self._around = _list_tangents(self._normals, self._ways)
+        several = len(touching) > 1
+        self._across = np.linalg.svd(self._ways.mean(axis=0)[None])[2][1:] if several else np.zeros((0, 3))
+
+    def _list_edges(self, half: float) -> Float[np.ndarray, "C E 3"]:
+        """Return the edges of pyramids inside cones of a half-angle, as unit vectors."""
+        return np.asarray(np.cos(half) * self._normals[:, None] + np.sin(half) * self._around)
+
+    def exists(self, half: float) -> bool:
+        """Return whether there are such forces within a half-angle of the normals.
+
+        A non-negative least-squares problem: coefficients of the cones' edges, and slacks of caps and of held joints.
+        """
+        if half <= 0.0:
+            return False
+        edges = self._list_edges(half)
+        count = edges.shape[0] * edges.shape[1]
+        equal = [(edges * self._ways[:, None]).sum(axis=2).reshape(1, count), self._across @ edges.reshape(count, 3).T]
+        parts = np.einsum("cek,chk->hce", edges, self._held).reshape(-1, count)
+        pressed = np.eye(len(edges))[:, :, None] * (edges * self._normals[:, None]).sum(axis=2)
+        is_low, is_high = np.isfinite(self._low), np.isfinite(self._high)
+        bounded = np.concatenate([parts[is_high], -parts[is_low], pressed.reshape(-1, count)])
+        values = np.concatenate([self._high[is_high], -self._low[is_low], self._caps])
+        free = np.zeros((1 + len(self._across), len(bounded)))
+        matrix = np.block([[np.concatenate(equal), free], [bounded, np.eye(len(bounded))]])
+        wanted = np.concatenate([[self._force], np.zeros(len(self._across)), values])
+        _, rest = nnls(matrix, wanted)
+        return bool(rest < _REST * self._force)
+
+    def holds_about(self, off: float) -> bool:
+        """Return whether a single contact holds without friction, for every normal within an angle of its own."""
+        normals = np.vstack([self._normals, self._list_edges(off / np.cos(np.pi / _SIDES))[0]])
+        share = normals @ self._ways[0]
+        if share.min() <= 0.0:
+            return False
+        pressure = self._force / share
+        parts = pressure[:, None] * (normals @ self._held[0].T)
+        slack = _REST * pressure.max()
+        is_held = (parts >= self._low - slack) & (parts <= self._high + slack)
+        return bool(is_held.all()) and bool(pressure.max() <= self._caps[0])
 
 
-def _list_edges(normals: Float[np.ndarray, "C 3"], half: float) -> Float[np.ndarray, "E 3"]:
-    """Return the edges of pyramids inside cones of a half-angle about normals, as unit vectors."""
-    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normals, first)
-    turn = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-    around = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
-    return np.asarray((np.cos(half) * normals[:, None] + np.sin(half) * around).reshape(-1, 3))
+def _list_tangents(normals: Float[np.ndarray, "C 3"], ways: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C E 3"]:
+    """Return unit vectors around each normal, at equal angles, the first where the way leads along the surface."""
+    basis = np.linalg.svd(normals[:, None])[2][:, 1:]
+    along = (basis * ways[:, None]).sum(axis=2)
+    size = np.linalg.norm(along, axis=1)
+    first = np.where(size > _REST, np.arctan2(along[:, 1], along[:, 0]), 0.0)
+    turn = first[:, None] + 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    return np.asarray(np.stack([np.cos(turn), np.sin(turn)], axis=2) @ basis)
 
 
 def _find_joint(motion: Motion, name: str) -> int:
