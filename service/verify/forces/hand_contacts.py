@@ -95,6 +95,8 @@ def describe_push(push: HandPush, angle: float) -> str:
     surfaces, bodies = _name_contacts(push)
     held = "".join(f", {held.joint} stays" for held in push.held)
     low, high = push.friction
+    if len(push.contacts) > 1:
+        return f"{surfaces} move {bodies} the way of {push.joint}{held}, with a friction of {low:g}"
     degrees = f"{np.rad2deg(angle):.1f} deg off the way of {push.joint}{held}"
     return f"{surfaces} pushes {bodies} {degrees}, with a friction of {low:g} to {high:g}"
 
