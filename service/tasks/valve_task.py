@@ -30,6 +30,7 @@ from service.demands.strokes import (
     TurnChoice,
     find_fault,
     find_least_count,
+    find_pressed_part,
     list_strokes,
     list_usable_entries,
 )
@@ -46,6 +47,7 @@ from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
 from service.tasks.valve import ValveTurn, measure_wrist
+from service.verify.coverage.pressed import is_shown
 
 SURE = 0.5  # least confidence of a detection that is used
 TUBE_RADIUS = 0.015  # when the request gives only the rim circle [m]
@@ -311,8 +313,10 @@ def list_choices(body: WholeBody, wheel: Wheel, hands: Sequence[Hand], request: 
                 return float(np.linalg.norm(wheel.rim_point(entry + middle) - at))
 
             entries = list_usable_entries(wheel, hand, request.mode, stroke.sense)
-            nearest = sorted(entries, key=distance)[:MOST_ENTRIES]
-            choices = [TurnChoice(hand, entry, count) for entry in nearest]
+            nearest = sorted((TurnChoice(hand, entry, count) for entry in entries), key=lambda own: distance(own.entry))
+            # What the scan does not show rules out a certificate.
+            hidden = [not is_shown(find_pressed_part(wheel, own, request.mode, stroke.sense)) for own in nearest]
+            choices = [nearest[k] for k in np.argsort(hidden, kind="stable").tolist()][:MOST_ENTRIES]
             if request.mode == "grasp":
                 flipped = [replace(choice, is_flipped=True) for choice in choices]
                 choices = sorted((*choices, *flipped), key=lambda choice: -measure_wrist(body, wheel, request, choice))

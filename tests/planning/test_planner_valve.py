@@ -9,13 +9,19 @@ import numpy as np
 import pytest
 from stranger import Stranger
 
-from service.demands.hands import PEG_RADIUS
+from perception import SeenPart
+from service.body.whole_body import Aims, WholeBody
+from service.demands.hands import HANDS, PEG_RADIUS
+from service.demands.wheel import make_wheel
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
+from service.request.schema import ValveRequest
 from service.result.output import write_result
 from service.result.result import Verdict
+from service.setup.prepare import prepare
+from service.tasks.valve_task import list_choices, read_given_valve
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TRUTH = json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())["valve"]
@@ -155,6 +161,21 @@ def test_the_pressed_spoke_is_counted_in_the_scan(shipped):
     (check,) = [check for check in result.certificate.checks if check.name.startswith("coverage.pressed.")]
     assert check.name.startswith("coverage.pressed.spoke/")
     assert check.value >= check.limit == 4
+
+
+def test_spokes_that_the_scan_shows_are_tried_first():
+    """With four spokes of which only one was seen, every hand tries this one before the others."""
+    turn = ValveRequest(**given(spokes_deg=SPOKES))
+    valve = read_given_valve(turn)
+    setup = prepare(request({"turn_deg": 90, **given()}))
+    body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims())
+    for shown in range(4):
+        parts = tuple(
+            SeenPart(f"spoke/{k}", ((0.1, 0.0),), (20,) if k == shown else (0,), (0,), 0.02) for k in range(4)
+        )
+        choices = list(list_choices(body, make_wheel(valve, turn, parts), list(HANDS.values()), turn))
+        firsts = [choice.entry for choice in choices[::3]]
+        assert firsts == [pytest.approx(np.deg2rad(SPOKES[shown]))] * len(firsts)
 
 
 def edit_result(folder: Path, target: Path, edit: Callable[[dict], None]) -> Path:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.detect.valve.ring import CLOSE, Gate, Passage, Ring, depth_error, rim_hits
+from perception.detect.valve.ring import CLOSE, Passage, Ring, depth_error, rim_hits
 from perception.sightlines import Sightlines
 
 _DEPTH = 0.06
@@ -68,9 +68,7 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
     inner = ring.radius - ring.half_width
     behind = rays.length - passage.crossing
     solid, through = np.abs(behind) < _DEPTH, behind >= _DEPTH
-    # Seen aslant, the rim's far wall stops rays that crossed its plane inside: they show neither spoke nor opening.
-    at_rim = rim_hits(rays, ring, passage, Gate(_DEPTH, CLOSE.beside))
-    known = (distance < inner - 0.004) & (solid | through) & ~at_rim
+    known = (distance < inner - 0.004) & (solid | through)
     if known.sum() < _FEWEST or inner <= 0.02:
         return Inside((), 0.0, 0.0, False, 0.0, max(inner, 0.0), (-ring.half_depth, ring.half_depth), 0.0, 0, 0.0)
     at_wheel = known & solid

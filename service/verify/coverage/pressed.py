@@ -25,12 +25,17 @@ def check_pressed(phases: Sequence[Phase]) -> Iterator[Check]:
     for part in list_pressed(phases):
         if part.source == "given":
             continue
-        is_seen = part.source == "scan" and part.n_points >= LEAST_POINTS
-        is_seen = is_seen and part.n_through <= MOST_THROUGH * part.n_points
+        is_seen = is_shown(part)
         text = _describe(part) + (f"; {part.remedy}" if part.remedy and not is_seen else "")
         basis = Basis.SAMPLES if is_seen else Basis.UNPROVEN
         prefix = ASSUMED if part.source == "assumed" else PRESSED
         yield Check(f"{prefix}{part.name}", True, part.n_points, LEAST_POINTS, "points", text, None, basis)
+
+
+def is_shown(part: PressedPart) -> bool:
+    """Return whether a part is given, or a scan shows that it is there."""
+    has_points = part.n_points >= LEAST_POINTS and part.n_through <= MOST_THROUGH * part.n_points
+    return part.source == "given" or (part.source == "scan" and has_points)
 
 
 def note_given(phases: Sequence[Phase]) -> Iterator[str]:
@@ -45,6 +50,6 @@ def _describe(part: PressedPart) -> str:
         return f"the {part.name} that the hand presses is assumed"
     where = f"within {1e3 * part.within_m:.0f} mm of its surface and {1e3 * part.near_m:.0f} mm of the hold"
     seen = f"{part.n_points} points of the scan lie on {part.name} {where}, and {part.n_through} rays pass through it"
-    if part.n_points >= LEAST_POINTS and part.n_through <= MOST_THROUGH * part.n_points:
+    if is_shown(part):
         return seen
     return f"{seen}; at least {LEAST_POINTS} points are needed, and at most {MOST_THROUGH:g} rays per point"
