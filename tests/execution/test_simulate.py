@@ -183,8 +183,8 @@ def test_a_valve_turns_as_far_as_planned_and_stays_when_the_hand_is_away(tmp_pat
     assert abs(wheel["end"]) >= 0.95 * abs(wheel["planned"])
     (load,) = (load for phase in made["phases"] for load in phase["loads"])
     assert load["expected_n"] < load["abort_n"] < load["cap_n"]
-    # The plan knows the friction of the peg: without it the hand is drawn to the hub and presses 1.25 times as hard.
-    assert 0.95 * load["expected_n"] < load["peak_n"] < 1.1 * load["expected_n"]
+    # The plan expects the largest friction of the peg, 0.6, and physics has 0.3 here: 1.044 / 1.166 of the force.
+    assert 0.85 * load["expected_n"] < load["peak_n"] < 1.1 * load["expected_n"]
     assert (load["exceeded_s"], load["is_exceeded"]) == (0.0, False)
     check_folder(folder)  # a later plan may replace the folder, simulation.json included
     # Without the hand the wheel's friction holds it.

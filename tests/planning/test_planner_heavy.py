@@ -110,8 +110,8 @@ def test_physics_has_the_same_masses(
     """
     for name, (_, folder) in (("drawer", drawer), ("hatch", hatch), ("lid", lid)):
         made = simulate(folder, output=tmp_path / f"{name}.json")
-        (moved,) = made["mechanism"]
-        assert moved["share"] >= 0.95, name
+        assert made["verdict"] == "DONE", name
+        assert all(moved["share"] >= 0.95 for moved in made["mechanism"]), name
         for load in (load for phase in made["phases"] for load in phase["loads"]):
             assert 0.9 * load["expected_n"] < load["peak_n"] < 1.3 * load["expected_n"], name
 
@@ -173,5 +173,5 @@ def test_the_shipped_lies_about_weights_and_shapes_are_refused_or_named(shared_d
     assert heavy.verdict is not Verdict.CERTIFIED
     assert any("of its torque during move slide" in line for line in heavy.explanation)
     assert any("velocity limits are 0 (slide)" in note for note in prepare(parse_request(read("vel0"))).notes)
-    (note,) = (note for note in prepare(parse_request(read("solid"))).notes if "inside" in note)
-    assert "mechanism/drawer/drawer.1 is 100 mm inside fixture/cupboard.1" in note
+    with pytest.raises(RequestError, match=r"mechanism/drawer/drawer\.1 is 0\.10 m inside fixture/cupboard\.1"):
+        prepare(parse_request(read("solid")))

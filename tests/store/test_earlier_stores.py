@@ -15,10 +15,11 @@ from earlier_results import VERSIONS, unpack
 from planner_server import planner_server
 
 from service.client import PlannerClient, PlannerError
+from service.errors import ResultError
 from service.proto.planner.v1.planner_pb2 import STANDING_STATE_HOLDS
 from service.proto.planner.v1.result_pb2 import VERDICT_CERTIFIED
 from service.request.file import has_hash, parse_request
-from service.result.approval import check_approval, read_public_key
+from service.result.approval import check_approval, open_approval, read_public_key
 from service.store import PlanState, Store
 
 POST = {"name": "post", "type": "cylinder", "radius": 0.03, "height": 0.4, "position": [0.75, 0.0, 0.0]}
@@ -52,7 +53,7 @@ def test_a_store_of_an_earlier_release_keeps_its_plans_and_reviews(data: Path) -
             assert has_hash(parse_request(REACH), sha256)
             comments = [review.comment for review in store.reviews.find(plan_id)]
             assert comments == (["seen from all sides"] if request_id == "accepted" else [])
-            assert store.reviews.is_accepted(plan_id) == (request_id == "accepted")
+            assert not store.reviews.is_accepted(plan_id)  # reviews of those releases have no validity
 
 
 def test_a_server_on_an_earlier_store_answers_the_same_requests_with_the_same_plans(data: Path, tmp_path: Path) -> None:
@@ -67,7 +68,7 @@ def test_a_server_on_an_earlier_store_answers_the_same_requests_with_the_same_pl
             assert client.get_plan(plan.plan_id).record.request_id == request_id
         folder = tmp_path / "seen"
         seen = client.get_plan(plan.plan_id, out=folder).record
-        assert (seen.is_approved, [review.comment for review in seen.reviews]) == (True, ["seen from all sides"])
+        assert (seen.is_approved, [review.comment for review in seen.reviews]) == (False, ["seen from all sides"])
         for found in (client.verify(plan.plan_id).standing, client.verify(folder).standing):
             assert (found.state, found.release) == (STANDING_STATE_HOLDS, data.name)
         other = parse_request({**REACH, "options": {"hand_friction": [0.2, 0.9]}})
@@ -83,6 +84,9 @@ def test_an_approval_of_0_3_0_is_read_and_fits_its_files(tmp_path: Path) -> None
     with tarfile.open(fileobj=io.BytesIO((data / "plans" / "archives" / plan_id).read_bytes())) as archive:
         archive.extractall(folder, filter="data")
     (folder / "approval.json").write_bytes(envelope)
-    approval = check_approval(folder, read_public_key(VERSIONS / "approval_key.pub.pem"))
+    key = read_public_key(VERSIONS / "approval_key.pub.pem")
+    approval = open_approval(envelope, key)
     assert (approval.plan_id, approval.verdict, approval.comment) == (plan_id, "CERTIFIED", "seen from all sides")
     assert has_hash(parse_request(REACH), approval.request_sha256)
+    with pytest.raises(ResultError, match=r"of release 0\.3\.0, has no validity"):
+        check_approval(folder, key)

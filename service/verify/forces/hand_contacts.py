@@ -43,6 +43,7 @@ LEAST_SHARE = 0.4  # of the pressure of a contact that slides, along the way
 HELD_SHARE = 1.0 / 3.0  # of the friction angle that keeps another joint still while the hand sets on
 MOVES = 1e-4  # by which a joint moves [rad, m]
 _DISTANCE_ERROR_M = 1e-6  # tolerance of coal's distances, which counts like a displacement of the core
+NOTHING_HOLDS = float(np.pi)  # by which cones would have to be wider where none suffices [rad]
 MOST_HALVINGS = 8  # of intervals: a contact that needs more is at the edge of its cone
 _GAP_RESOLUTION_M = 5e-4
 _RESOLUTION = float(np.deg2rad(1.0))
@@ -289,17 +290,17 @@ def find_pushed_body(motion: Motion, contact: HandContact) -> LinkBody:
 def measure_excess(push: HandPush, met: Sequence[Meeting]) -> float:
     """Return how much wider the friction cones at a pose would have to be for the push; negative where it holds [rad].
 
-    Infinite where nothing touches, or where a force would exceed a cap.
+    Half a turn where nothing touches, or where a force would exceed a cap.
     """
     touching = [(contact, each) for contact, each in zip(push.contacts, met, strict=True) if each.is_touching]
     if not touching:
-        return float("inf")
-    jams = -float("inf")
+        return NOTHING_HOLDS
+    jams = -NOTHING_HOLDS
     if len(touching) == 1:
         ((contact, meeting),) = touching
         jams = meeting.angle - find_jamming_angle(push)
         if jams <= 0.0 and push.force_n > contact.cap_n * np.cos(meeting.angle):
-            return float("inf")
+            return NOTHING_HOLDS
         if jams > 0.0 or not push.held:
             return jams
     return max(jams, _search_widening(push, touching))
@@ -313,7 +314,7 @@ def _search_widening(push: HandPush, touching: Sequence[tuple[HandContact, Meeti
         return -cone - _bisect(0.0, 0.25 * np.pi, balance.holds_about)
     widest = 0.5 * np.pi - cone - 1e-3
     if not balance.exists(cone + widest):
-        return float("inf")
+        return NOTHING_HOLDS
     ends = (0.0, cone) if balance.exists(cone) else (-widest, 0.0)
     return -_bisect(*ends, lambda narrower: balance.exists(cone - narrower))
 
