@@ -80,7 +80,7 @@ def test_a_rod_behind_a_face_would_have_to_pull_it() -> None:
     met = meet(make_rod(), make_body(BLOCK), at(0.02 + RADIUS, 0.0, 0.03), 1.0, (ALONG_X,))
     assert met.angle == pytest.approx(np.pi, abs=1e-5)
     assert measure_excess(make_push(), (met,)) > 0.5 * np.pi
-    assert "would have to pull m/body: its normal is 180 deg off" in describe_failure(make_push(), met.angle)
+    assert "would have to pull m/body: the contact's normal is 180 deg off" in describe_failure(make_push(), met.angle)
 
 
 def test_a_rod_that_crosses_a_bar_presses_along_the_common_perpendicular_of_both_axes() -> None:

@@ -92,9 +92,9 @@ def check_hand_contacts(prepared: PreparedMotion, phase: Phase, settings: Verify
 def describe_push(push: HandPush, angle: float) -> str:
     """Return a sentence about contacts that push, given the least angle between way and normal [rad]."""
     surfaces, bodies = _name_contacts(push)
-    held = "".join(f", {held.joint} stays" for held in push.held)
+    held = f" while {' and '.join(held.joint for held in push.held)} stays" if push.held else ""
     low, high = push.friction
-    degrees = f"{np.rad2deg(angle):.1f} deg off the way of {push.joint}{held}"
+    degrees = f"{np.rad2deg(angle):.1f} deg off the way of joint {push.joint}{held}"
     return f"{surfaces} pushes {bodies} {degrees}, with a friction of {low:g} to {high:g}"
 
 
@@ -102,14 +102,14 @@ def describe_failure(push: HandPush, angle: float) -> str:
     """Return a sentence about contacts that do not push, given the least angle between way and normal [rad]."""
     surfaces, bodies = _name_contacts(push)
     if not np.isfinite(angle):
-        return f"{surfaces} does not touch {bodies}, which it is to push the way of {push.joint}"
-    degrees = f"its normal is {np.rad2deg(angle):.0f} deg off the way of {push.joint}"
+        return f"{surfaces} does not touch {bodies}, which it is to push the way of joint {push.joint}"
+    degrees = f"the contact's normal is {np.rad2deg(angle):.0f} deg off the way of joint {push.joint}"
     low, high = push.friction
     if angle > _MORE_THAN_SQUARE:
         return f"{surfaces} would have to pull {bodies}: {degrees}, and a contact only pushes"
     most = find_jamming_angle(push)
     if angle > most:
-        return f"{surfaces} jams on {bodies}: {degrees}, a friction of {high:g} permits {np.rad2deg(most):.0f}"
+        return f"{surfaces} jams on {bodies}: {degrees}, a friction of {high:g} permits at most {np.rad2deg(most):.0f}"
     if push.held:
         held = " and ".join(held.joint for held in push.held)
         return f"{surfaces} would move {held} besides {push.joint}: a friction of {low:g} does not prevent it"
