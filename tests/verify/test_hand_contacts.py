@@ -21,6 +21,7 @@ from service.verify.forces.hand_contacts import (
     TOUCH_GAP_M,
     Meeting,
     describe_failure,
+    describe_push,
     find_jamming_angle,
     measure_excess,
     meet,
@@ -116,6 +117,9 @@ def test_two_fingers_carry_twice_their_squeeze_times_the_least_friction(force: f
     way = np.array([0.0, 1.0, 0.0])
     met = (make_meeting(OUT, way), make_meeting(-OUT, way))
     assert (measure_excess(make_push(*pads, force=force), met) <= 0.0) is holds
+    push, square = make_push(*pads, force=force), 0.5 * np.pi
+    assert describe_push(push, square).startswith("pad 0 and pad 1 together push m/body the way of joint slide")
+    assert "pad 0 and pad 1 together do not push m/body" in describe_failure(push, square)
 
 
 # --- rules --------------------------------------------------------------------------------------------------

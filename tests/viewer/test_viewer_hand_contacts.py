@@ -135,7 +135,7 @@ def test_a_push_that_holds_is_green_while_its_phase_lasts_and_z_hides_it(browser
     assert count(browser, GREEN) == 0
     browser.open(page + "4")
     assert legends(browser) == [
-        "the rod on rim/0: friction 0.3 (cone) to 0.6 (outline), normal 20° off the way of valve_turn (arrow)"
+        "the rod on rim/0: friction 0.3 (cone) to 0.6 (outline), normal 20° off the way of joint valve_turn (arrow)"
     ]
     rows = browser.run("[...document.querySelectorAll('.now dd')].map((e) => e.textContent)")
     assert "the rod on rim/0 moves valve_turn, friction 0.3 to 0.6" in rows

@@ -128,7 +128,7 @@ export class HandContacts implements Layer {
       const off = figure(Number(((180 / Math.PI) * angle).toFixed(0)), "deg");
       return {
         colour: colours[COLOURS[kind]],
-        text: `${surface} on ${body}: friction ${low} (cone) to ${high} (outline), normal ${off} off the way of ${joint} (arrow)${says}`,
+        text: `${surface} on ${body}: friction ${low} (cone) to ${high} (outline), normal ${off} off the way of joint ${joint} (arrow)${says}`,
       };
     });
   }
