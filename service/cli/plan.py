@@ -14,7 +14,7 @@ from costs.stopping import stops_when
 from costs.threads import use_all_cores
 from service.cli.command import command
 from service.cli.options import Json
-from service.cli.report import print_result
+from service.cli.report import list_files, print_result
 from service.cli.run import cancellable, consoles, print_json, progress
 
 if TYPE_CHECKING:
@@ -134,8 +134,7 @@ def plan_command(
     if as_json:
         print_json({**summary, **({} if written is None else written.to_json())})
     else:
-        lines = {} if written is None else {"viewer": written.viewer, "trajectory": written.trajectory}
-        print_result(stdout, summary, lines)
+        print_result(stdout, summary, list_files(written, summary))
     return str(result.verdict.value)
 
 

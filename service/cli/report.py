@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from service.result.folder import ResultFiles
 
 SEEN_TOUCH_M = 1e-4  # smaller overlaps are those of feet that rest on a floor
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
@@ -35,6 +38,13 @@ def print_result(out: Console, summary: Mapping[str, Any], lines: Mapping[str, o
     for label, value in (lines or {}).items():
         print_line(out, label, value)
     print_verdict(out, summary)
+
+
+def list_files(files: ResultFiles | None, summary: Mapping[str, Any]) -> dict[str, object]:
+    """Return the files of a result folder that a person opens, by label; without a motion the page alone."""
+    if files is None:
+        return {}
+    return {"viewer": files.viewer, **({} if summary["duration_s"] is None else {"trajectory": files.trajectory})}
 
 
 def print_line(out: Console, label: str, value: object) -> None:

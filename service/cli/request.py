@@ -10,7 +10,7 @@ import typer
 
 from service.cli.command import command
 from service.cli.options import Json, ServerOptions
-from service.cli.report import print_result
+from service.cli.report import list_files, print_result
 from service.cli.run import Report, consoles, ended_by_sigterm, print_json, progress
 
 if TYPE_CHECKING:
@@ -67,8 +67,7 @@ def request_command(
         paths = {} if files is None else files.to_json()
         print_json({**summary, "plan_id": plan.plan_id, "request_id": plan.request_id, **paths})
     else:
-        paths = {} if files is None else {"viewer": str(files.viewer), "trajectory": str(files.trajectory)}
-        print_result(stdout, summary, {"plan": plan.plan_id, **paths})
+        print_result(stdout, summary, {"plan": plan.plan_id, **list_files(files, summary)})
     return plan.verdict
 
 

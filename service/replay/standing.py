@@ -13,7 +13,7 @@ from service.verify import Basis, Certificate
 HELD_BEFORE = "HELD_BEFORE"
 MOST_NAMED = 3  # checks in a sentence
 
-CHANGED_CHECKS: dict[int, tuple[str, ...]] = {3: ("target.",)}
+CHANGED_CHECKS: dict[int, tuple[str, ...]] = {3: ("target.", "axis.", "circle.", "keep.", "planted.")}
 """First words of the names of checks whose meaning a format changed; values of earlier formats are not compared."""
 
 

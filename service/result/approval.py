@@ -178,13 +178,13 @@ def format_time(seconds: float) -> str:
 
 def _find_lapse(approval: Approval, now: float) -> str:
     """Return why an approval is not valid at a time; empty if it is."""
-    given, today = f"the approval by {_name(approval)}", f"today is {format_time(now)}"
+    given, now_is = f"the approval by {_name(approval)}", f"it is now {format_time(now)}"
     if approval.expires_at is None:
         return f"{given} is of release 0.3.0, has no validity and counts as expired; review the plan again"
     if now >= approval.expires_at:
-        return f"{given} expired on {format_time(approval.expires_at)} ({today}); review the plan again"
+        return f"{given} expired on {format_time(approval.expires_at)} ({now_is}); review the plan again"
     if now < approval.approved_at - CLOCK_TOLERANCE_S:
-        return f"{given} is of the future ({today}); check this computer's clock"
+        return f"{given} is of the future ({now_is}); check this computer's clock"
     if approval.verdict != CERTIFIED and approval.despite != approval.verdict:
         return f"{given} is of a plan that is {approval.verdict}, and does not say despite {approval.verdict}"
     return ""

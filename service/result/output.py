@@ -29,7 +29,15 @@ from service.result.motion_json import samples_of
 from service.result.result import PlanResult
 from service.result.result_json import to_result_json
 from service.verify import Motion
-from service.viewer import list_drawn_frames, place_links, place_poses, write_glb, write_openrave, write_viewer
+from service.viewer import (
+    list_drawn_frames,
+    place_links,
+    place_poses,
+    trace_hand_contacts,
+    write_glb,
+    write_openrave,
+    write_viewer,
+)
 
 
 def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
@@ -94,6 +102,7 @@ def draw_views(
     visuals = [mesh for mesh in read_robot_visuals(robot) if robot.model.existFrame(mesh.link)]
     links = tuple(dict.fromkeys([*list_drawn_frames(robot, data), *(mesh.link for mesh in visuals)]))
     placements = place_links(robot, q[:, : robot.n], links)
-    write_viewer(data, placements, folder / VIEWER_NAME, place_poses(robot, data), visuals)
+    pressed = () if motion is None else trace_hand_contacts(motion, samples_of(motion), data)
+    write_viewer(data, placements, folder / VIEWER_NAME, place_poses(robot, data), visuals, pressed)
     write_glb(data, placements, folder / GLB_NAME)
     write_openrave(data, folder / OPENRAVE_NAME)

@@ -24,7 +24,7 @@ def find_cause(
     saturation: list[dict[str, Any]],
     touches: list[dict[str, Any]],
 ) -> str:
-    """Return a sentence on the fall: when, in which phase, and the first unusual event before it."""
+    """Return a sentence on the fall: when, in which phase or how long after the plan, and the first unusual event."""
     reference, record = execution.reference, execution.record
     fell = record.fell_at_s or 0.0
     phase = reference.find_phase(fell).name
@@ -47,7 +47,8 @@ def find_cause(
             if high:
                 events.append((float(record.times[high[0]]), f"the force of {load.tool} passed {load.abort_n:.0f} N"))
     recent = sorted(event for event in events if event[0] > fell - BEFORE_FALL_S)
-    words = f"fell at {fell:.2f} s in phase '{phase}'"
+    after = fell - reference.duration_s
+    words = f"fell at {fell:.2f} s" + (f", {after:.2f} s after the plan" if after > 0.0 else f" in phase '{phase}'")
     if not recent:
         earlier = int(np.abs(record.times - (fell - EARLIER_S)).argmin())
         off = 1e3 * float(np.linalg.norm((frames.com() - frames.com(True))[earlier, :2]))

@@ -10,7 +10,7 @@ import numpy as np
 
 from service.result.motion_json import samples_of
 from service.simulation.run import Execution
-from service.viewer import list_drawn_frames, make_pose_graph, place_links, place_poses
+from service.viewer import list_drawn_frames, make_pose_graph, place_links, place_poses, trace_hand_contacts
 from service.viewer.files import replace_file
 from service.viewer.html import render_viewer
 from service.viewer.movables import place_movables
@@ -29,7 +29,8 @@ def write_page(data: Mapping[str, Any], execution: Execution, report: Mapping[st
     robot, motion = execution.reference.robot, execution.reference.motion
     frames = list_drawn_frames(robot, data)
     planned = place_links(robot, motion.curve(samples_of(motion)), frames)
-    payload = make_payload(data, planned)
+    pressed = trace_hand_contacts(motion, samples_of(motion), data)
+    payload = make_payload(data, planned, hand_contacts=pressed)
     poses = place_poses(robot, data)
     if poses is not None:
         payload["pose_graph"] = make_pose_graph(data["pose_graph"], poses)

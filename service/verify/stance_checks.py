@@ -66,17 +66,19 @@ def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Chec
     at = path.at(np.array([extreme.s]))[0][0].mean(axis=0)
     text = f"{contact.link} drifts at most {round_up(1e3 * extreme.bound, 2)} mm during {phase.name}"
     name = f"planted.{phase.name}.{contact.link}"
-    yield proof.check(name, extreme, contact.tolerance_m, "m", text, at, names=(contact.link,))
+    failure = f"{contact.link} drifts by {round_down(1e3 * extreme.sampled, 2)} mm during {phase.name}"
+    promise = f"{contact.link} drifts at most {1e3 * contact.tolerance_m:g} mm during {phase.name}"
+    names = (contact.link,)
+    yield proof.check(name, extreme, contact.tolerance_m, "m", text, at, names=names, failure=failure, promise=promise)
     knots = edges_within(proof.prepared.motion.curve.knots, phase)
     if len(knots):
         drifts = drift(knots)
         worst = int(drifts.argmax())
         at_knots = Extreme(float(drifts[worst]), float(drifts[worst]), float(knots[worst]), True)
-        text = (
-            f"{contact.link} is off by at most {round_up(1e3 * at_knots.bound, 3)} mm at the waypoints of {phase.name}"
-        )
-        limit = contact.knot_tolerance_m
-        yield proof.check(f"{name}.waypoints", at_knots, limit, "m", text, at, names=(contact.link,))
+        limit, off = contact.knot_tolerance_m, 1e3 * at_knots.bound
+        words = f"at most {round_up(off, 3)}" if at_knots.bound <= limit else f"{round_down(off, 3)}"
+        text = f"{contact.link} is off by {words} mm at the waypoints of {phase.name}"
+        yield proof.check(f"{name}.waypoints", at_knots, limit, "m", text, at, names=names)
 
 
 def _support_check(phase: Phase, support: SupportPolygon) -> Check:

@@ -1,6 +1,7 @@
 """Viewer files of a result: an HTML page, a GLB, and OpenRAVE's environment and trajectory."""
 
 from service.viewer.glb import write_glb
+from service.viewer.hand_contacts import trace_hand_contacts
 from service.viewer.html import write_viewer
 from service.viewer.openrave import write_openrave
 from service.viewer.placements import LinkPlacements, list_drawn_frames, place_links
@@ -12,6 +13,7 @@ __all__ = [
     "make_pose_graph",
     "place_links",
     "place_poses",
+    "trace_hand_contacts",
     "write_glb",
     "write_openrave",
     "write_viewer",

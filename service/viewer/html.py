@@ -27,6 +27,7 @@ def write_viewer(
     path: Path,
     poses: LinkPlacements | None = None,
     visuals: Sequence[VisualMesh] = (),
+    hand_contacts: Sequence[Sequence[Mapping[str, Any]]] = (),
 ) -> None:
     """Write a self-contained viewer of a result.
 
@@ -36,11 +37,12 @@ def write_viewer(
         path: file to write.
         poses: links at the poses of ``result["pose_graph"]`` (``place_poses``); without them no graph is shown.
         visuals: meshes that the robot's links look like; the page then shows them and hides the collision hulls.
+        hand_contacts: those of each phase (``trace_hand_contacts``).
 
     Raises:
         ValueError: see ``make_payload`` and ``make_pose_graph``.
     """
-    payload = make_payload(result, placements, visuals)
+    payload = make_payload(result, placements, visuals, hand_contacts)
     if poses is not None:
         payload["pose_graph"] = make_pose_graph(result["pose_graph"], poses)
     replace_file(path, render_viewer(payload).encode("utf-8"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,10 @@ MAX_VERTICES = 65_535  # of one mesh, whose indices have 16 bits
 
 
 def make_payload(
-    result: Mapping[str, Any], placements: LinkPlacements, visuals: Sequence[VisualMesh] = ()
+    result: Mapping[str, Any],
+    placements: LinkPlacements,
+    visuals: Sequence[VisualMesh] = (),
+    hand_contacts: Sequence[Sequence[Mapping[str, Any]]] = (),
 ) -> dict[str, Any]:
     """Return everything the page draws, JSON-ready.
 
@@ -30,6 +34,7 @@ def make_payload(
         placements: the links of ``result["bodies"]`` at the samples of ``result["trajectory"]``; without a trajectory,
             a single pose or none.
         visuals: meshes that the robot's links look like, drawn instead of the collision hulls.
+        hand_contacts: those of each phase (``trace_hand_contacts``); none are drawn without.
 
     Raises:
         ValueError: placements and trajectory have different numbers of samples, or a body's link has no placement.
@@ -62,7 +67,10 @@ def make_payload(
         "pieces": [_make_piece(piece) for piece in _get_list(result, "pieces")],
         "movables": [_make_movable(movable, len(times), kept) for movable in movables],
         "waypoints": np.searchsorted(kept, [i for i in waypoints if 0 <= i < len(times)]).tolist(),
-        "phases": [_make_phase(phase, times, kept, com, moved) for phase in phases],
+        "phases": [
+            {**_make_phase(phase, times, kept, com, moved), "hand_contacts": list(pressed)}
+            for phase, pressed in zip(phases, chain(hand_contacts, repeat(())), strict=False)
+        ],
         "support": [_make_support(polygon, times) for polygon in _get_list(result, "support_polygons")],
         "com": pack(com[kept], "f4"),
         "cloud": quantize(_read_cloud(result)),
@@ -226,7 +234,8 @@ def _make_phase(
     found = phase.get("regions") or []
     wrench = sum_loads(phase, moved) if found and len(times) else np.zeros((len(times), 6))
     regions = [_make_region(region, phase, times, kept, com, wrench) for region in found]
-    return {**_replace_samples(phase, times), "regions": regions}
+    rest = {key: value for key, value in phase.items() if key != "pushes"}
+    return {**_replace_samples(rest, times), "regions": regions}
 
 
 def _make_region(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from service.cli.report import SMALL_LINK_M, print_figures, print_findings, print_verdict
+from service.cli.report import SMALL_LINK_M, list_files, print_figures, print_findings, print_verdict
+from service.result.folder import ResultFiles
 from service.verify import certificate
 
 
@@ -75,3 +77,10 @@ def test_figures_say_when_nothing_is_proven() -> None:
 
 def test_the_verdict_counts_those_links_as_small_that_the_certificate_leaves_unchecked() -> None:
     assert certificate.SMALL_LINK_M == SMALL_LINK_M
+
+
+def test_a_plan_without_a_motion_names_no_trajectory(tmp_path: Path) -> None:
+    files = ResultFiles(tmp_path)
+    assert list(list_files(files, {"duration_s": 4.5})) == ["viewer", "trajectory"]
+    assert list(list_files(files, {"duration_s": None})) == ["viewer"]
+    assert list_files(None, {"duration_s": None}) == {}

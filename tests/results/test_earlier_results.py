@@ -84,20 +84,20 @@ def test_a_check_that_came_later_is_named_only_where_it_does_not_hold(
 
 
 def test_a_check_that_fails_is_damage_unless_its_meaning_changed(latest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail_target(certificate: Certificate) -> Certificate:
+    def fail_limits(certificate: Certificate) -> Certificate:
         checks = tuple(
-            dataclasses.replace(check, ok=False, value=1.0) if check.name.startswith("target.") else check
+            dataclasses.replace(check, ok=False, value=1.0) if check.name.startswith("limits.position") else check
             for check in certificate.checks
         )
         return dataclasses.replace(certificate, checks=checks, status=Status.VIOLATED)
 
-    _change_verifier(monkeypatch, fail_target)
+    _change_verifier(monkeypatch, fail_limits)
     with pytest.raises(DamagedResultError, match="checks are not those of the motion"):
         verify_result(latest)
-    monkeypatch.setitem(standing.CHANGED_CHECKS, 3, ("target.",))
+    monkeypatch.setitem(standing.CHANGED_CHECKS, 3, (*standing.CHANGED_CHECKS[3], "limits.position"))
     summary = verify_result(latest)
     assert summary["verdict"] == HELD_BEFORE
-    assert summary["standing"]["fails"] == ("target.reach.hand",)
+    assert summary["standing"]["fails"] == ("limits.position",)
 
 
 def _move_curve(data: dict[str, Any]) -> None:

@@ -261,9 +261,9 @@ def _check_at(folder: Path, days: float, *revocations: Path) -> Approval:
 @pytest.mark.parametrize(
     ("changes", "days", "words"),
     [
-        ({}, 30.0, r"by ada on 2026-12-01 00:00 UTC expired on 2026-12-31 00:00 UTC \(today is 2026-12-31"),
+        ({}, 30.0, r"by ada on 2026-12-01 00:00 UTC expired on 2026-12-31 00:00 UTC \(it is now 2026-12-31"),
         ({"expires_at": 1796083200.0 + DAY_S}, 1.01, r"expired on 2026-12-02 00:00 UTC"),
-        ({}, -0.01, r"is of the future \(today is 2026-11-30 23:45 UTC\); check this computer's clock"),
+        ({}, -0.01, r"is of the future \(it is now 2026-11-30 23:45 UTC\); check this computer's clock"),
         ({"verdict": "TIME_LIMIT"}, 1.0, r"is of a plan that is TIME_LIMIT, and does not say despite TIME_LIMIT"),
         ({"verdict": "TIME_LIMIT", "despite": "CERTIFIED"}, 1.0, r"and does not say despite TIME_LIMIT"),
         ({"page_sha256": "e" * 64}, 1.0, r"viewer\.html is not the page that the reviewer has seen"),

@@ -21,6 +21,7 @@ from service.verify.forces.hand_contacts import (
     TOUCH_GAP_M,
     Meeting,
     describe_failure,
+    describe_push,
     find_jamming_angle,
     measure_excess,
     meet,
@@ -80,7 +81,7 @@ def test_a_rod_behind_a_face_would_have_to_pull_it() -> None:
     met = meet(make_rod(), make_body(BLOCK), at(0.02 + RADIUS, 0.0, 0.03), 1.0, (ALONG_X,))
     assert met.angle == pytest.approx(np.pi, abs=1e-5)
     assert measure_excess(make_push(), (met,)) > 0.5 * np.pi
-    assert "would have to pull m/body: its normal is 180 deg off" in describe_failure(make_push(), met.angle)
+    assert "would have to pull m/body: the contact's normal is 180 deg off" in describe_failure(make_push(), met.angle)
 
 
 def test_a_rod_that_crosses_a_bar_presses_along_the_common_perpendicular_of_both_axes() -> None:
@@ -116,6 +117,9 @@ def test_two_fingers_carry_twice_their_squeeze_times_the_least_friction(force: f
     way = np.array([0.0, 1.0, 0.0])
     met = (make_meeting(OUT, way), make_meeting(-OUT, way))
     assert (measure_excess(make_push(*pads, force=force), met) <= 0.0) is holds
+    push, square = make_push(*pads, force=force), 0.5 * np.pi
+    assert describe_push(push, square).startswith("pad 0 and pad 1 together push m/body the way of joint slide")
+    assert "pad 0 and pad 1 together do not push m/body" in describe_failure(push, square)
 
 
 # --- rules --------------------------------------------------------------------------------------------------

@@ -68,6 +68,7 @@ def test_the_page_draws_every_kind_of_thing_without_complaint(browser, pages):
         "ghosts": 7,
         "pieces": 2,
         "movables": 1,
+        "hand-contacts": 0,
         "targets": 2,
         "balance": 1,
         "contacts": 2,

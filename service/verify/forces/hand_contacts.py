@@ -77,7 +77,7 @@ def check_hand_contacts(prepared: PreparedMotion, phase: Phase, settings: Verify
             _check_surface(prepared.motion, contact)
         path = PushPath(prepared, push, settings.rounding)
         names = tuple(dict.fromkeys(name for contact in push.contacts for name in (contact.frame, contact.body)))
-        surfaces, bodies = _name_contacts(push)
+        surfaces, bodies = _name_contacts(push, " or ")
         gap = proof.bound(path.bound_gap, TOUCH_GAP_M, _GAP_RESOLUTION_M)
         text = f"{surfaces} touches {bodies} during {phase.name}"
         failure = f"{surfaces} is {1e3 * gap.sampled:.1f} mm off {bodies} during {phase.name}"
@@ -94,11 +94,11 @@ def check_hand_contacts(prepared: PreparedMotion, phase: Phase, settings: Verify
 def describe_push(push: HandPush, angle: float) -> str:
     """Return a sentence about contacts that push, given the least angle between way and normal [rad]."""
     surfaces, bodies = _name_contacts(push)
-    held = "".join(f", {held.joint} stays" for held in push.held)
+    held = f" while {' and '.join(held.joint for held in push.held)} stays" if push.held else ""
     low, high = push.friction
     if len(push.contacts) > 1:
-        return f"{surfaces} move {bodies} the way of {push.joint}{held}, with a friction of {low:g}"
-    degrees = f"{np.rad2deg(angle):.1f} deg off the way of {push.joint}{held}"
+        return f"{surfaces} together push {bodies} the way of joint {push.joint}{held}, with a friction of {low:g}"
+    degrees = f"{np.rad2deg(angle):.1f} deg off the way of joint {push.joint}{held}"
     return f"{surfaces} pushes {bodies} {degrees}, with a friction of {low:g} to {high:g}"
 
 
@@ -106,25 +106,29 @@ def describe_failure(push: HandPush, angle: float) -> str:
     """Return a sentence about contacts that do not push, given the least angle between way and normal [rad]."""
     surfaces, bodies = _name_contacts(push)
     if not np.isfinite(angle):
-        return f"{surfaces} does not touch {bodies}, which it is to push the way of {push.joint}"
-    degrees = f"its normal is {np.rad2deg(angle):.0f} deg off the way of {push.joint}"
+        return f"{surfaces} does not touch {bodies}, which it is to push the way of joint {push.joint}"
+    degrees = f"the contact's normal is {np.rad2deg(angle):.0f} deg off the way of joint {push.joint}"
     low, high = push.friction
     if angle > _MORE_THAN_SQUARE:
         return f"{surfaces} would have to pull {bodies}: {degrees}, and a contact only pushes"
+    if len(push.contacts) > 1:
+        held = f" and keep {' and '.join(held.joint for held in push.held)} still" if push.held else ""
+        able = f"no forces below their caps, inside cones of a friction of {low:g}, do"
+        return f"{surfaces} together do not push {bodies} the way of joint {push.joint}{held}: {able}"
     most = find_jamming_angle(push)
     if angle > most:
-        return f"{surfaces} jams on {bodies}: {degrees}, a friction of {high:g} permits {np.rad2deg(most):.0f}"
+        return f"{surfaces} jams on {bodies}: {degrees}, a friction of {high:g} permits at most {np.rad2deg(most):.0f}"
     if push.held:
         held = " and ".join(held.joint for held in push.held)
         return f"{surfaces} would move {held} besides {push.joint}: a friction of {low:g} does not prevent it"
     return f"{surfaces} slips on {bodies}: {degrees}, a friction of {low:g} does not hold it"
 
 
-def _name_contacts(push: HandPush) -> tuple[str, str]:
-    """Return the surfaces and the bodies of a push in words."""
+def _name_contacts(push: HandPush, word: str = " and ") -> tuple[str, str]:
+    """Return the surfaces and the bodies of a push in words, joined by a word."""
     surfaces = dict.fromkeys(contact.surface for contact in push.contacts)
     bodies = dict.fromkeys(contact.body for contact in push.contacts)
-    return " with ".join(surfaces), " and ".join(bodies)
+    return word.join(surfaces), word.join(bodies)
 
 
 def find_jamming_angle(push: HandPush) -> float:

@@ -6,6 +6,7 @@ import { Body, Movable, Result, readPayload, spanAt } from "./data";
 import { el, tellTimes } from "./dom";
 import { Ghosts } from "./ghosts";
 import { Goal } from "./goal";
+import { HandContacts } from "./hand-contacts";
 import { Header, makeHeader, makeHelp, headline, tone } from "./header";
 import { Labels } from "./labels";
 import { Layer } from "./layer";
@@ -90,7 +91,7 @@ export class App implements Player {
     const reach = Math.max(6, subject.box.getSize(new Vector3()).length() * 2.2);
     this.layers = [
       ...(visuals.count > 0 ? [visuals] : []), this.robot, this.ghosts, this.pieces, this.movables, targets, new Balance(result, z), new Contacts(result),
-      new Cones(result), new Regions(result, z), new Forces(result), loads, this.goal,
+      new Cones(result), new Regions(result, z), new Forces(result), loads, new HandContacts(result), this.goal,
       new Shapeless(result.shapeless, motion), this.marks,
       new Cloud(result.cloud), new Floor(result, z, centre, reach),
       ...(result.simulated ? [new SimulatedRobot(result, [...result.bodies, ...this.movedBodies()], result.simulated)] : []),
@@ -119,7 +120,11 @@ export class App implements Player {
   }
 
   get start(): number { return this.motion.start; }
-  get end(): number { return this.motion.end; }
+  // Of the plan; a robot that fell in physics is seen to the end of its fall.
+  get end(): number {
+    const { simulated } = this.result;
+    return Math.max(this.motion.end, simulated?.verdict === "FELL" ? simulated.times.at(-1) ?? 0 : 0);
+  }
 
   solids(): { name: string; mesh: Mesh }[] {
     return [
@@ -224,7 +229,7 @@ export class App implements Player {
 
   // What the colours of forces and regions mean, of the layers that show some now.
   private explain(): void {
-    const rows = this.layers.map((layer) => layer.legend?.()).filter((legend) => legend !== undefined);
+    const rows = this.layers.flatMap((layer) => layer.legend?.() ?? []);
     this.scales.hidden = rows.length === 0;
     this.scales.replaceChildren(...rows.map(({ colour, text }) => {
       const swatch = el("i");

@@ -17,6 +17,11 @@ export interface Contact {
 }
 // The largest force of a hand on a link of what is moved, in the link's axes, anywhere on place +- slide.
 export interface Load { tool: string; link: string; place: number[]; force_n: number[]; slide: number[] | null }
+// A surface of a hand that presses a body of what is moved; rows of the waypoints of its phase, in the world.
+export interface HandContact {
+  joint: string; surface: string; body: string; friction: [number, number]; force_n: number; check: number | null;
+  times: number[]; points: number[][]; normals: number[][]; ways: number[][]; touches: boolean[];
+}
 // Of the robot or what the task moves: a body, or with null every body of the link; of the scene: a piece.
 export interface BodyRef { owner: "robot" | "scene" | "mechanism"; link: string | null; body: string | null }
 export interface Allowance { first: BodyRef; second: BodyRef; depth: number }
@@ -30,7 +35,7 @@ export interface Region extends Span {
   polygon: number[][]; margin_m: number | null; places: number[][]; frame: number; forces: Float32Array;
 }
 export interface Phase extends Span {
-  name: string; contacts?: Contact[]; allowances?: Allowance[]; targets?: Target[]; loads?: Load[]; regions: Region[];
+  name: string; contacts?: Contact[]; allowances?: Allowance[]; targets?: Target[]; loads?: Load[]; regions: Region[]; hand_contacts?: HandContact[];
 }
 export interface Support extends Span { polygon: number[][]; margin_m?: number; zmp: Float64Array }
 export interface Gap extends Span { names: string[] }

@@ -62,9 +62,11 @@ export function makeHeader(
     button("round", "☰", "Panel (i)", toggle.panel),
   );
   const meaning = result.verdict === GOOD ? basisTold(result) : MEANING[result.verdict] ?? "";
-  const planned = result.times.length > 0 ? meaning : meaning.split("; this is")[0];
+  // A plan without a motion has a reason instead: that comes first.
+  const [reason] = result.explanation;
+  const planned = result.times.length > 1 ? meaning : reason ?? meaning.split("; this is")[0];
   const carried = result.simulated;
-  const said = carried ? `in physics ${carried.reasons[0] ?? IN_PHYSICS[carried.verdict]}; the plan is ${words(result.verdict)}` : planned;
+  const said = carried ? `in physics, ${carried.reasons[0] ?? IN_PHYSICS[carried.verdict]}; the plan is ${words(result.verdict)}` : planned;
   const verdict = el("div", `verdict ${tone(headline(result))}`, words(headline(result) || "NO VERDICT"));
   verdict.title = said;
   const title = [result.robot, result.task].filter(Boolean).map(words).join(" · ");

@@ -14,5 +14,5 @@ export interface Layer {
   update?(t: number): void;
   recolour(colours: Colours): void;
   xray?(on: boolean): void;
-  legend?(): Legend | undefined;
+  legend?(): Legend | Legend[] | undefined;
 }

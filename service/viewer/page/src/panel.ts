@@ -177,6 +177,9 @@ export class Panel {
     for (const { tool, link, force_n } of phase.loads ?? []) {
       rows.push(["load", `${tool} on ${link}, up to ${figure(Math.hypot(...force_n), "N")}`]);
     }
+    for (const { surface, body, joint, friction } of phase.hand_contacts ?? []) {
+      rows.push(["push", `${surface} on ${body} moves ${joint}, friction ${friction.map((value) => figure(value, null)).join(" to ")}`]);
+    }
     const targets = (phase.targets ?? []).map((target) => [target.frame, target.kind].filter(Boolean).join(" on "));
     if (targets.length > 0) rows.push(["target", [...new Set(targets)].join(", ")]);
     for (const [kind, name, unit] of OF_A_PHASE) {
