@@ -27,7 +27,7 @@ class ImportGraph:
         Args:
             path: of the module's file, relative to the root.
             count: number of test files at most.
-            among: folders or beginnings of names of test files that are preferred, relative to ``tests``.
+            among: folders, relative to ``tests``, that are preferred among those equally near.
         """
         distance, front, steps = {path: 0}, {path}, 0
         while front:
@@ -36,9 +36,9 @@ class ImportGraph:
             distance.update(dict.fromkeys(front, steps))
         words = set(re.split(r"\W|_", path))
 
-        def rank(test: str) -> tuple[bool, int, int, str]:
-            is_far = not test.removeprefix("tests/").startswith(tuple(among))
-            return is_far, distance[test], -len(words & set(re.split(r"\W|_", test))), test
+        def rank(test: str) -> tuple[int, bool, int, str]:
+            is_elsewhere = not test.removeprefix("tests/").startswith(tuple(among))
+            return distance[test], is_elsewhere, -len(words & set(re.split(r"\W|_", test))), test
 
         tests = [name for name in distance if re.search(r"/test_\w+\.py$", name)]
         return sorted(tests, key=rank)[:count]

@@ -80,11 +80,11 @@ def test_the_nearest_tests_import_a_module_by_the_fewest_steps_and_have_its_word
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     graph = ImportGraph(tmp_path)
-    nearest = ["tests/own/test_direct.py", "tests/own/test_by_helper.py"]
-    others = ["tests/other/test_deep_thing.py", "tests/other/test_far.py"]
-    assert graph.find_nearest_tests("scopt/deep.py", 9, ("own/",)) == nearest + others
-    assert graph.find_nearest_tests("scopt/deep.py", 2, ("other/",)) == others
-    assert graph.find_nearest_tests("scopt/deep.py", 9, ("",)) == [others[0], nearest[0], others[1], nearest[1]]
+    direct, by_helper = "tests/own/test_direct.py", "tests/own/test_by_helper.py"
+    named_alike, far = "tests/other/test_deep_thing.py", "tests/other/test_far.py"
+    assert graph.find_nearest_tests("scopt/deep.py", 9, ("own/",)) == [direct, named_alike, by_helper, far]
+    assert graph.find_nearest_tests("scopt/deep.py", 9, ("other/",)) == [named_alike, direct, far, by_helper]
+    assert graph.find_nearest_tests("scopt/deep.py", 2, ("",)) == [named_alike, direct]
 
 
 def test_a_mutant_is_killed_survives_or_never_ends_and_a_test_that_fails_anyway_tells_nothing(tmp_path: Path) -> None:
