@@ -12,15 +12,17 @@ import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.mutants.mutations import Mutant, list_mutants
-from benchmarks.mutants.nearest import PACKAGES, ImportGraph
+from benchmarks.mutants.nearest import ImportGraph
 from benchmarks.tables import print_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,6 +39,8 @@ GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 MOST_TESTS = 6  # files per mutant
 MOST_SECONDS = 120.0  # per mutant, which may never end
 CRASH = "crash"
+OPTIONS = ("-x", "-q", "-rfE", "-p", "no:cacheprovider", "-m", "not slow")
+NOT_COPIED = (".*", "__pycache__", "node_modules", "*.egg-info", "out", "site")
 
 
 @dataclass
@@ -60,67 +64,65 @@ class Tally:
 
 
 class Copy:
-    """Copy of a project in which one file at a time is wrong."""
+    """Copy of a project in which one file at a time is wrong.
+
+    Attributes:
+        broken: tests that fail without any mutant, and are left out.
+    """
 
     def __init__(self, project: Path, root: Path) -> None:
         self.project, self.root = project, root
+        self.broken: set[str] = set()
+        self._sound: set[str] = set()  # tests that have passed without any mutant
         self._changes = 0
-        self._passes: dict[str, bool] = {}  # of single tests in the project as it is
-        for name in (*PACKAGES, "tests", "examples", "tools"):
-            shutil.copytree(project / name, root / name, ignore=shutil.ignore_patterns("__pycache__", "node_modules"))
-        shutil.copy(project / "pyproject.toml", root)
+        shutil.copytree(project, root, ignore=shutil.ignore_patterns(*NOT_COPIED), dirs_exist_ok=True)
 
-    def write(self, path: str, text: bytes) -> None:
+    def judge(self, mutant: Mutant, tests: Sequence[str], seconds: float = MOST_SECONDS) -> str | None:
+        """Return what notices a mutant, as in :meth:`_find_failure`; tests that fail anyway notice nothing."""
+        source = (self.project / mutant.path).read_bytes()
+        while True:
+            self._write(mutant.path, mutant.apply(source))
+            failure = self._find_failure(tests, seconds)
+            self._write(mutant.path, source)
+            if not failure or failure == CRASH or failure in self._sound:
+                return failure
+            is_sound = self._find_failure([failure], MOST_SECONDS) == ""
+            (self._sound if is_sound else self.broken).add(failure)
+
+    def _write(self, path: str, text: bytes) -> None:
         """Write a file as if at another time than before, or its bytecode would be taken for that of the new text."""
         file = self.root / path
         file.write_bytes(text)
         self._changes += 1
         os.utime(file, (self._changes, self._changes))
 
-    def find_failure(self, tests: list[str], seconds: float) -> str | None:
+    def _find_failure(self, tests: Sequence[str], seconds: float) -> str | None:
         """Return the first test that fails, an empty text where all pass, or None where the time is over."""
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-x",
-            "-q",
-            "-rfE",
-            "-m",
-            "not slow",
-            "-p",
-            "no:cacheprovider",
-            *tests,
-        ]
+        tests = [test for test in tests if test not in self.broken]
+        if not tests:
+            return ""
+        left_out = [f"--deselect={test}" for test in self.broken]
+        command = [sys.executable, "-m", "pytest", *OPTIONS]
         environment = {**os.environ, "PYTHONPATH": str(self.root), "OMP_NUM_THREADS": "1"}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        try:
-            done = subprocess.run(
-                command, cwd=self.root, env=environment, capture_output=True, text=True, timeout=seconds, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return None
-        if done.returncode in (0, 5):  # 5: all tests of these files are slow
+        with subprocess.Popen(
+            [*command, *left_out, *tests],
+            cwd=self.root,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            try:
+                output, _ = process.communicate(timeout=seconds)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)  # with the servers that it may have started
+                return None
+        if process.returncode in (0, 5):  # 5: all tests of these files are slow
             return ""
-        failures = re.findall(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", done.stdout, flags=re.MULTILINE)
+        failures = re.findall(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", output, flags=re.MULTILINE)
         return failures[0] if failures else CRASH
-
-    def judge(self, mutant: Mutant, tests: list[str], seconds: float = MOST_SECONDS) -> str | None:
-        """Return what notices a mutant, as in :meth:`find_failure`.
-
-        Raises:
-            SystemExit: a test that fails without the mutant, too.
-        """
-        source = (self.project / mutant.path).read_bytes()
-        self.write(mutant.path, mutant.apply(source))
-        failure = self.find_failure(tests, seconds)
-        self.write(mutant.path, source)
-        if failure and failure != CRASH:
-            if failure not in self._passes:
-                self._passes[failure] = self.find_failure([failure], MOST_SECONDS) == ""
-            if not self._passes[failure]:
-                raise SystemExit(f"{failure} fails without any mutant: mend it first")
-        return failure
 
 
 def draw_mutants(paths: tuple[str, ...], count: int, seed: int, root: Path = ROOT) -> list[Mutant]:
@@ -174,7 +176,9 @@ def main() -> None:
     rows = [[name, *map(str, column)] for name, column in zip(tallies, columns, strict=True)]
     print_table(f"Mutants (seed {seed})", header, rows)
     for tally in tallies.values():
-        print("\n".join(tally.survivors))
+        print(*tally.survivors, sep="\n")
+    if copy.broken:
+        print(f"left out, since they fail without any mutant: {', '.join(sorted(copy.broken))}")
 
 
 if __name__ == "__main__":
