@@ -36,7 +36,7 @@ GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "trust": (("service/trust",), ("store/", "server/")),
     "store": (("service/store",), ("store/",)),
 }
-MOST_TESTS = 6  # files per mutant
+MOST_TESTS = 12  # files per mutant
 MOST_SECONDS = 120.0  # per mutant, which may never end
 CRASH = "crash"
 OPTIONS = ("-x", "-q", "-rfE", "-p", "no:cacheprovider", "-m", "not slow")
