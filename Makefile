@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-egress | bench-physics | attack | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-egress | bench-physics | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -18,7 +18,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-egress bench-physics attack gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-egress bench-physics attack mutants gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -35,6 +35,7 @@ help:
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
+	@echo "make mutants   small errors put into the code one at a time: which of them no near test notices; an hour"
 	@echo "make gallery   a film strip of a motion per task, in out/gallery"
 	@echo "make clean     remove .venv, .venv-ray, .venv-docs, site, out and caches"
 
@@ -112,6 +113,10 @@ bench-physics: $(READY)
 
 attack: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack
+
+# MUTANTS="verify trust --count 30 --minutes 10" names groups, --seed 7 or --fresh draws another sample.
+mutants: $(READY)
+	$(BIN)/python -m benchmarks.mutants $(MUTANTS)
 
 gallery: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python tools/gallery.py

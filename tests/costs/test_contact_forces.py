@@ -141,6 +141,24 @@ def test_torque_limits_move_the_load_to_the_other_foot() -> None:
             assert np.abs(held.forces[0, :2, 2].sum() * 0.5) <= effort + 1e-6
 
 
+@pytest.mark.parametrize(("torque", "expected"), [(100.0, -150.0), (-100.0, -350.0), (400.0, 150.0)])
+def test_contact_forces_take_off_a_torque_what_they_do_at_their_levers(torque: float, expected: float) -> None:
+    # 800 N and 20 Nm about x, from points 0.2 m apart: 500 N act on the left ones, at levers of 0.5 m
+    ground = Ground(
+        np.array([[0.1, 0.1, 0.0], [-0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [-0.1, -0.1, 0.0]]),
+        np.tile([0.0, 0.0, 1.0], (4, 1)),
+        np.full(4, 0.6),
+        np.full(4, 1000.0),
+    )
+    lever = np.zeros((1, 1, 12))
+    lever[0, 0, [2, 5]] = 0.5
+    joints = Joints(np.array([[torque]]), lever, np.array([1000.0]))
+    held = ContactShare(ground, 800.0).hold(np.array([[0.0, 0.0, 800.0, 20.0, 0.0, 0.0]]), joints)
+    assert held.forces[0, :2, 2].sum() == pytest.approx(500.0, abs=1e-3)
+    assert np.abs(held.shares[0]) == pytest.approx([abs(expected) / 1000.0], abs=1e-5)
+    np.testing.assert_allclose(joints.measure_shares(held.forces.reshape(1, -1)), [[expected / 1000.0]], atol=1e-5)
+
+
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_the_part_of_a_motion_that_is_held_is_that_of_the_exact_cones_within_their_pyramids(seed: int) -> None:

@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 from jacobian import check_jacobian
+from quadratic_terms import Affine, Function
 from tiny_robots import PLANAR, SPATIAL, atlas, chain, contact_free_state, random_configurations
 
-from costs.terms import AxisDirection, FramePose, JointDifference, JointTarget, NormWithin, Positive, WithinTolerance
+from costs.terms import (
+    AxisDirection,
+    FramePose,
+    Joined,
+    JointDifference,
+    JointTarget,
+    NormWithin,
+    Positive,
+    WithinTolerance,
+)
 
 ROBOTS = {"atlas": atlas, "chain": lambda: chain(SPATIAL)}
 
@@ -108,3 +118,10 @@ def test_the_tolerated_rows_must_be_a_multiple_of_the_tolerances():
 def test_ill_posed_differences_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         JointDifference(4, np.ones(2), **arguments)
+
+
+@pytest.mark.parametrize("smooth", [(True, True), (True, False), (False, True), (False, False)])
+def test_joined_rows_are_smooth_where_all_are(smooth):
+    row = {True: Function(np.sin, lambda x: np.diag(np.cos(x))), False: Affine([[1.0]], 0.0)}
+    assert all(part.is_smooth is is_smooth for is_smooth, part in row.items())
+    assert Joined([row[is_smooth] for is_smooth in smooth]).is_smooth is (smooth == (True, True))

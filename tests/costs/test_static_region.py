@@ -305,3 +305,33 @@ def test_programs_are_solved_beside_other_users_of_the_solver():
 def test_arguments_that_make_no_sense_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         find_static_region(FEET, **({"mass": MASS} | options))
+
+
+@pytest.mark.parametrize(("depth_m", "is_kept"), [(2e-7, True), (5e-8, False)])
+@pytest.mark.parametrize("across", [[[-0.1, 0.1], [-0.1, -0.1]], [[-0.1, 0.0]]], ids=["square", "triangle"])
+def test_a_corner_counts_where_it_stands_out_by_more_than_a_tenth_of_a_micrometre(across, depth_m, is_kept):
+    corners = np.array([[0.1, 0.1], *across, [0.1, -0.1]])
+    points = np.vstack([corners, [0.1 + depth_m, 0.0]])
+    region = find_static_region(make_contacts(np.c_[points, 0.0 * points[:, 0]], UP, 0.7, 2.0 * WEIGHT), MASS)
+    assert len(region.vertices) == len(corners) + is_kept
+
+
+def test_forces_that_do_not_balance_are_looked_for_anew(monkeypatch):
+    # the same force more along all edges of one point: forces along x and y and yaw still balance
+    class Wrong:
+        def __init__(self, solution):
+            self.col_value = np.array(solution.col_value)
+            self.col_value[: len(self.col_value) // len(FEET.points)] += 0.01
+
+    read, answers = highspy.Highs.getSolution, []
+
+    def read_wrong_at_first(solver):
+        answers.append(read(solver))
+        return Wrong(answers[-1]) if len(answers) in (1, 4) else answers[-1]
+
+    right = find_static_region(FEET, MASS, PUSHED)
+    monkeypatch.setattr(highspy.Highs, "getSolution", read_wrong_at_first)
+    region = find_static_region(FEET, MASS, PUSHED)
+    np.testing.assert_allclose(region.vertices, right.vertices, atol=1e-9)
+    assert witness_defects(FEET, MASS, region).max() < 1e-6
+    assert len(answers) > 4

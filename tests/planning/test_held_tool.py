@@ -3,41 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
-from given_doors import door_request
+from opened_door import compile_opening
 
 from costs.kinematics import locate_links
 from costs.stopping import Stopped, stops_when
-from service.body.monitor import Monitor
+from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import RESERVE_M
-from service.demands.door import DoorChoice, make_door_phases
-from service.demands.door_demand import make_door, measure_peg, read_given_door
-from service.demands.hands import list_robot_hands
 from service.demands.phase_spec import PhaseSpec
-from service.planner import _make_solver
-from service.request.file import parse_request
-from service.setup.prepare import prepare
-from service.tasks.held_tool import INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
-from service.tasks.phase_compiler import PhaseCompiler
-from service.tasks.sequence import PhaseSequence, add_mechanism
-
-ANGLE = np.deg2rad(30.0)
+from service.demands.stance import BALANCE_RESERVE
+from service.tasks.held_tool import INSIDE_RESERVE, INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
+from service.tasks.phase_compiler import PhaseCompiler, list_together
+from service.tasks.sequence import PhaseSequence
+from service.verify import HandLoad
 
 
 @pytest.fixture(scope="module")
 def opening() -> tuple[PhaseCompiler, tuple[PhaseSpec, ...]]:
     """A robot at a pulled door, and the phases in which its peg opens the leaf by 30 degrees."""
-    request = parse_request(door_request("pull", "pull", x=0.75))
-    setup = prepare(request)
-    assert request.task is not None
-    assert request.task.door is not None
-    door = make_door(request.task.door, read_given_door(request.task.door, setup.start[:3]))
-    solver = add_mechanism(_make_solver(setup, Monitor(60.0), None), door.mechanism)
-    hand = next(hand for hand in list_robot_hands(solver.body.robot) if hand.side == "left")
-    choice = DoorChoice(hand, measure_peg(solver.body.robot, hand), 0.0, 1.0, ANGLE)
-    return PhaseCompiler(solver, door.mechanism, {}), make_door_phases(door, choice)
+    return compile_opening()
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +168,21 @@ def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, PhaseSp
     assert follow_tool(compiler.solver.body, line, np.tile(at, (5, 1)), _list_prescribed(compiler)) is None
 
 
+@pytest.mark.parametrize(("length_m", "is_led"), [(0.9e-3, True), (1.1e-3, False)])
+def test_a_path_that_misses_a_place_by_more_than_a_millimetre_is_none(
+    held: tuple[PhaseCompiler, PhaseSpec], length_m: float, is_led: bool
+) -> None:
+    compiler, spec = held
+    body = compiler.solver.body
+    assert spec.hand is not None
+    guess = np.concatenate([body.nominal[: compiler.columns[0]], spec.first])
+    (at,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    line = replace(spec.hand, offset=np.array([0.0, length_m, 0.0]), leaves=True)
+    # no joint may move: the tool stays where the line begins
+    path = follow_tool(body, line, np.tile(at, (2, 1)), np.ones(compiler.robot.n, dtype=bool))
+    assert (path is not None) is is_led
+
+
 def test_a_line_gets_more_waypoints_where_its_certificate_asks_for_them(
     opening: tuple[PhaseCompiler, tuple[PhaseSpec, ...]],
 ) -> None:
@@ -202,3 +204,69 @@ def test_a_line_gets_more_waypoints_where_its_certificate_asks_for_them(
         assert np.linalg.norm(place[:3] - line.place - shares[-1] * line.offset) < 1e-3
     np.testing.assert_allclose(np.array(shares)[[0, 1, 2, 4, 5]], np.linspace(0.0, 1.0, 5), atol=0.02)
     assert shares[3] == pytest.approx(0.575, abs=0.05)
+
+
+def square_region(region: PlannedRegion, middle: np.ndarray, half: float, shift_m: float, last: int) -> PlannedRegion:
+    """A square for all waypoints."""
+    corners = middle + half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return replace(region, first=0, last=last, shift_m=shift_m, region=replace(region.region, vertices=corners))
+
+
+# Position servos want 45 mm, a small region gives three quarters of its depth less the shift, and the margin of the
+# plan with its reserves is kept at least.
+@pytest.mark.parametrize(
+    ("half", "shift_m", "inside_m"),
+    [(0.2, 0.0, 0.045), (0.2, 0.02, 0.065), (0.06, 0.02, 0.02 + 0.75 * 0.04), (0.025, 0.0, None)],
+)
+def test_a_path_is_brought_inside_as_far_as_servos_want_or_a_small_region_allows_and_no_farther(
+    held: tuple[PhaseCompiler, PhaseSpec], half: float, shift_m: float, inside_m: float | None
+) -> None:
+    compiler, spec = held
+    body = compiler.solver.body
+    assert spec.hand is not None
+    guess = np.concatenate([body.nominal[: compiler.columns[0]], spec.first])
+    path = np.repeat(bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler)), 3, axis=0)
+    least = body.aims.balance_margin + BALANCE_RESERVE + INSIDE_RESERVE
+    wanted = least + shift_m if inside_m is None else inside_m
+    # the centre of mass is 5 mm less inside than that at one edge, and far from the others
+    at = body.engine.place(path).com[0, :2]
+    middle = at - [half - wanted + 0.005, 0.0]
+    (any_region, *_) = compiler.find_regions(spec, spec.values(3))
+    region = square_region(any_region, middle, half, shift_m, last=2)
+    is_fixed = np.array([True, False, False])
+    inside = follow_in_balance(body, spec.hand, path, [region], is_fixed, _list_prescribed(compiler))
+    margin = region.region.polygon.margin(body.engine.place(inside).com[:, :2])
+    np.testing.assert_allclose(margin, [wanted - 0.005, wanted, wanted], atol=5e-4)
+
+
+def test_waypoints_between_equal_ones_of_an_earlier_motion_are_where_the_mechanism_is_not_where_the_time_is(
+    held: tuple[PhaseCompiler, PhaseSpec],
+) -> None:
+    compiler, spec = held
+    (moving,) = spec.moving
+    column, rates = int(compiler.columns[moving]), np.linspace(-1.0, 1.0, compiler.robot.n)
+    for ends in ((spec.first, spec.last), (spec.last, spec.first)):  # opened, and shut
+        # the robot's joints follow the leaf, which the earlier motion moves slowly at first
+        shares = np.linspace(0.0, 1.0, 9)[:, None] ** 2
+        leaf = (1.0 - shares) * ends[0][moving] + shares * ends[1][moving]
+        known = leaf * rates
+        known[:, compiler.columns] = (1.0 - shares) * ends[0] + shares * ends[1]
+        again = replace(spec, first=ends[0], last=ends[1], n_waypoints=6, joints={})
+        q = replace(compiler, nominal={spec.name: known}).resample_nominal(again)
+        assert q is not None
+        np.testing.assert_allclose(q[:, compiler.columns], np.linspace(*ends, 6), atol=1e-12)
+        own = np.setdiff1d(np.arange(compiler.robot.n), compiler.columns)
+        np.testing.assert_allclose(q[:, own], (q[:, [column]] * rates)[:, own], atol=1e-12)
+
+
+def test_loads_of_one_tool_act_together_and_those_of_two_do_not() -> None:
+    one, two = ([HandLoad(tool, "leaf", np.zeros(3), np.array([1.0, 0.0, k])) for k in range(3)] for tool in "ab")
+    # all of one tool, and both tools' mixed up
+    for loads, count in ((one, 7), ([one[0], two[0], one[1], two[1], one[2]], 7 + 3)):
+        together = list(list_together(loads))
+        sets = [{id(load) for load in some} for some in together]
+        of_tools = ([load for load in loads if load.tool == tool] for tool in "ab")
+        expected = [{id(load) for load in some} for of in of_tools for n in (1, 2, 3) for some in combinations(of, n)]
+        assert len(sets) == len(expected) == count
+        assert all(some in sets for some in expected)
+        assert [len(some) for some in together] == sorted(len(some) for some in together)

@@ -123,3 +123,17 @@ def test_a_back_end_without_multipliers_is_refused():
     problem = problem_of([Cost("x", Affine([[1.0, 0.0]], 3.0))], [])
     with pytest.raises(SolverError, match="QP back end 'piqp' gave no multipliers"):
         compute_multipliers(problem, np.zeros((1, 2)), 1.0, qp="piqp")
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("apart", "is_bound"), [(0.0, True), (0.25, True), (0.5, True), (0.75, False)])
+def test_a_bound_counts_up_to_the_side_of_the_box(side, apart, is_bound):
+    # (x - 9)^2, or its mirror image, pushes towards the bound; beyond a box of 0.5 the box holds x instead
+    cost = Cost("far", Affine([[1.0, 0.0]], 9.0 * side))
+    bounds = {"upper": np.array([[1.0, 1e3]])} if side > 0.0 else {"lower": np.array([[-1.0, -1e3]])}
+    x = np.array([[side * (1.0 - apart), 0.0]])
+    result = compute_multipliers(problem_of([cost], [], **bounds), x, mu=1.0, radius=0.5)
+    towards, away = (result.upper, result.lower) if side > 0.0 else (result.lower, result.upper)
+    # the slope of the cost where x is held: 2 (9 - 1)
+    assert towards[0, 0] == pytest.approx(16.0 if is_bound else 0.0, abs=1e-4)
+    np.testing.assert_allclose(away, 0.0, atol=1e-4)

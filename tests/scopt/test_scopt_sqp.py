@@ -287,3 +287,44 @@ def test_a_start_with_nan_is_refused():
     problem = Problem(-FREE, FREE, (), (), identity_state)
     with pytest.raises(ProblemError, match="x0 must be finite"):
         TrustRegionSQP().solve(problem, np.array([[np.nan, 0.0]]))
+
+
+def watch_programs(monkeypatch, fails):
+    """Record for every program whether it has equalities; it is not solved where ``fails`` says so of its number."""
+    back_end, has_equalities = BACKENDS["piqp"], []
+
+    def solve_or_fail(program):
+        has_equalities.append(program.E is not None)
+        failed = QPSolution(np.full(len(program.c), np.nan), QPStatus.FAILED)
+        return failed if fails(len(has_equalities), program) else back_end(program)
+
+    monkeypatch.setitem(BACKENDS, "piqp", solve_or_fail)
+    return has_equalities
+
+
+@pytest.mark.parametrize("is_solved", [True, False])
+def test_equalities_become_penalties_only_where_they_have_no_solution(monkeypatch, is_solved):
+    # a smooth equation that is met at the start stays an equality: on x + y = 1, (y - 2)^2 is least at x = -1
+    line = Function(lambda x: x.sum() - 1.0, lambda x: np.ones((1, 2)))
+    costs, rows = [Cost("y", Affine([[0.0, 1.0]], 2.0))], [Constraint("line", line, Sense.EQUAL_ZERO)]
+    has_equalities = watch_programs(monkeypatch, lambda _, program: program.E is not None and not is_solved)
+    result = solve(costs, rows, [1.0, 0.0])
+    np.testing.assert_allclose(result.x, [[-1.0, 2.0]], atol=1e-4)
+    steps = len(has_equalities) if is_solved else len(has_equalities) // 2
+    assert steps >= len(result.history) > 0
+    assert has_equalities == ([True] if is_solved else [True, False]) * steps
+
+
+def test_only_a_solve_that_stalls_on_a_failed_subproblem_blames_it(monkeypatch):
+    rows = [Constraint("low", Affine([[1.0, 0.0]], 0.0)), Constraint("high", Affine([[-1.0, 0.0]], -1.0))]
+    monkeypatch.setitem(BACKENDS, "clarabel", lambda program: QPSolution(program.c * np.nan, QPStatus.FAILED))
+    # the first fails and the next ones do not: contradictory rows stall the solve
+    watch_programs(monkeypatch, lambda number, _: number == 1)
+    assert solve([], rows, [0.5, 3.0]).status is Status.STALLED
+    monkeypatch.undo()
+    # none is solved, and somebody ends the solve while it tries smaller boxes
+    monkeypatch.setitem(BACKENDS, "clarabel", lambda program: QPSolution(program.c * np.nan, QPStatus.FAILED))
+    numbers = watch_programs(monkeypatch, lambda *_: True)
+    problem = Problem(-FREE, FREE, (), tuple(rows), identity_state)
+    result = TrustRegionSQP().solve(problem, np.array([[0.5, 3.0]]), should_stop=lambda: len(numbers) == 2)
+    assert result.status is Status.CANCELLED

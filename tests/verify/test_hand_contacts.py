@@ -169,6 +169,17 @@ def test_a_force_beyond_the_cap_of_a_contact_is_not_carried() -> None:
     assert measure_excess(make_push(replace(weak, cap_n=31.0)), (met,)) < 0.0
 
 
+@pytest.mark.parametrize(("first_deg", "second_deg", "holds"), [(30, 30, False), (30, -30, True), (12, 12, True)])
+def test_two_contacts_that_lean_to_one_side_push_along_the_way_by_friction_alone(
+    first_deg: float, second_deg: float, holds: bool
+) -> None:
+    """What both press across the way sums to zero: leaning apart they balance; friction 0.3 makes up 16.7 deg."""
+    normals = [np.array([np.cos(lean), np.sin(lean), 0.0]) for lean in np.deg2rad([first_deg, second_deg])]
+    met = tuple(make_meeting(normal) for normal in normals)
+    pads = tuple(replace(make_rod(), surface=f"pad {k}") for k in range(2))
+    assert (measure_excess(make_push(*pads), met) <= 0.0) is holds
+
+
 # --- cores and bounds ---------------------------------------------------------------------------------------
 
 

@@ -61,6 +61,15 @@ def test_the_clearance_of_a_sliding_box_is_exact() -> None:
     assert certificate.min_clearance_m == pytest.approx(0.05, abs=1e-8)
 
 
+@pytest.mark.parametrize("farther_m", [0.02, 0.04, 0.06, 0.5])
+def test_a_clearance_is_told_up_to_ten_centimetres(farther_m: float) -> None:
+    wall = box("wall", (1.0 + farther_m, 0.0, 0.0), (0.1, 1.0, 1.0))
+    certificate = verify(Motion(_slider(), Scene((wall,)), _line([0.0], [0.8])))
+    is_near = 0.05 + farther_m < 0.1
+    assert certificate.min_clearance_pair == (("slider", "wall") if is_near else None)
+    assert certificate.min_clearance_m == pytest.approx(0.05 + farther_m if is_near else 0.1, abs=1e-8)
+
+
 def test_a_thin_wall_between_the_knots_is_seen() -> None:
     wall = box("wall", (0.5, 0.0, 0.0), (0.0005, 1.0, 1.0))
     certificate = verify(Motion(_slider(), Scene((wall,)), _line([0.0], [1.0])))

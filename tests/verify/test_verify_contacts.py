@@ -69,6 +69,20 @@ def test_standing_on_both_feet_is_certified() -> None:
     assert certificate.status is Status.CERTIFIED, list_failures(certificate)
 
 
+def test_contacts_that_bear_no_hand_s_load_are_held_though_they_press_against_each_other() -> None:
+    # a hand leans on a wall, and the feet rub on the floor: forces along surfaces, and no load that drifts
+    motion = make_standing()
+    at = np.eye(4)
+    at[:3, 3] = 0.7, 0.2, 1.1
+    hand = PlantedContact("l_hand", at, np.zeros((1, 3)), force_cap_n=100.0, normal=np.array([-1.0, 0.0, 0.0]))
+    contacts = (*motion.phases[0].contacts, hand)
+    region = plan_contact_region(motion.robot, contacts).region
+    assert np.abs(region.witnesses[..., :2]).max() > 10.0
+    loaded = LoadedRegion(0.0, 1.0, region.vertices, region.wrenches, region.witnesses)
+    (held,) = [c for c in tell(motion, contacts=contacts, regions=(loaded,)).checks if c.name.startswith("equilibrium")]
+    assert held.ok, held.text
+
+
 def tilt(angle: float) -> np.ndarray:
     return np.array([np.sin(angle), 0.0, np.cos(angle)])
 

@@ -304,3 +304,55 @@ def test_loads_that_make_no_sense_are_refused():
         list_slid_loads(x, x, x, 0.0, np.inf)
     with pytest.raises(ValueError, match="must be a unit vector"):
         list_slid_loads(x, x, 2.0 * x, 0.0, 1.0)
+
+
+def find_uncovered(wrenches, along, drift_m=0.01):
+    """How far a region's wrenches are from holding no load at all under drift [N, Nm].
+
+    Args:
+        wrenches: force along x [N] and yaw moment [Nm] of each recorded wrench.
+        along: force along the ground at one vertex of each wrench [N]; there is none at the others.
+    """
+    count = len(wrenches)
+    witnesses = np.zeros((3, count, 2, 3))
+    witnesses[..., 2] = 0.5 * WEIGHT  # what presses makes no yaw moment
+    # 3 and 4 parts of 7 along x and y at two points: |f_xy| add up, their signs do not count
+    witnesses[1, :, 0, 0], witnesses[1, :, 1, 1] = 3.0 / 7.0 * np.array(along), -4.0 / 7.0 * np.array(along)
+    region = RecordedRegion(
+        points=np.array([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]]),
+        normals=np.tile(UP, (2, 1)),
+        friction=np.full(2, 0.7),
+        caps=np.full(2, WEIGHT),
+        wrenches=np.array([[force, 0.0, 0.0, 0.0, 0.0, yaw] for force, yaw in wrenches]),
+        vertices=np.array([[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0]]),
+        witnesses=witnesses,
+    )
+    return prove_equilibrium(region, MASS, np.zeros((1, 6)), GRAVITY, drift_m).uncovered
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "missing"),
+    [(-5.0, 5.0, 0.0), (-4.0, 5.0, 1.0), (-5.0, 3.0, 2.0), (-1.0, 9.0, 4.0), (-9.0, -1.0, 6.0)],
+)
+@pytest.mark.parametrize("along", [(100.0, 500.0), (500.0, 100.0)])
+def test_the_line_of_yaw_moments_reaches_as_far_as_drift_does_where_forces_are_largest(low, high, missing, along):
+    # 500 N along the ground, 10 mm off: the contacts may make 5 Nm of either sign, whichever wrench has them
+    assert find_uncovered([(0.0, low), (0.0, high)], along) == pytest.approx(missing, abs=1e-6)
+
+
+def test_a_wrench_between_the_ends_of_a_line_of_yaw_moments_adds_no_drift():
+    # no load is a mixture of the ends alone: forces of the wrench between them never act
+    assert find_uncovered([(0.0, -2.0), (0.0, 0.0), (0.0, 2.0)], (200.0, 900.0, 100.0)) == 0.0
+
+
+@pytest.mark.parametrize(("half", "missing"), [(5.0, 0.0), (4.0, 1.0), (1.0, 4.0)])
+def test_a_mixture_of_wrenches_reaches_as_far_as_drift_does_where_forces_are_largest(half, missing):
+    # no wrench is without a force along x, so that no load is a mixture of all four
+    wrenches = [(force, yaw) for force in (-10.0, 10.0) for yaw in (-half, half)]
+    assert find_uncovered(wrenches, (100.0, 0.0, 500.0, 300.0)) == pytest.approx(missing, abs=1e-6)
+
+
+def test_a_mixture_of_wrenches_must_reach_to_both_sides():
+    # yaw moments of -1 to 9 Nm hold +5 Nm of drift but not -5 Nm
+    wrenches = [(force, yaw) for force in (-10.0, 10.0) for yaw in (-1.0, 9.0)]
+    assert find_uncovered(wrenches, (500.0,) * 4) == pytest.approx(4.0, abs=1e-6)

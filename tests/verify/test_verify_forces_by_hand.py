@@ -12,7 +12,7 @@ from small_robots import CUBE, robot_of
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import LinkBody, RobotModel
 from costs.scene import Scene
-from service.verify import Basis, Check, Motion, Phase, PlantedContact, SupportPolygon, VerifySettings
+from service.verify import Basis, Check, Motion, Phase, PlantedContact, SupportPolygon, VerifySettings, verify
 from service.verify.forces.dynamics import check_dynamics, compute_forces, list_sample_times
 from service.verify.prepared_motion import PreparedMotion
 
@@ -304,3 +304,15 @@ def test_on_the_very_edge_is_inside_and_at_the_very_limit_is_within() -> None:
     pushed = _checks(_accelerated(robot, np.array([0.0625])))["torque.go"]
     assert pushed.value == 1.0
     assert pushed.ok
+
+
+@pytest.mark.parametrize(
+    ("effort", "names"), [((9.0, 9.0, 9.0), None), ((0.0, 9.0, np.inf), "joint0, joint2"), ((0.0,) * 3, None)]
+)
+def test_a_note_names_joints_without_a_torque_limit_where_others_have_one(
+    effort: tuple[float, ...], names: str | None
+) -> None:
+    motion = _accelerated(_gantry(), np.zeros(3))
+    notes = verify(replace(motion, robot=replace(motion.robot, effort=np.array(effort)))).notes
+    told = [note for note in notes if note.startswith("torque not checked for")]
+    assert told == ([] if names is None else [f"torque not checked for {names}: their limit is 0 or missing"])

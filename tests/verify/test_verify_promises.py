@@ -137,6 +137,20 @@ def test_a_circle_is_followed_between_the_knots() -> None:
     assert check.value == pytest.approx(0.5 - np.sqrt(0.125), abs=1e-6)
 
 
+@pytest.mark.parametrize(("first", "last"), [(0.4994, 0.5003), (0.5003, 0.4994), (0.5, 0.5009), (0.4992, 0.4999)])
+def test_a_tip_that_moves_towards_the_middle_is_off_its_circle_by_what_its_ends_are(first: float, last: float) -> None:
+    # the line goes on to the middle of the circle, the tip does not
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+    model.addFrame(pin.Frame("tip", 1, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    line = Curve(np.array([0.0, 1.0]), np.array([[first], [last]]), np.full((2, 1), last - first))
+    circle = CircleTarget("tip", np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.5, 1e-3)
+    motion = Motion(robot_of(model, []), Scene(), line, phases=(Phase("turn", 0.0, 1.0, targets=(circle,)),))
+    check = _check(motion, "circle.turn.tip")
+    assert check.ok
+    assert check.value == pytest.approx(max(abs(first - 0.5), abs(last - 0.5)), abs=1e-5)
+
+
 @settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_proven_path_errors_hold_at_dense_samples(seed: int) -> None:

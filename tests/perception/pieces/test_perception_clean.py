@@ -252,3 +252,16 @@ def test_mixed_pixels_of_a_coarse_scan_go() -> None:
     assert edge.sum() > 20
     assert kept[edge].mean() < 0.35
     assert kept[~edge].mean() > 0.99
+
+
+@pytest.mark.parametrize("range_m", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize(("n_others", "share", "is_kept"), [(5, 0.98, True), (5, 1.02, False), (4, 0.5, False)])
+def test_a_point_stays_with_five_others_within_3_cm_and_2_percent_of_its_range(
+    range_m: float, n_others: int, share: float, is_kept: bool
+) -> None:
+    # around it, not beside it: those on opposite sides of it are too far from one another to be kept by themselves
+    around = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])[:n_others]
+    place = np.array([range_m, 0.0, 0.0])
+    points = np.vstack([place, place + share * (0.03 + 0.02 * range_m) * around])
+    far = place + [[0.0, 50.0 + k, 0.0] for k in range(6)]
+    assert inliers(np.vstack([points, far]), np.zeros(3)).tolist() == [is_kept] + [False] * (n_others + 6)

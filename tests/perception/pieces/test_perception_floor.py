@@ -314,3 +314,19 @@ def test_without_points_below_it_a_floor_is_not_taken_to_be_noisy() -> None:
     gravel = np.random.default_rng(1).random(len(xy)) < 0.05
     points = np.column_stack([xy, 0.03 * gravel])
     assert not find_floor_points(points, [plane])[gravel].any()
+
+
+def test_a_level_reaches_three_centimetres_beyond_its_outline_whatever_the_length_of_its_edges() -> None:
+    outline = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 0.25], [0.0, 0.25]])
+    floor = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.005, 1.0, outlines=(outline,))
+    beyond = [0.029, 0.031]
+    xy = [[4.0 + d, 0.1] for d in beyond] + [[-d, 0.1] for d in beyond]
+    xy += [[2.0, 0.25 + d] for d in beyond] + [[2.0, -d] for d in beyond]
+    assert on_floor(np.array([[x, y, 0.0] for x, y in xy]), floor).tolist() == [True, False] * 4
+
+
+def test_what_lies_under_the_border_of_a_sole_is_under_it() -> None:
+    floor = FloorPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.005, 9.0)
+    sole = np.array([[0.0, 0.0, 0.0], [0.25, 0.0, 0.0], [0.25, 0.125, 0.0], [0.0, 0.125, 0.0]])
+    under = np.array([[0.0, 0.0625], [0.25, 0.0625], [0.125, 0.0], [0.125, 0.125], [0.125, 0.126]])
+    assert on_floor(np.column_stack([under, np.full(5, 0.029)]), floor, [sole]).tolist() == [True] * 4 + [False]
