@@ -98,8 +98,11 @@ def test_the_ground_holds_the_robot_at_every_sample_of_a_loaded_phase(pushed: tu
 
 
 def test_a_massless_door_needs_other_forces() -> None:
-    """The load is in the witnesses: without it there is none, with it the feet push back."""
-    free = _plan(open_deg=20.0, x=0.75, hinge_nm=0.0, lever_nm=0.0)
+    """The load is in the witnesses: with little of it there is little, with much the feet push back.
+
+    A lever without a spring stays down, and a hand that lets it go cannot lift it.
+    """
+    free = _plan(open_deg=20.0, x=0.75, hinge_nm=0.1, lever_nm=0.1)
     heavy = _plan(open_deg=20.0, x=0.75, hinge_nm=60.0)
     assert free.verdict is heavy.verdict is Verdict.CERTIFIED
     sideways = []
