@@ -16,7 +16,7 @@ from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.demands.door_demand import SeenDoor
 from service.errors import DamagedResultError, RequestError, ResultError, shown
-from service.replay.consistency import CHANGED, find_contradictions
+from service.replay.consistency import CHANGED, compare_servos, find_contradictions
 from service.replay.folder_files import FileFindings, check_files
 from service.replay.rebuild import Grounds, Record, rebuild_demands
 from service.replay.standing import HELD_BEFORE, Standing, State
@@ -166,6 +166,7 @@ def _verify_claim(result: _Result) -> _Answer:
             *held.differences,
             *_compare_demands(result, demands, certificate),
             *_compare_record(result, certificate, reports),
+            *compare_servos(result.data["servo"], held.motion, demands, certificate),
         )
     is_certified = certificate.status is Status.CERTIFIED
     if is_certified and differences:
