@@ -41,7 +41,7 @@ BASES = (
     "resume",
     "compliant",
 )
-GROUPS = ("pushes", "promises", "mechanism", "certificate", "servo", "others")
+GROUPS = ("pushes", "contacts", "targets", "promises", "mechanism", "certificate", "servo", "others")
 FREE = {  # no verdict rests on it
     "timings": "how long it took",
     "planning_time_s": "how long it took",
@@ -74,6 +74,7 @@ ELSEWHERE = {  # attacked by modules of its own
 UNCOMPARED = (".text", ".where", ".s", ".time_s")  # of checks and pairs: the worst of equal places is free
 UNDERSTATED = ("min_clearance_m smaller", "min_balance_margin_m smaller", "min_clearance_pair")
 MOST_PLACES = 8  # of a kind of field, among which chance chooses
+MOST_S = 900  # for all edits of a group
 SHARE, LEAST = 0.2, 4e-3  # by which numbers are changed
 
 Steps = tuple[str | int, ...]
@@ -97,7 +98,9 @@ class Kind:
         """The group that it belongs to."""
         top = self.name.partition(".")[0]
         if top == "phases":
-            return "pushes" if ".pushes" in self.name or ".pressed" in self.name else "promises"
+            part = self.name.split(".")[2] if self.name.count(".") > 1 else ""
+            named = {"pushes": "pushes", "pressed": "pushes", "contacts": "contacts", "targets": "targets"}
+            return named.get(part, "promises")
         if top in ("movables", "releases", "figures", "detections"):
             return "mechanism"
         if top in ("checks", "coverage", "exempt", "min_clearance_m", "min_balance_margin_m"):
@@ -108,7 +111,9 @@ class Kind:
 def attacks() -> list[Attack]:
     """Return one attack for each base and group of fields: all edits of it, of which none may be believed."""
     return [
-        Attack("fields", f"{base}: {group}", partial(_attack, base, group), (base, group) == ("drawer", "pushes"))
+        Attack(
+            "fields", f"{base}: {group}", partial(_attack, base, group), (base, group) == ("drawer", "pushes"), MOST_S
+        )
         for base in BASES
         for group in GROUPS
     ]
