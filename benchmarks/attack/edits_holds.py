@@ -212,7 +212,7 @@ def defaults_left_out(folder: Folder) -> None:
     folder.data["request_defaults"] = {}
 
 
-@HOLDS.lie("door", "drawer", "gripper", level=Level.RAW)
+@HOLDS.lie("drawer", "door", "gripper", level=Level.RAW)
 def servos_that_give_way_less(folder: Folder) -> None:
     servo = folder.data["servo"]
     servo.update(sag_m=0.1 * servo["sag_m"], hands=[])

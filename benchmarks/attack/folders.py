@@ -41,6 +41,7 @@ STRANGERS = (
     "resume",
     "compliant",
 )
+QUICK = ("arm", "reach", "valve", "carry", "drawer")
 REPLANNED = ("drawer", "door", "lever", "stair", "chair", "carry")
 HAND_POSE = {"link": "l_hand", "position": [0.55, 0.25, 1.2], "position_tolerance_m": 0.05}
 
@@ -65,7 +66,7 @@ def attacks() -> list[Attack]:
             if edit.bases[0] == "arm" and edit.level is Level.REMADE
         ),
         *(
-            Attack("request", f"{base}: the user's own request", _own(base))
+            Attack("request", f"{base}: the user's own request", _own(base), base in QUICK)
             for base in ("arm", "reach", "valve", "carry", "drawer", "door", "stair", "resume", "compliant")
         ),
         *(Attack("harmless", f"{base}: planned anew", _plan_anew(base), False) for base in REPLANNED),
@@ -129,7 +130,7 @@ SUBSTITUTES: dict[str, tuple[str, dict[str, Any]]] = {
     "stiffer servos": ("drawer", {"robot.servo": {"stiffness": {"r_arm_elx": 9000.0}}}),
     "a lever that turns lightly": ("door", {"task.door.lever_nm": 0.5}),
     "a door that is less open": ("door", {"task.door.open_deg": 45.0}),
-    "a step that grips better": ("stair", {"task.contacts.surfaces.rail.friction": 0.6}),
+    "a step with another friction": ("stair", {"task.contacts.surfaces.step.friction": 0.55}),
     "half the turn of the gripper": ("gripper", {"task.valve.turn_deg": 30.0}),
 }
 

@@ -71,7 +71,6 @@ SHORT = (
     "the object moves while the hand rests",
     "the law is twice as fast and the joints may be too",
     "pushes as before they were written",
-    "a held joint that bears everything",
     "the rod on the other side of the bar",
     "hands that slip",
     "servos that give way less",
