@@ -29,15 +29,13 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
-from service.motion.hand_sag import list_short_hands
-from service.motion.servo_sag import measure_sag
+from service.motion.expected_sag import expect_sag
 from service.motion.timing import TimingSettings
 from service.replay.whole import certify_whole
 from service.request.schema import PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup, prepare
-from service.start.robot import resolve_stiffness
 from service.tasks import plan_task
 from service.verify import Motion, Status, verify
 
@@ -110,16 +108,7 @@ def _expect_sag(result: PlanResult) -> PlanResult:
     """Return the result of a complete plan with the sag of its centre of mass and hands on the request's servos."""
     if result.motion is None or result.verdict not in (Verdict.CERTIFIED, Verdict.FEASIBLE_AT_SAMPLES):
         return result
-    if result.request.robot.torque is not None:
-        return result  # the default stiffness follows from the limits that are left out
-    proven = None if result.certificate is None else result.certificate.min_balance_margin_m
-    stiffness = resolve_stiffness(result.robot, result.request)
-    sag = measure_sag(result.motion, stiffness, proven)
-    if sag is None:
-        return result
-    hands = list_short_hands(result.motion, stiffness)
-    servo = {**sag.to_json(), "hands": [hand.to_json() for hand in hands]}
-    notes = (*sag.list_notes(), *(hand.describe() for hand in hands[:1]))
+    servo, notes = expect_sag(result.motion, result.robot, result.request, result.certificate)
     return replace(result, servo=servo, notes=(*result.notes, *notes))
 
 

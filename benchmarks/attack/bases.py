@@ -17,6 +17,8 @@ from benchmarks.attack import judges
 from benchmarks.attack.arm_files import GOAL, START, arm_request, write_arm
 from benchmarks.attack.outcome import Answer
 from service import parse_request, plan, write_result
+from service.replay.resume import make_rest_request
+from service.request.file import to_json
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = {"name": "table", "type": "box", "size": [0.6, 1.2, 0.04], "position": [0.75, 0.0, 0.80]}
@@ -65,17 +67,30 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
             return _atlas("reach_ready", [WALL], task={"valve": VALVE})
         case "lever":
             return _atlas("reach_ready", [WALL], task={"valve": LEVER})
-        case "carry":
-            return dict(yaml.safe_load((ROOT / "examples" / "requests" / "carry.yaml").read_text()))
-        case "steps" | "chair" | "stair":
-            changing = dict(yaml.safe_load((ROOT / "examples" / "requests" / f"{name}.yaml").read_text()))
-            if name == "steps":
-                del changing["task"]["contacts"]["stances"][2:]
-            return changing
+        case "gripper":
+            rim = {key: VALVE[key] for key in ("hand", "turn_deg", "centre", "axis", "radius")}
+            request = _atlas("reach_ready", [WALL], task={"valve": {"mode": "grasp", **rim}})
+            return {**request, "robot": {"name": "atlas", "hand": "gripper"}}
+        case "door" | "drawer" | "carry" | "chair" | "stair":
+            return _example(name)
+        case "steps":
+            steps = _example(name)
+            del steps["task"]["contacts"]["stances"][2:]
+            return steps
         case "rail":  # one stance, on which no phase stands
-            stair = dict(yaml.safe_load((ROOT / "examples" / "requests" / "stair.yaml").read_text()))
+            stair = _example("stair")
             del stair["task"]["contacts"]["stances"][1:], stair["task"]["contacts"]["finish"]
             return stair
+        case "egress":  # as far as the first foot; the whole way out takes a minute
+            egress = _example(name)
+            egress["task"]["egress"]["until"] = "right foot out"
+            return egress
+        case "resume":  # the drawer, once the rod is behind its bar
+            return _rest("drawer", "move slide")
+        case "compliant":  # the motion of the drawer, kept for one that is 4 mm farther
+            rest = _rest("drawer", "reach", is_compliant=True)
+            rest["task"]["mechanism"]["position"][0] += 0.004
+            return rest
         case "scan":
             shutil.copyfile(ROOT / "examples" / "data" / "valve_scan.pcd", folder / "scan.pcd")
             valve = {"mode": "hook", "turn_deg": 60.0}
@@ -129,6 +144,17 @@ def _scratch() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="attack-bases-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
+
+
+def _example(name: str) -> dict[str, Any]:
+    """Return a request of the examples, with the places of its files."""
+    text = (ROOT / "examples" / "requests" / f"{name}.yaml").read_text(encoding="utf-8")
+    return dict(yaml.safe_load(text.replace("../data/", f"{ROOT / 'examples' / 'data'}/")))
+
+
+def _rest(name: str, phase: str, *, is_compliant: bool = False) -> dict[str, Any]:
+    """Return the request for the rest of a base, from a phase on and where its plan begins that phase."""
+    return to_json(make_rest_request(original(name) / "result", phase, None, is_compliant=is_compliant))
 
 
 def _atlas(posture: str, obstacles: list[dict[str, Any]], **more: Any) -> dict[str, Any]:

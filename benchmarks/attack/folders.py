@@ -12,6 +12,7 @@ from typing import Any
 from benchmarks.attack import bases, judges
 from benchmarks.attack.edits_certificate import CERTIFICATE
 from benchmarks.attack.edits_contacts import CONTACTS
+from benchmarks.attack.edits_holds import HOLDS
 from benchmarks.attack.edits_lever import LEVER
 from benchmarks.attack.edits_motion import MOTION
 from benchmarks.attack.edits_promises import PROMISES
@@ -22,7 +23,26 @@ from benchmarks.attack.forgery import Edit, Level
 from benchmarks.attack.outcome import Answer, Attack
 
 ABSENT = object()
-STRANGERS = ("arm", "untimed", "program", "reach", "carry", "valve", "steps", "chair", "stair")
+STRANGERS = (
+    "arm",
+    "untimed",
+    "program",
+    "reach",
+    "carry",
+    "valve",
+    "lever",
+    "gripper",
+    "drawer",
+    "door",
+    "steps",
+    "chair",
+    "stair",
+    "egress",
+    "resume",
+    "compliant",
+)
+QUICK = ("arm", "reach", "valve", "carry", "drawer")
+REPLANNED = ("drawer", "door", "lever", "stair", "chair", "carry")
 HAND_POSE = {"link": "l_hand", "position": [0.55, 0.25, 1.2], "position_tolerance_m": 0.05}
 
 
@@ -30,7 +50,7 @@ def attacks() -> list[Attack]:
     """Return edits by kind, texts that are not valid results, replaced files, and scans of something else."""
     edits: list[Edit] = [
         edit
-        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, LEVER, STANCES, WORLD, MOTION)
+        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, HOLDS, LEVER, STANCES, WORLD, MOTION)
         for edit in registry.edits
     ]
     return [
@@ -46,9 +66,10 @@ def attacks() -> list[Attack]:
             if edit.bases[0] == "arm" and edit.level is Level.REMADE
         ),
         *(
-            Attack("request", f"{base}: the user's own request", _own(base))
-            for base in ("arm", "reach", "valve", "carry")
+            Attack("request", f"{base}: the user's own request", _own(base), base in QUICK)
+            for base in ("arm", "reach", "valve", "carry", "drawer", "door", "stair", "resume", "compliant")
         ),
+        *(Attack("harmless", f"{base}: planned anew", _plan_anew(base), False) for base in REPLANNED),
         Attack("request", "scan: another scan", _another_scan, False),
         Attack("request", "scan: the user's own scan", _own_scan, False),
         Attack("harmless", "arm: white space changed", _indent),
@@ -102,6 +123,15 @@ SUBSTITUTES: dict[str, tuple[str, dict[str, Any]]] = {
     "with a loosely kept pose": ("carry", {"keep.0.position_tolerance_m": 0.05, "keep.0.rotation_tolerance_deg": 10.0}),
     "without the beam": ("carry", {"attached": ABSENT, "goal.poses.0": HAND_POSE}),
     "a lighter beam": ("carry", {"attached.0.mass_kg": 0.0}),
+    "a drawer that runs lightly": ("drawer", {"task.mechanism.joints.slide.friction": 3.0}),
+    "a drawer that is half open": ("drawer", {"task.mechanism.moves.0.to": 0.12}),
+    "a drawer 4 mm nearer": ("drawer", {"task.mechanism.position": [0.746, -0.25, 0]}),
+    "hands that hold better": ("drawer", {"options.hand_friction": [0.5, 0.6]}),
+    "stiffer servos": ("drawer", {"robot.servo": {"stiffness": {"r_arm_elx": 9000.0}}}),
+    "a lever that turns lightly": ("door", {"task.door.lever_nm": 0.5}),
+    "a door that is less open": ("door", {"task.door.open_deg": 45.0}),
+    "a step with another friction": ("stair", {"task.contacts.surfaces.step.friction": 0.55}),
+    "half the turn of the gripper": ("gripper", {"task.valve.turn_deg": 30.0}),
 }
 
 
@@ -156,6 +186,20 @@ def _with_request(edit: Edit, scratch: Path) -> tuple[Answer, str]:
     return edit.run(
         "arm", scratch, lambda folder: judges.verify(folder, request=bases.original("arm") / "request.yaml")
     )
+
+
+def _plan_anew(base: str) -> Callable[[Path], tuple[Answer, str]]:
+    """Plan with another seed: the plan answers the user's request as well."""
+
+    def run(scratch: Path) -> tuple[Answer, str]:
+        request = bases.request_of(base, bases.original(base) / "files")
+        _set(request, ["options", "seed"], 7)
+        verdict = bases.write_plan(request, scratch)
+        if verdict != judges.CERTIFIED:
+            return Answer.REPORTED, f"no plan to compare: {verdict}"
+        return judges.harmless(*judges.verify(scratch / "result", request=bases.original(base) / "request.yaml"))
+
+    return run
 
 
 def _own(base: str) -> Callable[[Path], tuple[Answer, str]]:

@@ -44,12 +44,14 @@ class Attack:
         name: of the attack.
         run: carries it out in a given folder; returns the answer and one sentence.
         is_short: whether the short version has it.
+        most_s: that it may take.
     """
 
     kind: str
     name: str
     run: Callable[[Path], tuple[Answer, str]]
     is_short: bool = True
+    most_s: int = MOST_S
 
     @property
     def label(self) -> str:
@@ -78,7 +80,7 @@ def carry_out(attack: Attack) -> Outcome:
     began = time.process_time()
     with tempfile.TemporaryDirectory(prefix="attack-") as scratch:
         try:
-            with _no_longer_than(MOST_S):
+            with _no_longer_than(attack.most_s):
                 answer, text = attack.run(Path(scratch))
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]

@@ -27,9 +27,10 @@ from service.demands.stance import Stance, list_planted_feet, make_escape_allowa
 from service.demands.targets import make_goal_targets, make_kept_target
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
-from service.verify import Certificate, HandLoad, HandPush, Motion, Phase, PressedPart, Target
+from service.verify import Certificate, HandLoad, HandPush, Motion, Phase, PressedPart, SupportPolygon, Target
 from service.verify.coverage.required import list_waived_checks
 from service.verify.hashes import bodies_hash, robot_hash, scene_hash
+from service.verify.polygons import outside_polygon
 
 ESCAPE = "escape"
 PACE_TOLERANCE = 0.01  # share of a speed or an acceleration that may be used in addition
@@ -311,11 +312,17 @@ def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
 
 def compare_phase(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str]:
     """Yield a sentence for each promise of a recorded phase that is not the request's."""
-    names = ("contacts", "allowances", "support", "loads", "region_margin_m")
+    if not _same_support(recorded.support, own.support):
+        yield f"support of phase '{recorded.name}' are not those of the request"
+    names = ("contacts", "allowances", "loads", "region_margin_m")
     for name in (*names, *(() if is_program else ("targets",))):
         if not _same(getattr(recorded, name), getattr(own, name)):
             yield f"{name} of phase '{recorded.name}' are not those of the request"
-    if recorded.pressed is not None and not _same(recorded.pressed, own.pressed):
+    if recorded.pressed is None:  # a record of an earlier release says neither what is pressed nor by which contacts
+        return
+    if not _same(recorded.pushes, own.pushes):
+        yield f"pushes of phase '{recorded.name}' are not the contacts, forces and friction of the request"
+    if not _same(recorded.pressed, own.pressed):
         yield f"pressed of phase '{recorded.name}' are not the parts, or not the counts of the scan"
 
 
@@ -371,6 +378,21 @@ def _rests(motion: Motion, border: float) -> bool:
     at = int(np.abs(motion.curve.knots - border).argmin())
     is_knot = abs(motion.curve.knots[at] - border) <= BORDER_ROUNDING * max(1.0, abs(border))
     return bool(is_knot and np.abs(motion.curve.tangents[at]).max(initial=0.0) <= BORDER_ROUNDING)
+
+
+def _same_support(recorded: SupportPolygon | None, own: SupportPolygon | None) -> bool:
+    """Return whether two supports agree: which corner comes first, and those on a line, are matters of rounding."""
+    if recorded is None or own is None:
+        return recorded is own
+    polygon = np.asarray(recorded.polygon, dtype=float)
+    if polygon.ndim != 2 or polygon.shape[0] < 3 or polygon.shape[1] != 2 or not np.all(np.isfinite(polygon)):
+        return False
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    turned = edges[:, 0] * np.roll(edges[:, 1], -1) - edges[:, 1] * np.roll(edges[:, 0], -1)
+    if np.linalg.norm(edges, axis=1).min() <= SAME or turned.min() < -SAME:
+        return False
+    off = max(float(outside_polygon(a, b).max()) for a, b in ((polygon, own.polygon), (own.polygon, polygon)))
+    return off <= SAME and _same(recorded.margin_m, own.margin_m) and _same(recorded.height, own.height)
 
 
 def _same(first: object, second: object) -> bool:

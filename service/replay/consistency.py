@@ -10,11 +10,15 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from service.demands import Demands
 from service.errors import shown
+from service.json_data import to_json_data
+from service.motion.expected_sag import expect_sag
 from service.replay.standing import is_comparable
 from service.request.file import hash_request_data
 from service.request.formats import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, rates_at, sample_times, samples_of
+from service.result.result_json import links_without_shape
 from service.result.versions import find_format
 from service.verify import Certificate, Motion, Status
 from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
@@ -49,6 +53,7 @@ def find_contradictions(
         *_check_bodies(data, motion),
         *_check_samples(data, motion, table),
         *_check_drawing(data, motion, robot),
+        *(_check_form(data, motion, robot) if version == FORMAT else ()),
         *_check_copies(data, recorded),
     )
     if certificate is None:
@@ -59,6 +64,18 @@ def find_contradictions(
         *_check_claims({"result.json": data, "the recorded certificate": recorded}, certificate),
         *_check_lists(recorded, certificate, version),
     )
+
+
+def compare_servos(
+    recorded: Mapping[str, Any] | None, motion: Motion, demands: Demands, certificate: Certificate
+) -> Iterator[str]:
+    """Yield a sentence where a result's ``servo`` is not the sag of the request's servos along the motion."""
+    servo = to_json_data(expect_sag(motion, demands.robot, demands.request, certificate)[0])
+    is_same = recorded is servo is None
+    if recorded is not None and servo is not None:  # the time of the largest sag is free where two are equal
+        is_same = _is_plausible({**recorded, "at_s": None}, {**servo, "at_s": None})
+    if not is_same:
+        yield "servo is not the sag of the request's servos along the motion"
 
 
 def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: Motion, version: int) -> Iterator[str]:
@@ -129,16 +146,21 @@ def _check_limits(recorded: Mapping[str, Any], certificate: Certificate, version
             continue
         if name not in limits:
             yield f"check {name} of the recorded certificate is no longer required"
-        elif limit is not None and not np.any(np.isclose(limit, limits[name], rtol=TOLERANCE)):
-            yield f"check {name} has the limit {limits[name][-1]:.6g}, recorded is {limit:.6g}"
+        elif not any(_is_limit(limit, known) for known in limits[name]):
+            yield f"check {name} has the limit {limits[name][-1]:.6g}, recorded is {shown(limit)}"
+
+
+def _is_limit(written: float | None, known: float) -> bool:
+    """Return whether a recorded limit is that of a check; one that is not finite is written as null."""
+    return not np.isfinite(known) if written is None else bool(np.isclose(written, known, rtol=TOLERANCE))
 
 
 def _check_claims(claims: Mapping[str, Mapping[str, Any]], certificate: Certificate) -> Iterator[str]:
     for source, claim in claims.items():
         for name in ("min_clearance_m", "min_balance_margin_m"):
             value, proven = claim.get(name), getattr(certificate, name)
-            if value is not None and not value <= proven + CLAIM_TOLERANCE:
-                yield f"{name} of {source} is {value:.6g}, proven is {proven:.6g}"
+            if np.isfinite(proven) if value is None else not value <= proven + CLAIM_TOLERANCE:
+                yield f"{name} of {source} is {shown(value)}, proven is {proven:.6g}"
 
 
 def _expect_rates(motion: Motion, n: int) -> tuple[list[str], list[np.ndarray]]:
@@ -189,6 +211,21 @@ def _check_drawing(data: Mapping[str, Any], motion: Motion, robot: RobotModel) -
         yield "zmp is not the motion's"
 
 
+def _check_form(data: Mapping[str, Any], motion: Motion, robot: RobotModel) -> Iterator[str]:
+    """Require of this format that nothing is written otherwise than it is read: no entry twice, nothing left out."""
+    made = motion_json(motion, robot)
+    phases = [{key: phase[key] for key in phase if key not in ("status", "checks")} for phase in data["phases"]]
+    for written, phase in zip(phases, made["phases"], strict=True):
+        if not _is_near(written, phase):
+            yield f"phase {shown(written.get('name'))} is not written as it is read"
+        elif phase["pressed"] is None:
+            yield f"phase {shown(phase['name'])} does not say what is pressed"
+    if not _is_near(data["movables"], made["movables"]):
+        yield "movables are not written as they are read"
+    if data["robot"]["links_without_shape"] != links_without_shape(robot):
+        yield "robot.links_without_shape are not those of the robot's files"
+
+
 def _drop_zmp(supports: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return [{name: value for name, value in support.items() if name != "zmp"} for support in supports]
 
@@ -228,15 +265,17 @@ def _check_lists(recorded: Mapping[str, Any], certificate: Certificate, version:
         both = {row["name"] for row in written} & {row["name"] for row in made}
         both = {name for name in both if is_comparable(name, version)}
         written, made = (_select_rows(rows, both) for rows in (written, made))
-    if not _same_rows(written, made, ("name", "ok", "basis"), "value"):
+    if not _same_rows(written, made, ("name", "ok", "basis", "unit"), ("value",)):
         yield "checks are not those of the motion"
-    if not _same_rows(recorded["exempt"], fresh["exempt"], ("pair", "phase"), "deepest_m"):
+    depths = ("allowed_m", "deepest_m", "proven_m")
+    if not _same_rows(recorded["exempt"], fresh["exempt"], ("pair", "phase"), depths):
         yield "exempt pairs are not those of the motion"
-    if not _same_rows(recorded["coverage"]["left_out"], fresh["coverage"]["left_out"], ("pair", "reason"), "deepest_m"):
+    names = ("pair", "reason", "is_neighbour")
+    if not _same_rows(recorded["coverage"]["left_out"], fresh["coverage"]["left_out"], names, ("deepest_m",)):
         yield "coverage.left_out is not what the verifier leaves out"
     counted = fresh["coverage"] if version == FORMAT else ()  # earlier formats counted other pairs
-    names = [name for name in counted if name != "left_out"]
-    if any(not _is_near(recorded["coverage"][name], fresh["coverage"][name]) for name in names):
+    others = [name for name in counted if name != "left_out"]
+    if any(not _is_near(recorded["coverage"][name], fresh["coverage"][name]) for name in others):
         yield "coverage is not the verifier's"
 
 
@@ -245,19 +284,26 @@ def _select_rows(rows: Sequence[Mapping[str, Any]], names: Collection[str]) -> l
 
 
 def _same_rows(
-    written: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], names: Sequence[str], value: str
+    written: Sequence[Mapping[str, Any]],
+    made: Sequence[Mapping[str, Any]],
+    names: Sequence[str],
+    values: Sequence[str],
 ) -> bool:
-    """Return whether two lists have the same entries, each with about the same value."""
+    """Return whether two lists have the same entries, each with about the same values."""
     if [[row[name] for name in names] for row in written] != [[row[name] for name in names] for row in made]:
         return False
-    return all(_is_plausible(a[value], b[value]) for a, b in zip(written, made, strict=True))
+    return all(_is_plausible(a[value], b[value]) for a, b in zip(written, made, strict=True) for value in values)
 
 
-def _is_plausible(written: float | None, made: float | None) -> bool:
-    """Return whether another machine may have computed the written value."""
-    if written is None or made is None:
-        return written is made
-    return bool(np.isclose(written, made, rtol=0.01, atol=CLAIM_TOLERANCE))
+def _is_plausible(written: object, made: object) -> bool:
+    """Return whether another machine may have computed the written values: numbers agree within 1 %."""
+    if isinstance(written, Mapping) and isinstance(made, Mapping):
+        return written.keys() == made.keys() and all(_is_plausible(written[key], made[key]) for key in made)
+    if isinstance(written, list | tuple) and isinstance(made, list | tuple):
+        return len(written) == len(made) and all(_is_plausible(a, b) for a, b in zip(written, made, strict=True))
+    if isinstance(written, float | int) and isinstance(made, float | int):
+        return bool(np.isclose(written, made, rtol=0.01, atol=CLAIM_TOLERANCE))
+    return written == made
 
 
 def _is_near(written: object, made: object) -> bool:

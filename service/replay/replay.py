@@ -5,18 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from costs.robot import RobotError, RobotModel, load_robot
-from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
-from service.demands.door_demand import SeenDoor
 from service.errors import DamagedResultError, RequestError, ResultError, shown
-from service.replay.consistency import CHANGED, find_contradictions
+from service.replay.consistency import CHANGED, compare_servos, find_contradictions
+from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.folder_files import FileFindings, check_files
 from service.replay.rebuild import Grounds, Record, rebuild_demands
 from service.replay.standing import HELD_BEFORE, Standing, State
@@ -32,10 +29,6 @@ from service.result.result_json import add_reports, proof_summary
 from service.result.versions import find_format
 from service.verify import Certificate, Motion, Status, VerifyError, verify
 
-if TYPE_CHECKING:
-    from perception import LeverDetection, SeenPart, ValveDetection
-
-VECTORS = ("centre", "axis", "direction")  # of detected valves
 OTHER = "it answers another request, or was changed after it was written"
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
 
@@ -166,6 +159,7 @@ def _verify_claim(result: _Result) -> _Answer:
             *held.differences,
             *_compare_demands(result, demands, certificate),
             *_compare_record(result, certificate, reports),
+            *compare_servos(result.data["servo"], held.motion, demands, certificate),
         )
     is_certified = certificate.status is Status.CERTIFIED
     if is_certified and differences:
@@ -276,48 +270,6 @@ def _compare_phases(data: dict[str, Any], reports: Sequence[PhaseReport]) -> Ite
         yield f"not_planned lists {shown(repeated[0])}, which is in the motion"
     elif data["not_planned"] and data["verdict"] == Status.CERTIFIED.value:
         yield "the verdict is CERTIFIED, and not_planned lists phases"
-
-
-def read_valves(data: dict[str, Any]) -> tuple[ValveDetection | LeverDetection, ...]:
-    """Read the valves of ``detections``; those with a ``direction`` are levers."""
-    hits = [hit for hit in data["detections"] if hit["kind"] == "valve"]
-    if not hits:
-        return ()
-    from perception import LeverDetection, ValveDetection  # slow to import
-
-    valves: list[ValveDetection | LeverDetection] = []
-    for hit in hits:
-        kind = LeverDetection if "direction" in hit else ValveDetection
-        values = {field.name: hit[field.name] for field in fields(kind)}
-        values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-        vectors = {name: np.array(values[name], dtype=float) for name in VECTORS if name in values}
-        valves.append(kind(**{**values, **vectors}))
-    return tuple(valves)
-
-
-def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
-    """Read the doors of ``detections``."""
-    doors = []
-    for hit in data["detections"]:
-        if hit["kind"] == "door":
-            geometry, handle = dict(hit["geometry"]), hit["geometry"]["handle"]
-            if handle is not None:
-                vectors = {name: np.array(handle[name], dtype=float) for name in ("centre", "direction")}
-                handle = HandleGeometry(**{**handle, **vectors})
-            vectors = {name: np.array(geometry[name], dtype=float) for name in ("hinge", "along", "normal")}
-            door = DoorGeometry(**{**geometry, **vectors, "handle": handle})
-            doors.append(SeenDoor(door, float(hit["confidence"]), bool(hit.get("knows_hinge", True))))
-    return tuple(doors)
-
-
-def read_seen_parts(data: dict[str, Any]) -> tuple[SeenPart, ...]:
-    """Read the parts of the task's valve or door that the scan shows; none where an earlier release wrote none."""
-    parts = data["detections"][0].get("parts", ()) if data["detections"] else ()
-    if not parts:
-        return ()
-    from perception import SeenPart  # slow to import
-
-    return tuple(SeenPart.from_json(part) for part in parts)
 
 
 def read_request(data: dict[str, Any], folder: Path) -> PlanRequest:

@@ -18,8 +18,9 @@ from service.demands.given_mechanism import GivenMechanismDemand
 from service.demands.held_motion import Demands
 from service.demands.valve_demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
+from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.rebuild import Record, rebuild_demands, select_scanned
-from service.replay.replay import read_doors, read_record, read_request, read_seen_parts, read_valves
+from service.replay.replay import read_record, read_request
 from service.replay.resume_contacts import ChangedContacts
 from service.request.file import hash_request_data, load_section, replace_cloud
 from service.request.resume import HoldChoice, NominalPhase, NominalRequest, ResumeRequest

@@ -129,6 +129,6 @@ def _add(digest: hashlib._Hash, *parts: str | np.ndarray) -> None:
         if isinstance(part, str):
             digest.update(b"t" + part.encode() + b"\0")
             continue
-        # Steps of a micrometre whose borders lie where written decimals do not; what is infinite counts as -1.
-        steps = np.floor(np.where(np.isinf(part), -1.0, part).ravel() * 1e6 + HASH_OFFSET)
+        # Steps of a micrometre whose borders lie where written decimals do not; what is not finite counts as -1.
+        steps = np.floor(np.where(np.isfinite(part), part, -1.0).ravel() * 1e6 + HASH_OFFSET)
         digest.update(b"n" + steps.size.to_bytes(8, "little") + steps.astype("<i8").tobytes())

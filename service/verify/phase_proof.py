@@ -71,7 +71,7 @@ def bound_largest(
             sampled = float(samples[best])
             where = float(first[best] if at_first[best] >= at_last[best] else last[best])
         is_high = ~(upper <= limit)  # a bound that is NaN proves nothing
-        above = upper - samples
+        above = np.subtract(upper, samples, out=np.zeros_like(upper), where=samples < np.inf)
         is_blurred = (upper > sampled + resolution) & (above < _PROGRESS * before) & (halving < max_sharpenings)
         is_split = (is_high & (samples <= limit)) | is_blurred
         if halving == max_halvings:

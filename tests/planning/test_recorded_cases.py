@@ -1,0 +1,90 @@
+"""Recorded holds and lies: what is certified is done in physics, and what is false is refused, or named."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from service import certify, read_trajectory
+from service.cli.app import app
+from service.errors import RequestError
+from service.planner import plan
+from service.request.file import load_request
+from service.result.output import write_result
+from service.result.result import Verdict
+
+DONE = (
+    "button_120_60N",
+    "button_150",
+    "door_ajar",
+    "hose_turn",
+    "leverb_90",
+    "rail_push_right_side",
+)
+REFUSED = {
+    "circle_114_20": "jams",
+    "hose_push_turn": "jams",
+    "plugb_100": "would have to pull",
+    "rail_push_wrong_side": "would have to pull",
+}
+UNSTATED = ("beam_8kg_35", "drill_115_20")  # a beam in two hands, and a drill's way, with what the request says of them
+FALSE = {
+    "door_float": "in front of the leaf's face",
+    "hatch": "gravity moves it",
+    "peg_front": "would have to pull",
+    "solid": "inside fixture/cupboard",
+}
+
+
+@pytest.mark.parametrize("name", [*DONE, *UNSTATED])
+def test_a_certified_hold_is_done_in_physics(shared_cases: Path, tmp_path: Path, name: str) -> None:
+    pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
+    result = plan(load_request(shared_cases / "holds" / f"{name}.yaml"))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    folder = write_result(result, tmp_path / "out").folder
+    simulated = CliRunner().invoke(app, ["simulate", str(folder), "--json"])
+    report = json.loads(simulated.stdout)
+    assert (simulated.exit_code, report["verdict"]) == (0, "DONE"), report
+    if name.startswith("button"):
+        assert any("needs stiffer servos" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(("name", "words"), REFUSED.items())
+def test_a_hold_that_moves_nothing_is_refused(shared_cases: Path, name: str, words: str) -> None:
+    result = plan(load_request(shared_cases / "holds" / f"{name}.yaml"))
+    assert result.verdict is Verdict.INFEASIBLE
+    assert words in result.explanation[0]
+
+
+def test_a_beam_too_heavy_for_the_hand_that_carries_it_is_not_certified(shared_cases: Path) -> None:
+    request = load_request(shared_cases / "holds" / "beam_10kg_90.yaml")
+    request = replace(request, options=replace(request.options, time_limit_s=10.0))
+    assert plan(request).verdict is not Verdict.CERTIFIED
+
+
+@pytest.mark.parametrize(("name", "words"), FALSE.items())
+def test_a_lie_is_refused_with_what_is_wrong(shared_cases: Path, name: str, words: str) -> None:
+    request = load_request(shared_cases / "lies" / name / "request.yaml")
+    if name == "peg_front":
+        result = plan(request)
+        assert result.verdict is Verdict.INFEASIBLE
+        assert words in result.explanation[0]
+        return
+    with pytest.raises(RequestError, match=words):
+        plan(request)
+
+
+def test_a_joint_of_velocity_0_is_named(shared_cases: Path) -> None:
+    result = plan(load_request(shared_cases / "lies" / "vel0" / "request.yaml"))
+    assert any("velocity limits are 0 (slide)" in note for note in result.notes)
+
+
+def test_a_base_that_another_planner_moves_is_no_part_of_a_robot_that_stands(shared_cases: Path) -> None:
+    folder = shared_cases / "lies" / "certify_multi"
+    outcome = certify(read_trajectory(folder / "plan.json"), load_request(folder / "request.yaml"))
+    assert not outcome.is_certified
+    assert any("base" in failure for failure in outcome.failures)
