@@ -105,8 +105,8 @@ def test_physics_has_the_same_masses(
 ) -> None:
     """The hand's largest force is that of the plan, though the physics engine knows nothing of the plan's loads.
 
-    Friction along the face, which the loads leave out, adds up to 1.17 / (1 - 0.6 tan a) of them at 0.6, where the normal
-    is an angle a off the way: 1.45 at 18 deg.
+    Friction along the face, which the loads leave out, adds up to 1.17 / (1 - 0.6 tan a) of them at 0.6, where the
+    normal is an angle a off the way: 1.45 at 18 deg.
     """
     for name, (_, folder) in (("drawer", drawer), ("hatch", hatch), ("lid", lid)):
         made = simulate(folder, output=tmp_path / f"{name}.json")
