@@ -276,7 +276,8 @@ def main(folder: Path) -> int:
         claims += [(f"{phase['name']}: {t.get('frame', t.get('joint'))}", *target(replay, phase, t)) for t in others]
         stated = [contact for contact in phase["contacts"] if contact["normal"] is not None]
         claims += [(f"{phase['name']}: {c['link']} touches", *touches(data, c)) for c in stated]
-        if phase["pushes"]:
+        is_assumed = any(part["source"] == "assumed" for part in phase["pressed"])  # such a plan is not certified
+        if data["movables"] and not is_assumed:
             claims.append((f"{phase['name']}: pushes", *pushes(replay, data, phase, closest)))
         is_balanced = phase["support"] is not None or phase["region_margin_m"] is not None
         if is_balanced and has_regions(phase):
