@@ -2,53 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.allowance import Allowance, BodyRef
 from costs.robot import (
     STOP_ROUNDING,
     Mechanism,
     Release,
     RobotError,
-    RobotModel,
     UrdfMechanism,
     check_limits,
     read_mechanism,
-    with_mechanism,
 )
 from costs.scene import ConvexPiece
-from service.demands.hands import Hand, list_robot_hands
-from service.demands.holds.pressed import add_pressed, find_pressed
-from service.demands.holds.pushes import find_nominal_pushes
-from service.demands.moved_object.loads import LEAST_LOAD, JointLoad, MovedObject, Spring, choose_pace
+from service.demands.moved_object.loads import JointLoad, MovedObject, Spring, choose_pace
 from service.demands.moved_object.rest import check_rest
-from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
-from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError, shown, would_do
-from service.request.fields import HAND_FRICTION
 from service.request.mechanism import MechanismRequest, is_urdf_text
 from service.request.names import MECHANISM, STILL
-from service.request.resume import ResumeRequest
-from service.verify import HandLoad, Motion, RelativePoseTarget
-from service.verify.forces.hand_contacts import LEAST_APART_M
 
-TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
 LINE_OUT = 0.1  # of the line that leads to the handle, where the request gives none [m]
-TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad, m]
-TILT_RESERVE = float(np.deg2rad(2.0))
-PLACE_TOLERANCE = 5e-3  # [m]
-SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
-STAYS_SHARE = 0.5  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
-MOST_LOADS = 4  # at a time: the robot is held under every combination of them
-LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
-FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
 LEAST_TRAVEL = 1e-6  # of a joint that moves [rad, m]
 LIMIT_DIGITS = 9  # of limits, which are kept with their rounding
 
@@ -211,197 +189,6 @@ def _make_pose(request: MechanismRequest) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def settle_handle(
-    given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]
-) -> GivenMechanism:
-    """Return the mechanism with the handle's place moved along the contact's normal until the hand just touches.
-
-    A place in a request is off by some millimetres, by which the mechanism would lag behind the hand.
-
-    Args:
-        robot: augmented by the mechanism.
-        hand: at the handle.
-        friction: least and largest coefficient.
-    """
-    for spec in make_mechanism_phases(given, hand):
-        for nominal in find_nominal_pushes(spec, robot, given.mechanism, friction):
-            for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
-                if contact.link == given.handle.link and meeting.apart >= LEAST_APART_M:
-                    shift = np.round((meeting.gap - SETTLED_GAP) * meeting.normal, SETTLED_DIGITS)
-                    return replace(given, handle=replace(given.handle, place=given.handle.place + shift))
-    return given
-
-
-def make_mechanism_phases(
-    given: GivenMechanism, hand: Hand, reach_waypoints: int = REACH_WAYPOINTS
-) -> tuple[PhaseSpec, ...]:
-    """Return the phases: reach, approach, one per move, retract unless the hand stays.
-
-    Raises:
-        RequestError: a hand at the handle does not move a joint.
-    """
-    handle, start = given.handle, given.mechanism.start
-    tool = select_tool(given, hand)
-    held = HandMotion(
-        tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
-        tilt_rad=handle.tilt, aim_rad=handle.tilt - TILT_RESERVE,
-    )  # fmt: skip
-    line = replace(held, offset=handle.approach)
-    links = (hand.hook, hand.link) if given.request.handle.tool == "stub" else (hand.hook,)
-    touches = tuple(
-        Allowance(BodyRef.of_link(link), BodyRef("mechanism", handle.link, body), TOUCH_DEPTH)
-        for link in links
-        for body in handle.bodies
-    )
-    phases = [
-        PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
-        PhaseSpec("approach", start, start, line, touches, n_waypoints=LINE_WAYPOINTS),
-    ]
-    ends = given.list_moves()
-    values = ends[-1][1]
-    joint_loads = given.list_joint_loads()
-    loads = [tuple(_make_loads(given, tool, first, each)) for (first, _), each in zip(ends, joint_loads, strict=True)]
-    crowded = next((k for k, carried in enumerate(loads) if len(carried) > MOST_LOADS), None)
-    if crowded is not None:
-        raise RequestError(
-            f"task.mechanism.joints: the hand would carry {len(loads[crowded])} loads, one per joint and direction, in "
-            f"moves[{crowded}]; expected at most {MOST_LOADS}"
-        )
-    travels = [measure_travel(given, first, last) for first, last in ends]
-    for k, (move, (first, last)) in enumerate(zip(given.request.moves, ends, strict=True)):
-        joint = given.mechanism.joint(move.joint)
-        step = SLIDE_STEP if joint.kind == "prismatic" else TURN_STEP
-        count = max(int(np.ceil(np.abs(last - first).max() / step)) + 1, 4)
-        bears = {
-            load.joint: (load.low - STAYS_SHARE * load.slack[0], load.high + STAYS_SHARE * load.slack[1])
-            for load in joint_loads[k]
-            if load.sense == 0.0
-        }
-        phases.append(
-            PhaseSpec(
-                _name_phase(given.request, k),
-                first, last, held, touches, loads[k], bears=bears,
-                is_anchor=k == int(np.argmax(travels)), aims_at_end=True, step="pose at the handle", n_waypoints=count,
-            )
-        )  # fmt: skip
-    if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
-        away = replace(line, leaves=True)
-        phases.append(PhaseSpec("retract", values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
-    return add_pressed(phases, find_pressed(None, given.request.handle.link, (0.0, 0.0)))
-
-
-def select_tool(given: GivenMechanism, hand: Hand) -> str:
-    """Return the frame of a hand that is at the handle's place."""
-    return {"peg": hand.peg, "tip": hand.tool, "stub": hand.stub}[given.request.handle.tool]
-
-
-@dataclass(frozen=True)
-class GivenMechanismDemand:
-    """What the task of moving a given mechanism demands of any motion, and the choice it leaves: the hand.
-
-    Attributes:
-        given: the mechanism and the task.
-        robot: without the mechanism.
-        friction: least and largest coefficient between hand and mechanism.
-    """
-
-    given: GivenMechanism
-    robot: RobotModel
-    friction: tuple[float, float] = HAND_FRICTION
-
-    @property
-    def mechanism(self) -> Mechanism:
-        """The joints of the URDF."""
-        return self.given.mechanism
-
-    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
-        """Return the phases with the record's hand, or a sentence that no permitted hand holds the handle."""
-        hand = self.find_hand(recorded)
-        if hand is None:
-            return (), ("no hand that the task permits holds the handle",)
-        robot = with_mechanism(self.robot, self.given.mechanism.joints)
-        return make_mechanism_phases(settle_handle(self.given, robot, hand, self.friction), hand), ()
-
-    def find_hand(self, recorded: Motion) -> Hand | None:
-        """Return the hand that holds the handle in a record; None if none does that the task permits."""
-        targets = [target for phase in recorded.phases for target in phase.targets]
-        tools = {
-            target.frame
-            for target in targets
-            if isinstance(target, RelativePoseTarget) and target.reference == self.given.handle.link
-        }
-        side = self.given.request.hand
-        for hand in list_robot_hands(self.robot):
-            if side in ("auto", hand.side) and tools & {hand.peg, hand.tool, hand.stub}:
-                return hand
-        return None
-
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each joint whose value at the end is not the request's."""
-        yield from _compare_ends(find_ends(self.given), figures)
-
-
-def read_kept_hand(demand: GivenMechanismDemand, resume: ResumeRequest) -> Hand:
-    """Return the hand of an earlier plan, which the rest of it keeps.
-
-    Raises:
-        RequestError: the request has none, or the task forbids it.
-    """
-    if resume.hold is None:
-        raise RequestError("resume.hold: is missing; a mechanism is moved with the hand of the earlier plan")
-    side = demand.given.request.hand
-    if side not in ("auto", resume.hold.hand):
-        raise RequestError(f"resume.hold.hand: {resume.hold.hand}; task.mechanism.hand permits {side}")
-    hand = next((hand for hand in list_robot_hands(demand.robot) if hand.side == resume.hold.hand), None)
-    if hand is None:
-        raise RequestError(f"resume.hold.hand: the robot has no {resume.hold.hand} hand")
-    return hand
-
-
-def resume_mechanism(
-    demand: GivenMechanismDemand, resume: ResumeRequest, reach_waypoints: int = REACH_WAYPOINTS
-) -> ResumedDemand:
-    """Return what the rest of a task with a given mechanism demands.
-
-    Raises:
-        RequestError: its phase, mechanism or hand do not fit the task.
-    """
-    hand = read_kept_hand(demand, resume)
-    robot = with_mechanism(demand.robot, demand.mechanism.joints)
-    given = settle_handle(demand.given, robot, hand, demand.friction)
-    specs = make_mechanism_phases(given, hand, reach_waypoints)
-    mechanism = start_mechanism(given.mechanism, resume.mechanism)
-    check_travel(mechanism, specs, resume.phase)
-    rest = specs[find_index(specs, resume.phase) :]
-    names = [joint.name for joint in mechanism.joints]
-    moved = {names[column] for spec in rest for column in spec.moving}
-    ends = find_ends(given)
-    for name, (_, unit) in ends.items():
-        joint = name.removesuffix(f"_{unit}")
-        if joint not in moved:
-            start = float(mechanism.start[names.index(joint)])
-            ends[name] = (float(np.rad2deg(start)) if unit == "deg" else start, unit)
-    return ResumedDemand(mechanism, specs, resume.phase, lambda figures: _compare_ends(ends, figures))
-
-
-def _compare_ends(ends: Mapping[str, tuple[float, str]], figures: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each joint whose value at the end is another."""
-    for name, (value, unit) in ends.items():
-        figure = figures.get(name)
-        if not isinstance(figure, float | int) or abs(figure - value) > FIGURE_ROUNDING[unit]:
-            yield f"figures.{name} is {figure}, the request moves it to {value:g}"
-
-
-def find_ends(given: GivenMechanism) -> dict[str, tuple[float, str]]:
-    """Return by figure (``JOINT_deg``, ``JOINT_m``) the value of each moved joint at the end, and its unit."""
-    ends = {}
-    for move in given.request.moves:
-        is_slide = given.mechanism.joint(move.joint).kind == "prismatic"
-        unit = "m" if is_slide else "deg"
-        ends[f"{move.joint}_{unit}"] = (move.to if is_slide else float(np.rad2deg(move.to)), unit)
-    return ends
-
-
 def _read_handle(request: MechanismRequest, read: UrdfMechanism) -> Handle:
     handle, field = request.handle, "task.mechanism.handle"
     if handle.link not in read.links:
@@ -461,77 +248,3 @@ def _check_moves(request: MechanismRequest, read: UrdfMechanism, handle: Handle)
                     f"expected a move of {release.latch} to {release.at:g} or beyond before it"
                 )
         values[move.joint] = move.to
-
-
-def _make_loads(
-    given: GivenMechanism, tool: str, values: Float[np.ndarray, "k"], loads: tuple[JointLoad, ...]
-) -> Iterator[HandLoad]:
-    """Yield the forces at the handle of a move's loads, one per joint and direction."""
-    for load in loads:
-        for size in (max(load.high, 0.0), min(load.low, 0.0)):
-            if abs(size) > LEAST_LOAD:
-                yield _make_load(given, tool, load.joint, values, size)
-
-
-def _make_load(given: GivenMechanism, tool: str, name: str, values: Float[np.ndarray, "k"], size: float) -> HandLoad:
-    """Return the force at the handle that exerts a signed torque or force along a joint [N m, N]."""
-    handle, joint = given.handle, given.mechanism.joint(name)
-    place, turned = _locate_handle(given, name, values)
-    axis = joint.axis / np.linalg.norm(joint.axis)
-    slide = None if handle.slide is None else turned @ handle.slide
-    force = size * axis
-    if joint.kind == "revolute":
-        ends = [place] if slide is None else [place - slide, place, place + slide]
-        arm = min(float(np.linalg.norm(np.cross(axis, end))) for end in ends)
-        if arm < LEAST_ARM:
-            raise RequestError(
-                f"task.mechanism.handle.place: {1e3 * arm:.1f} mm from the axis of {name}; expected at least "
-                f"{1e3 * LEAST_ARM:g} mm, so that the hand can turn it"
-            )
-        tangent = np.cross(axis, place)
-        force = size / arm * tangent / np.linalg.norm(tangent)
-    return HandLoad(tool, joint.link, place, force, slide)
-
-
-def _locate_handle(
-    given: GivenMechanism, name: str, values: Float[np.ndarray, "k"]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Return the handle's place in the link of a joint that carries it, and the rotation of its link in that link."""
-    pose = np.linalg.inv(given.locate(name, values)) @ given.locate(given.handle.joint, values)
-    return pose[:3, :3] @ given.handle.place + pose[:3, 3], pose[:3, :3]
-
-
-def measure_travel(given: GivenMechanism, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> float:
-    """Return how far a move of one joint carries the handle [m]."""
-    column = int(np.abs(last - first).argmax())
-    joint = given.mechanism.joints[column]
-    moved = float(abs(last[column] - first[column]))
-    if joint.kind == "prismatic":
-        return moved
-    place, _ = _locate_handle(given, joint.name, first)
-    return moved * float(np.linalg.norm(np.cross(joint.axis / np.linalg.norm(joint.axis), place)))
-
-
-def list_opposite_places(given: GivenMechanism) -> list[Float[np.ndarray, "3"]]:
-    """Return the places on the other side of each body that the hand may touch, along the way of each move [m]."""
-    handle, places = given.handle, []
-    bodies = {name: points for joint in given.mechanism.joints for name, points in joint.bodies.items()}
-    own = given.mechanism.joint(handle.joint)
-    for move in given.request.moves:
-        start = given.mechanism.start
-        carrier = given.mechanism.joint(move.joint)
-        place, _ = _locate_handle(given, move.joint, start)
-        axis = carrier.axis / np.linalg.norm(carrier.axis)
-        way = axis if carrier.kind == "prismatic" else np.cross(axis, place)
-        way = way / max(float(np.linalg.norm(way)), 1e-12)
-        for name in handle.bodies:
-            middle = bodies[name].mean(axis=0) - own.origin
-            places.append(handle.place - 2.0 * float((handle.place - middle) @ way) * way)
-    return places
-
-
-def _name_phase(request: MechanismRequest, index: int) -> str:
-    """Return the name of a move's phase, numbered from a joint's second move on."""
-    joint = request.moves[index].joint
-    count = sum(move.joint == joint for move in request.moves[: index + 1])
-    return f"move {joint}" + (f" {count}" if count > 1 else "")

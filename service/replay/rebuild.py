@@ -24,8 +24,9 @@ from service.demands import (
 from service.demands.contacts.contact_task import make_stances
 from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
-from service.demands.given_mechanism import GivenMechanismDemand, read_given_mechanism, resume_mechanism
+from service.demands.given_mechanism import read_given_mechanism
 from service.demands.hands import list_robot_hands
+from service.demands.moved_object.demand import GivenMechanismDemand, resume_mechanism
 from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
 from service.demands.wheel import make_wheel
 from service.errors import RequestError

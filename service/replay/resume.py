@@ -14,8 +14,8 @@ from service.demands import TaskDemand, has_scan
 from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ends_with_new_contacts
 from service.demands.door_demand import DoorDemand, keep_door_choice
-from service.demands.given_mechanism import GivenMechanismDemand
 from service.demands.held_motion import Demands
+from service.demands.moved_object.demand import GivenMechanismDemand
 from service.demands.valve_demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.detections import read_doors, read_seen_parts, read_valves

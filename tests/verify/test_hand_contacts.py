@@ -16,16 +16,15 @@ from costs.primitive import Primitive
 from costs.robot import LinkBody
 from costs.robot.shapes import box, cylinder
 from service.verify import HandContact, HandPush, HeldJoint
-from service.verify.forces.hand_contacts import (
+from service.verify.forces.hand_balance import (
     HELD_SHARE,
     TOUCH_GAP_M,
     Meeting,
-    describe_failure,
-    describe_push,
     find_jamming_angle,
     measure_excess,
     meet,
 )
+from service.verify.forces.hand_contacts import describe_failure, describe_push
 from service.verify.forces.rounded import MOST_ROUNDING_M, RoundedBody, measure_beyond_hull, shrink_hull
 
 ROD = np.array([[0.0, 0.0, -0.06], [0.0, 0.0, -0.009]])  # the rod's axis, its tip at the frame's origin

@@ -12,14 +12,8 @@ from costs.robot import STOP_ROUNDING, LinkBody, Mechanism, RobotModel
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import AXIS, SAME_VALUE, HandMotion, PhaseSpec, find_rotation_onto
 from service.verify import HandContact, HandLoad, HandPush, HeldJoint
-from service.verify.forces.hand_contacts import (
-    LEAST_SHARE,
-    Meeting,
-    describe_failure,
-    find_jamming_angle,
-    measure_excess,
-    meet,
-)
+from service.verify.forces.hand_balance import LEAST_SHARE, Meeting, find_jamming_angle, measure_excess, meet
+from service.verify.forces.hand_contacts import describe_failure
 from service.verify.forces.rounded import measure_beyond_hull, shrink_hull
 from service.verify.motion import HAND_CAP_N
 

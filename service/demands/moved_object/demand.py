@@ -1,0 +1,133 @@
+"""Demands of a task that moves a given mechanism on any motion, and on the rest of one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from costs.robot import (
+    Mechanism,
+    RobotModel,
+    with_mechanism,
+)
+from service.demands.given_mechanism import GivenMechanism
+from service.demands.hands import Hand, list_robot_hands
+from service.demands.moved_object.phases import make_mechanism_phases, settle_handle
+from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
+from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
+from service.errors import RequestError
+from service.request.fields import HAND_FRICTION
+from service.request.resume import ResumeRequest
+from service.verify import Motion, RelativePoseTarget
+
+FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
+
+
+@dataclass(frozen=True)
+class GivenMechanismDemand:
+    """What the task of moving a given mechanism demands of any motion, and the choice it leaves: the hand.
+
+    Attributes:
+        given: the mechanism and the task.
+        robot: without the mechanism.
+        friction: least and largest coefficient between hand and mechanism.
+    """
+
+    given: GivenMechanism
+    robot: RobotModel
+    friction: tuple[float, float] = HAND_FRICTION
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The joints of the URDF."""
+        return self.given.mechanism
+
+    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+        """Return the phases with the record's hand, or a sentence that no permitted hand holds the handle."""
+        hand = self.find_hand(recorded)
+        if hand is None:
+            return (), ("no hand that the task permits holds the handle",)
+        robot = with_mechanism(self.robot, self.given.mechanism.joints)
+        return make_mechanism_phases(settle_handle(self.given, robot, hand, self.friction), hand), ()
+
+    def find_hand(self, recorded: Motion) -> Hand | None:
+        """Return the hand that holds the handle in a record; None if none does that the task permits."""
+        targets = [target for phase in recorded.phases for target in phase.targets]
+        tools = {
+            target.frame
+            for target in targets
+            if isinstance(target, RelativePoseTarget) and target.reference == self.given.handle.link
+        }
+        side = self.given.request.hand
+        for hand in list_robot_hands(self.robot):
+            if side in ("auto", hand.side) and tools & {hand.peg, hand.tool, hand.stub}:
+                return hand
+        return None
+
+    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
+        """Yield a sentence for each joint whose value at the end is not the request's."""
+        yield from _compare_ends(find_ends(self.given), figures)
+
+
+def read_kept_hand(demand: GivenMechanismDemand, resume: ResumeRequest) -> Hand:
+    """Return the hand of an earlier plan, which the rest of it keeps.
+
+    Raises:
+        RequestError: the request has none, or the task forbids it.
+    """
+    if resume.hold is None:
+        raise RequestError("resume.hold: is missing; a mechanism is moved with the hand of the earlier plan")
+    side = demand.given.request.hand
+    if side not in ("auto", resume.hold.hand):
+        raise RequestError(f"resume.hold.hand: {resume.hold.hand}; task.mechanism.hand permits {side}")
+    hand = next((hand for hand in list_robot_hands(demand.robot) if hand.side == resume.hold.hand), None)
+    if hand is None:
+        raise RequestError(f"resume.hold.hand: the robot has no {resume.hold.hand} hand")
+    return hand
+
+
+def resume_mechanism(
+    demand: GivenMechanismDemand, resume: ResumeRequest, reach_waypoints: int = REACH_WAYPOINTS
+) -> ResumedDemand:
+    """Return what the rest of a task with a given mechanism demands.
+
+    Raises:
+        RequestError: its phase, mechanism or hand do not fit the task.
+    """
+    hand = read_kept_hand(demand, resume)
+    robot = with_mechanism(demand.robot, demand.mechanism.joints)
+    given = settle_handle(demand.given, robot, hand, demand.friction)
+    specs = make_mechanism_phases(given, hand, reach_waypoints)
+    mechanism = start_mechanism(given.mechanism, resume.mechanism)
+    check_travel(mechanism, specs, resume.phase)
+    rest = specs[find_index(specs, resume.phase) :]
+    names = [joint.name for joint in mechanism.joints]
+    moved = {names[column] for spec in rest for column in spec.moving}
+    ends = find_ends(given)
+    for name, (_, unit) in ends.items():
+        joint = name.removesuffix(f"_{unit}")
+        if joint not in moved:
+            start = float(mechanism.start[names.index(joint)])
+            ends[name] = (float(np.rad2deg(start)) if unit == "deg" else start, unit)
+    return ResumedDemand(mechanism, specs, resume.phase, lambda figures: _compare_ends(ends, figures))
+
+
+def _compare_ends(ends: Mapping[str, tuple[float, str]], figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each joint whose value at the end is another."""
+    for name, (value, unit) in ends.items():
+        figure = figures.get(name)
+        if not isinstance(figure, float | int) or abs(figure - value) > FIGURE_ROUNDING[unit]:
+            yield f"figures.{name} is {figure}, the request moves it to {value:g}"
+
+
+def find_ends(given: GivenMechanism) -> dict[str, tuple[float, str]]:
+    """Return by figure (``JOINT_deg``, ``JOINT_m``) the value of each moved joint at the end, and its unit."""
+    ends = {}
+    for move in given.request.moves:
+        is_slide = given.mechanism.joint(move.joint).kind == "prismatic"
+        unit = "m" if is_slide else "deg"
+        ends[f"{move.joint}_{unit}"] = (move.to if is_slide else float(np.rad2deg(move.to)), unit)
+    return ends

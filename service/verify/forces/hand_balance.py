@@ -1,0 +1,209 @@
+"""Where a surface of a hand meets a body at one pose, and whether forces in the friction cones push a joint there.
+
+- A joint is pushed if forces in the cones of the contacts that touch, with the least friction, have the part along its
+  way that it takes, and along every other joint that carries the body no more than that joint bears by itself.  The
+  cones have a third of the friction angle where another joint is to stay: a hand that sets on slips before it sticks.
+- A single contact may slide: it exerts ``N (n - mu v)`` with any slip ``v`` along the surface.  Of a way that is an
+  angle a off the normal, its part along it is at least ``N (cos a - mu sin a)``.  The contact jams where that vanishes,
+  and presses many times harder than the way needs shortly before; 0.4 of the pressure has to be left at every
+  friction up to the largest.  What the way does not need is borne by the joint's bearings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import nnls
+
+from costs.robot import LinkBody
+from service.verify.forces.rounded import RoundedBody
+from service.verify.motion import HandContact, HandPush
+from service.verify.solids import make_coal_convex
+
+TOUCH_GAP_M = 4e-3  # between surfaces that touch: parts are not drawn to the millimetre
+LEAST_APART_M = 1e-3  # of the two cores; nearer ones have no normal
+LEAST_SHARE = 0.4  # of the pressure of a contact that slides, along the way
+HELD_SHARE = 1.0 / 3.0  # of the friction angle that keeps another joint still while the hand sets on
+NOTHING_HOLDS = float(np.pi)  # by which cones would have to be wider where none suffices [rad]
+_SIDES = 8  # of the pyramids inside the cones
+_STEPS = 6  # of the search for how much wider cones would have to be
+_REST = 1e-6  # of balances that hold, relative to the force along the way
+_LEAST_FORCE_N = 1.0  # along the way of a joint that moves without resistance
+
+
+def find_jamming_angle(push: HandPush) -> float:
+    """Return the angle between normal and way from which on a single contact jams that slides [rad].
+
+    There ``cos a - mu sin a = cos(a + atan mu) / cos(atan mu)`` is the least share of the pressure along the way.
+    """
+    cone = float(np.arctan(push.friction[1]))
+    return float(np.arccos(LEAST_SHARE * np.cos(cone)) - cone)
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where a surface of a hand and a body meet at one pose, in the frame of the body's link.
+
+    Attributes:
+        apart: distance of the two cores [m].
+        gap: between the surfaces; negative where they overlap [m].
+        normal: (3,) unit, from the hand to the body.
+        way: (3,) unit, along which the joint moves the contact point in the sense of the push.
+        held: (h, 3) how each held joint would move the contact point, per unit of its coordinate [m/rad, 1].
+        point: (3,) of the body's surface [m].
+    """
+
+    apart: float
+    gap: float
+    normal: Float[np.ndarray, "3"]
+    way: Float[np.ndarray, "3"]
+    held: Float[np.ndarray, "h 3"]
+    point: Float[np.ndarray, "3"]
+
+    @property
+    def angle(self) -> float:
+        """Angle between normal and way [rad]."""
+        return float(np.arctan2(np.linalg.norm(np.cross(self.normal, self.way)), self.normal @ self.way))
+
+    @property
+    def is_touching(self) -> bool:
+        """Whether the surfaces touch, with a normal that is known."""
+        return self.gap <= TOUCH_GAP_M and self.apart >= LEAST_APART_M
+
+
+def meet(
+    contact: HandContact,
+    body: LinkBody,
+    pose: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]],
+    sense: float,
+    ways: Sequence[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]],
+) -> Meeting:
+    """Return where a surface of a hand meets a body.
+
+    Args:
+        contact, body: the surface and what it presses.
+        pose: rotation and translation of the contact's frame in the frame of the body's joint.
+        sense: of the push.
+        ways: of the joint that is pushed, then of those that are held: velocity of the origin of the body's frame
+            per unit of the coordinate, and angular velocity, both in that frame.
+    """
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    request.enable_signed_distance = True
+    solid = RoundedBody.of_body(body)
+    core = make_coal_convex(contact.core)
+    apart = float(coal.distance(core, coal.Transform3s(*pose), solid.core, solid.pose, request, result))
+    normal = np.array(result.normal)
+    point = np.array(result.getNearestPoint2()) - solid.radius * normal
+    moves = np.array([linear + np.cross(angular, point) for linear, angular in ways]).reshape(-1, 3)
+    way = sense * moves[0] / max(float(np.linalg.norm(moves[0])), 1e-12) if len(moves) else np.zeros(3)
+    return Meeting(apart, apart - contact.radius - solid.radius, normal, way, moves[1:], point)
+
+
+def measure_excess(push: HandPush, met: Sequence[Meeting]) -> float:
+    """Return how much wider the friction cones at a pose would have to be for the push; negative where it holds [rad].
+
+    Half a turn where nothing touches, or where a force would exceed a cap.
+    """
+    touching = [(contact, each) for contact, each in zip(push.contacts, met, strict=True) if each.is_touching]
+    if not touching:
+        return NOTHING_HOLDS
+    jams = -NOTHING_HOLDS
+    if len(touching) == 1:
+        ((contact, meeting),) = touching
+        jams = meeting.angle - find_jamming_angle(push)
+        if jams <= 0.0 and push.force_n > contact.cap_n * np.cos(meeting.angle):
+            return NOTHING_HOLDS
+        if jams > 0.0 or not push.held:
+            return jams
+    return max(jams, _search_widening(push, touching))
+
+
+def _search_widening(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> float:
+    """Search for the least widening of all cones in which forces balance the push [rad]."""
+    balance = _Balance(push, touching)
+    cone = float(np.arctan(push.friction[0])) * (HELD_SHARE if push.held else 1.0)
+    if len(touching) == 1 and balance.holds_about(0.0):
+        return -cone - _bisect(0.0, 0.25 * np.pi, balance.holds_about)
+    widest = 0.5 * np.pi - cone - 1e-3
+    if not balance.exists(cone + widest):
+        return NOTHING_HOLDS
+    ends = (0.0, cone) if balance.exists(cone) else (-widest, 0.0)
+    return -_bisect(*ends, lambda narrower: balance.exists(cone - narrower))
+
+
+def _bisect(low: float, high: float, holds: Callable[[float], bool]) -> float:
+    """Return the largest angle found that holds, where the low one does and the high one may not [rad]."""
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+class _Balance:
+    """Forces of contacts that push a joint and leave the held ones where they are.
+
+    Several contacts do not press across the way, where they would hold against each other.
+    """
+
+    def __init__(self, push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> None:
+        self._force = max(push.force_n, _LEAST_FORCE_N)
+        self._caps = np.array([contact.cap_n for contact, _ in touching])
+        self._normals = np.array([meeting.normal for _, meeting in touching])
+        self._ways = np.array([meeting.way for _, meeting in touching])
+        self._held = np.array([meeting.held for _, meeting in touching])
+        self._low = np.array([held.low for held in push.held])
+        self._high = np.array([held.high for held in push.held])
+        self._around = _list_tangents(self._normals, self._ways)
+        several = len(touching) > 1
+        self._across = np.linalg.svd(self._ways.mean(axis=0)[None])[2][1:] if several else np.zeros((0, 3))
+
+    def _list_edges(self, half: float) -> Float[np.ndarray, "C E 3"]:
+        """Return the edges of pyramids inside cones of a half-angle, as unit vectors."""
+        return np.asarray(np.cos(half) * self._normals[:, None] + np.sin(half) * self._around)
+
+    def exists(self, half: float) -> bool:
+        """Return whether there are such forces within a half-angle of the normals.
+
+        A non-negative least-squares problem: coefficients of the cones' edges, and slacks of caps and of held joints.
+        """
+        if half <= 0.0:
+            return False
+        edges = self._list_edges(half)
+        count = edges.shape[0] * edges.shape[1]
+        equal = [(edges * self._ways[:, None]).sum(axis=2).reshape(1, count), self._across @ edges.reshape(count, 3).T]
+        parts = np.einsum("cek,chk->hce", edges, self._held).reshape(-1, count)
+        pressed = np.eye(len(edges))[:, :, None] * (edges * self._normals[:, None]).sum(axis=2)
+        is_low, is_high = np.isfinite(self._low), np.isfinite(self._high)
+        bounded = np.concatenate([parts[is_high], -parts[is_low], pressed.reshape(-1, count)])
+        values = np.concatenate([self._high[is_high], -self._low[is_low], self._caps])
+        free = np.zeros((1 + len(self._across), len(bounded)))
+        matrix = np.block([[np.concatenate(equal), free], [bounded, np.eye(len(bounded))]])
+        wanted = np.concatenate([[self._force], np.zeros(len(self._across)), values])
+        _, rest = nnls(matrix, wanted)
+        return bool(rest < _REST * self._force)
+
+    def holds_about(self, off: float) -> bool:
+        """Return whether a single contact holds without friction, for every normal within an angle of its own."""
+        normals = np.vstack([self._normals, self._list_edges(off / np.cos(np.pi / _SIDES))[0]])
+        share = normals @ self._ways[0]
+        if share.min() <= 0.0:
+            return False
+        pressure = self._force / share
+        parts = pressure[:, None] * (normals @ self._held[0].T)
+        slack = _REST * pressure.max()
+        is_held = (parts >= self._low - slack) & (parts <= self._high + slack)
+        return bool(is_held.all()) and bool(pressure.max() <= self._caps[0])
+
+
+def _list_tangents(normals: Float[np.ndarray, "C 3"], ways: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C E 3"]:
+    """Return unit vectors around each normal, at equal angles, the first where the way leads along the surface."""
+    basis = np.linalg.svd(normals[:, None])[2][:, 1:]
+    along = (basis * ways[:, None]).sum(axis=2)
+    size = np.linalg.norm(along, axis=1)
+    first = np.where(size > _REST, np.arctan2(along[:, 1], along[:, 0]), 0.0)
+    turn = first[:, None] + 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    return np.asarray(np.stack([np.cos(turn), np.sin(turn)], axis=2) @ basis)
