@@ -28,7 +28,7 @@ DONE = (
 REFUSED = {
     "circle_114_20": "jams",
     "hose_push_turn": "jams",
-    "plugb_100": "would have to pull",
+    "plugb_100": "jams",
     "rail_push_wrong_side": "would have to pull",
 }
 UNSTATED = ("beam_8kg_35", "drill_115_20")  # a beam in two hands, and a drill's way, with what the request says of them
