@@ -25,7 +25,13 @@ from service.verify.forces.hand_balance import (
     meet,
 )
 from service.verify.forces.hand_contacts import describe_failure, describe_push
-from service.verify.forces.rounded import MOST_ROUNDING_M, RoundedBody, measure_beyond_hull, shrink_hull
+from service.verify.forces.rounded import (
+    MOST_ROUNDING_M,
+    ROUND_ROUNDING_M,
+    RoundedBody,
+    measure_beyond_hull,
+    shrink_hull,
+)
 
 ROD = np.array([[0.0, 0.0, -0.06], [0.0, 0.0, -0.009]])  # the rod's axis, its tip at the frame's origin
 RADIUS = 0.009
@@ -201,7 +207,7 @@ def test_a_round_body_has_the_normal_of_its_axis_whatever_polygon_stands_for_it(
         np.testing.assert_allclose(
             met.normal, -outwards, atol=np.sqrt(2e-6 / met.apart)
         )  # the distance is known to 1 um
-    assert RoundedBody.of_body(bar).radius == pytest.approx(MOST_ROUNDING_M)
+    assert RoundedBody.of_body(bar).radius == pytest.approx(ROUND_ROUNDING_M)
 
 
 def nearest_vector(rod: Float[np.ndarray, "2 3"], corners: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3"]:

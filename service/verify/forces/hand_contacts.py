@@ -37,7 +37,7 @@ from service.verify.prepared_motion import PreparedMotion
 SURFACE_SLACK_M = 2e-3  # by which a stated surface of a hand may stand out of the link's shapes
 MOVES = 1e-4  # by which a joint moves [rad, m]
 _DISTANCE_ERROR_M = 1e-6  # tolerance of coal's distances, which counts like a displacement of the core
-MOST_HALVINGS = 8  # of intervals: a contact that needs more is at the edge of its cone
+MOST_HALVINGS = 9  # of intervals: a contact that needs more is at the edge of its cone
 _GAP_RESOLUTION_M = 5e-4
 _RESOLUTION = float(np.deg2rad(1.0))
 _MORE_THAN_SQUARE = 0.5 * np.pi + 0.01

@@ -13,7 +13,10 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from costs.robot import LinkBody
 from service.verify.solids import make_coal_convex
 
-MOST_ROUNDING_M = 5e-3  # of an edge
+MOST_ROUNDING_M = 5e-3  # of an edge of a polytope, which may stand for something round
+ROUND_ROUNDING_M = 2e-3  # of an edge of a shape that is known to be round
+BOX_ROUNDING_M = 2e-3  # of an edge of a box, and of what has no more corners
+BOX_CORNERS = 8
 ROUNDED_SHARE = 0.45  # of a body's least thickness
 
 
@@ -52,7 +55,7 @@ def _round_body(body: LinkBody) -> RoundedBody:
         points, radius = shrink_hull(body.vertices)
         return RoundedBody(make_coal_convex(points), coal.Transform3s(), radius)
     thickness = 2.0 * exact.radius if exact.kind != "cylinder" else min(2.0 * exact.radius, exact.length)
-    radius = min(MOST_ROUNDING_M, ROUNDED_SHARE * thickness)
+    radius = min(ROUND_ROUNDING_M, ROUNDED_SHARE * thickness)
     within = exact.radius - radius
     pose = coal.Transform3s(exact.pose[:3, :3], exact.pose[:3, 3])
     if exact.kind == "sphere":
@@ -71,7 +74,8 @@ def shrink_hull(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "
     middle = vertices.mean(axis=0)
     width = np.ptp(vertices @ planes[:, :3].T, axis=0).min()
     room = -(planes[:, :3] @ middle + planes[:, 3]).max()
-    radius = float(min(MOST_ROUNDING_M, ROUNDED_SHARE * width, 0.9 * room))
+    most = BOX_ROUNDING_M if len(vertices) <= BOX_CORNERS else MOST_ROUNDING_M
+    radius = float(min(most, ROUNDED_SHARE * width, 0.9 * room))
     moved = planes.copy()
     moved[:, 3] += radius
     corners = HalfspaceIntersection(moved, middle).intersections
