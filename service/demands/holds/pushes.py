@@ -17,11 +17,12 @@ from service.verify.forces.hand_contacts import describe_failure
 from service.verify.forces.rounded import measure_beyond_hull, shrink_hull
 from service.verify.motion import HAND_CAP_N
 
+MOST_AIM = float(np.deg2rad(25.0))  # of a rod that pushes by its side, from the handle's axis
 MOST_LEAN = float(np.deg2rad(30.0))  # of a rod that pushes by its side, from square to the way
 MOST_BESIDE = 0.03  # of a hand that comes or goes, beside the face that it presses [m]
 LEAST_BESIDE = 8e-3  # of a hand beside the face that it presses, from any other body [m]
 ALONG = 0.5  # cosine from which on a force counts as one along the way of a joint
-RESERVE = float(np.deg2rad(4.0))  # of the angles that friction permits, for the curve between the waypoints
+RESERVE = float(np.deg2rad(3.0))  # of the angles that friction permits, for the curve between the waypoints
 LITTLE_ACROSS = float(np.cos(np.deg2rad(5.0)))  # cosine from which on a contact pushes along the way alone
 
 
@@ -91,7 +92,9 @@ def _limit_lean(spec: PhaseSpec, mechanism: Mechanism, found: Sequence[NominalPu
     room = -measure_excess(nominal.push, nominal.met) - RESERVE
     if lean > MOST_LEAN or room <= 0.0:
         return motion
-    return replace(motion, way=way, way_lean_rad=lean + room)
+    # What the rod leans along a bar makes its lean towards the way weigh more.
+    aim = min(motion.aim_rad, MOST_AIM)
+    return replace(motion, way=way, way_lean_rad=lean + np.cos(aim) * room, aim_rad=aim)
 
 
 def find_nominal_pushes(
