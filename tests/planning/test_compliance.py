@@ -79,7 +79,11 @@ def test_only_the_arm_that_holds_the_wheel_is_elsewhere_at_the_same_times(turned
         duration = times[before["last"]] - times[before["first"]]
         now = _time(motion, phase.last) - _time(motion, phase.first)
         # The wheel turns as it did; the short ways there and back bend, and are slower where a limit asks for it.
-        assert now == pytest.approx(duration, abs=1e-6) if phase.name == "turn" else duration - 1e-6 <= now < 1.0
+        assert (
+            now == pytest.approx(duration, abs=1e-6)
+            if phase.name == "turn"
+            else duration - 1e-6 <= now < max(1.0, 1.1 * duration)
+        )
     tool = f"{side}_peg"
     assert result.figures["hand_displaced_mm"] == pytest.approx(
         1e3 * _largest_distance(result, earlier[:, columns], tool), abs=0.2
