@@ -133,17 +133,18 @@ def find_side(
     if motion is None:
         return np.zeros(3)
     for nominal in find_nominal_pushes(spec, robot, mechanism, friction):
+        pressed = {contact.body for contact in nominal.push.contacts}
+        others = [body for body in robot.bodies if body.link in robot.mechanism_links and body.name not in pressed]
         for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
-            if contact.link == motion.link:
-                side = -meeting.normal
-                others = [body for body in robot.bodies if body.link in robot.mechanism_links]
-                others = [body for body in others if body.name not in {each.body for each in nominal.push.contacts}]
-                for distance in np.linspace(MOST_BESIDE, 0.0, 6):
-                    moved = replace(motion, place=motion.place + distance * side)
-                    held = _HeldAt(motion.tool, _place_hand(moved, mechanism, spec.first), spec.first)
-                    gaps = [_measure_gap(robot, mechanism, contact, held, body) for body in others]
-                    if min(gaps, default=np.inf) >= LEAST_BESIDE:
-                        return np.asarray(distance * side)
+            if contact.link != motion.link:
+                continue
+            for distance in np.linspace(MOST_BESIDE, 0.0, 6):
+                shift = -distance * meeting.normal
+                moved = replace(motion, place=motion.place + shift)
+                held = _HeldAt(motion.tool, _place_hand(moved, mechanism, spec.first), spec.first)
+                gaps = [_measure_gap(robot, mechanism, contact, held, body) for body in others]
+                if min(gaps, default=np.inf) >= LEAST_BESIDE:
+                    return np.asarray(shift)
     return np.zeros(3)
 
 

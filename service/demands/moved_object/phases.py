@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
-from costs.robot import (
-    RobotModel,
-)
+from costs.robot import RobotModel
 from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import Hand
 from service.demands.holds.pressed import add_pressed, find_pressed
