@@ -40,7 +40,7 @@ _SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1), strict
 # Templates whose shape says little (a leaf is a flat face) keep their detector's rating as an input.
 _RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam"})
 _FLAT = frozenset({"drill"})  # templates that are not flat
-_RIDGE, _RIDGE_OWN = 0.3, 0.3
+_RIDGE, _RIDGE_OWN = 0.1, 0.1
 _FOLDS = 5
 _FEWEST = 4, 2  # right and wrong hits
 

@@ -178,7 +178,8 @@ def test_an_object_moved_aside_loses_its_evidence() -> None:
 
 def test_an_extinguisher_is_fitted_by_a_template_of_a_few_lines() -> None:
     floor, body = box((-3.0, -3.0, -0.1), (3.0, 3.0, 0.0)), cylinder((1.0, 0.2, 0.0), (1.0, 0.2, 0.4), 0.065, 48)
-    index = sight_index(scan([floor, body], Pose((0.0, 0.0, 1.3), pitch=0.8), SCANNER, 0))
+    fine = replace(SCANNER, sigma=0.003)
+    index = sight_index(scan([floor, body], Pose((0.0, 0.0, 1.3), pitch=0.8), fine, 0))
     mounting = Mounting(np.eye(3), np.zeros(3), 0.004)
     begun = Hypotheses.of(np.eye(3)[None], rows(1.02, 0.18, 0.0), EXTINGUISHER.usual[None], np.array([0.0, 0.0, 1.0]))
     fit = search(EXTINGUISHER, [Site(np.array([1.0, 0.2, 0.2]), mounting, begun)], index)[0]
