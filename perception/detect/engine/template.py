@@ -117,7 +117,7 @@ class Template:
 
     def clip(self, sizes: Float[np.ndarray, "B S"]) -> Float[np.ndarray, "B S"]:
         """Return sizes moved into their limits."""
-        return np.clip(sizes, [size.low for size in self.sizes], [size.high for size in self.sizes])
+        return np.asarray(np.clip(sizes, [size.low for size in self.sizes], [size.high for size in self.sizes]))
 
 
 def columns(*values: Float[np.ndarray, "B"] | float) -> Float[np.ndarray, "B 3"]:
