@@ -25,8 +25,8 @@ from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.body.equilibrium_pose import EquilibriumPose
 from service.demands.contacts.egress_demand import load_phases
-from service.request.egress import EgressRequest
 from service.request.file import load_request
+from service.request.tasks.egress import EgressRequest
 from service.setup.world import build_obstacles
 from service.start.robot import load_requested_robot
 from service.tasks.egress.plan import PoseSet, find_sequences, make_all_stages, make_graph, solve_poses

@@ -19,7 +19,7 @@ from service.demands.hands import Hand
 from service.demands.holds.door_edge import hold_edge, make_edge_load
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
-from service.request.names import DOOR, HANDLE_JOINT, LEAF_JOINT
+from service.request.tasks.door import DOOR, HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
 
 if TYPE_CHECKING:

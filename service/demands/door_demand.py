@@ -30,9 +30,8 @@ from service.demands.holds.door_edge import MOST_SLANT, hold_edge
 from service.demands.phase_spec import AXIS, DEPTH_RESERVE, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
 from service.errors import RequestError
-from service.request.door import DoorRequest, HandleRequest
-from service.request.names import LEAF_JOINT
 from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
+from service.request.tasks.door import LEAF_JOINT, DoorRequest, HandleRequest
 from service.verify import JointTarget, Motion, Phase, RelativePoseTarget
 
 if TYPE_CHECKING:

@@ -23,8 +23,7 @@ from costs.scene import ConvexPiece
 from service.demands.moved_object.loads import JointLoad, MovedObject, Spring, choose_pace
 from service.demands.moved_object.rest import check_rest
 from service.errors import RequestError, shown, would_do
-from service.request.mechanism import MechanismRequest, is_urdf_text
-from service.request.names import MECHANISM, STILL
+from service.request.tasks.mechanism import MECHANISM, STILL, MechanismRequest, is_urdf_text
 
 LINE_OUT = 0.1  # of the line that leads to the handle, where the request gives none [m]
 LEAST_TRAVEL = 1e-6  # of a joint that moves [rad, m]

@@ -11,7 +11,7 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot.atlas.gripper import FINGER_WIDTH, LARGEST_OPENING, LEAST_OPENING, TOOL_FROM_END
 from service.demands.hands import Hand
 from service.demands.wheel import TOUCH_DEPTH, Wheel
-from service.request.names import VALVE_LINK
+from service.request.tasks.valve import VALVE_LINK
 from service.verify import RelativePoseTarget
 
 OPEN_BESIDE = 0.014  # between a pad and the rim while the hand comes and goes [m]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from service.demands.hands import FREE_BEFORE, PEG_FROM_END, Hand
 from service.demands.wheel import TOUCH_DEPTH, Spoke, Wheel, wrap_angle
-from service.request.names import VALVE_LINK
+from service.request.tasks.valve import VALVE_LINK
 
 PEG_SPACE = 5e-4  # between the peg and the spoke that it presses: the hand leans a little [m]
 RIM_SPACE, LEAST_RIM_SPACE = 0.006, 0.003  # between the peg and the rim's inner edge, wanted and least [m]

@@ -16,8 +16,7 @@ from service.demands.peg import PegPlace, make_peg_allowances, place_peg
 from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.demands.wheel import Mode, Wheel, wrap_angle
 from service.request.fields import HAND_FRICTION
-from service.request.names import VALVE_LINK
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import VALVE_LINK, ValveRequest
 from service.verify import CircleTarget, HandLoad, PressedPart
 
 TURN = "turn"

@@ -26,9 +26,8 @@ from service.demands.strokes import (
 from service.demands.wheel import Wheel, make_wheel_mechanism, wrap_angle
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
-from service.request.names import VALVE_JOINT
 from service.request.resume import ResumeRequest, StrokeChoice
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import VALVE_JOINT, ValveRequest
 from service.verify import Motion, Phase, RelativePoseTarget
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import Mechanism, MechanismJoint
-from service.request.names import VALVE_JOINT, VALVE_LINK
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import VALVE_JOINT, VALVE_LINK, ValveRequest
 
 if TYPE_CHECKING:
     from perception import LeverDetection, SeenPart, ValveDetection

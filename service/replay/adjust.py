@@ -9,9 +9,10 @@ from jaxtyping import Float
 
 from service.errors import RequestError, shown, would_do
 from service.replay.resume_contacts import displace, move_contacts
-from service.request.contacts import ContactsRequest
-from service.request.door import DoorRequest
-from service.request.schema import PlanRequest, TaskRequest
+from service.request.schema import PlanRequest
+from service.request.tasks.contacts import ContactsRequest
+from service.request.tasks.door import DoorRequest
+from service.request.tasks.registry import TaskRequest
 from service.setup.world import Surroundings
 
 VALVE, DOOR = "valve", "door"

@@ -25,7 +25,8 @@ from service.replay.resume_contacts import ChangedContacts
 from service.request.file import hash_request_data, load_section, replace_cloud
 from service.request.resume import HoldChoice, NominalPhase, NominalRequest, ResumeRequest
 from service.request.scene import MeshRequest
-from service.request.schema import PlanRequest, PoseRequest, StartRequest, StateRequest, TaskRequest
+from service.request.schema import PlanRequest, PoseRequest, StartRequest, StateRequest
+from service.request.tasks.registry import TaskRequest
 from service.result.folder import read_result, result_path
 from service.result.manifest import hash_certificate
 from service.result.motion_json import BASE_COLUMNS

@@ -19,7 +19,7 @@ from service.demands.contacts.stances import (
     list_contact_phases,
 )
 from service.errors import RequestError, shown, would_do
-from service.request.contacts import (
+from service.request.tasks.contacts import (
     ContactsRequest,
     PlaceRequest,
     PostureRequest,

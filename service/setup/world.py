@@ -56,6 +56,7 @@ class Surroundings:
 
 
 NOTHING = Surroundings(())
+TURNABLE = "turnable"  # detected kind of valves, the only objects that a scene file has
 
 
 def read_surroundings(
@@ -77,14 +78,13 @@ def read_surroundings(
     Raises:
         RequestError: a file that cannot be used.
     """
-    scene, task = request.scene, None if request.task is None else request.task.valve
-    moved = task if task is not None or request.task is None else request.task.door
-    hint = scene.hint if moved is None or moved.hint is None else moved.hint
+    scene, section = request.scene, request.section
+    hint = section.near or scene.hint
     if scene.file is not None:
         from service.scan.scene_file import read_scene  # takes a while, and few requests need it
 
         record = read_scene(request.resolve(scene.file), "scene.file")
-        if task is None:
+        if TURNABLE not in section.detected:
             return Surroundings(record.pieces)
         valves = record.valves(hint)
         return Surroundings(record.pieces_without(valves[:1]), valves, seen=record.list_seen_parts(hint))
@@ -132,7 +132,7 @@ def _perceive_scan(
             reach=Reach(x=x, y=y),
             robot_hulls=[*own, *moved],
             soles=soles,
-            kinds=_list_kinds(request),
+            kinds=request.section.detected,
             hint=None if hint is None else np.array(hint),
             unknown=scene.unknown,
             seed=request.options.seed,
@@ -165,16 +165,6 @@ def _note_taken_out(
     ]
     if counts:
         yield "took out of the scan: " + ", ".join(f"{count} points on {name}" for name, count in counts)
-
-
-def _list_kinds(request: PlanRequest) -> tuple[str, ...]:
-    """Return the kinds of objects to find in the scan: what the task moves, whose points are no obstacles."""
-    task = request.task
-    if task is not None and task.valve is not None:
-        return ("turnable",)
-    if task is None or task.door is None:
-        return ()
-    return ("door" if task.door.hinge == "auto" else f"door_{task.door.hinge}",)
 
 
 def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:

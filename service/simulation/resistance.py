@@ -9,9 +9,10 @@ from dataclasses import dataclass, field, replace
 from costs.robot import LinkInertia
 from service.demands.given_mechanism import read_given_mechanism
 from service.demands.wheel import GROWTH_M
-from service.request.mechanism import MechanismRequest
-from service.request.names import HANDLE_JOINT, LEAF_JOINT, VALVE_JOINT
 from service.request.schema import PlanRequest
+from service.request.tasks.door import HANDLE_JOINT, LEAF_JOINT
+from service.request.tasks.mechanism import MechanismRequest
+from service.request.tasks.valve import VALVE_JOINT
 
 SPRING_TRAVEL = 0.01  # in which the force of a preloaded spring comes, to either side of its rest [rad, m]
 LEVER_PRELOAD = 0.5  # share of a lever's torque that its spring has at rest

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel, read_joint_axis
 from service.errors import RequestError, would_do
-from service.request.contacts import PostureRequest
 from service.request.schema import StartRequest
+from service.request.tasks.contacts import PostureRequest
 from service.start.standing import sole_corners
 
 SNAP_TOLERANCE = 1e-3  # rounding of joint positions reported by a robot [rad, m]

@@ -19,7 +19,7 @@ from service.demands.door_demand import DoorDemand, choose_door, make_door, meas
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS
 from service.errors import RequestError
-from service.request.door import DoorRequest
+from service.request.tasks.door import DoorRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door import LEAST_FIRST, DoorOpening
 from service.tasks.doors.places import find_narrow_gap

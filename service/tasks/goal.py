@@ -16,7 +16,7 @@ from scopt import Constraint
 from service.body.holds import POSITION, ROTATION, Hold, project_within_limits
 from service.body.whole_body import WholeBody
 from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.verify import Target
 
 # Part of a pose's tolerance that the optimiser leaves to its own inaccuracy: a share of it, and no more than is needed.

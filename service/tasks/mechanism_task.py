@@ -23,8 +23,8 @@ from service.demands.moved_object.demand import GivenMechanismDemand, find_ends,
 from service.demands.moved_object.phases import list_opposite_places, make_mechanism_phases, select_tool, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.errors import RequestError
-from service.request.mechanism import MechanismRequest
 from service.request.resume import ResumeRequest
+from service.request.tasks.mechanism import MechanismRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.doors.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands

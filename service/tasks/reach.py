@@ -25,7 +25,7 @@ from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.trees import ARM_TREES, LARGE_TREES, MOST_ARM_JOINTS, TREES
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 from service.explain.goal import find_goal_reasons
-from service.request.schema import GoalRequest
+from service.request.tasks.reach import GoalRequest
 from service.start.standing import FLOOR_KIND
 from service.tasks.goal import Goal, lead_path
 from service.tasks.goal_poses import bring_to_goal, find_random_ends, is_new_end, solve_at_goal

@@ -38,9 +38,8 @@ from service.demands.valve_demand import ValveDemand, read_kept_choice, resume_v
 from service.demands.wheel import ROOMS, Wheel, find_stops, make_wheel, make_wheel_mechanism
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
-from service.request.names import VALVE_LINK
 from service.request.resume import ResumeRequest
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import VALVE_LINK, ValveRequest
 from service.scan.scene_file import lever_from_sizes, wheel_from_circle
 from service.setup.prepare import PlanSetup
 from service.tasks.handling import FARTHER, find_collisions, list_hands

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from costs.kinematics import KinematicsEngine, locate_links
 from service.demands.contacts.mirrored_phases import mirror_phases, swap_sides
-from service.request.contacts import PostureRequest
+from service.request.tasks.contacts import PostureRequest
 from service.start.configuration import make_posture
 
 MIRROR = np.diag([1.0, -1.0, 1.0])

@@ -12,7 +12,8 @@ from service.body.monitor import Monitor
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest, Options, PlanRequest, PoseGoalRequest
+from service.request.schema import Options, PlanRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import Attempt
 from service.result.output import write_result
 from service.result.result import Verdict

@@ -18,7 +18,7 @@ from service.body.trees import ARM_TREES, MOST_ARM_JOINTS, TREES
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest
+from service.request.tasks.reach import GoalRequest
 from service.result.result import Verdict
 from service.tasks.goal import Goal
 from service.tasks.reach import _ReachSearch

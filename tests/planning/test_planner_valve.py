@@ -17,7 +17,7 @@ from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare

@@ -16,7 +16,7 @@ from service.demands.door_demand import make_door, measure_peg, read_given_door
 from service.demands.hands import HANDS
 from service.demands.phase_spec import PhaseSpec
 from service.demands.scene import make_floor
-from service.request.door import DoorRequest, HandleRequest, LeafRequest
+from service.request.tasks.door import DoorRequest, HandleRequest, LeafRequest
 from service.tasks.stances.poses import (
     find_shoulder,
     list_arm_joints,

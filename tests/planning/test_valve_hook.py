@@ -14,7 +14,7 @@ from service.demands.strokes import find_count, find_least_count, find_net_turn,
 from service.demands.wheel import GROWTH_M, make_wheel
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.result.result import PlanResult, Verdict
 from service.tasks.valve_task import describe_valve, read_given_valve
 

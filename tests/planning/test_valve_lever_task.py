@@ -19,7 +19,7 @@ from service.demands.wheel import STOP_ROUNDING, make_wheel, make_wheel_mechanis
 from service.errors import RequestError
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.result.result import PlanResult, Verdict
 from service.scan.scene_file import lever_from_sizes
 from service.tasks.valve_task import read_given_valve, refuse_lever

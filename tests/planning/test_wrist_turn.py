@@ -17,7 +17,7 @@ from service.demands.strokes import TurnChoice, list_usable_entries, make_turn_p
 from service.demands.wheel import Wheel, make_wheel
 from service.planner import _make_solver
 from service.request.file import parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.setup.prepare import prepare
 from service.tasks.valve import measure_wrist
 from service.tasks.valve_task import read_given_valve

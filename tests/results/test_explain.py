@@ -25,7 +25,7 @@ from service.explain.conflict import Conflict, Demand, DemandKind, FilterOutcome
 from service.explain.narrow import explain
 from service.planner import _explain, plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import list_shortfalls
 from service.result.result import Verdict
 from service.result.result_json import summary_json

@@ -25,8 +25,8 @@ from service.demands.contacts.stances import (
 )
 from service.demands.contacts.surfaces import find_unknown, make_surfaces
 from service.errors import RequestError, shown
-from service.request.egress import ContactRequest, EgressRequest, PhaseRequest, PhasesFile
 from service.request.file import load_section
+from service.request.tasks.egress import ContactRequest, EgressRequest, PhaseRequest, PhasesFile
 from service.verify import Motion
 
 SHIPPED_PHASES = Path(__file__).with_name("egress_phases.yaml")

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from costs.robot import RobotModel
-from service.request.contacts import PostureRequest
-from service.request.egress import ContactRequest, PhaseRequest, SideRequest
+from service.request.tasks.contacts import PostureRequest
+from service.request.tasks.egress import ContactRequest, PhaseRequest, SideRequest
 
 OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
 SIDE_WORD = re.compile("(?<![A-Za-z])(left|right|l|r)(?![A-Za-z])")

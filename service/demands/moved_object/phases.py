@@ -17,7 +17,7 @@ from service.demands.holds.pushes import find_nominal_pushes
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.errors import RequestError
-from service.request.mechanism import MechanismRequest
+from service.request.tasks.mechanism import MechanismRequest
 from service.verify import HandLoad
 from service.verify.forces.hand_balance import LEAST_APART_M
 

@@ -162,11 +162,10 @@ def to_json(outcome: CertifiedTrajectory) -> dict[str, Any]:
 
 
 def _refuse_tasks(request: PlanRequest) -> None:
-    task = request.task
-    if task is not None and task.trajopt is None:
-        name = next(name for name, value in vars(task).items() if value is not None)
+    if not request.section.takes_trajectories:
         raise RequestError(
-            f"task.{name}: its phases are made by the planner; a trajectory is certified for a goal or task.trajopt"
+            f"{request.kind.field}: its phases are made by the planner; a trajectory is certified for a goal or "
+            "task.trajopt"
         )
     if request.resume is not None:
         raise RequestError("resume: a trajectory is certified as a whole; leave it out")

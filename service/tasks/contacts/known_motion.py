@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.body.task_plan import KeptCurve
-from service.request.contacts import ContactsRequest
 from service.request.resume import NominalRequest
+from service.request.tasks.contacts import ContactsRequest
 from service.start.configuration import make_posture
 from service.tasks.earlier_motion import read_earlier_motion
 

@@ -23,7 +23,7 @@ from service.body.phases import Map
 from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.stances import ContactStance
 from service.demands.contacts.surfaces import make_surfaces
-from service.request.egress import EgressRequest, PhaseRequest
+from service.request.tasks.egress import EgressRequest, PhaseRequest
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.chain import Chain, link_poses
 from service.tasks.egress.graph import PoseGraph, measure_connection

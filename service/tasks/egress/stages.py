@@ -13,7 +13,7 @@ from service.demands.contacts.egress_demand import BEYOND_M, find_toe
 from service.demands.contacts.stances import Surface
 from service.demands.contacts.surfaces import find_unknown
 from service.errors import RequestError
-from service.request.egress import ContactRequest, PhaseRequest
+from service.request.tasks.egress import ContactRequest, PhaseRequest
 from service.start.configuration import make_posture
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import Shape

@@ -17,7 +17,7 @@ from service.demands.hands import Hand
 from service.demands.phase_spec import PhaseSpec
 from service.demands.strokes import TurnChoice, find_least_count, list_strokes, list_usable_entries
 from service.demands.wheel import Wheel, make_wheel_mechanism
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.tasks.stances.poses import (
     N_RANDOM,
     HeldPose,

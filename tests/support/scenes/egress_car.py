@@ -11,8 +11,8 @@ from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.surfaces import make_surfaces
-from service.request.egress import EgressRequest, PhaseRequest
 from service.request.file import load_request
+from service.request.tasks.egress import EgressRequest, PhaseRequest
 from service.setup.world import build_obstacles
 from service.start.robot import load_requested_robot
 from service.tasks.egress.poses import PoseSolver

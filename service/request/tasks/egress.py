@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import field
 from typing import Annotated, Literal
 
@@ -11,7 +12,6 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
-from service.request.contacts import PostureRequest, Slack, SurfaceRequest
 from service.request.fields import (
     SECTION,
     Coordinate,
@@ -24,6 +24,8 @@ from service.request.fields import (
     at_most,
     find_repeated,
 )
+from service.request.tasks.contacts import PostureRequest, Slack, SurfaceRequest
+from service.request.tasks.kind import TaskSection
 
 Weight = Annotated[Number, Field(ge=0.0, le=1e6)]
 Angle = Annotated[Number, Field(ge=-180.0, le=180.0)]
@@ -140,7 +142,7 @@ class PhasesFile(Section):
 
 
 @dataclass(config=SECTION)
-class EgressRequest(Section):
+class EgressRequest(TaskSection):
     """Task of getting out of a vehicle by many contacts.
 
     Attributes:
@@ -169,6 +171,15 @@ class EgressRequest(Section):
         if self.phases and self.phases_file is not None:
             raise PydanticCustomError("egress", "phases and phases_file exclude each other; give one")
         check_phases(self.phases)
+
+    def list_points(self) -> Iterator[tuple[str, Point | None]]:
+        """Yield the hint."""
+        yield "hint", self.hint
+
+    def list_paths(self) -> Iterator[tuple[str, str]]:
+        """Yield the file of the phases."""
+        if self.phases_file is not None:
+            yield "phases_file", self.phases_file
 
 
 def check_phases(phases: tuple[PhaseRequest, ...]) -> None:

@@ -23,6 +23,7 @@ from service.request.fields import (
     at_most,
     find_repeated,
 )
+from service.request.tasks.kind import TaskSection
 
 Slack = Annotated[Number, Field(ge=0.0, le=0.5)]
 BasePose = tuple[Coordinate, Coordinate, Coordinate, Number, Number, Number]
@@ -123,7 +124,7 @@ class StanceRequest(Section):
 
 
 @dataclass(config=SECTION)
-class ContactsRequest(Section):
+class ContactsRequest(TaskSection):
     """Task of moving from stance to stance: steps, handrails, chairs, and whatever else carries the robot.
 
     Attributes:

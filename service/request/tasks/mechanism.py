@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import field
 from typing import Annotated, Literal
 
@@ -11,7 +12,10 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.request.fields import SECTION, Name, Number, Point, Quaternion, Section, at_most
+from service.request.tasks.kind import MovedNames, TaskSection
 
+MECHANISM = "mechanism"  # its links are MECHANISM/...
+STILL = "fixture"  # its bodies that no joint moves are fixture/...
 MAX_TEXT = 500_000
 MAX_PATH = 4096
 MAX_MESH_POINTS = 2000
@@ -102,7 +106,7 @@ class MeshHullRequest(Section):
 
 
 @dataclass(config=SECTION)
-class MechanismRequest(Section):
+class MechanismRequest(TaskSection):
     """Task of moving a mechanism by one hold of a hand.
 
     Attributes:
@@ -128,3 +132,17 @@ class MechanismRequest(Section):
     hand: Literal["left", "right", "auto"] = "auto"
     stays: bool = False
     meshes: Annotated[dict[Name, MeshHullRequest], at_most(64)] = field(default_factory=dict)
+
+    @property
+    def moved_names(self) -> MovedNames:
+        """What the URDF describes; its joints may have any names."""
+        return MovedNames(MECHANISM)
+
+    def list_points(self) -> Iterator[tuple[str, Point | None]]:
+        """Yield the position of the URDF's root."""
+        yield "position", self.position
+
+    def list_paths(self) -> Iterator[tuple[str, str]]:
+        """Yield the URDF, unless the request has its text."""
+        if not is_urdf_text(self.urdf):
+            yield "urdf", self.urdf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -10,7 +11,10 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.request.fields import SECTION, Number, Point, Section
+from service.request.tasks.kind import TaskSection
 
+DOOR = "door"  # its links are DOOR/...
+LEAF_JOINT, HANDLE_JOINT = "door_opening", "door_handle"
 MOST_RISE_M = 0.05  # of a leaf's free edge over its hinge
 Metres = Annotated[Number, Field(gt=0.0, le=5.0)]
 
@@ -74,7 +78,7 @@ class HandleRequest(Section):
 
 
 @dataclass(config=SECTION)
-class DoorRequest(Section):
+class DoorRequest(TaskSection):
     """Task of opening a door detected in the scan (near ``hint``) or given by ``leaf`` and ``handle``.
 
     Attributes:
@@ -115,3 +119,26 @@ class DoorRequest(Section):
             )
         if self.leaf is not None and self.opens == "auto":
             raise PydanticCustomError("door", "opens is needed with a leaf that is given; expected push or pull")
+
+    @property
+    def moved_names(self) -> MovedNames:
+        """Leaf and handle."""
+        return MovedNames(DOOR, (LEAF_JOINT, HANDLE_JOINT))
+
+    @property
+    def detected(self) -> tuple[str, ...]:
+        """Doors, or those with the hinge on the stated side."""
+        return (DOOR if self.hinge == "auto" else f"door_{self.hinge}",)
+
+    @property
+    def near(self) -> Point | None:
+        """A point near the door."""
+        return self.hint
+
+    def list_points(self) -> Iterator[tuple[str, Point | None]]:
+        """Yield the positions of leaf and handle."""
+        yield "hint", self.hint
+        if self.leaf is not None:
+            yield from (("leaf.hinge", self.leaf.hinge), ("leaf.edge", self.leaf.edge))
+        if self.handle is not None:
+            yield "handle.centre", self.handle.centre
