@@ -16,9 +16,9 @@ from jaxtyping import Float
 from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis, with_mechanism
 from costs.scene import Scene
-from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ContactPhase, ContactStance, ends_with_new_contacts, list_contact_phases
+from service.demands.egress.demand import EgressDemand
 from service.demands.holds.pushes import add_pushes
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move

@@ -22,13 +22,13 @@ from service.demands import (
     list_planted_feet,
 )
 from service.demands.contacts.contact_task import make_stances
-from service.demands.contacts.egress_demand import EgressDemand
-from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
-from service.demands.given_mechanism import read_given_mechanism
+from service.demands.door.demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
+from service.demands.egress.demand import EgressDemand
 from service.demands.hands import list_robot_hands
-from service.demands.moved_object.demand import GivenMechanismDemand, resume_mechanism
-from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
-from service.demands.wheel import make_wheel
+from service.demands.mechanism.demand import GivenMechanismDemand, resume_mechanism
+from service.demands.mechanism.given import read_given_mechanism
+from service.demands.valve.demand import ValveDemand, resume_valve, turn_back
+from service.demands.valve.wheel import make_wheel
 from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
@@ -181,7 +181,7 @@ def _rebuild_task(
         return opening if request.resume is None else resume_door(opening, request.resume)
     if task.valve is None:
         return None
-    from service.tasks.valve_task import read_given_valve
+    from service.tasks.valve.plan import read_given_valve
 
     given = read_given_valve(task.valve)
     valve = given or next(iter(surroundings.valves), None)

@@ -13,10 +13,10 @@ from costs.robot import BASE_NAMES, RobotModel
 from service.demands import TaskDemand, has_scan
 from service.demands.contacts.moved_places import take_recorded_places
 from service.demands.contacts.stances import ends_with_new_contacts
-from service.demands.door_demand import DoorDemand, keep_door_choice
+from service.demands.door.demand import DoorDemand, keep_door_choice
 from service.demands.held_motion import Demands
-from service.demands.moved_object.demand import GivenMechanismDemand
-from service.demands.valve_demand import ValveDemand, turn_back
+from service.demands.mechanism.demand import GivenMechanismDemand
+from service.demands.valve.demand import ValveDemand, turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.rebuild import Record, rebuild_demands, select_scanned

@@ -19,7 +19,7 @@ from service.result.motion_json import file_positions
 from service.result.phase_json import read_rotation, targets_json, write_rotation
 from service.setup.prepare import PlanSetup
 from service.start.overlaps import find_overlaps
-from service.tasks.goal import Goal
+from service.tasks.reach.goal import Goal
 from service.verify import CircleTarget, JointTarget, PoseTarget, Target
 from service.verify.solids import make_coal_convex
 

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece
-from service.demands.door_demand import read_given_door
-from service.demands.given_mechanism import read_given_mechanism
+from service.demands.door.demand import read_given_door
+from service.demands.mechanism.given import read_given_mechanism
 from service.demands.plausible import list_door_problems, list_mechanism_problems
 from service.errors import RequestError
 from service.request.schema import PlanRequest

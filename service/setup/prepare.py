@@ -17,8 +17,8 @@ from costs.stopping import Stopped, poll, stops_when
 from service.body.holds import KeptPose, make_kept_poses
 from service.demands import compose_scene, list_planted_feet
 from service.demands.contacts.contact_task import make_stances
-from service.demands.contacts.egress_demand import EgressDemand
 from service.demands.contacts.stances import ContactStance
+from service.demands.egress.demand import EgressDemand
 from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest

@@ -15,8 +15,8 @@ from scipy.spatial import ConvexHull, QhullError
 from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
-from service.demands.door_demand import SeenDoor
-from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
+from service.demands.door.demand import SeenDoor
+from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
 from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
 from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest

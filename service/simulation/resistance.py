@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from costs.robot import LinkInertia
-from service.demands.given_mechanism import read_given_mechanism
-from service.demands.wheel import GROWTH_M
+from service.demands.mechanism.given import read_given_mechanism
+from service.demands.valve.wheel import GROWTH_M
 from service.request.schema import PlanRequest
 from service.request.tasks.door import HANDLE_JOINT, LEAF_JOINT
 from service.request.tasks.mechanism import MechanismRequest

@@ -14,7 +14,7 @@ from service.body.task_plan import TaskPlan
 from service.errors import RequestError, would_do
 from service.setup.prepare import PlanSetup
 from service.tasks.leave_start import leave_start
-from service.tasks.reach import plan_reach
+from service.tasks.reach.search import plan_reach
 
 
 def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
@@ -30,7 +30,7 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         yield TaskPlan(solver.body, (), setup.unresolved)
         return
     if setup.program is not None:  # its waypoints include the start
-        from service.tasks.program import plan_program  # few requests need it
+        from service.tasks.trajopt.program import plan_program  # few requests need it
 
         yield from plan_program(solver, setup.program)
         return
@@ -56,17 +56,17 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     if request.goal is not None:
         plans = plan_reach(solver, request.goal, request.options.waypoints)
     elif request.task is not None and request.task.valve is not None:
-        from service.tasks.valve_task import plan_valve
+        from service.tasks.valve.plan import plan_valve
 
         valve = request.task.valve
         plans = _list_plans(solver, lambda: plan_valve(setup, solver, valve))
     elif request.task is not None and request.task.door is not None:
-        from service.tasks.door_task import plan_door
+        from service.tasks.door.plan import plan_door
 
         door = request.task.door
         plans = _list_plans(solver, lambda: plan_door(setup, solver, door))
     elif request.task is not None and request.task.mechanism is not None:
-        from service.tasks.mechanism_task import plan_mechanism
+        from service.tasks.mechanism.plan import plan_mechanism
 
         mechanism = request.task.mechanism
         plans = _list_plans(solver, lambda: plan_mechanism(setup, solver, mechanism))

@@ -20,8 +20,8 @@ from service.demands import list_planted_feet
 from service.errors import RequestError, would_do
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.start.configuration import STANDING_POSTURE
-from service.tasks.goal import Goal
-from service.tasks.goal_poses import find_goal_configurations
+from service.tasks.reach.goal import Goal
+from service.tasks.reach.goal_poses import find_goal_configurations
 from service.verify import Basis, Motion, VerifySettings, verify
 from service.verify.clearance.pairs import collect_pairs
 from service.verify.prepared_motion import PreparedMotion

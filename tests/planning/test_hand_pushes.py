@@ -11,10 +11,10 @@ from given_mechanisms import BAR, PEG, cabinet_request, drawer_request, latched_
 from tiny_robots import atlas
 
 from costs.robot import with_mechanism
-from service.demands.given_mechanism import read_given_mechanism
 from service.demands.hands import HANDS
 from service.demands.holds.pushes import find_nominal_pushes
-from service.demands.moved_object.phases import make_mechanism_phases, settle_handle
+from service.demands.mechanism.given import read_given_mechanism
+from service.demands.mechanism.phases import make_mechanism_phases, settle_handle
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request

@@ -14,8 +14,8 @@ import pytest
 from given_doors import door_request
 
 from costs.robot import Mechanism
-from service.demands.door import Door
-from service.demands.door_demand import make_door, read_given_door
+from service.demands.door.demand import make_door, read_given_door
+from service.demands.door.phases import Door
 from service.demands.held_motion import Demands, HeldMotion, hold_to_request
 from service.planner import plan
 from service.replay.replay import read_motion

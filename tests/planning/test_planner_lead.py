@@ -14,7 +14,7 @@ from service.body.phases import BASE_SPREAD, JOINT_SPREAD, random_guesses, strai
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import KeepRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
-from service.tasks.goal import Goal, lead_path, make_line_holds
+from service.tasks.reach.goal import Goal, lead_path, make_line_holds
 
 FEET = ("l_foot", "r_foot")
 

@@ -27,10 +27,10 @@ from perception import write_npz
 from perception.simulate import Pose, Scanner, scan
 from perception.solids.primitives import box as solid_box
 from service.client.local_files import resolve_paths
-from service.demands.given_mechanism import read_given_mechanism
 from service.demands.hands import HANDS
-from service.demands.moved_object.demand import GivenMechanismDemand
-from service.demands.moved_object.phases import make_mechanism_phases
+from service.demands.mechanism.demand import GivenMechanismDemand
+from service.demands.mechanism.given import read_given_mechanism
+from service.demands.mechanism.phases import make_mechanism_phases
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result

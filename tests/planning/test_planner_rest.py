@@ -17,7 +17,7 @@ from given_mechanisms import drawer_request
 from typer.testing import CliRunner
 
 from service.cli.app import app
-from service.demands.valve_demand import turn_back
+from service.demands.valve.demand import turn_back
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result

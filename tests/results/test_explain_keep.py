@@ -13,7 +13,7 @@ from service.body.whole_body import Aims, WholeBody
 from service.explain.distance import find_never_kept
 from service.request.schema import KeepRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
-from service.tasks.goal import Goal
+from service.tasks.reach.goal import Goal
 from service.verify import Target
 
 

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.request.fields import SECTION, Number, Point, Section
-from service.request.tasks.kind import TaskSection
+from service.request.tasks.kind import MovedNames, TaskSection
 
 DOOR = "door"  # its links are DOOR/...
 LEAF_JOINT, HANDLE_JOINT = "door_opening", "door_handle"

@@ -20,9 +20,9 @@ from costs.stopping import poll
 from scopt import Status
 from service.body.equilibrium_pose import EquilibriumPose
 from service.body.phases import Map
-from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.stances import ContactStance
 from service.demands.contacts.surfaces import make_surfaces
+from service.demands.egress.demand import load_phases
 from service.request.tasks.egress import EgressRequest, PhaseRequest
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.chain import Chain, link_poses

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from costs.robot import RobotModel
-from service.demands.contacts.egress_demand import BEYOND_M, find_toe
 from service.demands.contacts.stances import Surface
 from service.demands.contacts.surfaces import find_unknown
+from service.demands.egress.demand import BEYOND_M, find_toe
 from service.errors import RequestError
 from service.request.tasks.egress import ContactRequest, PhaseRequest
 from service.start.configuration import make_posture

@@ -12,9 +12,9 @@ from costs.scene import ConvexPiece, Scene
 from service.demands.hands import Hand
 from service.setup.prepare import PlanSetup
 from service.start.standing import FLOOR_KIND
-from service.tasks.stances.door_stance import DoorStance
+from service.tasks.door.stance import DoorStance
 from service.tasks.stances.poses import StanceTask, find_shoulder, measure_arm
-from service.tasks.stances.valve_stance import ValveStance
+from service.tasks.valve.stance import ValveStance
 
 GRID_M, GRID_YAW = 0.12, np.deg2rad(20.0)  # of the coarse grid
 MOST_TURN = np.deg2rad(80.0)  # from facing what is held

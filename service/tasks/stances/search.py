@@ -26,20 +26,22 @@ from scopt import Settings
 from service.body.monitor import Interrupted, Monitor, OnProgress
 from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
-from service.demands.given_mechanism import read_given_mechanism
-from service.demands.wheel import make_wheel
+from service.demands.mechanism.given import read_given_mechanism
+from service.demands.valve.wheel import make_wheel
 from service.errors import RequestError
 from service.request.schema import PlanRequest
 from service.setup.checks import check_start, find_soles
 from service.setup.prepare import PlanSetup, prepare
 from service.start.standing import FLOOR_KIND, place_bodies
-from service.tasks import door_task, mechanism_task, valve_task
+from service.tasks.door import plan as door_task
+from service.tasks.door.stance import DoorStance
 from service.tasks.handling import FARTHER, find_collisions
-from service.tasks.stances.door_stance import DoorStance
+from service.tasks.mechanism import plan as mechanism_task
+from service.tasks.mechanism.stance import MechanismStance
 from service.tasks.stances.grid import Grid, is_near, make_rotation
-from service.tasks.stances.mechanism_stance import MechanismStance
 from service.tasks.stances.poses import Outcome, StanceTask
-from service.tasks.stances.valve_stance import ValveStance
+from service.tasks.valve import plan as valve_task
+from service.tasks.valve.stance import ValveStance
 
 if TYPE_CHECKING:
     from perception import Perceived

@@ -21,7 +21,7 @@ from perception.detect.door.profile import Rays
 from perception.detect.door.upright import Upright
 from perception.simulate import Pose, Scanner, box, join_meshes, scan
 from perception.simulate.scenes.doors import Door, truth_geometry
-from service.demands.door_demand import SeenDoor, choose_door
+from service.demands.door.demand import SeenDoor, choose_door
 from service.request.tasks.door import DoorRequest
 
 _AROUND = [box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0)), box((3.8, -4.0, 0.0), (3.9, 4.0, 2.6))]

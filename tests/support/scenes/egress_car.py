@@ -9,8 +9,8 @@ import numpy as np
 
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
-from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.surfaces import make_surfaces
+from service.demands.egress.demand import load_phases
 from service.request.file import load_request
 from service.request.tasks.egress import EgressRequest, PhaseRequest
 from service.setup.world import build_obstacles

@@ -13,7 +13,6 @@ from costs.names import would_do
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.contacts.contact_task import face_pieces, find_off
-from service.demands.contacts.mirrored_phases import mirror_phases
 from service.demands.contacts.moved_places import FINISH, find_recorded
 from service.demands.contacts.stances import (
     ContactStance,
@@ -24,6 +23,7 @@ from service.demands.contacts.stances import (
     place_patch_as_it_is,
 )
 from service.demands.contacts.surfaces import find_unknown, make_surfaces
+from service.demands.egress.mirrored_phases import mirror_phases
 from service.errors import RequestError, shown
 from service.request.file import load_section
 from service.request.tasks.egress import ContactRequest, EgressRequest, PhaseRequest, PhasesFile

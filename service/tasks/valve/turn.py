@@ -17,8 +17,8 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
-from service.demands.strokes import TURN, TurnChoice, make_turn_phases
-from service.demands.wheel import Wheel, make_wheel_mechanism
+from service.demands.valve.strokes import TURN, TurnChoice, make_turn_phases
+from service.demands.valve.wheel import Wheel, make_wheel_mechanism
 from service.request.tasks.valve import VALVE_LINK, ValveRequest
 from service.tasks.handling import find_turn_joint
 from service.tasks.sequence import PhaseSequence

@@ -13,7 +13,7 @@ from costs.robot import Mechanism
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, start_mechanism
-from service.demands.strokes import (
+from service.demands.valve.strokes import (
     TURN,
     TurnChoice,
     find_count,
@@ -23,7 +23,7 @@ from service.demands.strokes import (
     list_usable_entries,
     make_turn_phases,
 )
-from service.demands.wheel import Wheel, make_wheel_mechanism, wrap_angle
+from service.demands.valve.wheel import Wheel, make_wheel_mechanism, wrap_angle
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
 from service.request.resume import ResumeRequest, StrokeChoice

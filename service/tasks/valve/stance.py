@@ -15,8 +15,8 @@ from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
 from service.demands.phase_spec import PhaseSpec
-from service.demands.strokes import TurnChoice, find_least_count, list_strokes, list_usable_entries
-from service.demands.wheel import Wheel, make_wheel_mechanism
+from service.demands.valve.strokes import TurnChoice, find_least_count, list_strokes, list_usable_entries
+from service.demands.valve.wheel import Wheel, make_wheel_mechanism
 from service.request.tasks.valve import ValveRequest
 from service.tasks.stances.poses import (
     N_RANDOM,
@@ -25,7 +25,7 @@ from service.tasks.stances.poses import (
     PoseFinder,
     place_turned,
 )
-from service.tasks.valve import ValveTurn
+from service.tasks.valve.turn import ValveTurn
 
 WHEEL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the turn at which a pose is tried
 MOST_NEAR = 3  # poses of a stroke from which one that is missing is guessed

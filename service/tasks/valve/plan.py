@@ -23,7 +23,8 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import AXIS, REACH_WAYPOINTS
-from service.demands.strokes import (
+from service.demands.valve.demand import ValveDemand, read_kept_choice, resume_valve, turn_back
+from service.demands.valve.strokes import (
     PROBE,
     ROCK,
     STUCK_FACTOR,
@@ -34,8 +35,7 @@ from service.demands.strokes import (
     list_strokes,
     list_usable_entries,
 )
-from service.demands.valve_demand import ValveDemand, read_kept_choice, resume_valve, turn_back
-from service.demands.wheel import ROOMS, Wheel, find_stops, make_wheel, make_wheel_mechanism
+from service.demands.valve.wheel import ROOMS, Wheel, find_stops, make_wheel, make_wheel_mechanism
 from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.request.resume import ResumeRequest
@@ -45,7 +45,7 @@ from service.setup.prepare import PlanSetup
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism
-from service.tasks.valve import ValveTurn, measure_wrist
+from service.tasks.valve.turn import ValveTurn, measure_wrist
 from service.verify.coverage.pressed import is_shown
 
 SURE = 0.5  # least confidence of a detection that is used

@@ -13,9 +13,9 @@ from costs.robot import (
     RobotModel,
     with_mechanism,
 )
-from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.moved_object.phases import make_mechanism_phases, settle_handle
+from service.demands.mechanism.given import GivenMechanism
+from service.demands.mechanism.phases import make_mechanism_phases, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError

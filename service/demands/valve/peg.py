@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from service.demands.hands import FREE_BEFORE, PEG_FROM_END, Hand
-from service.demands.wheel import TOUCH_DEPTH, Spoke, Wheel, wrap_angle
+from service.demands.valve.wheel import TOUCH_DEPTH, Spoke, Wheel, wrap_angle
 from service.request.tasks.valve import VALVE_LINK
 
 PEG_SPACE = 5e-4  # between the peg and the spoke that it presses: the hand leans a little [m]

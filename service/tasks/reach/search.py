@@ -27,8 +27,8 @@ from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 from service.explain.goal import find_goal_reasons
 from service.request.tasks.reach import GoalRequest
 from service.start.standing import FLOOR_KIND
-from service.tasks.goal import Goal, lead_path
-from service.tasks.goal_poses import bring_to_goal, find_random_ends, is_new_end, solve_at_goal
+from service.tasks.reach.goal import Goal, lead_path
+from service.tasks.reach.goal_poses import bring_to_goal, find_random_ends, is_new_end, solve_at_goal
 
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most, between waypoints [rad, m]

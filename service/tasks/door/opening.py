@@ -14,10 +14,10 @@ from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK
 from service.body.held_load import find_held_shares
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
-from service.demands.door import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
-from service.demands.door_demand import measure_peg
+from service.demands.door.demand import measure_peg
+from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
 from service.demands.hands import Hand
-from service.tasks.doors.places import find_narrow_gap, list_push_places
+from service.tasks.door.places import find_narrow_gap, list_push_places
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 

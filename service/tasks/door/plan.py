@@ -14,16 +14,16 @@ from service.body.monitor import Interrupted
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.door import FREE_BEYOND, Door
-from service.demands.door_demand import DoorDemand, choose_door, make_door, measure_lever_room, resume_door, set_back
+from service.demands.door.demand import DoorDemand, choose_door, make_door, measure_lever_room, resume_door, set_back
+from service.demands.door.phases import FREE_BEYOND, Door
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS
 from service.errors import RequestError
 from service.request.tasks.door import DoorRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.door import LEAST_FIRST, DoorOpening
-from service.tasks.doors.places import find_narrow_gap
-from service.tasks.doors.sweep import BlockedOpening, find_blocked_opening
+from service.tasks.door.opening import LEAST_FIRST, DoorOpening
+from service.tasks.door.places import find_narrow_gap
+from service.tasks.door.sweep import BlockedOpening, find_blocked_opening
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import add_mechanism

@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
-from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import Hand
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.holds.pushes import find_nominal_pushes
+from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.errors import RequestError

@@ -16,17 +16,17 @@ from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
 from service.demands.hands import Hand
 from service.demands.holds.pushes import explain_refusal, find_side
-from service.demands.moved_object.demand import GivenMechanismDemand, find_ends, read_kept_hand, resume_mechanism
-from service.demands.moved_object.phases import list_opposite_places, make_mechanism_phases, select_tool, settle_handle
+from service.demands.mechanism.demand import GivenMechanismDemand, find_ends, read_kept_hand, resume_mechanism
+from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
+from service.demands.mechanism.phases import list_opposite_places, make_mechanism_phases, select_tool, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.request.tasks.mechanism import MechanismRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.doors.sweep import find_first_met
+from service.tasks.door.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.robot.atlas.gripper import FINGER_WIDTH, LARGEST_OPENING, LEAST_OPENING, TOOL_FROM_END
 from service.demands.hands import Hand
-from service.demands.wheel import TOUCH_DEPTH, Wheel
+from service.demands.valve.wheel import TOUCH_DEPTH, Wheel
 from service.request.tasks.valve import VALVE_LINK
 from service.verify import RelativePoseTarget
 

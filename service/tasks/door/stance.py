@@ -12,13 +12,13 @@ from costs.allowance import BodyRef
 from costs.robot import Mechanism, RobotModel
 from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
-from service.demands.door import Door, DoorChoice, Push, make_door_phases
-from service.demands.door_demand import measure_peg
+from service.demands.door.demand import measure_peg
+from service.demands.door.phases import Door, DoorChoice, Push, make_door_phases
 from service.demands.hands import Hand
 from service.demands.phase_spec import PhaseSpec
-from service.tasks.door import LEAST_FIRST, list_choices
-from service.tasks.doors.places import HAND_ROOM, PUSH_ALONG, PUSH_UP
-from service.tasks.doors.sweep import find_blocked_opening
+from service.tasks.door.opening import LEAST_FIRST, list_choices
+from service.tasks.door.places import HAND_ROOM, PUSH_ALONG, PUSH_UP
+from service.tasks.door.sweep import find_blocked_opening
 from service.tasks.stances.poses import (
     HeldPose,
     Outcome,

@@ -12,7 +12,7 @@ from service.body.inverse_kinematics import REACHED, draw_configurations, solve_
 from service.body.phases import PhaseSolver, posture_guesses
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody
-from service.tasks.goal import Goal, make_line_holds
+from service.tasks.reach.goal import Goal, make_line_holds
 
 POSE: dict[str, float] = {"patience": 12, "min_improvement_feasible": 0.3}
 IK_DRAWS = 16  # batches of random configurations after which a goal counts as out of reach

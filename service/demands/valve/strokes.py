@@ -9,12 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from costs.allowance import Allowance, BodyRef
-from service.demands.grip import make_finger_targets, make_grip_allowances, place_grip
 from service.demands.hands import Hand
 from service.demands.holds.pressed import add_pressed, find_pressed
-from service.demands.peg import PegPlace, make_peg_allowances, place_peg
 from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
-from service.demands.wheel import Mode, Wheel, wrap_angle
+from service.demands.valve.grip import make_finger_targets, make_grip_allowances, place_grip
+from service.demands.valve.peg import PegPlace, make_peg_allowances, place_peg
+from service.demands.valve.wheel import Mode, Wheel, wrap_angle
 from service.request.fields import HAND_FRICTION
 from service.request.tasks.valve import VALVE_LINK, ValveRequest
 from service.verify import CircleTarget, HandLoad, PressedPart

@@ -12,10 +12,10 @@ from costs.allowance import BodyRef
 from costs.robot import Mechanism
 from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
-from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import Hand
-from service.demands.moved_object.phases import make_mechanism_phases, measure_travel
-from service.tasks.mechanism_task import check_hold, find_blocked_move
+from service.demands.mechanism.given import GivenMechanism
+from service.demands.mechanism.phases import make_mechanism_phases, measure_travel
+from service.tasks.mechanism.plan import check_hold, find_blocked_move
 from service.tasks.stances.poses import (
     N_RANDOM,
     Outcome,
