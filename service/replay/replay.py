@@ -224,8 +224,7 @@ def _hold(result: _Result) -> tuple[HeldMotion, Demands, Grounds]:
 def _compare_demands(result: _Result, demands: Demands, certificate: Certificate) -> Iterator[str]:
     """Yield a sentence for each demand on speed or on the task's figures that is not met."""
     yield from compare_pace(demands.request, certificate)
-    if demands.task is not None:
-        yield from demands.task.compare_figures(result.data["figures"])
+    yield from demands.task.compare_figures(result.data["figures"])
 
 
 def _compare_record(result: _Result, certificate: Certificate, reports: Sequence[PhaseReport]) -> tuple[str, ...]:

@@ -16,7 +16,8 @@ from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
 from service.demands.door.demand import SeenDoor
-from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
+from service.demands.kind import find_demand_part
+from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
 from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest
@@ -239,8 +240,7 @@ def _make_shape(shape: CutRequest, field: str) -> Float[np.ndarray, "V 3"]:
 
 def _read_mechanism(request: PlanRequest) -> GivenMechanism | None:
     """Return the mechanism that the request's task gives by its URDF, if it does."""
-    task = request.task
-    return None if task is None or task.mechanism is None else read_given_mechanism(task.mechanism)
+    return find_demand_part(request).read_mechanism(request.section)
 
 
 def _solid(request: PlanRequest, obstacle: MeshRequest, field: str) -> Solid:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.stopping import poll
+from service.demands.kind import read_mechanism_physics
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference, ReferenceState
 from service.replay.replay import read_motion, read_request
@@ -19,7 +20,6 @@ from service.request.schema import PlanRequest
 from service.result.folder import read_result, result_path
 from service.simulation.model import PhysicsModel, build_physics, import_mujoco
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.simulation.seen import Seen
 from service.simulation.verdict import REST_S, find_unrest

@@ -115,6 +115,16 @@ def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence
     ]
 
 
+def find_unknown_links(robot: RobotModel, links: Sequence[str], field: str) -> list[str]:
+    """Return one line per name that is neither a link nor a frame of the robot."""
+    frames = [frame.name for frame in robot.model.frames if frame.name != "universe"]
+    return [
+        f"unknown link {link!r} in {field}; {robot.name} has {would_do(link, frames)}"
+        for link in links
+        if link not in frames
+    ]
+
+
 def find_limit_violations(
     robot: RobotModel, positions: Mapping[str, float], field: str, tolerance: float = 0.0
 ) -> list[str]:

@@ -21,7 +21,7 @@ from service.demands.valve.demand import turn_back
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.replay.resume import hash_plan, make_rest_request, read_recorded_scan
+from service.replay.rest import hash_plan, make_rest_request, read_recorded_scan
 from service.request.file import parse_request, to_json
 from service.request.resume import NominalPhase, ResumeRequest
 from service.request.schema import PlanRequest

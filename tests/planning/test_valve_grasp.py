@@ -9,6 +9,7 @@ import pytest
 
 from costs.robot import RobotError, load_robot
 from service.demands.valve.demand import ValveDemand
+from service.demands.valve.given import read_given_valve
 from service.demands.valve.wheel import make_wheel
 from service.errors import RequestError
 from service.planner import plan
@@ -16,7 +17,6 @@ from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.result.output import write_result
 from service.result.result import Verdict
-from service.tasks.valve.plan import read_given_valve
 
 WHEEL = {"centre": [0.68, 0.12, 1.1], "axis": [-1.0, 0.0, 0.0], "radius": 0.14}
 TUBE = 0.015

@@ -28,7 +28,7 @@ from service.demands.door.phases import (
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.holds.door_edge import MOST_SLANT, hold_edge
 from service.demands.phase_spec import AXIS, DEPTH_RESERVE, PhaseSpec
-from service.demands.resume import ResumedDemand, check_travel, start_mechanism
+from service.demands.rest import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
 from service.request.tasks.door import LEAF_JOINT, DoorRequest, HandleRequest
@@ -237,6 +237,11 @@ class DoorDemand:
         if not isinstance(opened, float | int) or abs(opened - self.request.open_deg) > OPENED_ROUNDING_DEG:
             yield f"figures.opening_deg is {opened}, the request opens by {self.request.open_deg:g}"
 
+    def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
+        """Return the sections ``handle`` and ``leaf`` of ``resume``, or a sentence why a record has none."""
+        choice, problems = self.read_choice(recorded)
+        return "; ".join(problems) if choice is None or problems else dict(keep_door_choice(choice, self.door))
+
     def _list_hands(self) -> list[Hand]:
         return [hand for hand in list_robot_hands(self.robot) if self.request.hand in ("auto", hand.side)]
 
@@ -369,7 +374,7 @@ def _is_on_leaf(leaf: LeafChoice, door: Door) -> bool:
     return is_at_edge and 0.0 < leaf.up_m < size.height and not door.is_push
 
 
-def resume_door(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: int = 14) -> ResumedDemand:
+def make_door_rest(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: int = 14) -> RestTask:
     """Return what the rest of a door task demands.
 
     Raises:
@@ -379,7 +384,7 @@ def resume_door(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: int 
     specs = make_door_phases(demand.door, choice, reach_waypoints)
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
-    return ResumedDemand(mechanism, specs, resume.phase, demand.compare_figures)
+    return RestTask(mechanism, specs, resume.phase, demand.compare_figures)
 
 
 def _list_holds(phase: Phase, tool: str, link: str) -> list[RelativePoseTarget]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,11 +13,13 @@ from costs.names import would_do
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.contacts.contact_task import face_pieces, find_off
+from service.demands.contacts.demand import StancesDemand
 from service.demands.contacts.moved_places import FINISH, find_recorded
 from service.demands.contacts.stances import (
     ContactStance,
     StanceContact,
     Surface,
+    ends_with_new_contacts,
     find_link_pose,
     place_patch,
     place_patch_as_it_is,
@@ -26,6 +28,7 @@ from service.demands.contacts.surfaces import find_unknown, make_surfaces
 from service.demands.egress.mirrored_phases import mirror_phases
 from service.errors import RequestError, shown
 from service.request.file import load_section
+from service.request.tasks.contacts import SurfaceRequest
 from service.request.tasks.egress import ContactRequest, EgressRequest, PhaseRequest, PhasesFile
 from service.verify import Motion
 
@@ -64,10 +67,11 @@ def load_phases(request: EgressRequest, robot: RobotModel, folder: Path = Path()
 
 
 @dataclass(frozen=True)
-class EgressDemand:
+class EgressDemand(StancesDemand):
     """What the task of getting out demands.
 
     Attributes:
+        request: the task.
         robot: with contact patches.
         scene: all pieces.
         start: (n,) seated configuration.
@@ -75,11 +79,21 @@ class EgressDemand:
         phases: of contacts, in their order.
     """
 
+    request: EgressRequest
     robot: RobotModel
     scene: Scene
     start: Float[np.ndarray, "n"]
     surfaces: dict[str, Surface]
     phases: tuple[PhaseRequest, ...]
+
+    @property
+    def named_surfaces(self) -> dict[str, SurfaceRequest]:
+        """Surfaces of the request by name."""
+        return dict(self.request.surfaces)
+
+    def has_finish(self, stances: Sequence[ContactStance]) -> bool:
+        """Whether the last stance makes contacts that a last phase moves onto."""
+        return ends_with_new_contacts(stances)
 
     @staticmethod
     def of(
@@ -102,7 +116,7 @@ class EgressDemand:
         ]
         if problems:
             raise RequestError(problems)
-        return EgressDemand(robot, scene, start, surfaces, phases)
+        return EgressDemand(request, robot, scene, start, surfaces, phases)
 
     def seat(self) -> ContactStance:
         """Return the stance at the start: the contacts of the first phase where the start has them.

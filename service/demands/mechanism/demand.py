@@ -17,10 +17,10 @@ from service.demands.hands import Hand, list_robot_hands
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.phases import make_mechanism_phases, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
-from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
+from service.demands.rest import RestTask, check_travel, find_index, start_mechanism
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
-from service.request.resume import ResumeRequest
+from service.request.resume import HoldChoice, ResumeRequest
 from service.verify import Motion, RelativePoseTarget
 
 FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
@@ -67,6 +67,11 @@ class GivenMechanismDemand:
                 return hand
         return None
 
+    def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
+        """Return the hand of a record, or a sentence that it has none."""
+        hand = self.find_hand(recorded)
+        return "no hand holds the mechanism" if hand is None else {"hold": HoldChoice(hand.side)}
+
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence for each joint whose value at the end is not the request's."""
         yield from _compare_ends(find_ends(self.given), figures)
@@ -89,9 +94,9 @@ def read_kept_hand(demand: GivenMechanismDemand, resume: ResumeRequest) -> Hand:
     return hand
 
 
-def resume_mechanism(
+def make_mechanism_rest(
     demand: GivenMechanismDemand, resume: ResumeRequest, reach_waypoints: int = REACH_WAYPOINTS
-) -> ResumedDemand:
+) -> RestTask:
     """Return what the rest of a task with a given mechanism demands.
 
     Raises:
@@ -112,7 +117,7 @@ def resume_mechanism(
         if joint not in moved:
             start = float(mechanism.start[names.index(joint)])
             ends[name] = (float(np.rad2deg(start)) if unit == "deg" else start, unit)
-    return ResumedDemand(mechanism, specs, resume.phase, lambda figures: _compare_ends(ends, figures))
+    return RestTask(mechanism, specs, resume.phase, lambda figures: _compare_ends(ends, figures))
 
 
 def _compare_ends(ends: Mapping[str, tuple[float, str]], figures: Mapping[str, Any]) -> Iterator[str]:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from costs.robot import Mechanism
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import HandMotion, PhaseSpec
-from service.demands.resume import ResumedDemand, check_travel, start_mechanism
+from service.demands.rest import RestTask, check_travel, start_mechanism
 from service.demands.valve.strokes import (
     TURN,
     TurnChoice,
@@ -65,12 +65,12 @@ class ValveDemand:
             return (), (choice,)
         return make_turn_phases(self.wheel, self.request, choice, friction=self.friction), ()
 
-    def read_stroke(self, recorded: Motion) -> StrokeChoice | str:
+    def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
         """Return hand, entry and number of strokes of a recorded turn, or a sentence why there are none."""
         choice = self._read_choice(recorded)
         if isinstance(choice, str):
             return choice
-        return StrokeChoice(choice.hand.side, choice.entry, choice.count, choice.is_flipped)
+        return {"stroke": StrokeChoice(choice.hand.side, choice.entry, choice.count, choice.is_flipped)}
 
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence where the figures of a result name another angle than the request."""
@@ -148,7 +148,7 @@ def turn_back(valve: ValveDetection | LeverDetection, resume: ResumeRequest | No
     return replace(valve, spoke_angles=tuple(angle - turned for angle in valve.spoke_angles))
 
 
-def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
+def make_valve_rest(demand: ValveDemand, resume: ResumeRequest) -> RestTask:
     """Return what the rest of a valve task demands.
 
     Raises:
@@ -164,4 +164,4 @@ def resume_valve(demand: ValveDemand, resume: ResumeRequest) -> ResumedDemand:
         if not isinstance(turned, float | int) or abs(turned - rest) > TURNED_ROUNDING_DEG:
             yield f"figures.turned_deg is {turned}, the rest of the turn is {rest:.1f}"
 
-    return ResumedDemand(mechanism, specs, resume.phase, compare)
+    return RestTask(mechanism, specs, resume.phase, compare)

@@ -28,7 +28,7 @@ SHIPPED = (
     TaskKind("mechanism", MechanismRequest, "service.demands.mechanism.kind:PART", "service.tasks.mechanism.kind:PART"),
     TaskKind("contacts", ContactsRequest, "service.demands.contacts.kind:PART", "service.tasks.contacts.kind:PART"),
     TaskKind("egress", EgressRequest, "service.demands.egress.kind:PART", "service.tasks.egress.kind:PART"),
-    TaskKind("trajopt", ProblemSection, "service.trajopt.kind:PART", "service.tasks.program:PART"),
+    TaskKind("trajopt", ProblemSection, "service.trajopt.kind:PART", "service.tasks.trajopt.kind:PART"),
 )
 REACH = TaskKind(
     "reach",

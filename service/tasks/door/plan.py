@@ -14,7 +14,7 @@ from service.body.monitor import Interrupted
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.door.demand import DoorDemand, choose_door, make_door, measure_lever_room, resume_door, set_back
+from service.demands.door.demand import DoorDemand, choose_door, make_door, make_door_rest, measure_lever_room, set_back
 from service.demands.door.phases import FREE_BEYOND, Door
 from service.demands.hands import Hand
 from service.demands.phase_spec import REACH_WAYPOINTS
@@ -25,7 +25,7 @@ from service.tasks.door.opening import LEAST_FIRST, DoorOpening
 from service.tasks.door.places import find_narrow_gap
 from service.tasks.door.sweep import BlockedOpening, find_blocked_opening
 from service.tasks.handling import FARTHER, find_collisions, list_hands
-from service.tasks.resume import plan_rest
+from service.tasks.rest.plan import plan_rest
 from service.tasks.sequence import add_mechanism
 
 STANCE_ADVICE = "the door may open farther from elsewhere: `scopt stance REQUEST` searches for a place to stand"
@@ -63,7 +63,7 @@ def _begin(
     near = list_clearances(hands, door)
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     if setup.request.resume is not None:
-        rest = resume_door(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
+        rest = make_door_rest(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
         solver = replace(add_mechanism(solver, rest.mechanism), overrides=near)
         opening = DoorOpening(solver, door, hands, target, request.stays, waypoints)
         plans = plan_rest(solver, rest, rest.specs, opening.measure, setup.request.resume)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from costs.allowance import BodyRef
 from costs.robot import Mechanism, RobotModel
@@ -101,6 +101,26 @@ class DoorStance:
     def place_parts(self, *, is_end: bool) -> list[Float[np.ndarray, "V 3"]]:
         """Return leaf and handle, shut or ajar as at the start, or open."""
         return place_turned(self.mechanism, self.target if is_end else float(self.mechanism.start[0]))
+
+    def rate_places(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
+        """Return nothing: no side of the door is preferred."""
+        return np.zeros(len(poses))
+
+    def is_in_the_way(
+        self, poses: Float[np.ndarray, "N 3"], soles: Float[np.ndarray, "N C 2"], body_m: float
+    ) -> Bool[np.ndarray, "N"]:
+        """Return whether the robot would stand in the door, or where the leaf moves."""
+        door = self.door.geometry
+        offset = soles - door.hinge[:2]
+        out, along = offset @ door.normal[:2], offset @ door.along[:2]
+        base_out = (poses[:, :2] - door.hinge[:2]) @ door.normal[:2]
+        blocked = base_out < door.face + body_m
+        blocked |= ((out < door.face + 0.02) & (np.abs(along) < door.width + 0.1)).any(axis=1)
+        if not self.door.is_push:
+            angle = np.arctan2(out, along)
+            swept = (np.hypot(out, along) < door.width + 0.03) & (angle > -0.1) & (angle < self.target + 0.1)
+            blocked |= swept.any(axis=1)
+        return np.asarray(blocked)
 
     def find_in_the_way(self, body: WholeBody) -> Iterator[str]:
         """Yield a sentence for the planted link and the link of a leg that the leaf would meet."""

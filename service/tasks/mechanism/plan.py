@@ -18,7 +18,7 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
 from service.demands.holds.pushes import explain_refusal, find_side
-from service.demands.mechanism.demand import GivenMechanismDemand, find_ends, read_kept_hand, resume_mechanism
+from service.demands.mechanism.demand import GivenMechanismDemand, find_ends, make_mechanism_rest, read_kept_hand
 from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
 from service.demands.mechanism.phases import list_opposite_places, make_mechanism_phases, select_tool, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
@@ -28,7 +28,7 @@ from service.request.tasks.mechanism import MechanismRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
-from service.tasks.resume import plan_rest
+from service.tasks.rest.plan import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism
 from service.verify import Motion
 
@@ -105,7 +105,7 @@ def _plan_rest(
     """
     demand = GivenMechanismDemand(given, setup.robot, solver.hand_friction)
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
-    rest, hand = resume_mechanism(demand, resume, waypoints), read_kept_hand(demand, resume)
+    rest, hand = make_mechanism_rest(demand, resume, waypoints), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
     for plan in plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume):
         yield _leave_anyhow(solver, plan, (rest.specs[-1],), rest.mechanism)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from costs.allowance import BodyRef
 from costs.robot import Mechanism
@@ -43,6 +43,16 @@ class MechanismStance:
     def mechanism(self) -> Mechanism:
         """The joints of the URDF."""
         return self.given.mechanism
+
+    def rate_places(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
+        """Return nothing: no side of a given mechanism is preferred."""
+        return np.zeros(len(poses))
+
+    def is_in_the_way(
+        self, poses: Float[np.ndarray, "N 3"], soles: Float[np.ndarray, "N C 2"], body_m: float
+    ) -> Bool[np.ndarray, "N"]:
+        """Return nowhere: ``find_in_the_way`` looks at the links."""
+        return np.zeros(len(poses), dtype=bool)
 
     @property
     def whole(self) -> float:

@@ -23,7 +23,8 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import AXIS, REACH_WAYPOINTS
-from service.demands.valve.demand import ValveDemand, read_kept_choice, resume_valve, turn_back
+from service.demands.valve.demand import ValveDemand, make_valve_rest, read_kept_choice, turn_back
+from service.demands.valve.given import read_given_valve
 from service.demands.valve.strokes import (
     PROBE,
     ROCK,
@@ -40,16 +41,14 @@ from service.errors import RequestError
 from service.explain.distance import find_out_of_reach
 from service.request.resume import ResumeRequest
 from service.request.tasks.valve import VALVE_LINK, ValveRequest
-from service.scan.scene_file import lever_from_sizes, wheel_from_circle
 from service.setup.prepare import PlanSetup
 from service.tasks.handling import FARTHER, find_collisions, list_hands
-from service.tasks.resume import plan_rest
+from service.tasks.rest.plan import plan_rest
 from service.tasks.sequence import add_mechanism
 from service.tasks.valve.turn import ValveTurn, measure_wrist
 from service.verify.coverage.pressed import is_shown
 
 SURE = 0.5  # least confidence of a detection that is used
-TUBE_RADIUS = 0.015  # when the request gives only the rim circle [m]
 HOOK_MARGIN = 5e-3  # between the hand and the wheel it reaches into [m]
 LEAST_PEG = 0.06  # length of the free peg that reaches through a wheel [m]
 MOST_PLANS = 4  # that are made into motions
@@ -174,40 +173,6 @@ def find_no_entry(wheel: Wheel, hand: Hand, request: ValveRequest) -> str | None
     if list_usable_entries(wheel, hand, request.mode, sense):
         return None
     return find_fault(wheel, hand, request.mode, wheel.list_entries(request.mode)[0], sense)
-
-
-def read_given_valve(request: ValveRequest) -> ValveDetection | LeverDetection | None:
-    """Return the valve that a request gives by its rim circle or its lever; None where the scan must show it.
-
-    Raises:
-        RequestError: some of centre, axis and radius (or lever) are missing.
-    """
-    lever = request.lever
-    if all(value is None for value in (request.centre, request.axis, request.radius, lever)):
-        return None
-    if request.centre is None or request.axis is None or (request.radius is None and lever is None):
-        raise RequestError("task.valve: centre, axis and radius (or lever) come together; give all three or none")
-    if lever is not None:
-        ends = np.array(request.centre), np.array(request.axis), np.array(lever.direction)
-        return lever_from_sizes(*ends, lever.length_m, lever.radius_m, lever.grip_m)
-    if request.radius is None:
-        return None
-    if request.radius < 2.0 * TUBE_RADIUS:
-        raise RequestError(
-            f"task.valve.radius: {request.radius:g} m leaves no opening inside a rim {2e3 * TUBE_RADIUS:g} mm thick; "
-            f"expected at least {2.0 * TUBE_RADIUS:g} m"
-        )
-    bare = wheel_from_circle(np.array(request.centre), np.array(request.axis), request.radius, TUBE_RADIUS)
-    if not request.spokes_deg:
-        return bare
-    angles = tuple(np.deg2rad(request.spokes_deg).tolist())
-    valve = replace(bare, spoke_angles=angles, spoke_half_width=0.5 * request.spoke_width_m, spoke_share=1.0)
-    if not has_clear_spokes(valve):
-        raise RequestError(
-            f"task.valve.spokes_deg: {len(angles)} spokes of {request.spoke_width_m} m; expected 2 to 8 that leave at "
-            "least half of the wheel open"
-        )
-    return valve
 
 
 def find_valve(setup: PlanSetup, request: ValveRequest) -> ValveDetection | LeverDetection | str:
@@ -341,7 +306,7 @@ def _plan_rest(
 ) -> Iterator[TaskPlan]:
     """Yield plans of the rest of a turn with the hand, the entry and the strokes of the earlier plan."""
     demand = ValveDemand(wheel, request, list_robot_hands(solver.body.robot), solver.hand_friction[1])
-    rest, choice = resume_valve(demand, resume), read_kept_choice(demand, resume)
+    rest, choice = make_valve_rest(demand, resume), read_kept_choice(demand, resume)
     solver = _add_wheel(solver, rest.mechanism, [choice.hand])
     turning = ValveTurn(solver, wheel, request, choice, reach_waypoints)
     return plan_rest(solver, rest, turning.list_phases(), turning.measure, resume)

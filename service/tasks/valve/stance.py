@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from costs.allowance import BodyRef
 from costs.kinematics import locate_links
@@ -28,6 +28,7 @@ from service.tasks.stances.poses import (
 from service.tasks.valve.turn import ValveTurn
 
 WHEEL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the turn at which a pose is tried
+ASIDE_COST, LEAST_SIDEWAYS = 0.15, 0.3  # of standing beside a wheel's axis [1/rad^2]; unless it points up
 MOST_NEAR = 3  # poses of a stroke from which one that is missing is guessed
 MOST_ENTRIES = 2  # of a wheel, the nearest first
 
@@ -62,6 +63,20 @@ class ValveStance:
         """Return the ways: either hand, all round the rim."""
         rim = np.array([self.wheel.rim_point(angle) for angle in np.linspace(0.0, 2.0 * np.pi, 4, endpoint=False)])
         return tuple(((hand, rim),) for hand in self.hands)
+
+    def rate_places(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
+        """Return the cost of standing beside the wheel's axis, by the angle between them as seen from above."""
+        axis, centre = self.wheel.axis, self.wheel.centre
+        if np.hypot(*axis[:2]) < LEAST_SIDEWAYS:
+            return np.zeros(len(poses))
+        away = np.arctan2(*(poses[:, :2] - centre[:2]).T[::-1]) - np.arctan2(axis[1], axis[0])
+        return np.asarray(ASIDE_COST * ((away + np.pi) % (2.0 * np.pi) - np.pi) ** 2)
+
+    def is_in_the_way(
+        self, poses: Float[np.ndarray, "N 3"], soles: Float[np.ndarray, "N C 2"], body_m: float
+    ) -> Bool[np.ndarray, "N"]:
+        """Return nowhere: a wheel turns in its place."""
+        return np.zeros(len(poses), dtype=bool)
 
     @property
     def whole(self) -> float:

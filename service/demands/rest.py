@@ -96,7 +96,7 @@ def _show(kind: str, value: float) -> str:
     return f"{value:.4g} m" if kind == "prismatic" else f"{value:.4g} rad ({np.rad2deg(value):.1f} deg)"
 
 
-def resume_phases(
+def list_rest_phases(
     specs: Sequence[PhaseSpec], phase: str, start: Float[np.ndarray, "k"], beginning: Beginning
 ) -> tuple[PhaseSpec, ...]:
     """Return the rest of a task, with the mechanism at ``start`` [rad, m].
@@ -130,7 +130,7 @@ def _count_waypoints(spec: PhaseSpec, at: Float[np.ndarray, "k"]) -> int:
 
 
 @dataclass(frozen=True)
-class ResumedDemand:
+class RestTask:
     """What the rest of a task demands of any motion.
 
     Attributes:
@@ -150,7 +150,7 @@ class ResumedDemand:
         phases = {phase.name: phase for phase in recorded.phases}
         names = [phase.name for phase in recorded.phases if phase.name not in UNSETTLED]
         for beginning in Beginning:
-            specs = resume_phases(self.specs, self.phase, self.mechanism.start, beginning)
+            specs = list_rest_phases(self.specs, self.phase, self.mechanism.start, beginning)
             if [spec.name for spec in specs] == names:
                 break
         return tuple(_take_rotation(spec, phases.get(spec.name)) for spec in specs), ()
@@ -158,6 +158,10 @@ class ResumedDemand:
     def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence for each figure of a result that is not the request's."""
         yield from self.compare(figures)
+
+    def keep_choices(self, recorded: Motion) -> dict[str, Any]:
+        """Return nothing: the request keeps the choices of the first plan."""
+        return {}
 
 
 def _take_rotation(spec: PhaseSpec, phase: Phase | None) -> PhaseSpec:

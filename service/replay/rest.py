@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,23 +11,18 @@ from typing import Any
 import numpy as np
 
 from costs.robot import BASE_NAMES, RobotModel
-from service.demands import TaskDemand, has_scan
-from service.demands.contacts.moved_places import take_recorded_places
-from service.demands.contacts.stances import ends_with_new_contacts
-from service.demands.door.demand import DoorDemand, keep_door_choice
+from service.demands import has_scan
 from service.demands.held_motion import Demands
-from service.demands.mechanism.demand import GivenMechanismDemand
-from service.demands.valve.demand import ValveDemand, turn_back
+from service.demands.task_demand import IncompletePlanError
+from service.demands.valve.demand import turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.rebuild import Record, rebuild_demands, select_scanned
 from service.replay.replay import read_record, read_request
-from service.replay.resume_contacts import ChangedContacts
 from service.request.file import hash_request_data, load_section, replace_cloud
-from service.request.resume import HoldChoice, NominalPhase, NominalRequest, ResumeRequest
+from service.request.resume import NominalPhase, NominalRequest, ResumeRequest
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest, PoseRequest, StartRequest, StateRequest
-from service.request.tasks.registry import TaskRequest
 from service.result.folder import read_result, result_path
 from service.result.manifest import hash_certificate
 from service.result.motion_json import BASE_COLUMNS
@@ -75,10 +71,12 @@ def make_rest_request(
     source = folder.name if state_file is None else state_file.name
     if state.plan is not None and state.plan != plan:
         raise RequestError(f"{source}: plan: {shown(state.plan)} is not the plan in {folder}, which is {plan}")
-    resume = _make_resume(data, folder, request, robot, motion)
+    with _as_result_error(folder):
+        demands = _rebuild(data, request, robot, motion)
+        resume = _make_resume(demands, motion)
     resume = replace(resume, phase=phase, plan=plan, mechanism=state.mechanism, is_rescanned=cloud is not None)
     if is_compliant:
-        if resume.nominal is None or _changes_contacts(request):
+        if resume.nominal is None or demands.task.changes_contacts:
             raise ResultError(f"{folder}: no hand holds a mechanism in this plan; there is nothing to yield to")
         resume = replace(resume, is_compliant=True)
     names = [*(entry["name"] for entry in data["phases"]), *data["not_planned"]]
@@ -86,41 +84,23 @@ def make_rest_request(
         raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(names)}")
     start = _read_start(robot, state, source)
     rest = replace(request, start=start, resume=resume)
-    changed = _read_changed_contacts(data, folder, request, robot, motion)
-    if changed is not None:
-        q = make_start_configuration(robot, start)[0]
-        rest = replace(rest, task=TaskRequest(contacts=changed.make_rest(phase, q, state.contacts)))
+    q = make_start_configuration(robot, start)[0]
+    with _as_result_error(folder):
+        task = demands.task.make_rest(demands.world, motion, phase, q, state.contacts)
+    if task is not None:
+        rest = replace(rest, task=task)
     elif state.contacts is not None:
         rest = replace(rest, options=replace(request.options, feet=state.contacts))
     return rest if cloud is None else replace_cloud(rest, cloud)
 
 
-def _read_changed_contacts(
-    data: dict[str, Any], folder: Path, request: PlanRequest, robot: RobotModel, motion: Motion
-) -> ChangedContacts | None:
-    """Return the stances of an earlier plan; None where its task changes no contacts.
-
-    Raises:
-        ResultError: the plan is not complete.
-    """
-    task = request.task
-    if task is None or not _changes_contacts(request):
-        return None
-    demands = _rebuild(data, request, robot, motion)
-    if demands.egress is None or task.egress is None:
-        assert task.contacts is not None
-        stances, problems = take_recorded_places(demands.stances, demands.scene, motion)
-        has_finish, surfaces = task.contacts.finish is not None, task.contacts.surfaces
-    else:
-        stances, problems = demands.egress.read_stances(motion)
-        has_finish, surfaces = ends_with_new_contacts(stances), task.egress.surfaces
-    if problems:
-        raise ResultError(f"{folder}: {problems[0]}; only the rest of a complete plan can be planned again")
-    return ChangedContacts(demands.robot, stances, has_finish, motion, dict(surfaces))
-
-
-def _changes_contacts(request: PlanRequest) -> bool:
-    return request.task is not None and (request.task.contacts is not None or request.task.egress is not None)
+@contextmanager
+def _as_result_error(folder: Path) -> Iterator[None]:
+    """Name the folder of a plan whose rest cannot be planned."""
+    try:
+        yield
+    except IncompletePlanError as error:
+        raise ResultError(f"{folder}: {error}; only the rest of a complete plan can be planned again") from None
 
 
 def _rebuild(data: dict[str, Any], request: PlanRequest, robot: RobotModel, motion: Motion) -> Demands:
@@ -150,23 +130,16 @@ def read_recorded_scan(path: Path, request: PlanRequest) -> Surroundings | None:
     )
 
 
-def _make_resume(
-    data: dict[str, Any], folder: Path, request: PlanRequest, robot: RobotModel, motion: Motion
-) -> ResumeRequest:
+def _make_resume(demands: Demands, motion: Motion) -> ResumeRequest:
     """Return a section with the choices of the earlier plan; those that it kept itself are kept on."""
-    if request.resume is not None:
-        return (
-            request.resume if request.resume.nominal is None else replace(request.resume, nominal=_keep_motion(motion))
-        )
-    empty = ResumeRequest(phase="-", plan="sha256:" + 64 * "0")
-    if request.task is None:
-        return empty
-    if _changes_contacts(request):
-        return replace(empty, nominal=_keep_motion(motion))
-    kept = _keep_choices(_rebuild(data, request, robot, motion).task, motion)
-    if isinstance(kept, str):
-        raise ResultError(f"{folder}: {kept}; only the rest of a complete plan can be planned again")
-    return replace(empty, **kept, nominal=_keep_motion(motion))
+    resume = demands.request.resume
+    if resume is not None:
+        return resume if resume.nominal is None else replace(resume, nominal=_keep_motion(motion))
+    if not demands.request.section.can_resume:
+        raise IncompletePlanError("its task has no phases")
+    nominal = _keep_motion(motion) if demands.task.keeps_motion else None
+    choices = demands.task.keep_choices(motion)
+    return ResumeRequest(phase="-", plan="sha256:" + 64 * "0", nominal=nominal, **choices)
 
 
 def _read_state(data: dict[str, Any], phase: str) -> StateRequest:
@@ -200,20 +173,6 @@ def _keep_motion(motion: Motion) -> NominalRequest:
         phases[phase.name] = NominalPhase(positions, tuple(curve.knots[knots].tolist()), tangents)
     path, speed = ((), ()) if law is None else (tuple(law.path.tolist()), tuple(law.speed.tolist()))
     return NominalRequest(motion.robot.joint_names, phases, path, speed)
-
-
-def _keep_choices(task: TaskDemand | None, motion: Motion) -> dict[str, Any] | str:
-    """Return the sections of ``resume`` that keep a motion's choices, or a sentence why it has none."""
-    if isinstance(task, DoorDemand):
-        choice, problems = task.read_choice(motion)
-        return "; ".join(problems) if choice is None or problems else dict(keep_door_choice(choice, task.door))
-    if isinstance(task, ValveDemand):
-        stroke = task.read_stroke(motion)
-        return stroke if isinstance(stroke, str) else {"stroke": stroke}
-    if isinstance(task, GivenMechanismDemand):
-        hand = task.find_hand(motion)
-        return "no hand holds the mechanism" if hand is None else {"hold": HoldChoice(hand.side)}
-    return "its task has no phases"
 
 
 def _read_start(robot: RobotModel, state: StateRequest, file: str) -> StartRequest:

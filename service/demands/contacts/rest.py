@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -138,66 +138,6 @@ class ChangedContacts:
         x, y, z, yaw, pitch, roll = q[: len(BASE_NAMES)].tolist()
         joints = dict(zip(robot.joint_names[len(BASE_NAMES) :], q[len(BASE_NAMES) : robot.n].tolist(), strict=True))
         return PostureRequest((x, y, z, yaw, pitch, roll), joints, next(iter(sorted(robot.postures))))
-
-
-def move_contacts(
-    request: ContactsRequest, target: str, offset: Float[np.ndarray, "3"], obstacles: Sequence[str]
-) -> ContactsRequest:
-    """Return a task with the next place of a patch displaced, or all places on an obstacle that is displaced.
-
-    Args:
-        request: the task.
-        target: patch or obstacle.
-        offset: displacement in world axes [m].
-        obstacles: names of those that can be displaced.
-
-    Raises:
-        RequestError: neither a patch that is set down anew, nor an obstacle.
-    """
-    patches = list(dict.fromkeys(patch for stance in request.stances for patch in stance.make))
-    if target in patches:
-        k = next(k for k, stance in enumerate(request.stances) if target in stance.make)
-        stances = list(request.stances)
-        stances[k] = _move_places(stances[k], [target], offset)
-        return _with(request, request.surfaces, stances)
-    if target not in obstacles:
-        expected = would_do(target, [*patches, *obstacles])
-        words = f"adjust: this plan has no target {shown(target)} that can be displaced; expected {expected}"
-        raise RequestError(words)
-    on = [name for name, surface in request.surfaces.items() if target in (surface.piece, *surface.pieces)]
-    surfaces = {name: _move_surface(own, offset) if name in on else own for name, own in request.surfaces.items()}
-    stances = [
-        _move_places(stance, [patch for patch, place in stance.make.items() if place.surface in on], offset)
-        for stance in request.stances
-    ]
-    return _with(request, surfaces, stances)
-
-
-def _with(
-    request: ContactsRequest, surfaces: Mapping[str, SurfaceRequest], stances: Sequence[StanceRequest]
-) -> ContactsRequest:
-    return ContactsRequest(dict(surfaces), request.start, tuple(stances), request.finish)
-
-
-def _move_surface(surface: SurfaceRequest, offset: Float[np.ndarray, "3"]) -> SurfaceRequest:
-    if surface.corners is None:
-        return surface  # it moves with its piece
-    corners = tuple(displace(corner, offset) for corner in surface.corners)
-    return SurfaceRequest(None, surface.normal, corners, surface.pieces, surface.friction)
-
-
-def _move_places(stance: StanceRequest, patches: Sequence[str], offset: Float[np.ndarray, "3"]) -> StanceRequest:
-    make = {
-        patch: replace(place, at=displace(place.at, offset)) if patch in patches else place
-        for patch, place in stance.make.items()
-    }
-    return StanceRequest(stance.name, make, stance.release, stance.posture)
-
-
-def displace(place: tuple[float, float, float], offset: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
-    """Return a place of a request moved by an offset in world axes [m]."""
-    x, y, z = (np.asarray(place) + offset).tolist()
-    return x, y, z
 
 
 def _name_surfaces(contacts: Sequence[StanceContact]) -> dict[str, str]:

@@ -20,10 +20,9 @@ from costs.terms import FramePose
 from service.body.holds import POSITION, Hold, linearize_holds
 from service.body.task_plan import KeptCurve, TaskPlan
 from service.demands.phase_spec import HandMotion, PhaseSpec
-from service.request.resume import NominalRequest
-from service.tasks.earlier_motion import EarlierMotion, read_earlier_motion
 from service.tasks.handling import list_arm_joints
 from service.tasks.held_tool import aim_tool, make_hold, slide_tool
+from service.tasks.rest.earlier_motion import EarlierMotion
 from service.tasks.sequence import PhaseSequence
 
 MOST_M, MOST_RAD = 0.015, np.deg2rad(5.0)  # by which a hand yields [m, rad]
@@ -80,7 +79,7 @@ class Displacement:
         return f"{self.hand} is displaced by up to {size}, most in '{self.phase}'"
 
 
-def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[TaskPlan, Displacement]:
+def keep_motion(sequence: PhaseSequence, earlier: EarlierMotion) -> tuple[TaskPlan, Displacement]:
     """Return the earlier motion with the arm displaced that holds the mechanism of the sequence, and by how much.
 
     Args:
@@ -91,8 +90,7 @@ def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[TaskP
         CannotFollowError: the robot or the mechanism is not as the earlier motion begins, or an arm does not reach.
     """
     body, engine = sequence.solver.body, sequence.solver.body.engine
-    recorded = read_earlier_motion(body.robot, earlier, body.nominal)
-    curve, borders = _join_curves(sequence, recorded)
+    curve, borders = _join_curves(sequence, earlier)
     _check_start(sequence, curve, borders)
     paths = [curve.positions[a : b + 1] for a, b in borders]
     sequence = sequence.turn_rigid_hands([path[0] for path in paths])
@@ -121,8 +119,8 @@ def keep_motion(sequence: PhaseSequence, earlier: NominalRequest) -> tuple[TaskP
     phases = []
     for phase, (a, b) in zip(sequence.take([displaced.positions[a : b + 1] for a, b in borders]), borders, strict=True):
         own = displaced.cut(slice(a, b + 1))
-        known = recorded.keep(phase.name)
-        if recorded.law is not None and (known is None or known.law is None):
+        known = earlier.keep(phase.name)
+        if earlier.law is not None and (known is None or known.law is None):
             raise CannotFollowError(f"the earlier time law does not lead from rest to rest through '{phase.name}'")
         phases.append(replace(phase, kept=KeptCurve(own, None if known is None else known.law)))
     return TaskPlan(body, tuple(phases)), largest

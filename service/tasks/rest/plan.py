@@ -13,12 +13,12 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
-from service.demands.resume import Beginning, ResumedDemand, find_group, find_index, resume_phases
+from service.demands.rest import Beginning, RestTask, find_group, find_index, list_rest_phases
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
-from service.tasks.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
-from service.tasks.earlier_motion import read_earlier_motion
 from service.tasks.handling import find_collisions
+from service.tasks.rest.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
+from service.tasks.rest.earlier_motion import EarlierMotion, read_earlier_motion
 from service.tasks.sequence import PhaseSequence
 from service.verify import Motion
 
@@ -53,7 +53,7 @@ class HandOff:
 
 def plan_rest(
     solver: PhaseSolver,
-    demand: ResumedDemand,
+    demand: RestTask,
     specs: Sequence[PhaseSpec],
     measure: Callable[[Motion], Mapping[str, float]],
     resume: ResumeRequest,
@@ -76,21 +76,23 @@ def plan_rest(
     body, start = solver.body, demand.mechanism.start
     index = find_index(specs, demand.phase)
     begun = _shorten_line(body, specs[index])
-    nominal = read_earlier_motion(body.robot, resume.nominal, body.nominal).ways
+    earlier = read_earlier_motion(body.robot, resume.nominal, body.nominal)
     beginnings = list(_choose_beginnings(body, specs, index, begun.hand))
     problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
         raise RequestError(problems)
-    kept, refusal = _keep_earlier(solver, demand, specs, measure, resume)
+    kept, refusal = _keep_earlier(solver, demand, specs, measure, resume, earlier)
     if kept is not None:
         yield kept
     best: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
     for beginning in beginnings:
         is_reach = beginning is Beginning.REACH
         whole = specs if is_reach else [*specs[:index], begun, *specs[index + 1 :]]
-        rest = resume_phases(whole, demand.phase, start, beginning)
+        rest = list_rest_phases(whole, demand.phase, start, beginning)
         is_held = begun.hand is not None and not is_reach
-        sequence = PhaseSequence.of(solver, demand.mechanism, rest, is_held=is_held, n_random=N_RANDOM, nominal=nominal)
+        sequence = PhaseSequence.of(
+            solver, demand.mechanism, rest, is_held=is_held, n_random=N_RANDOM, nominal=earlier.ways
+        )
         planned = sequence.plan(body.nominal)
         if planned[1] is None:
             note = f"planned again from '{demand.phase}' on"
@@ -103,10 +105,11 @@ def plan_rest(
 
 def _keep_earlier(
     solver: PhaseSolver,
-    demand: ResumedDemand,
+    demand: RestTask,
     specs: Sequence[PhaseSpec],
     measure: Callable[[Motion], Mapping[str, float]],
     resume: ResumeRequest,
+    earlier: EarlierMotion,
 ) -> tuple[TaskPlan | None, tuple[str, ...]]:
     """Return the earlier motion with the arm displaced that holds, or None; and what a plan made anew has to say of it.
 
@@ -114,9 +117,9 @@ def _keep_earlier(
     """
     if resume.nominal is None or not resume.nominal.has_curve:
         return None, ()
-    rest = resume_phases(specs, demand.phase, demand.mechanism.start, Beginning.AT_ONCE)
+    rest = list_rest_phases(specs, demand.phase, demand.mechanism.start, Beginning.AT_ONCE)
     try:
-        kept, off = keep_motion(PhaseSequence.of(solver, demand.mechanism, rest), resume.nominal)
+        kept, off = keep_motion(PhaseSequence.of(solver, demand.mechanism, rest), earlier)
     except CannotFollowError as error:
         return None, (f"the earlier motion is not kept: {error}",) if resume.is_compliant else ()
     if resume.is_compliant and off.is_compliance:
