@@ -34,7 +34,7 @@ class ReachDemand(TaskDemand):
         return RecordDemand((*before, PhaseDemand(last)))
 
 
-class ReachPart(DemandPart[GoalRequest]):
+class ReachDemandPart(DemandPart[GoalRequest]):
     """A reach."""
 
     def make_demand(self, section: GoalRequest, world: World, shown: Shown, program: object) -> ReachDemand:
@@ -55,4 +55,4 @@ class ReachPart(DemandPart[GoalRequest]):
             yield from find_unknown_links(robot, (pose.link,), f"goal.poses[{index}].link")
 
 
-PART = ReachPart()
+PART = ReachDemandPart()

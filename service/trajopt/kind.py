@@ -13,7 +13,7 @@ from service.trajopt.request import make_program
 from service.trajopt.verifier_targets import make_program_demand
 
 
-class ProblemPart(DemandPart[ProblemSection]):
+class ProblemDemandPart(DemandPart[ProblemSection]):
     """A problem file."""
 
     def make_demand(
@@ -29,4 +29,4 @@ class ProblemPart(DemandPart[ProblemSection]):
         return ResolvedStart(program.start, notes, program)
 
 
-PART = ProblemPart()
+PART = ProblemDemandPart()

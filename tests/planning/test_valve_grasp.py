@@ -154,11 +154,11 @@ def test_the_choice_of_a_record_is_read_back_and_another_hand_is_refused(grasped
     result, _ = grasped
     valve = result.request.task.valve
     wheel = make_wheel(read_given_valve(valve), valve)
-    stroke = ValveDemand(wheel, valve).read_stroke(result.motion)
+    stroke = ValveDemand(wheel, valve).keep_choices(result.motion)["stroke"]
     assert (stroke.hand, stroke.strokes) == ("left", 1)
     assert stroke.gap_rad in wheel.gaps
-    other = ValveDemand(wheel, replace(valve, hand="right")).read_stroke(result.motion)
+    other = ValveDemand(wheel, replace(valve, hand="right")).keep_choices(result.motion)
     assert "no hand that the task permits" in other
     hooked = replace(valve, mode="hook")
     as_hook = ValveDemand(make_wheel(read_given_valve(valve), hooked), hooked)
-    assert "no hand that the task permits" in as_hook.read_stroke(result.motion)
+    assert "no hand that the task permits" in as_hook.keep_choices(result.motion)

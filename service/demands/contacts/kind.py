@@ -15,7 +15,7 @@ from service.request.schema import PlanRequest
 from service.request.tasks.contacts import ContactsRequest
 
 
-class ContactsPart(DemandPart[ContactsRequest]):
+class ContactsDemandPart(DemandPart[ContactsRequest]):
     """Moving from stance to stance."""
 
     def make_demand(self, section: ContactsRequest, world: World, shown: Shown, program: object) -> ContactsDemand:
@@ -34,4 +34,4 @@ class ContactsPart(DemandPart[ContactsRequest]):
         return make_stances(section, world.robot, world.scene, world.start)
 
 
-PART = ContactsPart()
+PART = ContactsDemandPart()

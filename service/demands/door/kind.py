@@ -22,7 +22,7 @@ from service.request.tasks.door import HANDLE_JOINT, LEAF_JOINT, DoorRequest
 LEVER_PRELOAD = 0.5  # share of a lever's torque that its spring has at rest
 
 
-class DoorPart(DemandPart[DoorRequest]):
+class DoorDemandPart(DemandPart[DoorRequest]):
     """Opening a door."""
 
     def make_demand(self, section: DoorRequest, world: World, shown: Shown, program: object) -> MechanismDemand:
@@ -60,4 +60,4 @@ def _find_base(robot: RobotModel, start: Float[np.ndarray, "n"]) -> Float[np.nda
     return start[:3] if robot.is_floating else np.zeros(3)
 
 
-PART = DoorPart()
+PART = DoorDemandPart()

@@ -9,7 +9,7 @@ from service.demands.task_demand import World
 from service.request.tasks.egress import EgressRequest
 
 
-class EgressPart(DemandPart[EgressRequest]):
+class EgressDemandPart(DemandPart[EgressRequest]):
     """Getting out of a vehicle."""
 
     def make_demand(self, section: EgressRequest, world: World, shown: Shown, program: object) -> EgressDemand:
@@ -21,4 +21,4 @@ class EgressPart(DemandPart[EgressRequest]):
         return (EgressDemand.of(section, world.robot, world.scene, world.start, world.request.folder).seat(),)
 
 
-PART = EgressPart()
+PART = EgressDemandPart()

@@ -20,7 +20,7 @@ from service.demands.task_demand import World
 from service.request.tasks.mechanism import MechanismRequest
 
 
-class MechanismPart(DemandPart[MechanismRequest]):
+class MechanismDemandPart(DemandPart[MechanismRequest]):
     """Moving a mechanism of a URDF."""
 
     def make_demand(self, section: MechanismRequest, world: World, shown: Shown, program: object) -> MechanismDemand:
@@ -60,4 +60,4 @@ class MechanismPart(DemandPart[MechanismRequest]):
         return MechanismPhysics(joints, inertias=inertias)
 
 
-PART = MechanismPart()
+PART = MechanismDemandPart()

@@ -13,7 +13,7 @@ from service.errors import RequestError
 from service.request.tasks.valve import VALVE_JOINT, ValveRequest
 
 
-class ValvePart(DemandPart[ValveRequest]):
+class ValveDemandPart(DemandPart[ValveRequest]):
     """Turning a valve."""
 
     def make_demand(self, section: ValveRequest, world: World, shown: Shown, program: object) -> MechanismDemand:
@@ -37,4 +37,4 @@ class ValvePart(DemandPart[ValveRequest]):
         return MechanismPhysics(wheel, GROWTH_M, is_gripped, has_assumed_spokes=not is_gripped)
 
 
-PART = ValvePart()
+PART = ValveDemandPart()

@@ -20,7 +20,7 @@ from service.tasks.kind import PlanPart
 from service.tasks.rest.earlier_motion import read_earlier_motion
 
 
-class ContactsPart(PlanPart[ContactsRequest]):
+class ContactsPlanPart(PlanPart[ContactsRequest]):
     """Moving from stance to stance."""
 
     @property
@@ -44,4 +44,4 @@ class ContactsPart(PlanPart[ContactsRequest]):
         return displace_contacts(request, request.section, target, offset), around
 
 
-PART = ContactsPart()
+PART = ContactsPlanPart()

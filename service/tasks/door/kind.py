@@ -31,7 +31,7 @@ from service.tasks.kind import PlanPart, check_displaceable, displace_place
 TARGET = "door"  # leaf and handle together
 
 
-class DoorPart(PlanPart[DoorRequest]):
+class DoorPlanPart(PlanPart[DoorRequest]):
     """Opening a door."""
 
     def plan(self, section: DoorRequest, setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
@@ -78,4 +78,4 @@ class DoorPart(PlanPart[DoorRequest]):
         return request, replace(around, doors=(first, *around.doors[1:]))
 
 
-PART = DoorPart()
+PART = DoorPlanPart()

@@ -12,7 +12,7 @@ from service.tasks.egress.task import plan_egress
 from service.tasks.kind import PlanPart
 
 
-class EgressPart(PlanPart[EgressRequest]):
+class EgressPlanPart(PlanPart[EgressRequest]):
     """Getting out of a vehicle."""
 
     @property
@@ -25,4 +25,4 @@ class EgressPart(PlanPart[EgressRequest]):
         return plan_egress(setup, solver, section)
 
 
-PART = EgressPart()
+PART = EgressPlanPart()

@@ -15,7 +15,7 @@ from service.tasks.mechanism.plan import choose_hands, list_clearances, plan_mec
 from service.tasks.mechanism.stance import MechanismStance
 
 
-class MechanismPart(PlanPart[MechanismRequest]):
+class MechanismPlanPart(PlanPart[MechanismRequest]):
     """Moving a mechanism of a URDF."""
 
     def plan(self, section: MechanismRequest, setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
@@ -37,4 +37,4 @@ class MechanismPart(PlanPart[MechanismRequest]):
         return MechanismStance(given, hands, list_clearances(hands, given)), (note,)
 
 
-PART = MechanismPart()
+PART = MechanismPlanPart()

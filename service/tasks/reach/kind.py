@@ -21,7 +21,7 @@ from service.tasks.reach.goal import Goal
 from service.tasks.reach.search import plan_reach
 
 
-class ReachPart(PlanPart[GoalRequest]):
+class ReachPlanPart(PlanPart[GoalRequest]):
     """A reach."""
 
     def plan(self, section: GoalRequest, setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
@@ -47,4 +47,4 @@ class ReachPart(PlanPart[GoalRequest]):
         return replace(request, goal=replace(request.goal, poses=poses)), around
 
 
-PART = ReachPart()
+PART = ReachPlanPart()

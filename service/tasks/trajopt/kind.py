@@ -21,7 +21,7 @@ from service.verify import JointTarget, PoseTarget, Target
 FREE = np.full(3, np.inf)
 
 
-class ProblemPart(PlanPart[ProblemSection]):
+class ProblemPlanPart(PlanPart[ProblemSection]):
     """A problem file."""
 
     @property
@@ -58,4 +58,4 @@ def _read_rotation(term: PoseTerm) -> Float[np.ndarray, "3 3"]:
     return np.asarray(Rotation.from_quat(term.wxyz, scalar_first=True).as_matrix())
 
 
-PART = ProblemPart()
+PART = ProblemPlanPart()

@@ -27,7 +27,7 @@ TARGET = "valve"
 STEM = "stem"  # kind of the piece behind a wheel, which goes with it
 
 
-class ValvePart(PlanPart[ValveRequest]):
+class ValvePlanPart(PlanPart[ValveRequest]):
     """Turning a valve."""
 
     def plan(self, section: ValveRequest, setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
@@ -79,4 +79,4 @@ class ValvePart(PlanPart[ValveRequest]):
         return request, replace(around, pieces=pieces, valves=(first, *around.valves[1:]))
 
 
-PART = ValvePart()
+PART = ValvePlanPart()
