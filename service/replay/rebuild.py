@@ -62,7 +62,7 @@ class Grounds:
 
 
 @dataclass(frozen=True)
-class Record:
+class RecordedWorld:
     """Robot and scene of a result's folder.
 
     Attributes:
@@ -81,7 +81,7 @@ class Record:
 
 
 def rebuild_demands(
-    request: PlanRequest, record: Record, given: Path | None, clouds: Sequence[Path]
+    request: PlanRequest, record: RecordedWorld, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
     """Return a request's demands and their sources.
 
@@ -133,7 +133,9 @@ def _make_demands(world: World, surroundings: Surroundings, program: Program | N
     return Demands(world, part.make_demand(section, world, surroundings, program))
 
 
-def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request_from: str) -> tuple[RobotModel, str]:
+def _rebuild_robot(
+    request: PlanRequest, record: RecordedWorld, is_given: bool, request_from: str
+) -> tuple[RobotModel, str]:
     """Return the robot and its source; only a user's request has robot files read again."""
     if is_given or (request.robot.urdf is None and request.robot.name in bundled_robots()):
         return attach_bodies(load_requested_robot(request, finds_package=is_given), request), request_from

@@ -17,7 +17,7 @@ from service.demands.task_demand import IncompletePlanError
 from service.demands.valve.demand import turn_back
 from service.errors import RequestError, ResultError, shown
 from service.replay.detections import read_doors, read_seen_parts, read_valves
-from service.replay.rebuild import Record, rebuild_demands, select_scanned
+from service.replay.rebuild import RecordedWorld, rebuild_demands, select_scanned
 from service.replay.replay import read_record, read_request
 from service.request.file import hash_request_data, load_section, replace_cloud
 from service.request.resume import NominalPhase, NominalRequest, ResumeRequest
@@ -105,7 +105,10 @@ def _as_result_error(folder: Path) -> Iterator[None]:
 
 def _rebuild(data: dict[str, Any], request: PlanRequest, robot: RobotModel, motion: Motion) -> Demands:
     return rebuild_demands(
-        request, Record(robot, motion.scene, read_valves(data), read_doors(data), read_seen_parts(data)), None, ()
+        request,
+        RecordedWorld(robot, motion.scene, read_valves(data), read_doors(data), read_seen_parts(data)),
+        None,
+        (),
     )[0]
 
 
