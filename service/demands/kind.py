@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
@@ -58,16 +59,16 @@ class ResolvedStart:
     program: Any = None
 
 
-class DemandPart(Generic[S]):
+class DemandPart(ABC, Generic[S]):
     """What a kind of task knows of its requests without anything that plans; a kind overrides what applies to it."""
 
+    @abstractmethod
     def make_demand(self, section: S, world: World, shown: Shown, program: Any) -> TaskDemand:
         """Return what a request demands of any motion.
 
         Raises:
             RequestError: the scan does not show what the task moves, or the request contradicts itself.
         """
-        raise NotImplementedError
 
     def list_name_problems(self, section: S, request: PlanRequest, robot: RobotModel) -> Iterator[str]:
         """Yield a line for each unknown joint, link or posture, and each joint value beyond its limits."""

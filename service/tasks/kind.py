@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -40,7 +41,7 @@ class RequestedEnd:
     poses: tuple[tuple[str, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"] | None], ...] = ()
 
 
-class PlanPart(Generic[S]):
+class PlanPart(ABC, Generic[S]):
     """How a kind of task is planned; a kind overrides what applies to it."""
 
     @property
@@ -48,6 +49,7 @@ class PlanPart(Generic[S]):
         """Whether phases that leave an unfit start come first."""
         return True
 
+    @abstractmethod
     def plan(self, section: S, setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         """Yield plans of the whole task; the next is made on demand.
 
@@ -55,7 +57,6 @@ class PlanPart(Generic[S]):
             RequestError: the request does not fit its robot or scene.
             StaticRegionError: the ground does not hold the robot under the loads of the task.
         """
-        raise NotImplementedError
 
     @property
     def has_stances(self) -> bool:
@@ -66,7 +67,7 @@ class PlanPart(Generic[S]):
         self, section: S, setup: PlanSetup, body: WholeBody
     ) -> tuple[StanceTask, tuple[str, ...]] | str:
         """Return what a search for a place to stand needs, with notes; a sentence where nothing is found to move."""
-        raise NotImplementedError
+        return f"{setup.request.kind.field} moves no mechanism"
 
     def get_end(self, section: S, setup: PlanSetup) -> RequestedEnd | None:
         """Return the end that the request names; None if it names none."""
