@@ -26,6 +26,7 @@ from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
+from service.request.tasks.registry import ADDED
 from service.setup.given_objects import check_given_objects
 from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
@@ -47,18 +48,21 @@ class Grounds:
         scene: source of the pieces.
         robot: source of the robot.
         without: constraints of the request that the verifier cannot check.
+        reader: package outside this project that says what the task demands, or None.
     """
 
     request: str
     scene: str
     robot: str
     without: tuple[str, ...] = ()
+    reader: str | None = None
 
     def sentence(self) -> str:
         """Return the phrase for the verdict's line; equal sources are named once."""
         sources = dict.fromkeys((self.request, self.robot, self.scene))
         without = f", without {', '.join(self.without)}" if self.without else ""
-        return f"for {' and '.join(sources)}{without}"
+        reader = "" if self.reader is None else f", with the demands of {self.reader}"
+        return f"for {' and '.join(sources)}{without}{reader}"
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,8 @@ def rebuild_demands(
     scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
     demands = _make_demands(World(request, robot, start, scene), surroundings, program)
-    return demands, Grounds(request_from, scene_from, robot_from, demands.task.unproven)
+    reader = None if request.kind not in ADDED else request.kind.demand.partition(":")[0]
+    return demands, Grounds(request_from, scene_from, robot_from, demands.task.unproven, reader)
 
 
 def make_setup_demands(setup: PlanSetup) -> Demands:

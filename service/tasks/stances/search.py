@@ -170,7 +170,7 @@ def find_stance(
         options = request.options
         aims = Aims(options.margin_m, options.balance_margin_m)
         body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
-        found = part.find_stance_task(request.section, setup, body)
+        found = part.find_stance_task(setup.request.section, setup, body)  # with its files read
     if isinstance(found, str):
         return StanceSearch(setup, None, (), (found,), 0, not setup.is_stopped, time.perf_counter() - monitor.started)
     sought, notes = found
