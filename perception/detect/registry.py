@@ -3,7 +3,7 @@
 To add a kind, write a function ``detect_...(view, hint)`` that returns a list of :class:`Detection`, in a module or
 a folder of its own, and add a line to ``SHIPPED``.  A detector may import ``perception.detect.shared`` but no module
 of another kind: add its module to the import contract in ``pyproject.toml``.  Another package adds a kind by an entry
-point of the group ``scopt.detectors``: ``KIND = module:DETECTOR``, with an offered ``Detector``.
+point of the group ``scopt_detectors``: ``KIND = module:DETECTOR``, with an offered ``Detector``.
 ``service.request.choices`` repeats the kinds that a request may name, because it must not import this package.
 """
 
@@ -36,7 +36,7 @@ from perception.errors import PerceptionError
 from perception.sightlines import SightIndex, sight_index
 from perception.view import View, widen
 
-ENTRY_POINTS = "scopt.detectors"
+ENTRY_POINTS = "scopt_detectors"
 _MOSTLY = 0.5
 
 

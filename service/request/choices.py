@@ -13,7 +13,7 @@ Unknown = Literal["free", "occupied"]
 
 KINDS = (
     *("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening"),
-    *sorted(entry.name for entry in entry_points(group="scopt.detectors")),
+    *sorted(entry.name for entry in entry_points(group="scopt_detectors")),
 )
 """Kinds of detectable objects, equal to ``perception.KINDS`` but without importing perception."""
 

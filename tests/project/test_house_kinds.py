@@ -21,7 +21,7 @@ OF_SETUP = {"program": "trajopt", "stances": "contacts"}
 MOST = 2  # kinds that a module may tell apart: a stage that knows three would soon have to know all
 
 WAVE = {
-    "scopt_wave-1.dist-info/entry_points.txt": "[scopt.task_kinds]\nwave = wave_request:KIND\n",
+    "scopt_wave-1.dist-info/entry_points.txt": "[scopt_task_kinds]\nwave = wave_request:KIND\n",
     "wave_request.py": """
 from typing import Annotated
 
@@ -111,7 +111,7 @@ PART = WavePart()
 }
 
 LID = {
-    "scopt_lid-1.dist-info/entry_points.txt": "[scopt.detectors]\nlid = lid_detector:DETECTOR\n",
+    "scopt_lid-1.dist-info/entry_points.txt": "[scopt_detectors]\nlid = lid_detector:DETECTOR\n",
     "lid_detector.py": """
 import numpy as np
 
@@ -213,7 +213,7 @@ def test_a_package_with_an_error_is_named_with_its_line(tmp_path: Path, files: d
     package = _write(tmp_path, {**WAVE, **files})
     done = _scopt(package, "plan", ROOT / "examples" / "requests" / "joint_goal.yaml", "--out", tmp_path / "out")
     assert done.returncode != 0
-    assert "entry point 'wave' of scopt.task_kinds" in done.stderr
+    assert "entry point 'wave' of scopt_task_kinds" in done.stderr
     assert words in " ".join(done.stderr.split())
 
 

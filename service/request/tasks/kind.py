@@ -9,7 +9,7 @@ from typing import Any
 
 from service.request.fields import Point, Section
 
-ENTRY_POINTS = "scopt.task_kinds"
+ENTRY_POINTS = "scopt_task_kinds"
 """Group of entry points by which another package adds a kind: ``NAME = module:KIND``, with a ``TaskKind``."""
 
 
