@@ -20,7 +20,8 @@ from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
 from service.demands.hands import Hand
 from service.demands.holds.pushes import explain_refusal, find_side
 from service.demands.moved_object.demand import GivenMechanismDemand, find_ends, read_kept_hand, resume_mechanism
-from service.demands.moved_object.phases import list_opposite_places, make_mechanism_phases, select_tool, settle_handle
+from service.demands.moved_object.phases import list_opposite_places, make_mechanism_phases, select_tool
+from service.demands.moved_object.settling import settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest

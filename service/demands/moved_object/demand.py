@@ -15,7 +15,8 @@ from costs.robot import (
 )
 from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.moved_object.phases import make_mechanism_phases, settle_handle
+from service.demands.moved_object.phases import make_mechanism_phases
+from service.demands.moved_object.settling import settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError
