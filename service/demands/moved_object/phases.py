@@ -23,6 +23,7 @@ TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad,
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
 STAYS_SHARE = 0.7  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
+LET_GO = "let go"  # name of the phase in which a hand leaves the face that it presses, before it goes away
 MOST_LOADS = 4  # at a time: the robot is held under every combination of them
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 
@@ -81,8 +82,26 @@ def make_mechanism_phases(
         )  # fmt: skip
     if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
         away = replace(line, leaves=True)
+        if drags_along(given, joint_loads[-1], loads[-1], values):
+            phases.append(PhaseSpec(LET_GO, values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
         phases.append(PhaseSpec("retract", values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
     return add_pressed(phases, find_pressed(None, given.request.handle.link, (0.0, 0.0)))
+
+
+def drags_along(
+    given: GivenMechanism, loads: tuple[JointLoad, ...], forces: tuple[HandLoad, ...], values: Float[np.ndarray, "k"]
+) -> bool:
+    """Return whether a hand that slides off the handle could drag a joint along that it did not move."""
+    force = max((float(np.linalg.norm(load.force)) for load in forces), default=0.0)
+    for load in loads:
+        if load.sense == 0.0:
+            joint = given.mechanism.joint(load.joint)
+            place, _ = _locate_handle(given, load.joint, values)
+            turning = np.cross(joint.axis / np.linalg.norm(joint.axis), place)
+            arm = 1.0 if joint.kind == "prismatic" else float(np.linalg.norm(turning))
+            if STAYS_SHARE * min(load.slack) <= force * arm:
+                return True
+    return False
 
 
 def select_tool(given: GivenMechanism, hand: Hand) -> str:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
-from costs.robot import RobotModel
+from costs.robot import Mechanism, RobotModel
 from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import Hand
-from service.demands.holds.pushes import NominalPush, find_nominal_pushes
-from service.demands.moved_object.phases import make_mechanism_phases
+from service.demands.holds.pushes import NominalPush, find_nominal_pushes, find_side
+from service.demands.moved_object.phases import LET_GO, make_mechanism_phases
+from service.demands.phase_spec import PhaseSpec
 from service.verify.forces.hand_balance import LEAST_APART_M, measure_excess
 
 SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
@@ -45,6 +46,30 @@ def settle_handle(
         if left < excess:
             best, excess = touching, left
     return best
+
+
+def keep_aside(
+    specs: Sequence[PhaseSpec], robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
+) -> tuple[PhaseSpec, ...]:
+    """Return phases whose lines lead to the handle, and away from it, beside the face that the hand presses.
+
+    A rod that slides along a face drags it along: a hand that lets go first leaves the face straight.
+    """
+    moving = [k for k, spec in enumerate(specs) if spec.moving]
+    sides = [find_side(specs[k], robot, mechanism, friction) for k in (moving[0], moving[-1])]
+    kept, is_off = list[PhaseSpec](), False
+    for k, spec in enumerate(specs):
+        hand = spec.hand
+        if hand is not None and hand.offset is not None:
+            side = sides[0] if k < moving[0] else sides[1]
+            if spec.name == LET_GO and side.any():
+                hand, is_off = replace(hand, offset=side), True
+            elif is_off:
+                hand = replace(hand, place=hand.place + side)
+            else:
+                hand = replace(hand, offset=hand.offset + side)
+        kept.append(replace(spec, hand=hand))
+    return tuple(kept)
 
 
 def _touch(given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]) -> GivenMechanism:

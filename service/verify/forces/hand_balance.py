@@ -32,7 +32,7 @@ NOTHING_HOLDS = float(np.pi)  # by which cones would have to be wider where none
 _SIDES = 8  # of the pyramids inside the cones
 _STEPS = 6  # of the search for how much wider cones would have to be
 _REST = 1e-6  # of balances that hold, relative to the force along the way
-_LEAST_FORCE_N = 1.0  # along the way of a joint that moves without resistance
+LEAST_FORCE_N = 1.0  # along the way of a joint that moves without resistance
 
 
 def find_jamming_angle(push: HandPush) -> float:
@@ -73,6 +73,11 @@ class Meeting:
     def is_touching(self) -> bool:
         """Whether the surfaces touch, with a normal that is known."""
         return self.gap <= TOUCH_GAP_M and self.apart >= LEAST_APART_M
+
+
+def find_least_share(push: HandPush, meeting: Meeting) -> float:
+    """Return the least share of a single contact's pressure that is along the way, however it slides."""
+    return float(np.cos(meeting.angle) - push.friction[1] * np.sin(meeting.angle))
 
 
 def meet(
@@ -150,7 +155,7 @@ class _Balance:
     """
 
     def __init__(self, push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> None:
-        self._force = max(push.force_n, _LEAST_FORCE_N)
+        self._force = max(push.force_n, LEAST_FORCE_N)
         self._caps = np.array([contact.cap_n for contact, _ in touching])
         self._normals = np.array([meeting.normal for _, meeting in touching])
         self._ways = np.array([meeting.way for _, meeting in touching])

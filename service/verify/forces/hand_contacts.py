@@ -157,15 +157,19 @@ class PushPath:
             ways.append((turned[0] @ axis[:3] - np.cross(angular, moved[0]), angular))
         return meet(contact, body, pose, self._push.sense, ways)
 
+    def place_cores(self, s: float) -> tuple[Float[np.ndarray, "K 3"], ...]:
+        """Return the points of each contact's core at a path parameter, as seen from what it presses [m]."""
+        return tuple(path.at(np.array([s]))[0][0] for path in self._paths)
+
     def bound_gap(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return bounds of the nearest contact's gap on intervals, and its values at their ends [m]."""
         ends = values_at_ends(self._list_gaps, first, last)
-        return np.maximum(*ends) + self._bound_travel(first, last).max(axis=0), *ends
+        return np.maximum(*ends) + self.bound_travel(first, last).max(axis=0), *ends
 
     def bound_excess(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return on intervals how much wider the cones would have to be at most, and the same at their ends [rad]."""
         ends = values_at_ends(self._list_excesses, first, last)
-        travel = self._bound_travel(first, last)
+        travel = self.bound_travel(first, last)
         met = [(*self.meet(a), *self.meet(b)) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
         apart = np.array([max(min(meeting.apart for meeting in each), LEAST_APART_M) for each in met])
         change = np.sqrt(travel * (2.0 * apart + travel)) / apart
@@ -178,7 +182,7 @@ class PushPath:
     def _list_excesses(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
         return np.array([measure_excess(self._push, self.meet(at)) for at in s.tolist()])
 
-    def _bound_travel(self, first: np.ndarray, last: np.ndarray) -> Float[np.ndarray, "C I"]:
+    def bound_travel(self, first: np.ndarray, last: np.ndarray) -> Float[np.ndarray, "C I"]:
         """Return per contact how far its core's points are at most from where they are at the nearer end [m].
 
         On the curve itself: exported samples, read linearly, leave it by less than any part is made exactly.
