@@ -98,12 +98,12 @@ class Drag:
         """Return bounds of the displacement on intervals, and its values at their ends [m]."""
         ends = values_at_ends(self._list_displacements, first, last)
         travel = self._path.bound_travel(first, last)
-        gaps = [values_at_ends(lambda s, k=k: self._list_gaps(s, k), first, last) for k in range(len(travel))]
+        both = np.concatenate([first, last])
         highest = np.zeros(len(first))
-        for k, (at_first, at_last) in enumerate(gaps):
-            sizes = values_at_ends(lambda s, k=k: self._list_along(s, k), first, last)
-            is_near = np.minimum(at_first, at_last) - travel[k] <= RELEASED_GAP_M
-            highest = np.maximum(highest, np.where(is_near, np.maximum(*sizes) + travel[k], 0.0))
+        for k, far in enumerate(travel):
+            gaps, sizes = (each(both, k).reshape(2, -1) for each in (self._list_gaps, self._list_along))
+            is_near = gaps.min(axis=0) - far <= RELEASED_GAP_M
+            highest = np.maximum(highest, np.where(is_near, sizes.max(axis=0) + far, 0.0))
         return highest, *ends
 
     def _list_displacements(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
