@@ -113,7 +113,7 @@ def meet(
     size = max(float(np.linalg.norm(moves[0])), 1e-12) if len(moves) else 1.0
     way = sense * moves[0] / size if len(moves) else np.zeros(3)
     met = Meeting(apart, apart - contact.radius - solid.radius, normal, way, moves[1:], point)
-    if len(contact.core) <= 2 or not len(moves):
+    if len(contact.core) <= 2 or len(moves) < 2:  # torsion acts on joints that stay, besides the one that is pushed
         return met
     spots = find_patch(contact.core @ pose[0].T + pose[1], body.vertices, normal)
     moved = _move_points(ways, spots + (point @ normal - spots @ normal)[:, None] * normal)
