@@ -18,9 +18,15 @@ from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
 from service.demands.hands import Hand
-from service.demands.holds.pushes import explain_refusal, find_side
+from service.demands.holds.pushes import explain_refusal
 from service.demands.moved_object.demand import GivenMechanismDemand, find_ends, read_kept_hand, resume_mechanism
-from service.demands.moved_object.phases import list_opposite_places, make_mechanism_phases, select_tool, settle_handle
+from service.demands.moved_object.phases import (
+    LET_GO,
+    list_opposite_places,
+    make_mechanism_phases,
+    select_tool,
+)
+from service.demands.moved_object.settling import keep_aside, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.errors import RequestError
 from service.request.mechanism import MechanismRequest
@@ -74,7 +80,7 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         settled = settle_handle(given, solver.body.robot, hand, solver.hand_friction)
         specs = make_mechanism_phases(settled, hand, waypoints)
         left = specs[-1]
-        specs = keep_aside(solver, given.mechanism, specs)
+        specs = keep_aside(specs, solver.body.robot, given.mechanism, solver.hand_friction)
         try:
             phases, stuck = PhaseSequence.of(solver, given.mechanism, specs).plan(solver.body.nominal)
         except StaticRegionError as error:
@@ -84,7 +90,8 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         plan = TaskPlan(
             solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
         )
-        plan = _leave_anyhow(solver, plan, (left, specs[-1]), given.mechanism)
+        lines = (specs[-1],) if specs[-2].name == LET_GO else (left, specs[-1])
+        plan = _leave_anyhow(solver, plan, lines, given.mechanism)
         if plan.stuck is None:
             yield plan
         elif unsolved is None or len(phases) > len(unsolved.phases):
@@ -109,22 +116,6 @@ def _plan_rest(
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
     for plan in plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume):
         yield _leave_anyhow(solver, plan, (rest.specs[-1],), rest.mechanism)
-
-
-def keep_aside(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[PhaseSpec]) -> tuple[PhaseSpec, ...]:
-    """Return phases whose lines lead to the handle, and away from it, beside the face that the hand presses.
-
-    A rod that slides along a face drags it along.
-    """
-    moving = [k for k, spec in enumerate(specs) if spec.moving]
-    sides = [find_side(specs[k], solver.body.robot, mechanism, solver.hand_friction) for k in (moving[0], moving[-1])]
-    kept = []
-    for k, spec in enumerate(specs):
-        if spec.hand is not None and spec.hand.offset is not None:
-            side = sides[0] if k < moving[0] else sides[1]
-            spec = replace(spec, hand=replace(spec.hand, offset=spec.hand.offset + side))
-        kept.append(spec)
-    return tuple(kept)
 
 
 def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, lasts: Sequence[PhaseSpec], mechanism: Mechanism) -> TaskPlan:

@@ -15,7 +15,8 @@ from costs.robot import (
 )
 from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.moved_object.phases import make_mechanism_phases, settle_handle
+from service.demands.moved_object.phases import make_mechanism_phases
+from service.demands.moved_object.settling import keep_aside, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
 from service.demands.resume import ResumedDemand, check_travel, find_index, start_mechanism
 from service.errors import RequestError
@@ -101,6 +102,7 @@ def resume_mechanism(
     robot = with_mechanism(demand.robot, demand.mechanism.joints)
     given = settle_handle(demand.given, robot, hand, demand.friction)
     specs = make_mechanism_phases(given, hand, reach_waypoints)
+    specs = keep_aside(specs, robot, given.mechanism, demand.friction)
     mechanism = start_mechanism(given.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
     rest = specs[find_index(specs, resume.phase) :]
