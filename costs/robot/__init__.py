@@ -1,6 +1,7 @@
 """Robots: any URDF and SRDF, and the Atlas that ships with the package."""
 
 from costs.robot.attach import AttachedBody, with_attached
+from costs.robot.circles import WHOLE_TURN, list_circular, turn_near
 from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, with_contacts
 from costs.robot.elements.inertia import LinkInertia
 from costs.robot.errors import RobotError
@@ -33,6 +34,7 @@ __all__ = [
     "PATCH_DEFAULTS",
     "PLANAR_NAMES",
     "STOP_ROUNDING",
+    "WHOLE_TURN",
     "AttachedBody",
     "LinkBody",
     "LinkInertia",
@@ -55,6 +57,7 @@ __all__ = [
     "check_limits",
     "find_package_folders",
     "format_srdf",
+    "list_circular",
     "load_robot",
     "make_mechanism_model",
     "read_followers",
@@ -63,6 +66,7 @@ __all__ = [
     "read_mesh_hulls",
     "read_object_shapes",
     "read_robot_visuals",
+    "turn_near",
     "with_attached",
     "with_contacts",
     "with_mechanism",

@@ -169,7 +169,9 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
     lines: tuple[str, ...] = ()
     knots = recorded.curve.knots
     if request.goal is not None:
-        targets = make_goal_targets(robot, request.goal, float(knots[-1]))
+        # A joint without limits may arrive after any number of turns: its goal is the one near the recorded end.
+        reached = recorded.curve.positions[-1, : robot.n]
+        targets = make_goal_targets(robot, request.goal, float(knots[-1]), reached)
     elif demands.program is not None:
         targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
     task, neighbours = None, tuple[Allowance, ...]()

@@ -17,7 +17,8 @@ from service.demands import list_planted_feet
 from service.demands.contacts.stances import ContactStance
 from service.errors import RequestError, would_do
 from service.request.schema import PlanRequest
-from service.start.configuration import find_limit_violations, find_unknown_joints
+from service.start.configuration import SNAP_TOLERANCE, find_limit_violations, find_unknown_joints
+from service.start.followers import leave_out_followers
 from service.start.overlaps import (
     Overlap,
     describe_dead_end,
@@ -68,7 +69,13 @@ def check_goal_and_keep(robot: RobotModel, request: PlanRequest) -> None:
         locked = [name for name in goal.joints if name in request.robot.locked]
         problems += [f"goal.joints.{name}: robot.locked fixes this joint; name it in one of them" for name in locked]
         free = {name: value for name, value in goal.joints.items() if name not in locked}
-        problems += find_unknown_joints(robot, free, "goal.joints") or find_limit_violations(robot, free, "goal.joints")
+        try:
+            free = leave_out_followers(robot, free, None, "goal.joints")
+        except RequestError as error:
+            problems += error.problems
+        problems += find_unknown_joints(robot, free, "goal.joints") or find_limit_violations(
+            robot, free, "goal.joints", SNAP_TOLERANCE
+        )
         if goal.posture is not None and goal.posture not in robot.postures:
             known = would_do(goal.posture, robot.postures) or "no postures; give goal.joints"
             problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
