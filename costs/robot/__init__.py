@@ -23,6 +23,7 @@ from costs.robot.mechanism_urdf import (
     read_mesh_hulls,
 )
 from costs.robot.mesh import find_package_folders
+from costs.robot.mesh import read_mesh as read_triangles
 from costs.robot.mesh.visual import VisualMesh
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_followers, read_robot_visuals
@@ -66,6 +67,7 @@ __all__ = [
     "read_mesh_hulls",
     "read_object_shapes",
     "read_robot_visuals",
+    "read_triangles",
     "turn_near",
     "with_attached",
     "with_contacts",
