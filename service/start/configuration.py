@@ -160,12 +160,12 @@ def _suggest_radians(robot: RobotModel, name: str, position: float) -> str:
     index = robot.joint_names.index(name)
     in_radians = math.radians(position)
     fits = float(robot.lower[index]) <= in_radians <= float(robot.upper[index])
-    if not fits or abs(position) < LEAST_DEGREES or _slides(robot, name):
+    if not fits or abs(position) < LEAST_DEGREES or is_sliding(robot, name):
         return ""
     return f"; joints are in radians, are these degrees? Use {in_radians:.6g}."
 
 
-def _slides(robot: RobotModel, name: str) -> bool:
+def is_sliding(robot: RobotModel, name: str) -> bool:
     """Return whether a joint slides."""
     if name in BASE_NAMES[:3]:
         return True
