@@ -273,10 +273,10 @@ class WholeBody:
         return min([DRIFT if self.region is None else CONTACT_DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
-        """Return the allowances of planted links: those of their contacts, by default with floors."""
+        """Return the allowances of planted links: those of their contacts, by default with what carries their soles."""
         if self.touches is not None:
             return self.touches
-        return make_standing_allowances([foot.link for foot in self.planted], self.scene)
+        return make_standing_allowances(self.planted, self.scene)
 
     def make_problem(
         self,

@@ -199,7 +199,7 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         lines += tuple(_find_unmade(robot, recorded, changes))
     return _Promises(
         stance,
-        make_standing_allowances(feet, demands.scene),
+        make_standing_allowances(stance.contacts, demands.scene),
         make_escape_allowances(inside),
         targets,
         tuple(make_kept_target(robot, start, keep) for keep in request.keep),
