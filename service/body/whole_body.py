@@ -66,10 +66,17 @@ BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every l
 
 @dataclass(frozen=True)
 class Aims:
-    """Margins of a plan: clearance, and distance of the centre of mass inside the support polygon [m]."""
+    """Margins of a plan [m].
+
+    Attributes:
+        margin: clearance aimed at.
+        balance_margin: distance of the centre of mass inside the support polygon.
+        clearance: demanded distance from the world, below which no motion is certified.
+    """
 
     margin: float = 0.02
     balance_margin: float = 0.02
+    clearance: float = 0.0
 
 
 @dataclass(frozen=True)

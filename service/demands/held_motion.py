@@ -113,6 +113,8 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
+    if recorded.clearance_m != demands.request.options.clearance_m:
+        differences.append("the record demands another clearance than the request")
     releases = () if demands.task is None else demands.task.mechanism.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
@@ -126,6 +128,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         phases=phases,
         mechanism_links=robot.mechanism_links,
         waived=waived,
+        clearance_m=demands.request.options.clearance_m,
         releases=releases,
         continues=continues,
     )
