@@ -203,7 +203,8 @@ class _Attempt:
     @property
     def _wanted(self) -> Float[np.ndarray, "E"]:
         """Bound below which the smallest clearance would be reported as smaller than it is known to be [m]."""
-        return np.maximum(self._samples.nearest - self._settings.resolution_m, np.maximum(self._need, 0.0))
+        known = self._samples.nearest - self._settings.resolution_m
+        return np.asarray(np.maximum(known, np.maximum(self._need, 0.0)))
 
     @property
     def _aim(self) -> Float[np.ndarray, "E"]:
