@@ -113,6 +113,8 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
+    if recorded.clearance_m != demands.request.options.clearance_m:
+        differences.append("the record demands another clearance than the request")
     releases = () if demands.task is None else demands.task.mechanism.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
@@ -126,6 +128,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         phases=phases,
         mechanism_links=robot.mechanism_links,
         waived=waived,
+        clearance_m=demands.request.options.clearance_m,
         releases=releases,
         continues=continues,
     )
@@ -169,7 +172,9 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
     lines: tuple[str, ...] = ()
     knots = recorded.curve.knots
     if request.goal is not None:
-        targets = make_goal_targets(robot, request.goal, float(knots[-1]))
+        # A joint without limits may arrive after any number of turns: its goal is the one near the recorded end.
+        reached = recorded.curve.positions[-1, : robot.n]
+        targets = make_goal_targets(robot, request.goal, float(knots[-1]), reached)
     elif demands.program is not None:
         targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
     task, neighbours = None, tuple[Allowance, ...]()
@@ -197,7 +202,7 @@ def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tupl
         lines += tuple(_find_unmade(robot, recorded, changes))
     return _Promises(
         stance,
-        make_standing_allowances(feet, demands.scene),
+        make_standing_allowances(stance.contacts, demands.scene),
         make_escape_allowances(inside),
         targets,
         tuple(make_kept_target(robot, start, keep) for keep in request.keep),
