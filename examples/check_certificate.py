@@ -111,7 +111,9 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         for a, b in itertools.pairwise(edges):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, named[pair[0]], named[pair[1]])]
-            need, at = -max(depths) if depths else (data["certificate"]["min_clearance_m"] or 0.0) - 1e-6, a
+            is_own = {named[name][0] for name in pair} == {"robot", "scene"}
+            least = max(data["certificate"]["min_clearance_m"] or 0.0, is_own * data.get("clearance_m", 0.0))
+            need, at = -max(depths) if depths else least - 1e-6, a
             todo = [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]
             while todo:
                 first, last, claimed = todo.pop(0)
