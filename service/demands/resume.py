@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -137,13 +136,13 @@ class ResumedDemand:
         mechanism: with its joints at the start.
         specs: phases of the whole task, with the choices that the request keeps.
         phase: the phase that the rest begins with.
-        compare: compares the figures of a result.
+        measure: measures the figures of the rest on a motion.
     """
 
     mechanism: Mechanism
     specs: tuple[PhaseSpec, ...]
     phase: str
-    compare: Callable[[Mapping[str, Any]], Iterator[str]]
+    measure: Callable[[Motion], Mapping[str, float]]
 
     def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
         """Return the phases as the record begins them; a rigid hand keeps the turn that it has in the record."""
@@ -154,10 +153,6 @@ class ResumedDemand:
             if [spec.name for spec in specs] == names:
                 break
         return tuple(_take_rotation(spec, phases.get(spec.name)) for spec in specs), ()
-
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each figure of a result that is not the request's."""
-        yield from self.compare(figures)
 
 
 def _take_rotation(spec: PhaseSpec, phase: Phase | None) -> PhaseSpec:

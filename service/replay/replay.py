@@ -12,7 +12,7 @@ from typing import Any
 from costs.robot import RobotError, RobotModel, load_robot
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.errors import DamagedResultError, RequestError, ResultError, shown
-from service.replay.consistency import CHANGED, compare_servos, find_contradictions
+from service.replay.consistency import CHANGED, compare_figures, compare_servos, find_contradictions
 from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.folder_files import FileFindings, check_files
 from service.replay.rebuild import Grounds, Record, rebuild_demands
@@ -157,7 +157,7 @@ def _verify_claim(result: _Result) -> _Answer:
         reports = report_phases(held.motion, certificate)
         differences = (
             *held.differences,
-            *_compare_demands(result, demands, certificate),
+            *_compare_demands(result, demands, held.motion, certificate),
             *_compare_record(result, certificate, reports),
             *compare_servos(result.data["servo"], held.motion, demands, certificate),
         )
@@ -177,7 +177,7 @@ def _verify_earlier(result: _Result) -> _Answer:
         with _explain_defects(result.folder):
             certificate = verify(held.motion)
             reports = report_phases(held.motion, certificate)
-            differences = (*held.differences, *_compare_demands(result, demands, certificate))
+            differences = (*held.differences, *_compare_demands(result, demands, held.motion, certificate))
     except (RequestError, ResultError) as error:
         if own is None or result.request is not None or result.clouds:
             raise
@@ -221,11 +221,10 @@ def _hold(result: _Result) -> tuple[HeldMotion, Demands, Grounds]:
         return hold_to_request(demands, result.recorded), demands, grounds
 
 
-def _compare_demands(result: _Result, demands: Demands, certificate: Certificate) -> Iterator[str]:
-    """Yield a sentence for each demand on speed or on the task's figures that is not met."""
+def _compare_demands(result: _Result, demands: Demands, motion: Motion, certificate: Certificate) -> Iterator[str]:
+    """Yield a sentence for each demand on speed that is not met, and for each figure that is not the motion's."""
     yield from compare_pace(demands.request, certificate)
-    if demands.task is not None:
-        yield from demands.task.compare_figures(result.data["figures"])
+    yield from compare_figures(result.data["figures"], demands, motion)
 
 
 def _compare_record(result: _Result, certificate: Certificate, reports: Sequence[PhaseReport]) -> tuple[str, ...]:
