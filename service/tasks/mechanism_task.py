@@ -105,8 +105,9 @@ def _plan_rest(
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     rest, hand = resume_mechanism(demand, resume, waypoints), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
-    for plan in plan_rest(solver, rest, rest.specs, resume):
-        yield _leave_anyhow(solver, plan, (rest.specs[-1],), rest.mechanism)
+    specs = keep_aside(solver, rest.mechanism, rest.specs)
+    for plan in plan_rest(solver, rest, specs, resume):
+        yield _leave_anyhow(solver, plan, (rest.specs[-1], specs[-1]), rest.mechanism)
 
 
 def keep_aside(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[PhaseSpec]) -> tuple[PhaseSpec, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from given_wheels import wheel_request
 from typer.testing import CliRunner
 
 from costs.kinematics import KinematicsEngine, locate_links
@@ -26,20 +27,8 @@ from service.result.result import PlanResult, Verdict
 from service.verify import Motion
 from service.wire.requests import request_from_message, request_to_message
 
-CENTRE = np.array([0.68, 0.12, 1.1])
-VALVE: dict[str, Any] = {
-    "robot": {"name": "atlas"},
-    "start": {"posture": "reach_ready"},
-    "task": {
-        "valve": {
-            "centre": CENTRE.tolist(),
-            "axis": [-1, 0, 0],
-            "radius": 0.14,
-            "spokes_deg": [45, 135, 225, 315],
-            "turn_deg": 60,
-        }
-    },
-}
+VALVE = wheel_request()
+CENTRE = np.array(VALVE["task"]["valve"]["centre"])
 MOVED = np.array([0.006, -0.005, 0.004])
 
 
@@ -60,8 +49,7 @@ def kept(turned: Path) -> PlanResult:
 def _moved(folder: Path, offset: Sequence[float] | np.ndarray) -> PlanRequest:
     """The request to keep the motion for the valve elsewhere."""
     request = make_rest_request(folder, "reach", None, is_compliant=True)
-    valve = {**VALVE["task"]["valve"], "centre": (CENTRE + offset).tolist()}
-    return replace(request, task=parse_request({**VALVE, "task": {"valve": valve}}).task)
+    return replace(request, task=parse_request(wheel_request(centre=(CENTRE + offset).tolist())).task)
 
 
 def _notes(result: PlanResult) -> str:

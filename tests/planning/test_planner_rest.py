@@ -14,6 +14,7 @@ import pytest
 import yaml
 from given_doors import door_request
 from given_mechanisms import drawer_request
+from given_wheels import wheel_request
 from typer.testing import CliRunner
 
 from service.cli.app import app
@@ -32,19 +33,7 @@ from service.scan.scene_file import wheel_from_circle
 from service.wire.hashes import hash_certificate
 from service.wire.requests import request_from_message, request_to_message
 
-VALVE = {
-    "robot": {"name": "atlas"},
-    "start": {"posture": "reach_ready"},
-    "task": {
-        "valve": {
-            "centre": [0.68, 0.12, 1.1],
-            "axis": [-1, 0, 0],
-            "radius": 0.14,
-            "spokes_deg": [45, 135, 225, 315],
-            "turn_deg": 60,
-        }
-    },
-}
+VALVE = wheel_request()
 
 
 @pytest.fixture(scope="module")
