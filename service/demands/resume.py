@@ -51,6 +51,12 @@ def find_group(specs: Sequence[PhaseSpec], index: int) -> range:
     return range(first, last)
 
 
+def can_reach(specs: Sequence[PhaseSpec], index: int) -> bool:
+    """Return whether the rest from a phase on may reach for its contact first: nothing has been done at it before."""
+    group = find_group(specs, index)
+    return specs[group.start].hand is None and any(specs[k].is_anchor for k in group if k >= index)
+
+
 def start_mechanism(mechanism: Mechanism, values: Mapping[str, float]) -> Mechanism:
     """Return the mechanism with its joints at the values of ``resume.mechanism``.
 
@@ -148,7 +154,10 @@ class ResumedDemand:
         """Return the phases as the record begins them; a rigid hand keeps the turn that it has in the record."""
         phases = {phase.name: phase for phase in recorded.phases}
         names = [phase.name for phase in recorded.phases if phase.name not in UNSETTLED]
+        index = find_index(self.specs, self.phase)
         for beginning in Beginning:
+            if beginning is Beginning.REACH and not can_reach(self.specs, index):
+                continue
             specs = resume_phases(self.specs, self.phase, self.mechanism.start, beginning)
             if [spec.name for spec in specs] == names:
                 break

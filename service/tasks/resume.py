@@ -14,7 +14,7 @@ from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.figures.displacement import measure_displacement
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
-from service.demands.resume import Beginning, ResumedDemand, find_group, find_index, resume_phases
+from service.demands.resume import Beginning, ResumedDemand, can_reach, find_index, resume_phases
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.tasks.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
@@ -145,19 +145,17 @@ def _choose_beginnings(
     if hand is None:
         yield Beginning.AT_ONCE
         return
-    group = find_group(specs, index)
-    anchor = next(k for k in group if specs[k].is_anchor)
-    can_reach = specs[group.start].hand is None and index <= anchor
+    reaches = can_reach(specs, index)
     off = measure_hand(body, _first_place(hand))
     if off.is_near:
         if hand.is_line or off.is_at_place:
             yield Beginning.AT_ONCE
         if not hand.is_line:
             yield Beginning.TAKE_HOLD
-        elif can_reach:
+        elif reaches:
             yield Beginning.REACH
         return
-    if not can_reach:
+    if not reaches:
         raise RequestError(
             f"resume.phase: {hand.tool} is {off.distance:.3f} m from its place in '{specs[index].name}', and at most "
             f"{NEAR:g} m can be planned from; expected an earlier phase, or the hand at its place"

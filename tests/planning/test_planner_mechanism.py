@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from service.demands.given_mechanism import read_given_mechanism
 from service.demands.hands import HANDS
 from service.demands.moved_object.demand import GivenMechanismDemand
 from service.demands.moved_object.phases import make_mechanism_phases
+from service.demands.resume import ResumedDemand
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.consistency import compare_figures
@@ -440,3 +442,18 @@ def test_the_specifications_move_the_mechanism_without_jumps_and_have_one_anchor
         assert next(spec for spec in specs if spec.is_anchor).name == "move slide"
         for spec, after in pairwise(specs):
             np.testing.assert_array_equal(spec.last, after.first)
+
+
+@pytest.mark.parametrize(
+    ("phase", "expected"),
+    [("approach", ["reach", "approach", "move slide", "retract"]), ("retract", ["take hold", "retract"])],
+)
+def test_the_rest_of_a_task_reaches_for_the_handle_only_before_it_moves_anything(
+    phase: str, expected: list[str]
+) -> None:
+    given = read_given_mechanism(parse_request(drawer_request()).task.mechanism)
+    specs = make_mechanism_phases(given, HANDS["left"])
+    rest = ResumedDemand(given.mechanism, specs, phase, lambda motion: {})
+    recorded = SimpleNamespace(phases=[SimpleNamespace(name=spec.name, targets=()) for spec in specs])
+    chosen, problems = rest.read_choices(recorded)
+    assert ([spec.name for spec in chosen], problems) == (expected, ())
