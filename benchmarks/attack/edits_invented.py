@@ -333,7 +333,7 @@ def the_rest_from_another_phase(folder: Folder) -> None:
 
 
 # Seats, steps and rails.
-@INVENTED.lie("egress", "chair", "stair", "steps")
+@INVENTED.lie("egress", "chair")
 def what_carried_first_carries_to_the_end(folder: Folder) -> None:
     for phase in folder.phases[1:]:
         phase.update(contacts=folder.phases[0]["contacts"], regions=folder.phases[0]["regions"])
@@ -357,12 +357,6 @@ def points_of_each_contact_2_cm_apart(folder: Folder) -> None:
 @INVENTED.lie("egress", level=HASHED)
 def an_egress_that_goes_on(folder: Folder) -> None:
     _task(folder, "egress")["until"] = None
-
-
-@INVENTED.lie("egress", level=HASHED)
-def a_chest_that_slides_more_easily(folder: Folder) -> None:
-    for contact in folder.request["robot"]["contacts"].values():
-        contact["friction"] = 0.2
 
 
 @INVENTED.lie("stair", level=HASHED)
