@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -25,6 +25,7 @@ from service.demands.door import (
     hold_handle,
     make_door_phases,
 )
+from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.holds.door_edge import MOST_SLANT, hold_edge
 from service.demands.phase_spec import AXIS, DEPTH_RESERVE, PhaseSpec
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 
 SAME_PLACE_M = 1e-6
 SURE = 0.5  # least confidence of a detection that is used
-OPENED_ROUNDING_DEG = 0.2
 DEFAULT_LENGTHS = {"lever": 0.12, "pull": 0.3, "push_bar": 0.7, "knob": 0.06}
 
 
@@ -232,11 +232,9 @@ class DoorDemand:
             return None, (*problems, choice)
         return choice, tuple(problems)
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence where the figures of a result name another angle than the request."""
-        opened = figures.get("opening_deg")
-        if not isinstance(opened, float | int) or abs(opened - self.request.open_deg) > OPENED_ROUNDING_DEG:
-            yield f"figures.opening_deg is {opened}, the request opens by {self.request.open_deg:g}"
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure what the motion does to the door: angles, the free width, and loads it could hold."""
+        return measure_door(self.door, motion)
 
     def _list_hands(self) -> list[Hand]:
         return [hand for hand in list_robot_hands(self.robot) if self.request.hand in ("auto", hand.side)]
@@ -380,7 +378,7 @@ def resume_door(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: int 
     specs = make_door_phases(demand.door, choice, reach_waypoints)
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
-    return ResumedDemand(mechanism, specs, resume.phase, demand.compare_figures)
+    return ResumedDemand(mechanism, specs, resume.phase, demand.measure)
 
 
 def _list_holds(phase: Phase, tool: str, link: str) -> list[RelativePoseTarget]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -30,8 +30,8 @@ class TaskDemand(Protocol):
         """Return the task's phases with the choices of a record, and a sentence for each choice that it forbids."""
         ...
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each figure of a result that is not the request's."""
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure the figures of the task on a motion."""
         ...
 
 

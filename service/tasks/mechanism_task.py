@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from service.body.whole_body import WholeBody
 from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
 from service.demands.hands import Hand
 from service.demands.holds.pushes import explain_refusal
-from service.demands.moved_object.demand import GivenMechanismDemand, find_ends, read_kept_hand, resume_mechanism
+from service.demands.moved_object.demand import GivenMechanismDemand, read_kept_hand, resume_mechanism
 from service.demands.moved_object.phases import (
     LET_GO,
     list_opposite_places,
@@ -36,7 +36,6 @@ from service.tasks.doors.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.resume import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism
-from service.verify import Motion
 
 HANDLE_MARGIN = 4e-3  # between a hand and the mechanism that it holds [m]
 MOST_GAP, MOST_INSIDE = 0.010, 0.004  # between the hand's rod and what it holds [m]
@@ -74,6 +73,7 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
     if all(refusals):
         yield TaskPlan(solver.body, (), (str(refusals[0]),), is_impossible=True)
         return
+    demand = GivenMechanismDemand(given, setup.robot, solver.hand_friction)
     unsolved: TaskPlan | None = None
     unheld: StaticRegionError | None = None
     for hand in [hand for hand, refusal in zip(hands, refusals, strict=True) if refusal is None]:
@@ -87,9 +87,7 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
             unheld = error
             continue
         notes = (f"{hand.side} hand at {request.handle.link}",)
-        plan = TaskPlan(
-            solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
-        )
+        plan = TaskPlan(solver.body, phases, stuck=stuck, measure=demand.measure, notes=notes)
         lines = (specs[-1],) if specs[-2].name == LET_GO else (left, specs[-1])
         plan = _leave_anyhow(solver, plan, lines, given.mechanism)
         if plan.stuck is None:
@@ -114,7 +112,7 @@ def _plan_rest(
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     rest, hand = resume_mechanism(demand, resume, waypoints), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
-    for plan in plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume):
+    for plan in plan_rest(solver, rest, rest.specs, resume):
         yield _leave_anyhow(solver, plan, (rest.specs[-1],), rest.mechanism)
 
 
@@ -237,17 +235,6 @@ def leave_along_rod(solver: PhaseSolver, spec: PhaseSpec, at: Float[np.ndarray, 
     axis = poses[hand.link][:3, :3].T @ poses[hand.tool][:3, 2]
     turn = find_rotation_onto(hand.axis, axis / np.linalg.norm(axis))
     return replace(spec, hand=replace(hand, axis=turn @ hand.axis, offset=turn @ hand.offset))
-
-
-def measure_joints(given: GivenMechanism, motion: Motion) -> Mapping[str, float]:
-    """Measure the values of the moved joints at the end of a motion [deg, m]."""
-    last = motion.curve(motion.curve.knots[-1:])[0, -len(given.mechanism.joints) :]
-    names = [joint.name for joint in given.mechanism.joints]
-    figures = {}
-    for name, (_, unit) in find_ends(given).items():
-        value = float(last[names.index(name.removesuffix(f"_{unit}"))])
-        figures[name] = float(np.rad2deg(value)) if unit == "deg" else value
-    return figures
 
 
 def list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tuple[BodyRef, BodyRef, float], ...]:

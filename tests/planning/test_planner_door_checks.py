@@ -46,8 +46,8 @@ class _DoorDemand:
     def read_choices(self, recorded: Motion) -> tuple[tuple[Any, ...], tuple[str, ...]]:
         return (), ("not looked at",)
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Any:
-        return iter(())
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        return {}
 
 
 def _hold(opened: PlanResult, recorded: Motion) -> HeldMotion:

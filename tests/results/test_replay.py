@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from given_wheels import wheel_request
 
 from service.errors import DamagedResultError, RequestError, ResultError
 from service.planner import plan
@@ -23,19 +24,7 @@ from service.verify.hashes import promises_hash
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CARRY = EXAMPLES / "requests" / "carry.yaml"
-VALVE = {
-    "robot": {"name": "atlas"},
-    "start": {"posture": "reach_ready"},
-    "task": {
-        "valve": {
-            "centre": [0.68, 0.12, 1.1],
-            "axis": [-1, 0, 0],
-            "radius": 0.14,
-            "spokes_deg": [45, 135, 225, 315],
-            "turn_deg": 60,
-        }
-    },
-}
+VALVE = wheel_request()
 
 
 @pytest.fixture(scope="module")
