@@ -111,8 +111,9 @@ bench-egress: $(READY)
 bench-physics: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics.plans $(BENCH_ARGS)
 
+# A sample of the longer attacks; ATTACK_ARGS="--seed 7" draws another one, ATTACK_ARGS=--long takes all.
 attack: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack $(ATTACK_ARGS)
 
 # MUTANTS="verify trust --count 30 --minutes 10" names groups, --seed 7 or --fresh draws another sample.
 mutants: $(READY)

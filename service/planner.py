@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from service.setup.world import Surroundings
 
 MAX_REPAIRS = 3
+CLEARANCE_RESERVE_M = 5e-3  # beyond a demanded clearance, for the curve between waypoints
 GRACE_S = 0.2  # allowed after the time limit to make the motion of the best attempt
 # An explanation may take as long as the search took, within these limits.
 EXPLAIN_LEAST_S, EXPLAIN_MOST_S = 10.0, 60.0
@@ -115,7 +116,9 @@ def _expect_sag(result: PlanResult) -> PlanResult:
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:
     """Return the solver of the phases: the robot planted at its start, with the request's margins and settings."""
     options = setup.request.options
-    aims = Aims(options.margin_m, options.balance_margin_m)
+    demanded = options.clearance_m
+    margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
+    aims = Aims(margin, options.balance_margin_m, demanded)
     body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     solver = PhaseSolver(
         body,

@@ -97,6 +97,8 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
+    if recorded.clearance_m != demands.request.options.clearance_m:
+        differences.append("the record demands another clearance than the request")
     releases = () if task.moved is None else task.moved.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
@@ -110,6 +112,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         phases=phases,
         mechanism_links=robot.mechanism_links,
         waived=waived,
+        clearance_m=demands.request.options.clearance_m,
         releases=releases,
         continues=continues,
     )
@@ -142,7 +145,7 @@ class _Standing:
         leaves = request.options.escape and task.can_escape
         inside = find_hull_overlaps(robot, start, scene, feet) if leaves else []
         kept = tuple(make_kept_target(robot, start, keep) for keep in request.keep)
-        return _Standing(stance, make_standing_allowances(feet, scene), make_escape_allowances(inside), kept)
+        return _Standing(stance, make_standing_allowances(stance.contacts, scene), make_escape_allowances(inside), kept)
 
     def rebuild(self, recorded: Motion, index: int, demand: PhaseDemand) -> Phase:
         """Return one phase of a record with the promises of the request."""

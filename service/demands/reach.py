@@ -9,10 +9,16 @@ from costs.robot import RobotModel
 from service.demands.kind import DemandPart, Shown
 from service.demands.targets import make_goal_targets
 from service.demands.task_demand import PhaseDemand, RecordDemand, TaskDemand, World
-from service.errors import would_do
+from service.errors import RequestError, would_do
 from service.request.schema import PlanRequest
 from service.request.tasks.reach import GoalRequest
-from service.start.configuration import find_limit_violations, find_unknown_joints, find_unknown_links
+from service.start.configuration import (
+    SNAP_TOLERANCE,
+    find_limit_violations,
+    find_unknown_joints,
+    find_unknown_links,
+)
+from service.start.followers import leave_out_followers
 from service.verify import Motion
 
 
@@ -29,7 +35,9 @@ class ReachDemand(TaskDemand):
 
     def demand_phases(self, world: World, robot: RobotModel, recorded: Motion) -> RecordDemand:
         """Demand the goal of the last phase."""
-        last = make_goal_targets(world.robot, self.goal, float(recorded.curve.knots[-1]))
+        # A joint without limits may arrive after any number of turns: its goal is the one near the recorded end.
+        reached = recorded.curve.positions[-1, : world.robot.n]
+        last = make_goal_targets(world.robot, self.goal, float(recorded.curve.knots[-1]), reached)
         before = (PhaseDemand(),) * (len(recorded.phases) - 1)
         return RecordDemand((*before, PhaseDemand(last)))
 
@@ -46,8 +54,12 @@ class ReachDemandPart(DemandPart[GoalRequest]):
         locked = [name for name in section.joints if name in request.robot.locked]
         yield from (f"goal.joints.{name}: robot.locked fixes this joint; name it in one of them" for name in locked)
         free = {name: value for name, value in section.joints.items() if name not in locked}
+        try:
+            free = leave_out_followers(robot, free, None, "goal.joints")
+        except RequestError as error:
+            yield from error.problems
         unknown = find_unknown_joints(robot, free, "goal.joints")
-        yield from unknown or find_limit_violations(robot, free, "goal.joints")
+        yield from unknown or find_limit_violations(robot, free, "goal.joints", SNAP_TOLERANCE)
         if section.posture is not None and section.posture not in robot.postures:
             known = would_do(section.posture, robot.postures) or "no postures; give goal.joints"
             yield f"unknown posture {section.posture!r} in goal.posture; {robot.name} has {known}"

@@ -9,11 +9,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from costs.robot import Mechanism, RobotModel
+from service.demands.figures.displacement import measure_displacement
 from service.demands.holds.pushes import add_pushes
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.phase_spec import PhaseSpec
 from service.demands.stance import UNSETTLED
 from service.demands.task_demand import IncompletePlanError, PhaseDemand, RecordDemand, TaskDemand, World
+from service.request.resume import NominalRequest
 from service.verify import Motion
 from service.verify.forces.hand_loads import bound_coordinate
 
@@ -33,8 +35,8 @@ class MovingTask(Protocol):
         """Return the task's phases with the choices of a record, and a sentence for each choice that it forbids."""
         ...
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each figure of a result that is not the request's."""
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure the figures of the task on a motion."""
         ...
 
     def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
@@ -111,9 +113,13 @@ class MechanismDemand(TaskDemand):
         ]
         return RecordDemand(tuple(demands), task.problems)
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each figure of a result that is not the request's."""
-        yield from self.task.compare_figures(figures)
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure the task's figures on a motion."""
+        return self.task.measure(motion)
+
+    def measure_displacement(self, motion: Motion, earlier: NominalRequest) -> Mapping[str, float]:
+        """Measure how far the hands that hold are from an earlier motion."""
+        return measure_displacement(motion, self.task.read_choices(motion)[0], earlier)
 
     def keep_choices(self, recorded: Motion) -> dict[str, Any]:
         """Return the fields of ``resume`` that keep hand, grip and other choices."""

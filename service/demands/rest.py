@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
@@ -50,6 +50,12 @@ def find_group(specs: Sequence[PhaseSpec], index: int) -> range:
     while last < len(specs) and specs[last].hand is not None:
         last += 1
     return range(first, last)
+
+
+def can_reach(specs: Sequence[PhaseSpec], index: int) -> bool:
+    """Return whether the rest from a phase on may reach for its contact first: nothing has been done at it before."""
+    group = find_group(specs, index)
+    return specs[group.start].hand is None and any(specs[k].is_anchor for k in group if k >= index)
 
 
 def start_mechanism(mechanism: Mechanism, values: Mapping[str, float]) -> Mechanism:
@@ -137,27 +143,26 @@ class RestTask:
         mechanism: with its joints at the start.
         specs: phases of the whole task, with the choices that the request keeps.
         phase: the phase that the rest begins with.
-        compare: compares the figures of a result.
+        measure: measures the figures of the rest on a motion.
     """
 
     mechanism: Mechanism
     specs: tuple[PhaseSpec, ...]
     phase: str
-    compare: Callable[[Mapping[str, Any]], Iterator[str]]
+    measure: Callable[[Motion], Mapping[str, float]]
 
     def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
         """Return the phases as the record begins them; a rigid hand keeps the turn that it has in the record."""
         phases = {phase.name: phase for phase in recorded.phases}
         names = [phase.name for phase in recorded.phases if phase.name not in UNSETTLED]
+        index = find_index(self.specs, self.phase)
         for beginning in Beginning:
+            if beginning is Beginning.REACH and not can_reach(self.specs, index):
+                continue
             specs = list_rest_phases(self.specs, self.phase, self.mechanism.start, beginning)
             if [spec.name for spec in specs] == names:
                 break
         return tuple(_take_rotation(spec, phases.get(spec.name)) for spec in specs), ()
-
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each figure of a result that is not the request's."""
-        yield from self.compare(figures)
 
     def keep_choices(self, recorded: Motion) -> dict[str, Any]:
         """Return nothing: the request keeps the choices of the first plan."""

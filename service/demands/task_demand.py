@@ -13,6 +13,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance
 from costs.robot import Mechanism, RobotModel, with_mechanism
 from costs.scene import Scene
+from service.request.resume import NominalRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.registry import TaskRequest
 from service.verify import HandLoad, HandPush, Motion, PlantedContact, PressedPart, Target
@@ -127,9 +128,13 @@ class TaskDemand(ABC):
         """Yield a sentence for each coordinate that moves although the task keeps it."""
         yield from ()
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each figure of a result that is not the request's."""
-        yield from ()
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure the task's figures on a motion."""
+        return {}
+
+    def measure_displacement(self, motion: Motion, earlier: NominalRequest) -> Mapping[str, float]:
+        """Measure how far hands that hold something are from an earlier motion; nothing where none do."""
+        return {}
 
     @property
     def keeps_motion(self) -> bool:

@@ -90,7 +90,7 @@ class ConvexRequest(_Placed):
 
 @dataclass(config=SECTION, kw_only=True)
 class MeshRequest(_Placed):
-    """A mesh file (STL, OBJ, PLY, or a URDF with every joint at zero), split into convex pieces.
+    """A mesh file (STL, OBJ, PLY, DAE, GLB, glTF, or a URDF with every joint at zero), split into convex pieces.
 
     ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is the only piece.  With ``match``
     its pose is searched in the scan near the given one, and points on or inside the mesh do not become pieces.

@@ -152,7 +152,8 @@ class Options(Section):
     Attributes:
         waypoints: number per phase; chosen by the planner by default.
         time_limit_s: wall time for the whole plan.
-        margin_m: requested clearance.
+        margin_m: clearance aimed at.
+        clearance_m: demanded distance of the robot from every obstacle that it may not touch; no certificate below it.
         seed: seed of every random draw.
         balance_margin_m: smallest distance of the balance point from the support polygon's edges.
         feet: links planted at the start; by default the robot's feet.
@@ -168,6 +169,7 @@ class Options(Section):
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
     time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] = 60.0
     margin_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.02
+    clearance_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.0
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
     feet: Annotated[tuple[Name, ...], at_most(8)] | None = None

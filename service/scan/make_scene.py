@@ -27,7 +27,7 @@ from perception import (
 )
 from perception.convex.hulls import make_hull
 from perception.solids.match import KnownMesh
-from perception.solids.mesh import Solid
+from perception.solids.mesh import Solid, hull_mesh
 from service.errors import RequestError, shown
 from service.json_data import encode_piece, to_json_data
 from service.request.choices import Method, Unknown
@@ -51,7 +51,6 @@ from service.scan.known_meshes import (
     load_known_meshes,
     place_meshes,
 )
-from service.scan.meshes import hull_mesh
 from service.scan.scene_file import (
     EvidenceRecord,
     MeshRecord,

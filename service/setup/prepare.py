@@ -25,6 +25,7 @@ from service.setup.checks import StartCheck, check_names_and_values, check_start
 from service.setup.given_objects import check_given_objects
 from service.setup.units import check_units
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
+from service.start.configuration import note_snapped, note_turns
 from service.start.mechanism_file import inline_mechanism
 from service.start.overlaps import Overlap
 from service.start.robot import attach_bodies, load_requested_robot
@@ -116,6 +117,9 @@ def prepare(
     check_names(request, robot, TakenNames.of(robot, request))
     resolved = _resolve_and_check(robot, request)
     start, notes, program = resolved.q, resolved.notes, resolved.program
+    if request.goal is not None:
+        joints = request.goal.joints
+        notes += (*note_turns(robot, joints, "goal.joints"), *note_snapped(robot, joints, "goal"))
     notes += (*weightless, *robot.notes, *check_units(request, robot, start))
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)

@@ -20,6 +20,7 @@ from service.demands.kind import find_demand_part
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
+from service.request.resume import ResumeRequest
 from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest
 from service.request.schema import PlanRequest
 from service.scan.meshes import read_solid, split_convex
@@ -113,6 +114,7 @@ def _perceive_scan(
     )
 
     scene = request.scene
+    start = _recall_start(request.resume, robot, start)
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
     known = load_match_meshes(request)
     given = _read_mechanism(request)
@@ -152,6 +154,19 @@ def _perceive_scan(
     notes = (*seen.notes, *_note_taken_out(scene, cloud.points, taken_out))
     parts = count_seen_parts(seen.view.cloud, seen.detections[0]) if valves or doors else ()
     return Surroundings(seen.scene.pieces, valves, seen.shown, notes, seen.matches, doors, parts)
+
+
+def _recall_start(
+    resume: ResumeRequest | None, robot: RobotModel, start: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """Return where the robot is in the scan: of an earlier plan's scan, where that plan began."""
+    if resume is None or resume.is_rescanned or resume.nominal is None:
+        return start
+    names = resume.nominal.joint_names
+    if not set(robot.joint_names) <= set(names) or not resume.nominal.has_curve:
+        return start
+    first = min(resume.nominal.phases.values(), key=lambda phase: phase.knots[0])
+    return np.array([first.positions[names.index(name)] for name in robot.joint_names])
 
 
 def _note_taken_out(

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from service.verify.joint_chain import JointChain
 from service.verify.motion import Motion, VerifyError
-from service.verify.prepared_motion import PreparedMotion
+from service.verify.prepared_motion import ForwardKinematics, PreparedMotion
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,20 @@ class FramePath:
     ) -> Float[np.ndarray, "I"]:
         over = self.prepared.over(first, last)
         return np.asarray(chain.deviation(over) + chain.sampling_slack(over, self.rounding))
+
+
+def trace_frame(
+    model: pin.Model, frame: str, q: Float[np.ndarray, "S n"]
+) -> tuple[Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
+    """Return a frame's rotations and positions in the world at configurations.
+
+    Raises:
+        VerifyError: when the model has no such frame.
+    """
+    joint, pose_joint_frame = _carrying_joint(model, frame)
+    placed = ForwardKinematics(model).at(q)
+    rotation, position = placed.rotation[:, joint], placed.translation[:, joint]
+    return rotation @ pose_joint_frame.rotation, rotation @ pose_joint_frame.translation + position
 
 
 def _carrying_joint(model: pin.Model, frame: str) -> tuple[int, pin.SE3]:

@@ -9,7 +9,7 @@ from still_door import motion_of
 from service.errors import ExecutionError
 from service.execution.hands.load_limits import limit_loads
 from service.execution.hands.relief import HandRelief, ReliefSettings
-from service.verify import HandLoad, Phase
+from service.verify import HandLoad, HandPush, Phase
 
 PERIOD = 0.01
 # On a leaf shut in the plane x = 0.8 that turns about z: its way is along x.  The lever below hangs from it.
@@ -19,9 +19,9 @@ PRESS = HandLoad("l_tool", "lever", np.array([0.0, -0.1, 0.0]), np.array([0.0, 0
 SETTINGS = ReliefSettings(gain=1e-3, dead_n=15.0, most_m=0.02, fade_speed=0.01)
 
 
-def relief_of(*loads: HandLoad) -> HandRelief:
+def relief_of(*loads: HandLoad, pushes: tuple[HandPush, ...] = ()) -> HandRelief:
     motion = motion_of(np.zeros((2, 2)))
-    phases = (Phase("act", 0.0, 0.5, loads=loads), Phase("leave", 0.5, 1.0))
+    phases = (Phase("act", 0.0, 0.5, loads=loads, pushes=pushes), Phase("leave", 0.5, 1.0))
     return HandRelief(motion.robot, phases, ("l_hand", "r_hand"), SETTINGS)
 
 
@@ -40,6 +40,12 @@ def test_the_force_along_the_way_of_the_mechanism_moves_no_hand() -> None:
 def test_a_hand_gives_way_beside_the_way_of_the_mechanism() -> None:
     """100 N across a push of 40 N: 15 N and the friction of the push, 12 N, are left to it."""
     np.testing.assert_allclose(step(relief_of(PUSH), [-40.0, 0.0, 100.0]), [0.0, 0.0, 1e-3 * PERIOD * 73.0], atol=1e-12)
+
+
+def test_the_friction_that_is_left_to_a_hand_is_the_request_s() -> None:
+    """Of 40 N at 0.1 only 4 N are left beside the way."""
+    relief = relief_of(PUSH, pushes=(HandPush("door_opening", 1.0, 40.0, (), (0.1, 0.6)),))
+    np.testing.assert_allclose(step(relief, [-40.0, 0.0, 100.0]), [0.0, 0.0, 1e-3 * PERIOD * 81.0], atol=1e-12)
 
 
 def test_a_lever_is_pressed_down_and_gives_way_towards_the_leaf() -> None:

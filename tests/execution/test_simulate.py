@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from given_wheels import wheel_request
 from planar_arm import write_planar_arm
 from typer.testing import CliRunner
 
@@ -34,19 +35,7 @@ from service.simulation.run import execute_folder
 from service.simulation.simulate import simulate
 
 REQUESTS = Path(__file__).parents[2] / "examples" / "requests"
-ATLAS: dict[str, Any] = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}}
-VALVE = {
-    **ATLAS,
-    "task": {
-        "valve": {
-            "centre": [0.68, 0.12, 1.1],
-            "axis": [-1, 0, 0],
-            "radius": 0.14,
-            "spokes_deg": [45, 135, 225, 315],
-            "turn_deg": 60,
-        }
-    },
-}
+VALVE = wheel_request()
 ARM_INERTIA = (
     '<inertial><mass value="1"/><origin xyz="0.15 0 0"/>'
     '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'

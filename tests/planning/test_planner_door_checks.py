@@ -48,8 +48,8 @@ class _DoorDemand:
     def read_choices(self, recorded: Motion) -> tuple[tuple[Any, ...], tuple[str, ...]]:
         return (), ("not looked at",)
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Any:
-        return iter(())
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        return {}
 
     def keep_choices(self, recorded: Motion) -> str:
         return "not looked at"

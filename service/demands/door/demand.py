@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from service.demands.door.phases import (
     hold_handle,
     make_door_phases,
 )
+from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.holds.door_edge import MOST_SLANT, hold_edge
 from service.demands.phase_spec import AXIS, DEPTH_RESERVE, PhaseSpec
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
 SAME_PLACE_M = 1e-6
 SURE = 0.5  # least confidence of a detection that is used
-OPENED_ROUNDING_DEG = 0.2
 DEFAULT_LENGTHS = {"lever": 0.12, "pull": 0.3, "push_bar": 0.7, "knob": 0.06}
 
 
@@ -231,11 +231,9 @@ class DoorDemand:
             return None, (*problems, choice)
         return choice, tuple(problems)
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence where the figures of a result name another angle than the request."""
-        opened = figures.get("opening_deg")
-        if not isinstance(opened, float | int) or abs(opened - self.request.open_deg) > OPENED_ROUNDING_DEG:
-            yield f"figures.opening_deg is {opened}, the request opens by {self.request.open_deg:g}"
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure what the motion does to the door: angles, the free width, and loads it could hold."""
+        return measure_door(self.door, motion)
 
     def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
         """Return the sections ``handle`` and ``leaf`` of ``resume``, or a sentence why a record has none."""
@@ -384,7 +382,7 @@ def make_door_rest(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: i
     specs = make_door_phases(demand.door, choice, reach_waypoints)
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
-    return RestTask(mechanism, specs, resume.phase, demand.compare_figures)
+    return RestTask(mechanism, specs, resume.phase, demand.measure)
 
 
 def _list_holds(phase: Phase, tool: str, link: str) -> list[RelativePoseTarget]:

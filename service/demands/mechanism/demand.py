@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from costs.robot import (
     Mechanism,
     RobotModel,
     with_mechanism,
 )
+from service.demands.figures.travel import measure_ends
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.mechanism.given import GivenMechanism
-from service.demands.mechanism.phases import make_mechanism_phases, settle_handle
+from service.demands.mechanism.phases import make_mechanism_phases
+from service.demands.mechanism.settling import keep_aside, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
-from service.demands.rest import RestTask, check_travel, find_index, start_mechanism
+from service.demands.rest import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
 from service.request.resume import HoldChoice, ResumeRequest
 from service.verify import Motion, RelativePoseTarget
-
-FIGURE_ROUNDING = {"deg": 0.2, "m": 2e-3}
 
 
 @dataclass(frozen=True)
@@ -72,9 +70,9 @@ class GivenMechanismDemand:
         hand = self.find_hand(recorded)
         return "no hand holds the mechanism" if hand is None else {"hold": HoldChoice(hand.side)}
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each joint whose value at the end is not the request's."""
-        yield from _compare_ends(find_ends(self.given), figures)
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure the values of the moved joints at the end of a motion [deg, m]."""
+        return measure_ends(self.mechanism, [move.joint for move in self.given.request.moves], motion)
 
 
 def read_kept_hand(demand: GivenMechanismDemand, resume: ResumeRequest) -> Hand:
@@ -106,33 +104,7 @@ def make_mechanism_rest(
     robot = with_mechanism(demand.robot, demand.mechanism.joints)
     given = settle_handle(demand.given, robot, hand, demand.friction)
     specs = make_mechanism_phases(given, hand, reach_waypoints)
+    specs = keep_aside(specs, robot, given.mechanism, demand.friction)
     mechanism = start_mechanism(given.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
-    rest = specs[find_index(specs, resume.phase) :]
-    names = [joint.name for joint in mechanism.joints]
-    moved = {names[column] for spec in rest for column in spec.moving}
-    ends = find_ends(given)
-    for name, (_, unit) in ends.items():
-        joint = name.removesuffix(f"_{unit}")
-        if joint not in moved:
-            start = float(mechanism.start[names.index(joint)])
-            ends[name] = (float(np.rad2deg(start)) if unit == "deg" else start, unit)
-    return RestTask(mechanism, specs, resume.phase, lambda figures: _compare_ends(ends, figures))
-
-
-def _compare_ends(ends: Mapping[str, tuple[float, str]], figures: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each joint whose value at the end is another."""
-    for name, (value, unit) in ends.items():
-        figure = figures.get(name)
-        if not isinstance(figure, float | int) or abs(figure - value) > FIGURE_ROUNDING[unit]:
-            yield f"figures.{name} is {figure}, the request moves it to {value:g}"
-
-
-def find_ends(given: GivenMechanism) -> dict[str, tuple[float, str]]:
-    """Return by figure (``JOINT_deg``, ``JOINT_m``) the value of each moved joint at the end, and its unit."""
-    ends = {}
-    for move in given.request.moves:
-        is_slide = given.mechanism.joint(move.joint).kind == "prismatic"
-        unit = "m" if is_slide else "deg"
-        ends[f"{move.joint}_{unit}"] = (move.to if is_slide else float(np.rad2deg(move.to)), unit)
-    return ends
+    return RestTask(mechanism, specs, resume.phase, demand.measure)

@@ -9,47 +9,23 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
-from costs.robot import RobotModel
 from service.demands.hands import Hand
 from service.demands.holds.pressed import add_pressed, find_pressed
-from service.demands.holds.pushes import find_nominal_pushes
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
 from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
 from service.errors import RequestError
 from service.request.tasks.mechanism import MechanismRequest
 from service.verify import HandLoad
-from service.verify.forces.hand_balance import LEAST_APART_M
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
 TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad, m]
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
-SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
 STAYS_SHARE = 0.7  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
+LET_GO = "let go"  # name of the phase in which a hand leaves the face that it presses, before it goes away
 MOST_LOADS = 4  # at a time: the robot is held under every combination of them
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
-
-
-def settle_handle(
-    given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]
-) -> GivenMechanism:
-    """Return the mechanism with the handle's place moved along the contact's normal until the hand just touches.
-
-    A place in a request is off by some millimetres, by which the mechanism would lag behind the hand.
-
-    Args:
-        robot: augmented by the mechanism.
-        hand: at the handle.
-        friction: least and largest coefficient.
-    """
-    for spec in make_mechanism_phases(given, hand):
-        for nominal in find_nominal_pushes(spec, robot, given.mechanism, friction):
-            for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
-                if contact.link == given.handle.link and meeting.apart >= LEAST_APART_M:
-                    shift = np.round((meeting.gap - SETTLED_GAP) * meeting.normal, SETTLED_DIGITS)
-                    return replace(given, handle=replace(given.handle, place=given.handle.place + shift))
-    return given
 
 
 def make_mechanism_phases(
@@ -106,8 +82,26 @@ def make_mechanism_phases(
         )  # fmt: skip
     if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
         away = replace(line, leaves=True)
+        if drags_along(given, joint_loads[-1], loads[-1], values):
+            phases.append(PhaseSpec(LET_GO, values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
         phases.append(PhaseSpec("retract", values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
     return add_pressed(phases, find_pressed(None, given.request.handle.link, (0.0, 0.0)))
+
+
+def drags_along(
+    given: GivenMechanism, loads: tuple[JointLoad, ...], forces: tuple[HandLoad, ...], values: Float[np.ndarray, "k"]
+) -> bool:
+    """Return whether a hand that slides off the handle could drag a joint along that it did not move."""
+    force = max((float(np.linalg.norm(load.force)) for load in forces), default=0.0)
+    for load in loads:
+        if load.sense == 0.0:
+            joint = given.mechanism.joint(load.joint)
+            place, _ = _locate_handle(given, load.joint, values)
+            turning = np.cross(joint.axis / np.linalg.norm(joint.axis), place)
+            arm = 1.0 if joint.kind == "prismatic" else float(np.linalg.norm(turning))
+            if STAYS_SHARE * min(load.slack) <= force * arm:
+                return True
+    return False
 
 
 def select_tool(given: GivenMechanism, hand: Hand) -> str:

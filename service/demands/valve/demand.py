@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from costs.robot import Mechanism
+from service.demands.figures.travel import measure_turn
 from service.demands.hands import HANDS, Hand
 from service.demands.phase_spec import HandMotion, PhaseSpec
 from service.demands.rest import RestTask, check_travel, start_mechanism
@@ -18,7 +20,6 @@ from service.demands.valve.strokes import (
     TurnChoice,
     find_count,
     find_hold,
-    find_net_turn,
     list_strokes,
     list_usable_entries,
     make_turn_phases,
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from perception import LeverDetection, ValveDetection
 
 SAME_PLACE_M = 1e-6
-TURNED_ROUNDING_DEG = 3.0  # the tool may be off its place in the wheel
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,15 @@ class ValveDemand:
             return choice
         return {"stroke": StrokeChoice(choice.hand.side, choice.entry, choice.count, choice.is_flipped)}
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence where the figures of a result name another angle than the request."""
-        turned, wanted = figures.get("turned_deg"), find_net_turn(self.request)
-        if not isinstance(turned, float | int) or abs(turned - wanted) > TURNED_ROUNDING_DEG:
-            yield f"figures.turned_deg is {turned}, the request turns by {wanted:g}"
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure how far the recorded hand turns the wheel, and the torque it could hold; nothing without one."""
+        choice = self._read_choice(motion)
+        return {} if isinstance(choice, str) else self.measure_turn(choice.hand, motion)
+
+    def measure_turn(self, hand: Hand, motion: Motion) -> Mapping[str, float]:
+        """Measure how far a hand turns the wheel, and the torque it could hold."""
+        frame = hand.peg if self.request.mode == "hook" else hand.tool
+        return measure_turn(self.wheel, self.request.torque_nm, frame, motion)
 
     def _read_choice(self, recorded: Motion) -> TurnChoice | str:
         """Return hand, first entry and number of strokes of a motion, or a sentence where the task forbids them."""
@@ -154,14 +158,8 @@ def make_valve_rest(demand: ValveDemand, resume: ResumeRequest) -> RestTask:
     Raises:
         RequestError: its phase, mechanism or choices do not fit the task.
     """
-    specs = make_turn_phases(demand.wheel, demand.request, read_kept_choice(demand, resume), friction=demand.friction)
+    choice = read_kept_choice(demand, resume)
+    specs = make_turn_phases(demand.wheel, demand.request, choice, friction=demand.friction)
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
-    rest = find_net_turn(demand.request) - float(np.rad2deg(mechanism.start[0]))
-
-    def compare(figures: Mapping[str, Any]) -> Iterator[str]:
-        turned = figures.get("turned_deg")
-        if not isinstance(turned, float | int) or abs(turned - rest) > TURNED_ROUNDING_DEG:
-            yield f"figures.turned_deg is {turned}, the rest of the turn is {rest:.1f}"
-
-    return RestTask(mechanism, specs, resume.phase, compare)
+    return RestTask(mechanism, specs, resume.phase, partial(demand.measure_turn, choice.hand))

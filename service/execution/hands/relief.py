@@ -10,9 +10,9 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from service.demands.hands import HOLD_FRICTION
 from service.errors import ExecutionError
 from service.execution.shift import limit_length
+from service.request.fields import HAND_FRICTION
 from service.verify import HandLoad, Phase
 
 WORKING = 0.1  # cosine between a load and the way of its place from which on it moves the mechanism
@@ -76,6 +76,8 @@ class HandRelief:
         moved = {load.link for phase in phases for load in phase.loads}
         self._columns = self._list_columns(moved)
         self._phases = [self._sort_loads(phase, hands) for phase in phases]
+        # A request has one interval for all hands. Plans that know no contact, as of assumed parts, state none.
+        self._friction = min((push.friction[0] for phase in phases for push in phase.pushes), default=HAND_FRICTION[0])
 
     def step(
         self,
@@ -115,7 +117,7 @@ class HandRelief:
         if working:
             ways = np.linalg.svd(np.array(working), full_matrices=False)[2]
             beside = beside - ways.T @ (ways @ beside)
-            left += HOLD_FRICTION * float(np.linalg.norm(np.sum(working, axis=0)))
+            left += self._friction * float(np.linalg.norm(np.sum(working, axis=0)))
         for axis, entry in zip(acting, loads, strict=True):
             if not entry.is_working:  # of any size up to its largest
                 size = float(np.linalg.norm(axis))

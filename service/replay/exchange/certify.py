@@ -191,6 +191,7 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         law=make_even_law(s) if timed else None,
         phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
+        clearance_m=setup.request.options.clearance_m,
     )
 
 

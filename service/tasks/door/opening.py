@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.static_region import StaticRegionError
-from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK
-from service.body.held_load import find_held_shares
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door.demand import measure_peg
 from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand
 from service.tasks.door.places import find_narrow_gap, list_push_places
 from service.tasks.sequence import PhaseSequence
-from service.verify import Motion
 
 ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
 LEAST_FIRST = np.deg2rad(10.0)  # opening at the handle that is worth a regrasp
@@ -222,7 +221,7 @@ class DoorOpening:
             phases, stuck, reached = self._open_at_handle(choice) if at_handle is None else at_handle
             choice = replace(choice, first=reached)
             if stuck is not None:
-                return TaskPlan(body, phases, stuck=stuck, measure=self.measure), start
+                return TaskPlan(body, phases, stuck=stuck, measure=partial(measure_door, self.door)), start
         if reached < self.target - 1e-6:
             at = phases[-1].q[-1] if phases else body.nominal
             pushed = self._push(choice, at, tried)
@@ -236,7 +235,7 @@ class DoorOpening:
                 f"from this stance the leaf opens to {np.rad2deg(reached):.0f} deg of the "
                 f"{np.rad2deg(self.target):.0f} asked for",
             )
-        return TaskPlan(body, phases, obstacle, measure=self.measure, notes=notes), reached
+        return TaskPlan(body, phases, obstacle, measure=partial(measure_door, self.door), notes=notes), reached
 
     def _open_at_handle(self, choice: DoorChoice) -> AtHandle:
         """Open as far as the hand can stay at the handle; the angle is tried in steps of ten degrees."""
@@ -349,31 +348,3 @@ class DoorOpening:
             where = "behind its free edge" if push.slant is not None else f"{push.along:.2f} m from the hinge"
             parts.append(f"on the leaf {where} to {np.rad2deg(push.last):.0f} deg")
         return ", then ".join(parts) or "no hold found"
-
-    def measure(self, motion: Motion) -> Mapping[str, float]:
-        """Measure what the motion does to the door: angles [deg] and the free width of the doorway at the end [m]."""
-        geometry, k = self.door.geometry, len(self.door.mechanism.joints)
-        samples = motion.curve(np.linspace(motion.curve.knots[0], motion.curve.knots[-1], 1000))[:, -k:]
-        opening = float(samples[-1, 0])
-        width = geometry.width
-        free = width - (width * np.cos(opening) if opening < np.pi / 2.0 else 0.0)
-        figures = {"opening_deg": float(np.rad2deg(opening)), "free_width_m": float(free)}
-        if k > 1:
-            largest = float(samples[:, 1].max())
-            is_bar = self.door.has_push_bar
-            figures["pressed_m" if is_bar else "lever_deg"] = largest if is_bar else float(np.rad2deg(largest))
-        return figures | self._measure_loads(motion)
-
-    def _measure_loads(self, motion: Motion) -> dict[str, float]:
-        """Return the torques and the force up to which the motion could hold [N m, N]."""
-        door = self.door
-        is_bar = door.has_push_bar
-        stated = {
-            "holds_hinge_nm": (LEAF_LINK, door.hinge_nm),
-            "holds_push_bar_n" if is_bar else "holds_lever_nm": (
-                HANDLE_LINK,
-                door.push_bar_n if is_bar else door.lever_nm,
-            ),
-        }
-        shares = find_held_shares(motion)
-        return {name: shares[link] * load for name, (link, load) in stated.items() if load > 0.0 and link in shares}

@@ -66,7 +66,7 @@ def _begin(
         rest = make_door_rest(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
         solver = replace(add_mechanism(solver, rest.mechanism), overrides=near)
         opening = DoorOpening(solver, door, hands, target, request.stays, waypoints)
-        plans = plan_rest(solver, rest, rest.specs, opening.measure, setup.request.resume)
+        plans = plan_rest(solver, rest, rest.specs, setup.request.resume)
         return (replace(plan, notes=(note, *plan.notes)) for plan in plans)
     solver = replace(add_mechanism(solver, door.mechanism), overrides=near)
     collisions = tuple(find_collisions(solver.body, remedy=FARTHER))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +17,16 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
-from service.demands.holds.pushes import explain_refusal, find_side
-from service.demands.mechanism.demand import GivenMechanismDemand, find_ends, make_mechanism_rest, read_kept_hand
+from service.demands.holds.pushes import explain_refusal
+from service.demands.mechanism.demand import GivenMechanismDemand, make_mechanism_rest, read_kept_hand
 from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
-from service.demands.mechanism.phases import list_opposite_places, make_mechanism_phases, select_tool, settle_handle
+from service.demands.mechanism.phases import (
+    LET_GO,
+    list_opposite_places,
+    make_mechanism_phases,
+    select_tool,
+)
+from service.demands.mechanism.settling import keep_aside, settle_handle
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
@@ -30,7 +36,6 @@ from service.tasks.door.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.rest.plan import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism
-from service.verify import Motion
 
 HANDLE_MARGIN = 4e-3  # between a hand and the mechanism that it holds [m]
 MOST_GAP, MOST_INSIDE = 0.010, 0.004  # between the hand's rod and what it holds [m]
@@ -68,23 +73,23 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
     if all(refusals):
         yield TaskPlan(solver.body, (), (str(refusals[0]),), is_impossible=True)
         return
+    demand = GivenMechanismDemand(given, setup.robot, solver.hand_friction)
     unsolved: TaskPlan | None = None
     unheld: StaticRegionError | None = None
     for hand in [hand for hand, refusal in zip(hands, refusals, strict=True) if refusal is None]:
         settled = settle_handle(given, solver.body.robot, hand, solver.hand_friction)
         specs = make_mechanism_phases(settled, hand, waypoints)
         left = specs[-1]
-        specs = keep_aside(solver, given.mechanism, specs)
+        specs = keep_aside(specs, solver.body.robot, given.mechanism, solver.hand_friction)
         try:
             phases, stuck = PhaseSequence.of(solver, given.mechanism, specs).plan(solver.body.nominal)
         except StaticRegionError as error:
             unheld = error
             continue
         notes = (f"{hand.side} hand at {request.handle.link}",)
-        plan = TaskPlan(
-            solver.body, phases, stuck=stuck, measure=lambda motion: measure_joints(given, motion), notes=notes
-        )
-        plan = _leave_anyhow(solver, plan, (left, specs[-1]), given.mechanism)
+        plan = TaskPlan(solver.body, phases, stuck=stuck, measure=demand.measure, notes=notes)
+        lines = (specs[-1],) if specs[-2].name == LET_GO else (left, specs[-1])
+        plan = _leave_anyhow(solver, plan, lines, given.mechanism)
         if plan.stuck is None:
             yield plan
         elif unsolved is None or len(phases) > len(unsolved.phases):
@@ -107,24 +112,8 @@ def _plan_rest(
     waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
     rest, hand = make_mechanism_rest(demand, resume, waypoints), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
-    for plan in plan_rest(solver, rest, rest.specs, lambda motion: measure_joints(given, motion), resume):
+    for plan in plan_rest(solver, rest, rest.specs, resume):
         yield _leave_anyhow(solver, plan, (rest.specs[-1],), rest.mechanism)
-
-
-def keep_aside(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[PhaseSpec]) -> tuple[PhaseSpec, ...]:
-    """Return phases whose lines lead to the handle, and away from it, beside the face that the hand presses.
-
-    A rod that slides along a face drags it along.
-    """
-    moving = [k for k, spec in enumerate(specs) if spec.moving]
-    sides = [find_side(specs[k], solver.body.robot, mechanism, solver.hand_friction) for k in (moving[0], moving[-1])]
-    kept = []
-    for k, spec in enumerate(specs):
-        if spec.hand is not None and spec.hand.offset is not None:
-            side = sides[0] if k < moving[0] else sides[1]
-            spec = replace(spec, hand=replace(spec.hand, offset=spec.hand.offset + side))
-        kept.append(spec)
-    return tuple(kept)
 
 
 def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, lasts: Sequence[PhaseSpec], mechanism: Mechanism) -> TaskPlan:
@@ -246,17 +235,6 @@ def leave_along_rod(solver: PhaseSolver, spec: PhaseSpec, at: Float[np.ndarray, 
     axis = poses[hand.link][:3, :3].T @ poses[hand.tool][:3, 2]
     turn = find_rotation_onto(hand.axis, axis / np.linalg.norm(axis))
     return replace(spec, hand=replace(hand, axis=turn @ hand.axis, offset=turn @ hand.offset))
-
-
-def measure_joints(given: GivenMechanism, motion: Motion) -> Mapping[str, float]:
-    """Measure the values of the moved joints at the end of a motion [deg, m]."""
-    last = motion.curve(motion.curve.knots[-1:])[0, -len(given.mechanism.joints) :]
-    names = [joint.name for joint in given.mechanism.joints]
-    figures = {}
-    for name, (_, unit) in find_ends(given).items():
-        value = float(last[names.index(name.removesuffix(f"_{unit}"))])
-        figures[name] = float(np.rad2deg(value)) if unit == "deg" else value
-    return figures
 
 
 def list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tuple[BodyRef, BodyRef, float], ...]:

@@ -40,7 +40,7 @@ class Goal:
     @staticmethod
     def of(body: WholeBody, request: GoalRequest) -> Goal:
         """Return a request's goal; a posture's base stays free, since the feet are planted."""
-        return Goal(body, request, find_goal_joints(body.robot, request))
+        return Goal(body, request, find_goal_joints(body.robot, request, body.nominal))
 
     @property
     def is_complete(self) -> bool:
@@ -66,7 +66,7 @@ class Goal:
 
     def targets(self, s_last: float) -> tuple[Target, ...]:
         """Return the verifier's targets of the reach's end."""
-        return make_goal_targets(self.body.robot, self.request, s_last)
+        return make_goal_targets(self.body.robot, self.request, s_last, self.body.nominal)
 
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:

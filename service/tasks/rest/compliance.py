@@ -66,14 +66,6 @@ class Displacement:
         """Whether a hand that yields is displaced as far without another command."""
         return self.distance_m <= MOST_M and self.turn_rad <= MOST_RAD
 
-    @property
-    def figures(self) -> dict[str, float]:
-        """Both as figures of a result."""
-        return {
-            "hand_displaced_mm": 1e3 * self.distance_m,
-            "hand_displaced_deg": float(np.rad2deg(self.turn_rad)),
-        }
-
     def __str__(self) -> str:
         size = f"{1e3 * self.distance_m:.1f} mm and {np.rad2deg(self.turn_rad):.1f} deg"
         return f"{self.hand} is displaced by up to {size}, most in '{self.phase}'"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,15 +12,15 @@ from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
+from service.demands.figures.displacement import measure_displacement
 from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
-from service.demands.rest import Beginning, RestTask, find_group, find_index, list_rest_phases
+from service.demands.rest import Beginning, RestTask, can_reach, find_index, list_rest_phases
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.tasks.handling import find_collisions
 from service.tasks.rest.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
 from service.tasks.rest.earlier_motion import EarlierMotion, read_earlier_motion
 from service.tasks.sequence import PhaseSequence
-from service.verify import Motion
 
 AT_PLACE = 5e-4  # of a hand that needs no phase that takes hold [m]
 MOST_OF_LINE = 0.9  # of a line on which the hand leaves, that it may have behind it
@@ -55,7 +55,6 @@ def plan_rest(
     solver: PhaseSolver,
     demand: RestTask,
     specs: Sequence[PhaseSpec],
-    measure: Callable[[Motion], Mapping[str, float]],
     resume: ResumeRequest,
 ) -> Iterator[TaskPlan]:
     """Yield plans of the rest of a task from the nominal configuration of the body.
@@ -66,7 +65,6 @@ def plan_rest(
         solver: of the body augmented by the mechanism, whose joints are at their start.
         demand: what the rest of the task demands.
         specs: phases of the whole task, as the planner has them.
-        measure: of the figures.
         resume: the request for the rest, with the earlier motion.
 
     Raises:
@@ -81,7 +79,7 @@ def plan_rest(
     problems = tuple(find_collisions(body, () if beginnings[0] is Beginning.REACH else begun.touches))
     if problems:
         raise RequestError(problems)
-    kept, refusal = _keep_earlier(solver, demand, specs, measure, resume, earlier)
+    kept, refusal = _keep_earlier(solver, demand, specs, resume, earlier)
     if kept is not None:
         yield kept
     best: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
@@ -96,18 +94,17 @@ def plan_rest(
         planned = sequence.plan(body.nominal)
         if planned[1] is None:
             note = f"planned again from '{demand.phase}' on"
-            yield TaskPlan(body, planned[0], measure=measure, notes=(*refusal, note))
+            yield TaskPlan(body, planned[0], measure=demand.measure, notes=(*refusal, note))
             return
         if len(planned[0]) >= len(best[0]):
             best = planned
-    yield TaskPlan(body, best[0], stuck=best[1], measure=measure, notes=refusal)
+    yield TaskPlan(body, best[0], stuck=best[1], measure=demand.measure, notes=refusal)
 
 
 def _keep_earlier(
     solver: PhaseSolver,
     demand: RestTask,
     specs: Sequence[PhaseSpec],
-    measure: Callable[[Motion], Mapping[str, float]],
     resume: ResumeRequest,
     earlier: EarlierMotion,
 ) -> tuple[TaskPlan | None, tuple[str, ...]]:
@@ -125,18 +122,13 @@ def _keep_earlier(
     if resume.is_compliant and off.is_compliance:
         note = f"the earlier motion is kept: {off}"
         refusal = "the earlier motion is not kept: its certificate fails where only the arm yields"
-        return replace(kept, measure=_join_figures(measure, off.figures), notes=(note,)), (refusal,)
+        nominal = resume.nominal
+        measure = lambda motion: {**demand.measure(motion), **measure_displacement(motion, rest, nominal)}  # noqa: E731
+        return replace(kept, measure=measure, notes=(note,)), (refusal,)
     most = f"{1e3 * MOST_M:.0f} mm and {np.rad2deg(MOST_RAD):.0f} deg"
     refusals = (f"the earlier motion is not kept: {off}; expected at most {most}",) if resume.is_compliant else ()
     note = f"the earlier motion with an arm elsewhere: {off}"
-    return replace(kept, measure=measure, notes=(*refusals, note)), refusals
-
-
-def _join_figures(
-    measure: Callable[[Motion], Mapping[str, float]], more: Mapping[str, float]
-) -> Callable[[Motion], Mapping[str, float]]:
-    """Return a function that measures the figures of a motion and adds others."""
-    return lambda motion: {**measure(motion), **more}
+    return replace(kept, measure=demand.measure, notes=(*refusals, note)), refusals
 
 
 def _choose_beginnings(
@@ -156,19 +148,17 @@ def _choose_beginnings(
     if hand is None:
         yield Beginning.AT_ONCE
         return
-    group = find_group(specs, index)
-    anchor = next(k for k in group if specs[k].is_anchor)
-    can_reach = specs[group.start].hand is None and index <= anchor
+    reaches = can_reach(specs, index)
     off = measure_hand(body, _first_place(hand))
     if off.is_near:
         if hand.is_line or off.is_at_place:
             yield Beginning.AT_ONCE
         if not hand.is_line:
             yield Beginning.TAKE_HOLD
-        elif can_reach:
+        elif reaches:
             yield Beginning.REACH
         return
-    if not can_reach:
+    if not reaches:
         raise RequestError(
             f"resume.phase: {hand.tool} is {off.distance:.3f} m from its place in '{specs[index].name}', and at most "
             f"{NEAR:g} m can be planned from; expected an earlier phase, or the hand at its place"

@@ -309,7 +309,7 @@ def _plan_rest(
     rest, choice = make_valve_rest(demand, resume), read_kept_choice(demand, resume)
     solver = _add_wheel(solver, rest.mechanism, [choice.hand])
     turning = ValveTurn(solver, wheel, request, choice, reach_waypoints)
-    return plan_rest(solver, rest, turning.list_phases(), turning.measure, resume)
+    return plan_rest(solver, rest, turning.list_phases(), resume)
 
 
 def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.kinematics import KinematicsEngine, locate_frame, locate_links
+from costs.kinematics import locate_links
 from costs.robot import RobotModel
-from costs.rotation import make_tangent_basis
-from service.body.held_load import find_held_shares
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
+from service.demands.figures.travel import measure_turn
 from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
-from service.demands.valve.strokes import TURN, TurnChoice, make_turn_phases
+from service.demands.valve.strokes import TurnChoice, make_turn_phases
 from service.demands.valve.wheel import Wheel, make_wheel_mechanism
-from service.request.tasks.valve import VALVE_LINK, ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.tasks.handling import find_turn_joint
 from service.tasks.sequence import PhaseSequence
-from service.verify import Motion
 
 
 @dataclass(frozen=True)
@@ -56,9 +53,11 @@ class ValveTurn:
         sequence = PhaseSequence.of(self.solver, mechanism, self.list_phases(), n_random=self.n_random)
         phases, stuck = sequence.plan(body.nominal)
         angle = f"{np.rad2deg(choice.entry):.0f} deg"
+        frame = choice.hand.peg if self.request.mode == "hook" else choice.hand.tool
+        measure = partial(measure_turn, self.wheel, self.request.torque_nm, frame)
         note = f"{choice.hand.side} hand in {self.request.mode} mode, {self._describe_place()} at {angle}"
         note += "" if self.wheel.is_lever else " of the rim"
-        return TaskPlan(body, phases, stuck=stuck, measure=self.measure, notes=() if stuck else (note,))
+        return TaskPlan(body, phases, stuck=stuck, measure=measure, notes=() if stuck else (note,))
 
     def list_phases(self) -> tuple[PhaseSpec, ...]:
         """Return the phases of all strokes; the wrist of a gripper is first guessed to follow the wheel."""
@@ -70,34 +69,11 @@ class ValveTurn:
         rates = {self.robot.joint_names[column]: -sense}  # the tool's z axis points against the wheel's
         return tuple(replace(phase, guess_rates=rates) if phase.is_anchor else phase for phase in phases)
 
-    @property
-    def _frame(self) -> str:
-        """The frame that moves with the wheel."""
-        return self.choice.hand.peg if self.request.mode == "hook" else self.choice.hand.tool
-
     def _describe_place(self) -> str:
         """Return a word about what is at the entry."""
         if self.wheel.is_lever:
             return f"its peg beside the {'grip' if self.wheel.grip > 0.0 else 'lever'}"
         return "its peg on the spoke" if self.request.mode == "hook" and self.wheel.spokes else "inserted"
-
-    def measure(self, motion: Motion) -> Mapping[str, float]:
-        """Measure the tool's angle of travel about the valve's axis on the executed curve."""
-        total = 0.0
-        joint, pose_joint_tool = locate_frame(motion.robot, self._frame)
-        first, second = make_tangent_basis(np.asarray(self.wheel.axis))
-        for phase in motion.phases:
-            if phase.name.split(" ")[0] == TURN:
-                kinematics = KinematicsEngine(motion.robot)(motion.curve(np.linspace(phase.first, phase.last, 400)))
-                positions: Float[np.ndarray, "S 3"]
-                positions = kinematics.rotation[:, joint] @ pose_joint_tool[:3, 3] + kinematics.position[:, joint]
-                offset = positions - self.wheel.centre
-                angle = np.unwrap(np.arctan2(offset @ second, offset @ first))
-                total += float(angle[-1] - angle[0])
-        figures = {"turned_deg": float(np.rad2deg(total))}
-        torque = self.request.torque_nm
-        share = find_held_shares(motion).get(VALVE_LINK) if torque > 0.0 else None
-        return figures if share is None else figures | {"holds_torque_nm": share * torque}
 
 
 def measure_wrist(body: WholeBody, wheel: Wheel, request: ValveRequest, choice: TurnChoice) -> float:

@@ -63,8 +63,9 @@ def find_open_intervals(
 ) -> PairIntervals:
     """Return pairs and intervals that the broad phase leaves open: nearer than the horizon, or touching if allowed."""
     may_touch = ~np.isnan(table.allowed[:, phase].T)
+    near = np.maximum(horizon, table.demanded + ROUNDING_M)
     # Negated, so that a floor that is NaN leaves its pair open.
-    interval, pair = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, horizon)))
+    interval, pair = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, near)))
     return PairIntervals.unknown(
         pair, edges[:-1][interval], edges[1:][interval], phase[interval], floors[interval, pair]
     )
