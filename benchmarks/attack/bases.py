@@ -17,7 +17,7 @@ from benchmarks.attack import judges
 from benchmarks.attack.arm_files import GOAL, START, arm_request, write_arm
 from benchmarks.attack.outcome import Answer
 from service import parse_request, plan, write_result
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import to_json
 
 ROOT = Path(__file__).resolve().parents[2]

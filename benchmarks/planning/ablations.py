@@ -45,7 +45,7 @@ from service.body.task_plan import Solved
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import PlanRequest
 from service.setup.prepare import prepare
-from service.tasks.goal import Goal
+from service.tasks.reach.goal import Goal
 
 PANDA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[3] / "shared" / "data")) / "mbm_panda"
 PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each number of waypoints

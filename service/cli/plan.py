@@ -159,7 +159,7 @@ def _read_rest(
 ) -> tuple[PlanRequest, Surroundings | None]:
     """Return the request for the rest of an earlier plan, and what its scan showed unless there is a new one."""
     from service.replay.adjust import adjust_request, read_adjustment
-    from service.replay.resume import make_rest_request, read_recorded_scan
+    from service.replay.rest import make_rest_request, read_recorded_scan
 
     request = make_rest_request(result, phase, state, cloud, is_compliant=is_compliant)
     around = read_recorded_scan(result, request) if cloud is None else None

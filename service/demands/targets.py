@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel, turn_near
 from costs.work_space import borrow_data
-from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
+from service.request.schema import KeepRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget, Target
 
 JOINT_TOLERANCE = 1e-3  # [rad, m]

@@ -15,7 +15,7 @@ from service.errors import DamagedResultError, RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, compare_figures, compare_servos, find_contradictions
 from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.folder_files import FileFindings, check_files
-from service.replay.rebuild import Grounds, Record, rebuild_demands
+from service.replay.rebuild import Grounds, RecordedWorld, rebuild_demands
 from service.replay.standing import HELD_BEFORE, Standing, State
 from service.request.file import has_hash, load_request, parse_request
 from service.request.formats import FORMAT
@@ -227,7 +227,7 @@ def _refuse_changes(result: _Result, lines: Sequence[str], why: str = CHANGED) -
 
 def _hold(result: _Result) -> tuple[HeldMotion, Demands, Grounds]:
     """Return the recorded motion with the promises of its request, the demands, and their sources."""
-    record = Record(result.robot, result.recorded.scene)
+    record = RecordedWorld(result.robot, result.recorded.scene)
     demands, grounds = _read_demands(result.data, result.folder, record, result.request, result.clouds)
     with _explain_defects(result.folder):
         return hold_to_request(demands, result.recorded), demands, grounds
@@ -246,7 +246,7 @@ def _compare_record(result: _Result, certificate: Certificate, reports: Sequence
 
 
 def _read_demands(
-    data: dict[str, Any], folder: Path, record: Record, given: Path | None, clouds: Sequence[Path]
+    data: dict[str, Any], folder: Path, record: RecordedWorld, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
     """Return the demands of the user's or the recorded request, and their sources."""
     request = read_request(data, folder) if given is None else load_request(given)

@@ -19,6 +19,7 @@ from service.errors import RequestError, shown
 from service.request.fields import Section
 from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
+from service.request.tasks.registry import ADDED as ADDED_KINDS
 
 COMPLETE = 2
 """Last format that wrote every default.  A field that came later is left out where it has its default."""
@@ -118,7 +119,7 @@ def write_as(request: PlanRequest, version: int) -> dict[str, Any]:
         request: any request.
         version: from ``find_first_format`` to ``FORMAT``.
     """
-    data = dict(_REQUEST.dump_python(request, mode="json"))
+    data = _drop_kinds_of_others(request, dict(_REQUEST.dump_python(request, mode="json")))
     for section, part in list(_list_sections(request, data)):
         for field in _list_versioned_fields(section):
             value, default = getattr(section, field.name), field.default_in(version)
@@ -128,6 +129,14 @@ def write_as(request: PlanRequest, version: int) -> dict[str, Any]:
             if field.added > version or (field.added > COMPLETE and value == default):
                 del part[field.name]
     return data
+
+
+def _drop_kinds_of_others(request: PlanRequest, data: dict[str, Any]) -> dict[str, Any]:
+    """Remove the kinds that other packages add where a request does not use them: its data are the same without."""
+    if request.task is None:
+        return data
+    unused = [kind.name for kind in ADDED_KINDS if getattr(request.task, kind.name) is None]
+    return {**data, "task": {name: value for name, value in data["task"].items() if name not in unused}}
 
 
 def find_first_format(request: PlanRequest) -> int:

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from service.request.tasks.registry import KINDS as TASK_KINDS
 from service.store import CloudLimits, StoreLimits
 
-KINDS = (
-    "default", "valve", "door", "mechanism", "contacts", "egress", "trajopt", "joint_goal", "pose_goal", "posture",
-    "scene", "detect", "verify", "simulate",
-)  # fmt: skip
+KINDS = ("default", *(name for kind in TASK_KINDS for name in kind.counted_as), "scene", "detect", "verify", "simulate")
 BUDGETS_S = {"default": 60.0, "egress": 300.0}
 WORKER_BYTES = 8 * 2**30  # of address space, of which libraries and threads reserve far more than they use
 MESSAGE_BYTES = 4 * 2**20

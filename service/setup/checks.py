@@ -15,11 +15,11 @@ from costs.scene import Scene
 from costs.work_space import borrow_data
 from service.demands import list_planted_feet
 from service.demands.contacts.stances import ContactStance
+from service.demands.kind import find_demand_part
 from service.demands.targets import find_goal_joints
-from service.errors import RequestError, would_do
+from service.errors import RequestError
 from service.request.schema import PlanRequest
-from service.start.configuration import SNAP_TOLERANCE, find_limit_violations, find_unknown_joints, is_sliding
-from service.start.followers import leave_out_followers
+from service.start.configuration import find_unknown_links, is_sliding
 from service.start.overlaps import (
     Overlap,
     describe_dead_end,
@@ -59,37 +59,17 @@ class StartCheck:
     notes: tuple[str, ...]
 
 
-def check_goal_and_keep(robot: RobotModel, request: PlanRequest) -> None:
-    """Check the names and joint values of ``goal`` and ``keep``, and the posture that a task ends in.
+def check_names_and_values(robot: RobotModel, request: PlanRequest) -> None:
+    """Check the names and joint values of ``keep`` and of the goal or the task.
 
     Raises:
         RequestError: one line per unknown joint, posture or link, or joint value beyond its limits.
     """
-    goal, problems = request.goal, []
-    if goal is not None:
-        locked = [name for name in goal.joints if name in request.robot.locked]
-        problems += [f"goal.joints.{name}: robot.locked fixes this joint; name it in one of them" for name in locked]
-        free = {name: value for name, value in goal.joints.items() if name not in locked}
-        try:
-            free = leave_out_followers(robot, free, None, "goal.joints")
-        except RequestError as error:
-            problems += error.problems
-        problems += find_unknown_joints(robot, free, "goal.joints") or find_limit_violations(
-            robot, free, "goal.joints", SNAP_TOLERANCE
-        )
-        if goal.posture is not None and goal.posture not in robot.postures:
-            known = would_do(goal.posture, robot.postures) or "no postures; give goal.joints"
-            problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
-        for index, pose in enumerate(goal.poses):
-            problems += _find_unknown_links(robot, (pose.link,), f"goal.poses[{index}].link")
-    finish = None if request.task is None or request.task.contacts is None else request.task.contacts.finish
-    if finish is not None and finish not in robot.postures:
-        known = would_do(finish, robot.postures) or "no postures; leave it out"
-        problems.append(f"task.contacts.finish: unknown posture {finish!r}; {robot.name} has {known}")
+    problems = list(find_demand_part(request).list_name_problems(request.section, request, robot))
     for index, keep in enumerate(request.keep):
-        problems += _find_unknown_links(robot, (keep.link,), f"keep[{index}].link")
+        problems += find_unknown_links(robot, (keep.link,), f"keep[{index}].link")
         if keep.relative_to is not None:
-            problems += _find_unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
+            problems += find_unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
     if problems:
         raise RequestError(problems)
 
@@ -123,7 +103,7 @@ def _check_feet(robot: RobotModel, start: Float[np.ndarray, "n"], requested: tup
             + (f" (lowest at the start: {lowest})" if lowest else "")
         )
     with_shape = {body.link for body in robot.bodies}
-    problems = _find_unknown_links(robot, feet, "options.feet") or [
+    problems = find_unknown_links(robot, feet, "options.feet") or [
         f"options.feet: link {foot!r} has no collision shape to stand on; {', '.join(sorted(with_shape))} have"
         for foot in feet
         if foot not in with_shape
@@ -267,12 +247,3 @@ def _check_stance_start(
     if inside:
         raise RequestError([f"start is in collision: {overlap}" for overlap in inside])
     return StartCheck((), tuple(f"the start is too near to plan from: {overlap.nearness}" for overlap in near), ())
-
-
-def _find_unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> list[str]:
-    frames = [frame.name for frame in robot.model.frames if frame.name != "universe"]
-    return [
-        f"unknown link {link!r} in {field}; {robot.name} has {would_do(link, frames)}"
-        for link in links
-        if link not in frames
-    ]

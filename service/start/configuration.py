@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, PLANAR_NAMES, WHOLE_TURN, RobotModel, list_circular, read_joint_axis
 from service.errors import RequestError, would_do
-from service.request.contacts import PostureRequest
 from service.request.schema import StartRequest
+from service.request.tasks.contacts import PostureRequest
 from service.start.followers import leave_out_followers
 from service.start.standing import sole_corners
 
@@ -113,6 +113,16 @@ def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence
         f"unknown joint {name!r} in {field}; {robot.name} has {would_do(name, joints)}"
         for name in names
         if name not in joints
+    ]
+
+
+def find_unknown_links(robot: RobotModel, links: Sequence[str], field: str) -> list[str]:
+    """Return one line per name that is neither a link nor a frame of the robot."""
+    frames = [frame.name for frame in robot.model.frames if frame.name != "universe"]
+    return [
+        f"unknown link {link!r} in {field}; {robot.name} has {would_do(link, frames)}"
+        for link in links
+        if link not in frames
     ]
 
 

@@ -18,10 +18,10 @@ from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
 from service.demands import list_planted_feet
 from service.errors import RequestError, would_do
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.start.configuration import STANDING_POSTURE
-from service.tasks.goal import Goal
-from service.tasks.goal_poses import find_goal_configurations
+from service.tasks.reach.goal import Goal
+from service.tasks.reach.goal_poses import find_goal_configurations
 from service.verify import Basis, Motion, VerifySettings, verify
 from service.verify.clearance.pairs import collect_pairs
 from service.verify.prepared_motion import PreparedMotion

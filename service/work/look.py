@@ -14,7 +14,8 @@ from service.errors import RequestError, ResultError, shown
 from service.executor import Control
 from service.request.known_names import RobotNames
 from service.request.scene import KnownMeshRequest
-from service.request.schema import GoalRequest, PlanRequest, RobotRequest
+from service.request.schema import PlanRequest, RobotRequest
+from service.request.tasks.reach import GoalRequest
 from service.scan.cloud import CloudInput
 from service.store import find_damaged_uploads
 from service.work.plan import ROBOTS, Refused, stops_with

@@ -16,6 +16,8 @@ from planar_arm import write_planar_arm
 from typer.testing import CliRunner
 
 from service.cli.app import app
+from service.demands.kind import read_mechanism_physics
+from service.demands.resistance import MechanismPhysics
 from service.errors import ResultError
 from service.execution.driver import JointCommand
 from service.execution.reference import BLEND_S, PlannedReference
@@ -28,7 +30,6 @@ from service.result.result import Verdict
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
 from service.simulation.report import find_longest_stretch
-from service.simulation.resistance import MechanismPhysics, read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.simulation.run import execute_folder
 from service.simulation.simulate import simulate

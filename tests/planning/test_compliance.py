@@ -18,7 +18,7 @@ from service.cli.app import app
 from service.errors import DamagedResultError, RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import parse_request, to_json
 from service.request.schema import PlanRequest
 from service.result.folder import read_result

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.detect.door.geometry import UP, DoorGeometry
-from service.demands.door import Push
+from service.demands.door.phases import Push
 from service.demands.hands import HANDS, PEG_FROM_END
 from service.demands.holds.door_edge import (
     EDGE_LEAN,

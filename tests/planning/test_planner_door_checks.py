@@ -14,9 +14,11 @@ import pytest
 from given_doors import door_request
 
 from costs.robot import Mechanism
-from service.demands.door import Door
-from service.demands.door_demand import make_door, read_given_door
+from service.demands.door.demand import make_door, read_given_door
+from service.demands.door.phases import Door
 from service.demands.held_motion import Demands, HeldMotion, hold_to_request
+from service.demands.recorded_task import MechanismDemand
+from service.demands.task_demand import World
 from service.planner import plan
 from service.replay.replay import read_motion
 from service.request.file import parse_request
@@ -49,6 +51,9 @@ class _DoorDemand:
     def measure(self, motion: Motion) -> Mapping[str, float]:
         return {}
 
+    def keep_choices(self, recorded: Motion) -> str:
+        return "not looked at"
+
 
 def _hold(opened: PlanResult, recorded: Motion) -> HeldMotion:
     request = opened.request.task.door
@@ -56,7 +61,8 @@ def _hold(opened: PlanResult, recorded: Motion) -> HeldMotion:
     assert geometry is not None
     release = float(np.deg2rad(request.release_deg))
     door = Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
-    demands = Demands(opened.request, opened.robot, opened.start, opened.scene, task=_DoorDemand(door.mechanism))
+    world = World(opened.request, opened.robot, opened.start, opened.scene)
+    demands = Demands(world, MechanismDemand(_DoorDemand(door.mechanism)))
     return hold_to_request(demands, recorded)
 
 

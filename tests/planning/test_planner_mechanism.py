@@ -29,11 +29,13 @@ from perception.simulate import Pose, Scanner, scan
 from perception.solids.primitives import box as solid_box
 from service.client.local_files import resolve_paths
 from service.demands import Demands
-from service.demands.given_mechanism import read_given_mechanism
 from service.demands.hands import HANDS
-from service.demands.moved_object.demand import GivenMechanismDemand
-from service.demands.moved_object.phases import make_mechanism_phases
-from service.demands.resume import ResumedDemand
+from service.demands.mechanism.demand import GivenMechanismDemand
+from service.demands.mechanism.given import read_given_mechanism
+from service.demands.mechanism.phases import make_mechanism_phases
+from service.demands.recorded_task import MechanismDemand
+from service.demands.rest import RestTask
+from service.demands.task_demand import World
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.consistency import compare_figures
@@ -429,7 +431,8 @@ def test_a_figure_that_is_not_the_motion_s_is_found(
 ) -> None:
     result = drawer[0]
     demand = GivenMechanismDemand(read_given_mechanism(result.request.task.mechanism), atlas())
-    demands = Demands(result.request, result.robot, result.start, result.scene, task=demand)
+    world = World(result.request, result.robot, result.start, result.scene)
+    demands = Demands(world, MechanismDemand(demand))
     assert not list(compare_figures(result.figures, demands, result.motion))
     assert any(line.startswith(words) for line in compare_figures(figures, demands, result.motion))
 
@@ -453,7 +456,7 @@ def test_the_rest_of_a_task_reaches_for_the_handle_only_before_it_moves_anything
 ) -> None:
     given = read_given_mechanism(parse_request(drawer_request()).task.mechanism)
     specs = make_mechanism_phases(given, HANDS["left"])
-    rest = ResumedDemand(given.mechanism, specs, phase, lambda motion: {})
+    rest = RestTask(given.mechanism, specs, phase, lambda motion: {})
     recorded = SimpleNamespace(phases=[SimpleNamespace(name=spec.name, targets=()) for spec in specs])
     chosen, problems = rest.read_choices(recorded)
     assert ([spec.name for spec in chosen], problems) == (expected, ())

@@ -12,13 +12,14 @@ from service.body.monitor import Monitor
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest, Options, PlanRequest, PoseGoalRequest
+from service.request.schema import Options, PlanRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import Attempt
 from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare
-from service.tasks.goal import Goal
-from service.tasks.goal_poses import bring_to_goal
+from service.tasks.reach.goal import Goal
+from service.tasks.reach.goal_poses import bring_to_goal
 
 TABLE = {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}
 POST = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 2.0, "position": [0.5, 0.45, 1.0]}

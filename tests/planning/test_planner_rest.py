@@ -20,11 +20,11 @@ from typer.testing import CliRunner
 
 from perception import Cloud, PerceptionError, make_cloud, write_npz
 from service.cli.app import app
-from service.demands.valve_demand import turn_back
+from service.demands.valve.demand import turn_back
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.replay.resume import hash_plan, make_rest_request, read_recorded_scan
+from service.replay.rest import hash_plan, make_rest_request, read_recorded_scan
 from service.request.file import parse_request, to_json
 from service.request.resume import NominalPhase, NominalRequest, ResumeRequest
 from service.request.schema import PlanRequest

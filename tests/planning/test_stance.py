@@ -55,8 +55,10 @@ def test_best_stance_opens_the_door_in_single_poses(search: StanceSearch) -> Non
     assert best.clearance_m >= 0.02
 
 
-def test_a_drawer_has_a_place_to_stand_from_which_it_comes_out_whole() -> None:
+def test_a_drawer_of_a_file_has_a_place_to_stand_from_which_it_comes_out_whole(tmp_path: Path) -> None:
     data = drawer_request()
+    (tmp_path / "drawer.urdf").write_text(data["task"]["mechanism"]["urdf"])
+    data["task"]["mechanism"]["urdf"] = str(tmp_path / "drawer.urdf")
     away = float(data.get("start", {}).get("base", {}).get("position", [0.0])[0]) - 0.5
     data["start"] = {"posture": "reach_ready", "base": {"position": [away, 0.0, 0.9177]}}
     found = find_stance(parse_request(data), limit_s=300.0, radius_m=0.7, takes_first=True)

@@ -17,7 +17,7 @@ from service.cli.app import app
 from service.errors import DamagedResultError, ResultError
 from service.replay import replay, standing
 from service.replay.replay import verify_result
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.replay.standing import HELD_BEFORE, Standing
 from service.request.file import hash_request_data
 from service.result.folder import read_result

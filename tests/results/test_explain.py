@@ -25,12 +25,12 @@ from service.explain.conflict import Conflict, Demand, DemandKind, FilterOutcome
 from service.explain.narrow import explain
 from service.planner import _explain, plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import list_shortfalls
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.start.standing import FEET_GROUP
-from service.tasks.goal import Goal
+from service.tasks.reach.goal import Goal
 from service.verify import Status, verify
 
 # 30 mm between them for an arm of 40 mm: it is 5 mm deep in either, or deeper in one.

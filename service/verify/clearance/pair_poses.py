@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from costs.stopping import poll
 from service.verify.clearance.pairs import PairIntervals, PairTable
 from service.verify.curve_bounds import RateBounds
-from service.verify.joint_chain import Chain
+from service.verify.joint_chain import JointChain
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import Placements, PreparedMotion
 from service.verify.solids import DistanceQuery, supports
@@ -130,7 +130,7 @@ class PairPoses:
 def bound_chord_deviation(
     table: PairTable,
     mover: Int[np.ndarray, "E"],
-    chains: Chain,
+    chains: JointChain,
     over: RateBounds,
     placed: Placements,
     middle: Int[np.ndarray, "E"],

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance, BodyIndex
-from service.verify.joint_chain import Chain, JointTree
+from service.verify.joint_chain import JointChain, JointTree
 from service.verify.motion import Motion
 from service.verify.solids import CoalSolid
 
@@ -36,9 +36,9 @@ class PairTable:
     holder: Int[np.ndarray, "C"]
     allowed: Float[np.ndarray, "C F"]
     demanded: Float[np.ndarray, "C"]
-    world: tuple[Chain, ...]
+    world: tuple[JointChain, ...]
     chain: Int[np.ndarray, "C"]
-    chains: Chain
+    chains: JointChain
 
     def names(self, pair: int) -> tuple[str, str]:
         """Return the names of mover and holder."""
@@ -80,7 +80,7 @@ class PairTable:
             rows[c] = forward
             if chains[backward].weight < chains[forward].weight:
                 mover[c], holder[c], rows[c] = b, a, backward
-        return replace(self, mover=mover, holder=holder, chain=rows, chains=Chain.stack(chains))
+        return replace(self, mover=mover, holder=holder, chain=rows, chains=JointChain.stack(chains))
 
 
 def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
@@ -104,7 +104,7 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     demanded = np.where(is_own[mover] & (holder >= len(bodies)), motion.clearance_m, 0.0)
     world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
     return PairTable(
-        solids, len(bodies), mover, holder, allowed, demanded, world, np.full(len(mover), -1), Chain.stack(())
+        solids, len(bodies), mover, holder, allowed, demanded, world, np.full(len(mover), -1), JointChain.stack(())
     )
 
 

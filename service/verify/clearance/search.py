@@ -163,7 +163,7 @@ class _Rounds:
         is_spent = not np.any(is_new) and self._n_intervals + 3 * len(intervals) > settings.max_intervals
         self._n_intervals += len(intervals)
         poses = PairPoses.at(self._prepared, self._table, intervals, settings)
-        attempt = _Attempt(poses, self._samples, settings, is_spent)
+        attempt = _IntervalBounds(poses, self._samples, settings, is_spent)
         attempt.try_hints()
         attempt.measure(np.ones(len(intervals), dtype=bool), (MIDDLE,))
         attempt.measure(is_new, (FIRST, LAST))
@@ -183,7 +183,7 @@ class _Rounds:
         return refuted
 
 
-class _Attempt:
+class _IntervalBounds:
     """Lower bounds of intervals, raised by every direction that is tried."""
 
     def __init__(self, poses: PairPoses, samples: PoseSamples, settings: VerifySettings, is_spent: bool) -> None:
