@@ -1,6 +1,7 @@
 """Sequential convex optimisation over waypoints: residuals, problems and the trust-region solver."""
 
 from scopt.affine import AffineRows
+from scopt.clock import Clock, EffortClock
 from scopt.derivative_check import DerivativeCheck, check_derivative
 from scopt.errors import DerivativeError, DerivativeWarning, ProblemError, ScoptError, SolverError
 from scopt.expression import ConvexExpression
@@ -12,12 +13,14 @@ from scopt.sqp import TrustRegionSQP
 
 __all__ = [
     "AffineRows",
+    "Clock",
     "Constraint",
     "ConvexExpression",
     "Cost",
     "DerivativeCheck",
     "DerivativeError",
     "DerivativeWarning",
+    "EffortClock",
     "Iteration",
     "Penalty",
     "Problem",

@@ -24,7 +24,7 @@ class Settings:
             solve ends where it does not.
         penalty, penalty_factor, max_penalty_raises: mu of the first outer iteration, its growth, how often.
         max_iterations: trial steps in all.
-        time_limit_s: wall time.
+        time_limit_s: on the clock of the optimiser, by default wall time.
     """
 
     qp: str = "piqp"

@@ -43,6 +43,7 @@ from service.request.resume import Hash, ResumeRequest
 from service.request.robot_parts import RobotHandRequest, RobotServoRequest, RobotTorqueRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 
+EFFORT_S, EGRESS_EFFORT_S = 60.0, 300.0  # processor time of a plan, where the request states no time limit
 LEAST_STUCK_TURN_DEG = 10.0
 Friction = Annotated[Number, Field(ge=0.0, le=5.0)]
 
@@ -251,7 +252,8 @@ class Options(Section):
 
     Attributes:
         waypoints: number per phase; chosen by the planner by default.
-        time_limit_s: wall time for the whole plan.
+        time_limit_s: wall time for the whole plan; by default the plan is limited by processor time
+            (``PlanRequest.limit_s``).
         margin_m: requested clearance.
         seed: seed of every random draw.
         balance_margin_m: smallest distance of the balance point from the support polygon's edges.
@@ -266,7 +268,7 @@ class Options(Section):
     """
 
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
-    time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] = 60.0
+    time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] | None = None
     margin_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.02
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
@@ -376,6 +378,13 @@ class PlanRequest(Section):
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
         if self.resume is not None and self.task is not None and self.task.trajopt is not None:
             raise PydanticCustomError("request", "resume belongs to a goal or a task; a TrajOpt problem has no phases")
+
+    @property
+    def limit_s(self) -> float:
+        """Seconds that the plan may take: of wall time if the request states them, else of processor time."""
+        if self.options.time_limit_s is not None:
+            return self.options.time_limit_s
+        return EGRESS_EFFORT_S if self.task is not None and self.task.egress is not None else EFFORT_S
 
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from scopt import EffortClock
 from service import certify, read_trajectory
 from service.cli.app import app
 from service.errors import RequestError
@@ -63,7 +64,7 @@ def test_a_hold_that_moves_nothing_is_refused(shared_cases: Path, name: str, wor
 def test_a_beam_too_heavy_for_the_hand_that_carries_it_is_not_certified(shared_cases: Path) -> None:
     request = load_request(shared_cases / "holds" / "beam_10kg_90.yaml")
     request = replace(request, options=replace(request.options, time_limit_s=10.0))
-    assert plan(request).verdict is not Verdict.CERTIFIED
+    assert plan(request, clock=EffortClock()).verdict is not Verdict.CERTIFIED
 
 
 @pytest.mark.parametrize(("name", "words"), FALSE.items())
