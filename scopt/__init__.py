@@ -1,14 +1,13 @@
 """Sequential convex optimisation over waypoints: residuals, problems and the trust-region solver."""
 
 from scopt.affine import AffineRows
-from scopt.clock import Clock, EffortClock
 from scopt.derivative_check import DerivativeCheck, check_derivative
 from scopt.errors import DerivativeError, DerivativeWarning, ProblemError, ScoptError, SolverError
 from scopt.expression import ConvexExpression
 from scopt.problem import Constraint, Cost, Penalty, Problem, Sense
 from scopt.residual import Residual
 from scopt.result import Iteration, Result, Status
-from scopt.settings import Settings
+from scopt.settings import Clock, EffortClock, Settings
 from scopt.sqp import TrustRegionSQP
 
 __all__ = [

@@ -14,7 +14,6 @@ from typing import Any, Generic
 import numpy as np
 from jaxtyping import Bool, Float
 
-from scopt.clock import Clock
 from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify
 from scopt.correction import Correction
 from scopt.hessian import HessianSum
@@ -24,7 +23,7 @@ from scopt.problem import Penalty, Problem
 from scopt.qp import ConicProgram, select_backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
-from scopt.settings import Settings
+from scopt.settings import Clock, Settings
 from scopt.termination import Termination
 from scopt.trust_region import TrustRegion
 

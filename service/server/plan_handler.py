@@ -13,7 +13,7 @@ from functools import cached_property
 import grpc
 import structlog
 
-from scopt.clock import WALL_SHARE
+from scopt.settings import WALL_SHARE
 from service.executor import Lane, Place
 from service.proto.planner.v1.planner_pb2 import (
     PRIORITY_BATCH,

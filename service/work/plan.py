@@ -20,7 +20,7 @@ from jaxtyping import Float
 from costs.stopping import Stopped, stops_when
 from scopt import Clock, EffortClock
 from scopt import Iteration as Trial
-from scopt.clock import WALL_SHARE
+from scopt.settings import WALL_SHARE
 from service.errors import RequestError
 from service.executor import Control
 from service.executor.job import JobCancelled

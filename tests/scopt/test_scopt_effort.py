@@ -9,8 +9,8 @@ from scopt import EffortClock
 
 def test_effort_is_processor_time_however_long_the_process_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     cpu, wall = [10.0], [100.0]
-    monkeypatch.setattr("scopt.clock.time.process_time", lambda: cpu[0])
-    monkeypatch.setattr("scopt.clock.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("scopt.settings.time.process_time", lambda: cpu[0])
+    monkeypatch.setattr("scopt.settings.time.monotonic", lambda: wall[0])
     clock = EffortClock()
     assert clock() == 0.0
     cpu[0], wall[0] = 13.0, 129.0
@@ -19,8 +19,8 @@ def test_effort_is_processor_time_however_long_the_process_waits(monkeypatch: py
 
 def test_a_process_that_only_waits_uses_up_its_limit_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = [100.0]
-    monkeypatch.setattr("scopt.clock.time.process_time", lambda: 10.0)
-    monkeypatch.setattr("scopt.clock.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("scopt.settings.time.process_time", lambda: 10.0)
+    monkeypatch.setattr("scopt.settings.time.monotonic", lambda: wall[0])
     clock, hasty = EffortClock(), EffortClock(wall_share=0.5)
     wall[0] = 160.0
     assert clock() == pytest.approx(6.0)
