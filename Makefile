@@ -79,6 +79,7 @@ check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --config-file tools/mypy_tests.ini tests tools benchmarks
 	$(BIN)/lint-imports
 	$(BIN)/buf lint service/proto
 	$(BIN)/buf breaking service/proto --against service/proto/accepted.binpb
