@@ -43,7 +43,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "store": ("service/store",),
 }
 # Processor time of the tests of a mutant, which may never end: this much, and a multiple of what they took once.
-LEAST_S, SLOWER = 20.0, 5.0
+LEAST_S, SLOWER = 10.0, 5.0
 NOT_COPIED = (".*", "__pycache__", "node_modules", "*.egg-info", "out", "site")
 
 

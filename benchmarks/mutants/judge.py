@@ -24,7 +24,8 @@ OPTIONS = (
     *("-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # what the parent imported is not rewritten
 )
-WALL = 10.0  # wall time of a child, at most, as a multiple of its processor time
+WALL = 3.0  # wall time of a child, at most, as a multiple of its processor time
+LATER = ("grpc", "ray")  # libraries with threads of their own, which a fork would leave without them
 _OPTIMIZED = 1  # flag of the code of a function, which classes and modules lack
 
 
@@ -129,9 +130,12 @@ def _serve() -> None:
     """Answer one line of JSON after the other."""
     order: dict[str, Any] = json.loads(sys.stdin.readline())
     sys.path[:0] = order["paths"]
+    sys.modules.update(dict.fromkeys(LATER))  # type: ignore[arg-type]  # None: importing it fails
     for name in order["modules"]:
         with suppress(BaseException):
             importlib.import_module(name)
+    for name in LATER:
+        del sys.modules[name]
     gc.freeze()
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:

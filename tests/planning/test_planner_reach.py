@@ -161,7 +161,7 @@ def test_a_late_plan_comes_with_its_best_attempt_and_reasons_and_without_a_certi
     monkeypatch.setattr(planner, "verify", lambda motion: pytest.fail("a certificate was begun after the limit"))
     result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
     assert result.verdict is Verdict.TIME_LIMIT
-    assert result.explanation[0].startswith("the time limit of")
+    assert result.explanation[0].startswith("the default limit of 60 s")
     assert any("board" in line for line in result.explanation[1:]), result.explanation
     assert result.motion is not None
     assert result.certificate is None
