@@ -121,7 +121,8 @@ class Copy:
                 if failure in ("", CRASH, TIMED_OUT) or failure in self._sound:
                     return failure
                 self._write(mutant.path, old)
-                is_sound = self._ask({**limited, "tests": [failure]}) == ""
+                alone = {**limited, "tests": [failure]}
+                is_sound = self._ask(alone) == self._ask({**alone, "is_fresh": True}) == ""
                 (self._sound if is_sound else self.broken).add(failure)
                 self._write(mutant.path, mutant.apply(old))
         finally:

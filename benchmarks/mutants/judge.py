@@ -19,7 +19,6 @@ from typing import Any
 import pytest
 
 CRASH, TIMED_OUT = "crash", "timed out"
-PROJECT = ("scopt", "costs", "perception", "service", "benchmarks")
 OPTIONS = (
     *("-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # what the parent imported is not rewritten
@@ -120,9 +119,10 @@ def find_changed_functions(old: CodeType, new: CodeType) -> list[tuple[CodeType,
 
 
 def forget_project() -> None:
-    """Remove the project's modules, so that tests import them afresh."""
-    for name in list(sys.modules):
-        if name.partition(".")[0] in PROJECT:
+    """Remove the modules of the project and of its tests, so that they are imported afresh."""
+    root = f"{Path.cwd()}{os.sep}"
+    for name, module in list(sys.modules.items()):
+        if name != "__main__" and (getattr(module, "__file__", None) or "").startswith(root):
             del sys.modules[name]
 
 
