@@ -145,7 +145,7 @@ class Copy:
 
 def read_equivalents(file: Path = EQUIVALENT) -> dict[tuple[str, str], str]:
     """Return the reasons of the mutants that change nothing, by path and by the changed line as it was and becomes."""
-    entries = [entry.split("\n") for entry in file.read_text().split("\n\n") if not entry.startswith("#")]
+    entries = [entry.split("\n") for entry in file.read_text().strip().split("\n\n") if not entry.startswith("#")]
     return {(path, f"{old}\n{new}"): reason for path, old, new, reason in (map(str.strip, entry) for entry in entries)}
 
 

@@ -73,6 +73,17 @@ def test_what_changes_nothing_is_a_mutant_of_today_and_has_a_reason() -> None:
         assert reason
 
 
+def test_a_mutant_that_changes_nothing_is_known_by_its_line_as_it_was_and_becomes(tmp_path: Path) -> None:
+    listed = tmp_path / "equivalent.txt"
+    listed.write_text("# What is said first.\n\nx.py\na = b + 0\na = b - 0\nNothing is added.\n")
+    (tmp_path / "x.py").write_text("if c:\n    a = b + 0\n")
+    reasons = {
+        mutant.new: find_reason(mutant, read_equivalents(listed), tmp_path)
+        for mutant in list_mutants("x.py", (tmp_path / "x.py").read_bytes())
+    }
+    assert reasons == {"-": "Nothing is added.", "": None, "1": None}
+
+
 def _project(tmp_path: Path) -> Copy:
     """A copy of a project with a module and its tests."""
     project = tmp_path / "project"
