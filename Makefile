@@ -26,7 +26,7 @@ help:
 	@echo "make test-fast run the tests of the daily work, within a minute: all but those of tests/slow.txt"
 	@echo "make test-ray  run the tests of the executor on a Ray cluster, in an environment of its own"
 	@echo "make coverage  run the tests and list the lines and branches that none of them runs"
-	@echo "make check     ruff, mypy, import-linter, buf (the schema: comments, and changes that break clients)"
+	@echo "make check     ruff, mypy, import-linter, buf (the schema: comments, and changes that break clients), the page"
 	@echo "make docs      the documentation site, in site"
 	@echo "make client    the wheel of scopt-client, a client without the planner, in dist"
 	@echo "make bench     speed and memory, as a table"
@@ -79,9 +79,11 @@ check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --config-file tools/mypy_tests.ini tests tools benchmarks
 	$(BIN)/lint-imports
 	$(BIN)/buf lint service/proto
 	$(BIN)/buf breaking service/proto --against service/proto/accepted.binpb
+	tools/check_page.sh
 
 # Clients may rely on the schema from now on: `make check` refuses changes that break them.
 accept-schema: $(READY)

@@ -151,7 +151,8 @@ class Options(Section):
 
     Attributes:
         waypoints: number per phase; chosen by the planner by default.
-        time_limit_s: wall time for the whole plan.
+        time_limit_s: wall time for the whole plan; by default the plan is limited by processor time
+            (``PlanRequest.limit_s``).
         margin_m: clearance aimed at.
         clearance_m: demanded distance of the robot from every obstacle that it may not touch; no certificate below it.
         seed: seed of every random draw.
@@ -167,7 +168,7 @@ class Options(Section):
     """
 
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
-    time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] = 60.0
+    time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] | None = None
     margin_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.02
     clearance_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.0
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
@@ -292,6 +293,13 @@ class PlanRequest(Section):
             return self.task.section
         assert self.goal is not None  # exactly one of them is given
         return self.goal
+
+    @property
+    def limit_s(self) -> float:
+        """Seconds that the plan may take: of wall time if the request states them, else of processor time."""
+        if self.options.time_limit_s is not None:
+            return self.options.time_limit_s
+        return self.section.effort_s
 
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""

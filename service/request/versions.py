@@ -75,7 +75,7 @@ FORMER_DEFAULTS: dict[int, dict[str, Any]] = {
         "DoorRequest.open_deg": 80.0,
         "Options.starts": 16,
     },
-    3: {"MechanismJointRequest.friction": 0.0},
+    3: {"MechanismJointRequest.friction": 0.0, "Options.time_limit_s": 60.0},
 }
 """Defaults that a format changed, each with the value that it had in the formats before."""
 

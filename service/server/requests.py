@@ -58,7 +58,7 @@ class RequestReader:
             raise refuse_invalid([*error.problems, *names], WITHIN) from None
         problems = [f"{field}: {problem}" for field, problem in self.folders.find_problems(request)]
         budget = self.settings.budget_s(kind_of(request))
-        limit = request.options.time_limit_s
+        limit = request.limit_s
         if limit > budget:
             problems.append(f"options.time_limit_s: expected at most {budget:g} on this server, got {limit:g}")
         problems += names

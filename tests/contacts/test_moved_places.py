@@ -40,7 +40,7 @@ REQUEST = {
             ],
         }
     },
-    "options": {"seed": 0, "time_limit_s": 120},
+    "options": {"seed": 0},
 }
 
 

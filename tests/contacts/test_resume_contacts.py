@@ -45,7 +45,7 @@ REQUEST = {
             ],
         }
     },
-    "options": {"seed": 0, "time_limit_s": 300},
+    "options": {"seed": 0},
 }
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from clocks import CountingClock
 from planar_arm import write_planar_arm
 from stranger import Stranger
 
@@ -161,7 +162,7 @@ def test_a_late_plan_comes_with_its_best_attempt_and_reasons_and_without_a_certi
     monkeypatch.setattr(planner, "verify", lambda motion: pytest.fail("a certificate was begun after the limit"))
     result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
     assert result.verdict is Verdict.TIME_LIMIT
-    assert result.explanation[0].startswith("the time limit of")
+    assert result.explanation[0].startswith("the default limit of 60 s")
     assert any("board" in line for line in result.explanation[1:]), result.explanation
     assert result.motion is not None
     assert result.certificate is None
@@ -206,7 +207,7 @@ def test_a_cancelled_plan_says_when_and_a_late_one_that_time_is_up():
     )
     assert result.verdict is Verdict.CANCELLED
     assert "cancelled during" in result.explanation[0]
-    late = plan(atlas(tool_at([0.6, 0.2, 1.15]), time_limit_s=1e-3))
+    late = plan(atlas(tool_at([0.6, 0.2, 1.15]), time_limit_s=1e-3), clock=CountingClock(1e-3))
     assert late.verdict is Verdict.TIME_LIMIT
     assert "0.001 s" in late.explanation[0]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -43,7 +44,7 @@ def test_every_link_to_a_file_leads_somewhere(page: Path) -> None:
 def test_the_site_has_every_page_and_describes_names_that_exist() -> None:
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
 
-    def list_pages(entries: object) -> list[str]:
+    def list_pages(entries: Any) -> list[str]:
         if isinstance(entries, dict):
             entries = list(entries.values())
         return [entries] if isinstance(entries, str) else [page for entry in entries for page in list_pages(entry)]

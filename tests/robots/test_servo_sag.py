@@ -18,7 +18,7 @@ from costs.scene import Scene
 from service.cli.report import print_verdict
 from service.errors import RequestError
 from service.motion.hand_sag import list_short_hands
-from service.motion.servo_sag import measure_sag
+from service.motion.servo_sag import ServoSag, measure_sag
 from service.planner import plan
 from service.request.file import parse_request, request_hash
 from service.result.result_json import summary_json
@@ -111,6 +111,12 @@ def test_a_margin_below_the_sag_is_named_with_its_phase() -> None:
     (note,) = sag.list_notes()
     assert "phase 'rest'" in note
     assert f"sags by up to {1e3 * expected:.1f} mm, and the balance margin is {500.0 * expected:.1f} mm" in note
+
+
+def test_a_margin_that_the_sag_uses_up_and_no_more_is_not_named() -> None:
+    sag = ServoSag({}, 0.02, 1.0, margin_m=0.02, margin_after_m=0.0, tight_phase="reach")
+    assert sag.list_notes() == ()
+    assert len(replace(sag, margin_after_m=-1e-9).list_notes()) == 1
 
 
 def test_a_fixed_base_has_no_sag() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import field
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, StrictInt
 from pydantic.dataclasses import dataclass
@@ -156,6 +156,8 @@ class EgressRequest(TaskSection):
         margin_n: error that the force at every contact point may have without slipping, lifting or pressing too
             hard [N].
     """
+
+    effort_s: ClassVar[float] = 300.0
 
     side: Literal["left", "right"] = "left"
     hint: Point | None = None

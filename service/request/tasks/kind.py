@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from service.request.fields import Point, Section
 
@@ -30,7 +30,12 @@ class TaskSection(Section):
     """Section of a request that says what to do.
 
     A kind overrides what applies to it. Nothing here loads a robot, a scan or a file.
+
+    Attributes:
+        effort_s: processor time of a plan, where the request states no time limit [s].
     """
+
+    effort_s: ClassVar[float] = 60.0
 
     @property
     def can_resume(self) -> bool:

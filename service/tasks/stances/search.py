@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from costs.robot import RobotModel, with_mechanism
 from costs.scene import Scene
 from costs.stopping import Stopped, stops_when
-from scopt import Settings
+from scopt import Clock, EffortClock, Settings
 from service.body.monitor import Interrupted, Monitor, OnProgress
 from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
@@ -114,7 +114,7 @@ class StanceSearch:
 
 def find_stance(
     request: PlanRequest,
-    limit_s: float = LIMIT_S,
+    limit_s: float | None = None,
     radius_m: float = RADIUS_M,
     on_progress: OnProgress | None = None,
     should_stop: Callable[[], bool] | None = None,
@@ -122,6 +122,7 @@ def find_stance(
     see: Callable[..., Perceived] | None = None,
     *,
     takes_first: bool = False,
+    clock: Clock | None = None,
 ) -> StanceSearch:
     """Search for places to stand from which a request's door, valve or mechanism can be moved farthest.
 
@@ -130,13 +131,14 @@ def find_stance(
 
     Args:
         request: with ``task.door``, ``task.valve`` or ``task.mechanism``; its start is where the search begins.
-        limit_s: wall time for the whole search, perception included.
+        limit_s: wall time for the whole search, perception included; by default ``LIMIT_S`` of processor time.
         radius_m: of the places searched about the start.
         on_progress: called with the name of the current step and the fraction that is done.
         should_stop: polled often; once it returns True the search ends with what it has.
         robot: the request's robot if it is loaded already.
         see: ``perception.perceive``, or a function that caches its results.
         takes_first: whether the first place that has all poses ends the search; the request's own place comes first.
+        clock: measures the time limit instead.
 
     Raises:
         RequestError: another task, a robot with a fixed base or without hands, or a problem of the request.
@@ -149,7 +151,10 @@ def find_stance(
         )
     if request.resume is not None:
         raise RequestError("resume: the robot stands where the motion was interrupted; leave it out")
-    monitor = Monitor(limit_s, should_stop, on_progress)
+    started = time.perf_counter()
+    if clock is None:
+        clock = EffortClock() if limit_s is None else time.monotonic
+    monitor = Monitor(LIMIT_S if limit_s is None else limit_s, should_stop, on_progress, clock=clock)
     setup = prepare(
         request,
         lambda step: monitor.report(step, 0.02),
@@ -172,7 +177,7 @@ def find_stance(
         body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
         found = part.find_stance_task(setup.request.section, setup, body)  # with its files read
     if isinstance(found, str):
-        return StanceSearch(setup, None, (), (found,), 0, not setup.is_stopped, time.perf_counter() - monitor.started)
+        return StanceSearch(setup, None, (), (found,), 0, not setup.is_stopped, time.perf_counter() - started)
     sought, notes = found
     try:
         with stops_when(monitor.is_over):
@@ -186,7 +191,7 @@ def find_stance(
     if not n_ranked and is_complete:
         notes = (*notes, f"no place within {radius_m:g} m of the start has what is held within the arms' reach")
     ordered = sorted(candidates, key=lambda candidate: (bool(candidate.refused), -candidate.score))
-    seconds = time.perf_counter() - monitor.started
+    seconds = time.perf_counter() - started
     return StanceSearch(setup, sought, tuple(ordered), notes, n_ranked, is_complete, seconds)
 
 
