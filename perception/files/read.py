@@ -14,6 +14,7 @@ from perception.files.bag import Message
 from perception.files.parse import is_bag, parse_to_values
 from perception.files.placing import PoseInput, place_scan
 from perception.files.scan import Scan, pick_rows
+from perception.levelling.level import make_level, propose_level
 from perception.limits import MAX_PARSER_BYTES, MAX_PARSER_CPU_S, MAX_PARSER_WALL_S, MAX_POINTS
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
@@ -29,6 +30,7 @@ def read_cloud(
     sensor: Sequence[float] | None = None,
     topic: str | None = None,
     message: Message = 0,
+    level: bool = False,
 ) -> Cloud:
     """Read a cloud file; its content, else its suffix gives the format.
 
@@ -43,12 +45,19 @@ def read_cloud(
             identity viewpoint does not count, since writers without a sensor pose write it.
         topic: topic to read from a bag with several.
         message: index of a bag's message to read (0 the first, -1 the last), or ``all`` to merge them.
+        level: turn the cloud z up and lift its floor to zero; without, a cloud that is not level gets a note.
 
     Raises:
         CloudError: the file cannot be used; the message names the file, the fault and what is expected.
     """
     return read_clouds(
-        [(path, transform)], unit=unit, apply_viewpoint=apply_viewpoint, sensor=sensor, topic=topic, message=message
+        [(path, transform)],
+        unit=unit,
+        apply_viewpoint=apply_viewpoint,
+        sensor=sensor,
+        topic=topic,
+        message=message,
+        level=level,
     )
 
 
@@ -60,6 +69,7 @@ def read_clouds(
     sensor: Sequence[float] | None = None,
     topic: str | None = None,
     message: Message = 0,
+    level: bool = False,
 ) -> Cloud:
     """Read several files and merge them, thinned to at most ``MAX_POINTS``; each point keeps the start of its ray.
 
@@ -67,6 +77,7 @@ def read_clouds(
         files: each file with its pose_world_cloud (None: its points are already in the world).
         unit, apply_viewpoint, sensor: as for ``read_cloud``, for all files.
         topic, message: as for ``read_cloud``, for all bags.
+        level: as for ``read_cloud``, for the merged cloud.
 
     Raises:
         CloudError: no file given, or a file cannot be used.
@@ -86,10 +97,12 @@ def read_clouds(
         while sum(len(part.points) + len(part.misses) for part in clouds) > MAX_POINTS:
             clouds, step = [_thin(part, 2) for part in clouds], 2 * step
     whole = merge_clouds(clouds)
-    if step == 1:
-        return whole
-    note = f"took 1 of every {step} points of all files, since at most {MAX_POINTS} are used together"
-    return replace(whole, notes=(*whole.notes, note))
+    if step > 1:
+        note = f"took 1 of every {step} points of all files, since at most {MAX_POINTS} are used together"
+        whole = replace(whole, notes=(*whole.notes, note))
+    if level:
+        return make_level(whole)
+    return replace(whole, notes=(*whole.notes, *propose_level(whole)))
 
 
 def _thin(cloud: Cloud, step: int) -> Cloud:

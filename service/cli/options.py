@@ -35,6 +35,9 @@ class CloudOptions:
     apply_viewpoint: Annotated[
         bool, typer.Option("--apply-viewpoint", help="The points are in the sensor's frame.")
     ] = False
+    level: Annotated[
+        bool, typer.Option("--level", help="Turn the cloud z up and put its floor at 0, after any transform.")
+    ] = False
     topic: Annotated[str | None, typer.Option(help="Of a bag with clouds on several topics.")] = None
     message: Annotated[
         str, typer.Option(help="Of a bag: number of the message, -1 for the last, or all.", metavar="NUMBER")

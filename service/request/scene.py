@@ -187,6 +187,8 @@ class SceneRequest(Section):
         apply_viewpoint: whether the points are in the sensor's frame and must be transformed by the file's VIEWPOINT,
             before ``position`` and ``quaternion_wxyz``.
         sensor: start of the rays in the world if the file does not give it [m].
+        level: whether the merged cloud is turned z up and its floor put at 0, after ``position`` and
+            ``quaternion_wxyz``.
         topic: topic of a bag with several clouds.
         message: index of a bag's message, or ``all`` to merge them.
         method: method of making pieces from the scan.
@@ -203,6 +205,7 @@ class SceneRequest(Section):
     unit: Literal["m", "cm", "mm", "km", "in", "ft"] = "m"
     apply_viewpoint: StrictBool = False
     sensor: Point | None = None
+    level: StrictBool = False
     topic: Label | None = None
     message: Message = 0
     method: Method = "planes"

@@ -35,6 +35,7 @@ class CloudInput:
         transforms: texts with pose_world_cloud as 6, 7 or 16 numbers; one for all files, or one for each.
         apply_viewpoint: whether the points are in the sensor's frame.
         sensor: start of the rays if the files do not give it [m].
+        level: whether the merged cloud is turned z up and lifted to its floor.
         topic: topic of a bag with several clouds.
         message: index of a bag's message, or ``all`` to merge them.
         reach_m: horizontal radius around the world's origin in which points are kept [m].
@@ -49,6 +50,7 @@ class CloudInput:
     transforms: tuple[str, ...] = ()
     apply_viewpoint: bool = False
     sensor: tuple[float, float, float] | None = None
+    level: bool = False
     topic: str | None = None
     message: int | Literal["all"] = 0
     reach_m: float = DEFAULT_REACH_M
@@ -127,6 +129,7 @@ def read_input(clouds: CloudInput, on_step: OnStep) -> CloudRead:
             unit=clouds.unit,
             apply_viewpoint=clouds.apply_viewpoint,
             sensor=clouds.sensor,
+            level=clouds.level,
             topic=clouds.topic,
             message=clouds.message,
         )

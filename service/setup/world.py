@@ -124,6 +124,7 @@ def _perceive_scan(
             unit=scene.unit,
             apply_viewpoint=scene.apply_viewpoint,
             sensor=scene.sensor,
+            level=scene.level,
             topic=scene.topic,
             message=scene.message,
         )

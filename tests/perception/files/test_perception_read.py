@@ -598,17 +598,9 @@ def test_unit_and_frame_oddities_earn_a_note() -> None:
     assert make_cloud(room, origin).notes == ()
     assert "unit mm" in make_cloud(1000 * room, 1000 * origin).notes[0]
     assert "map coordinates" in make_cloud(room + np.array([4e5, 5e6, 0]), origin).notes[0]
-    assert "sensor-framed" in make_cloud(room - origin, np.zeros(3)).notes[0]
-    camera = rng.uniform(-0.5, 0.5, (1000, 3)) * [1, 1, 0] + [0, 0, 2.0]
-    assert "camera's own frame" in make_cloud(camera, np.zeros(3)).notes[0]
-    assert make_cloud(camera[:3], np.zeros(3)).notes == ()
     (note,) = make_cloud(room + np.array([500.0, 0, 0.75]), origin).notes
     assert "500 m from the origin" in note
-    assert not any("framed" in note for note in make_cloud(1000 * (room - origin), np.zeros(3)).notes)
     assert "; -500 0 -0.78 0 0 0 would" in note
-    low = room - origin
-    assert "stands level it may be 0 0 1.58 0 0 0" in make_cloud(low, np.zeros(3)).notes[0]
-    assert "viewpoint" not in make_cloud(low, np.zeros(3)).notes[0]
 
 
 def test_the_viewpoint_is_ray_origin_and_moves_points_only_on_request(tmp_path: Path) -> None:
