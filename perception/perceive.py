@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from costs.progress import tell
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import never, poll, stops_when
 from perception.cleaning.clean import SELF_MARGIN, Reach, inside_hulls, nearest, voxel_downsample
@@ -141,6 +142,7 @@ def _perceive(
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
+        tell("fill unknown space")
         hidden = make_unknown_pieces(view.cloud.rays, reach, view.floors, view.robot_hulls, soles)
         clock.lap("unknown")
     scene = Scene((*floor_pieces(view.floors, view.reach), *parts, *(piece.shape for piece in made.pieces), *hidden))
@@ -196,6 +198,7 @@ def find_meshes(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[st
     matches: dict[str, MeshMatch] = {}
     for mesh in known:
         poll()
+        tell(f"look for {mesh.name}")
         _check_span(mesh, view)
         matches[mesh.name] = locate(mesh, view)
         clock.lap("known meshes")

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.progress import tell
 from costs.scene import ConvexPiece
 from perception.convex.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsen, measure_spacing, smooth_points
@@ -65,6 +66,7 @@ def make_pieces(
     if not len(points):
         return Pieces((), {})
     clock = Clock()
+    tell("find free space")
     rays = share_start(rays)
     coarse = coarsen(points, starts, VOXEL)
     free = make_crossing(coarse.points, rays).mark_free(coarse.points)
@@ -88,13 +90,18 @@ def make_bodies(
     if not len(left):
         return []
     points, starts = coarse.points[left], coarse.starts[left]
+    tell("find planes")
     planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), _PLANES)
     clock.lap("planes")
     apart = measure_spacing(coarse.points, coarse.starts, left)
-    slabs = [(plane, slab) for plane in planes for slab in make_slabs(plane, points, *rays, free, apart)]
+    slabs: list[tuple[Plane, Slab]] = []
+    for i, plane in enumerate(planes):
+        tell("make slabs", i / len(planes))
+        slabs += [(plane, slab) for slab in make_slabs(plane, points, *rays, free, apart)]
     clock.lap("slabs")
     points = smooth_points(coarse.points, coarse.counts, coarse.starts, left)
     rest = ~_find_covered(points, slabs)
+    tell("make hulls")
     hulls = _make_clutter(points[rest], starts[rest], free)
     hulls = refine_hulls(hulls, points[rest], coarse.points, rays, _GAP)
     slabs, hulls = attach_hulls(slabs, hulls, free)
@@ -126,7 +133,12 @@ def _make_clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N
     """Return hulls of points that are on no plane, merged while they contain no free space."""
     if not len(points):
         return []
-    hulls = [hull for members in find_clusters(points, starts) for hull in split(points, members, free)]
+    hulls: list[Hull] = []
+    n_done = 0
+    for members in find_clusters(points, starts):
+        hulls += split(points, members, free)
+        n_done += len(members)
+        tell("make hulls", n_done / len(points))
     ranges = np.linalg.norm(points - starts, axis=1)
     gaps = np.array([max(_GAP, _GAP_OF_RANGE * float(np.median(ranges[hull.members]))) for hull in hulls])
     return merge(hulls, free, gaps)

@@ -11,6 +11,8 @@ from jaxtyping import Float, Int
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
+from costs.progress import tell
+from costs.stopping import poll
 from perception.cleaning.clean import nearest
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import SKIN, Hull, make_hull, thicken
@@ -24,6 +26,8 @@ _CELL = 0.01
 _CLOSE = 2
 _AROUND = 0.03
 _FEW = 3
+# Merging fewer is one step of a longer one.
+_MANY_HULLS = 50
 # Smaller hulls consist of noise and skin only; free space in them is noise and is not refined [m^3].
 _LEAST_VOLUME = 5e-5
 
@@ -135,7 +139,12 @@ def merge(
     merger = _Merger(list(hulls), free, np.broadcast_to(gap, len(hulls)), allowed)
     for i in range(len(hulls)):
         merger.propose(i, i)
+    n_tried = 0
     while merger.queue:
+        poll()
+        n_tried += 1
+        if len(hulls) > _MANY_HULLS:
+            tell("merge hulls", n_tried / (n_tried + len(merger.queue)))
         _, i, j, joint = heapq.heappop(merger.queue)
         if merger.is_alive[i] and merger.is_alive[j] and is_free_of(joint, free, allowed):
             merger.replace(i, j, joint)
@@ -214,7 +223,8 @@ def refine_hulls(
     is_large = [make_hull(thicken(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
     passing = _Passing.of(*rays, sum(is_large))
     done: list[Hull] = []
-    for hull, is_split in zip(hulls, is_large, strict=True):
+    for i, (hull, is_split) in enumerate(zip(hulls, is_large, strict=True)):
+        tell("refine hulls", i / len(hulls))
         if not is_split:
             done.append(hull)
             continue

@@ -184,7 +184,7 @@ def _unfilter(kind: int, row: UInt[np.ndarray, "B"], above: UInt[np.ndarray, "B"
     if kind == 1:
         return np.cumsum(row.reshape(-1, 2), axis=0, dtype=np.uint8).reshape(-1)
     if kind == 2:
-        return row + above
+        return np.asarray(row + above)
     if kind not in (3, 4):
         raise CloudError(f"{name}: row filter {kind} is unknown; 0 to 4 are possible")
     done = [0, 0, *row.tolist()]

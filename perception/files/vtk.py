@@ -7,8 +7,8 @@ import binascii
 import lzma
 import re
 import zlib
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,7 +36,10 @@ _PIECE = re.compile(rb"<Piece\b([^>]*)>")
 _FILE = re.compile(rb"<VTKFile\b([^>]*)>")
 _APPENDED = re.compile(rb"<AppendedData\b([^>]*)>\s*_", re.DOTALL)
 _ATTRIBUTE = re.compile(rb"([A-Za-z_]+)\s*=\s*[\"']([^\"']*)[\"']")
-_UNPACK = {"vtkZLibDataCompressor": zlib.decompressobj, "vtkLZMADataCompressor": lzma.LZMADecompressor}
+_UNPACK: Mapping[str, Callable[[], Any]] = {
+    "vtkZLibDataCompressor": zlib.decompressobj,
+    "vtkLZMADataCompressor": lzma.LZMADecompressor,
+}
 
 
 def read_vtk(data: Content, name: str) -> Scan:

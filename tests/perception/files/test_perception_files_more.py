@@ -197,8 +197,8 @@ def write_tf_bag(folder: Path, transforms: dict[str, tuple[str, tuple[float, ...
 
 def test_clouds_of_several_sensors_come_in_one_frame(tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
-    half = np.sqrt(0.5)
-    transforms = {
+    half = float(np.sqrt(0.5))
+    transforms: dict[str, tuple[str, tuple[float, ...]]] = {
         "left": ("body", (0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)),
         "right": ("body", (0.0, -1.0, 0.0, half, 0.0, 0.0, half)),
         "body": ("odom", (0.0, 0.0, 0.9, 1.0, 0.0, 0.0, 0.0)),
