@@ -11,12 +11,14 @@ from jaxtyping import Bool, Float, Int
 
 from costs.progress import tell
 from costs.scene import ConvexPiece
+from perception.convex.body import Body
 from perception.convex.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsen, measure_spacing, smooth_points
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, limit_vertices, make_hull, thicken
 from perception.convex.piece import Piece, measure_evidence
 from perception.convex.planes import Plane, PlaneSettings, find_planes
+from perception.convex.reduce import reduce_bodies
 from perception.convex.slabs import FRONT, Slab, attach_hulls, make_slabs
 from perception.convex.split import find_clusters, merge, refine_hulls, split
 
@@ -72,6 +74,8 @@ def make_pieces(
     free = make_crossing(coarse.points, rays).mark_free(coarse.points)
     clock.lap("free space")
     bodies = make_bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, clock)
+    bodies = reduce_bodies(bodies, free)
+    clock.lap("reduction")
     kept = np.ones(len(points), dtype=bool)
     pieces = assign_points(name_bodies(bodies, {}, free), points, kept, Groups.of(coarse), coarse)
     clock.lap("evidence")
@@ -186,15 +190,6 @@ def _choose_kind(plane: Plane, slab: Slab) -> str:
     width, height = np.ptp(slab.outline, axis=0)
     is_wall = abs(plane.normal[2]) < _UPRIGHT and width >= _WALL[0] and height >= _WALL[1]
     return "wall" if is_wall else "plane"
-
-
-@dataclass(frozen=True)
-class Body:
-    """Kind, vertices and plane of an unnamed piece."""
-
-    kind: str
-    vertices: Float[np.ndarray, "V 3"]
-    plane: Float[np.ndarray, "4"] | None
 
 
 def name_bodies(bodies: Sequence[Body], first: Mapping[str, int], free: FreeSpace) -> list[Piece]:

@@ -128,19 +128,24 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
 
 
 def merge(
-    hulls: Sequence[Hull], free: FreeSpace, gap: float | Float[np.ndarray, "H"], allowed: SplitAllowance = _DEFAULT
+    hulls: Sequence[Hull],
+    free: FreeSpace,
+    gap: float | Float[np.ndarray, "H"],
+    allowed: SplitAllowance = _DEFAULT,
+    most_left: int = 1,
 ) -> list[Hull]:
     """Merge neighbouring hulls, least added volume first, while the merged hull contains no free space.
 
     Args:
         gap: largest distance between the bounding boxes of neighbours; per hull, the smaller of both counts [m].
         allowed: free space that a merged hull may contain.
+        most_left: number of hulls at which merging ends.
     """
     merger = _Merger(list(hulls), free, np.broadcast_to(gap, len(hulls)), allowed)
     for i in range(len(hulls)):
         merger.propose(i, i)
-    n_tried = 0
-    while merger.queue:
+    n_tried = n_merged = 0
+    while merger.queue and len(hulls) - n_merged > most_left:
         poll()
         n_tried += 1
         if len(hulls) > _MANY_HULLS:
@@ -148,6 +153,7 @@ def merge(
         _, i, j, joint = heapq.heappop(merger.queue)
         if merger.is_alive[i] and merger.is_alive[j] and is_free_of(joint, free, allowed):
             merger.replace(i, j, joint)
+            n_merged += 1
     return [hull for hull, is_alive in zip(merger.hulls, merger.is_alive, strict=True) if is_alive]
 
 
