@@ -24,6 +24,7 @@ from perception.detect.registry import detect_kinds
 from perception.detect.shared.detection import CONFIDENT, Detection, Model
 from perception.errors import MeshError
 from perception.ground.floor import FloorPlane, floor_pieces
+from perception.noise import find_noise
 from perception.solids.match import KnownMesh, locate
 from perception.solids.pieces import make_coacd_pieces
 from perception.solids.rating import MeshMatch
@@ -35,6 +36,8 @@ _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
 FRINGE = 5.0 / 3.0  # distance of the outermost noise, as a multiple of the tolerance (3 standard deviations)
 _LONE = 0.03
+# Standard deviations of the start of the rays by which free space keeps away from points.
+_DOUBTFUL = 1.0
 _DEFAULT_REACH = Reach()
 
 
@@ -229,7 +232,8 @@ def _make_pieces(
     if method == "coacd":
         made = make_coacd_pieces(points, starts, rays)
     else:
-        made = make_pieces(points, starts, rays, view.seed)
+        noise, doubt = find_noise(view.near), _DOUBTFUL * view.cloud.origin_sigma
+        made = make_pieces(points, starts, rays, view.seed, noise, doubt)
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))
 
 

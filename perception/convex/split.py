@@ -215,6 +215,7 @@ def refine_hulls(
     surface: Float[np.ndarray, "M 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     gap: float,
+    doubt: float = 0.0,
 ) -> list[Hull]:
     """Split hulls until they contain, skin included, no free space more than 2 cm from any point.
 
@@ -225,6 +226,7 @@ def refine_hulls(
         points: (N, 3) points that the hulls' members index [m].
         surface: (M, 3) all surface points of the scan [m].
         gap: parts whose bounding boxes are farther apart are not merged again [m].
+        doubt: distance from points within which no space counts as free [m].
     """
     is_large = [make_hull(thicken(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
     passing = _Passing.of(*rays, sum(is_large))
@@ -235,7 +237,7 @@ def refine_hulls(
             done.append(hull)
             continue
         lower = _CELL * np.floor((hull.lower - _AROUND) / _CELL)
-        fine = _carve_fine(passing, surface, lower, hull.upper + _AROUND)
+        fine = _carve_fine(passing, surface, lower, hull.upper + _AROUND, doubt)
         if is_free_of(hull, fine, _REFINED):
             done.append(hull)
         else:
@@ -244,9 +246,13 @@ def refine_hulls(
 
 
 def _carve_fine(
-    passing: _Passing, surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+    passing: _Passing,
+    surface: Float[np.ndarray, "M 3"],
+    lower: Float[np.ndarray, "3"],
+    upper: Float[np.ndarray, "3"],
+    doubt: float,
 ) -> FreeSpace:
-    """Return the 1 cm cells in a box that rays passed through, more than about 2 cm from any surface point."""
+    """Return the 1 cm cells in a box that rays passed through, more than about 2 cm and ``doubt`` from any point."""
     near = passing.near(lower, upper)
     inside = surface
     for axis in range(3):
@@ -255,7 +261,9 @@ def _carve_fine(
     held = np.zeros(free.free.shape, dtype=bool)
     cells = np.floor((inside - lower) / free.size).astype(int)
     held[tuple(cells[(cells < held.shape).all(axis=1)].T)] = True
-    return FreeSpace(free.lower, free.size, free.free & ~ndimage.binary_dilation(held, iterations=_CLOSE))
+    return FreeSpace(
+        free.lower, free.size, free.free & ~ndimage.binary_dilation(held, iterations=max(_CLOSE, round(doubt / _CELL)))
+    )
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ _LEAST_WIDE, _MOST_THICK = 0.12, 0.12
 _LEAST_SLENDER = 3.0
 # Area of a uniform patch over the product of its two standard deviations.
 _UNIFORM = 12.0
+_GRAZING = 0.3
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Surfaces:
         area: (P,) [m^2].
         range: (P,) distance from the start of the rays [m].
         edge: (P,) of the cube of its points [m].
+        roughness: (P,) standard deviation of its points from its plane, along the rays [m].
     """
 
     centre: Float[np.ndarray, "P 3"]
@@ -37,6 +39,7 @@ class Surfaces:
     area: Float[np.ndarray, "P"]
     range: Float[np.ndarray, "P"]
     edge: Float[np.ndarray, "P"]
+    roughness: Float[np.ndarray, "P"]
 
     @property
     def weight(self) -> Float[np.ndarray, "P"]:
@@ -48,7 +51,14 @@ class Surfaces:
 
     def select(self, keep: Bool[np.ndarray, "P"]) -> Surfaces:
         """Return only these patches."""
-        return Surfaces(self.centre[keep], self.normal[keep], self.area[keep], self.range[keep], self.edge[keep])
+        return Surfaces(
+            self.centre[keep],
+            self.normal[keep],
+            self.area[keep],
+            self.range[keep],
+            self.edge[keep],
+            self.roughness[keep],
+        )
 
 
 def find_surfaces(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N 3"]) -> Surfaces:
@@ -79,4 +89,6 @@ def find_surfaces(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N
     normal = axes[:, :, 0]
     normal = normal * np.where(((starts - centre) * normal).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
     area = np.minimum(_UNIFORM * spread[:, 1] * spread[:, 2], edge**2)
-    return Surfaces(centre, normal, area, ranges, edge).select(is_flat)
+    return Surfaces(
+        centre, normal, area, ranges, edge, spread[:, 0] * np.sqrt(count / np.maximum(count - 3.0, 1.0))
+    ).select(is_flat)

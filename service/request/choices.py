@@ -10,6 +10,9 @@ Method = Literal["planes", "coacd"]
 Unknown = Literal["free", "occupied"]
 """Treatment of space that no ray has seen."""
 
+SensorModel = Literal["auto", "spinning", "depth", "tof", "solid", "survey"]
+"""Kind of sensor: ``auto``, or a name of ``perception.noise.MODELS``."""
+
 KINDS = ("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening")
 """Kinds of detectable objects, equal to ``perception.KINDS`` but without importing perception."""
 
