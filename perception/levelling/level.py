@@ -49,8 +49,8 @@ class Levelling:
     def text(self) -> str:
         """The pose as ``x y z qw qx qy qz``, as options and requests take it."""
         turn = Rotation.from_matrix(self.pose[:3, :3]).as_quat(canonical=True, scalar_first=True)
-        lengths = [f"{value:.3f}" for value in self.pose[:3, 3]]
-        return " ".join([*(f"{float(value):g}" for value in lengths), *(f"{value + 0.0:.5f}" for value in turn)])
+        lengths = np.round(self.pose[:3, 3], 3) + 0.0
+        return " ".join([*(f"{value:g}" for value in lengths), *(f"{value:.5f}" for value in np.round(turn, 5) + 0.0)])
 
 
 def find_levelling(cloud: Cloud, known_up: Float[np.ndarray, "3"] | None = None) -> Levelling | None:
