@@ -10,6 +10,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +81,8 @@ def main() -> None:
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     rows: dict[str, list[tuple[float, bool, float]]] = {}
-    for source, name, cloud in (*list_recorded(data_folder() / "real"), *list_simulated(given.seed)):
+    clouds = chain(list_recorded(data_folder() / "real"), list_simulated(given.seed))
+    for source, name, cloud in clouds:
         results = measure(cloud, rng, given.draws)
         rows.setdefault(source, []).extend(results)
         errors = np.array([error for error, _, _ in results])
