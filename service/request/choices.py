@@ -11,6 +11,9 @@ Method = Literal["planes", "coacd"]
 Unknown = Literal["free", "occupied"]
 """Treatment of space that no ray has seen."""
 
+SensorModel = Literal["auto", "spinning", "depth", "tof", "solid", "survey"]
+"""Kind of sensor: ``auto``, or a name of ``perception.noise.MODELS``."""
+
 KINDS = (
     *("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening"),
     *sorted(entry.name for entry in entry_points(group="scopt_detectors")),

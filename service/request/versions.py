@@ -63,7 +63,14 @@ ADDED = {
         "ValveRequest.stops_deg",
         "_Obstacle.in_scan",
     ),
-    3: ("LeafChoice.slant_rad", "Options.hand_friction", "Options.clearance_m"),
+    3: (
+        "LeafChoice.slant_rad",
+        "Options.clearance_m",
+        "Options.hand_friction",
+        "SceneRequest.level",
+        "SceneRequest.sensor_model",
+        "SceneRequest.sensor_sigma",
+    ),
 }
 """Fields by the format that brought them: ``CLASS.FIELD``, with the class of the schema that declares the field.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from costs.progress import tells_progress
 from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
@@ -129,7 +130,8 @@ def prepare(
             poll()
             with _timed(timings, "perceive"):
                 if around is None:
-                    around = read_surroundings(request, robot, start, soles, see)
+                    with tells_progress(lambda step: announce(f"perceive scene: {step}")):
+                        around = read_surroundings(request, robot, start, soles, see)
             with _timed(timings, "build_scene"):
                 obstacles, obstacle_notes = build_obstacles(request, around.matches)
     except Stopped:

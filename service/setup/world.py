@@ -127,6 +127,9 @@ def _perceive_scan(
             unit=scene.unit,
             apply_viewpoint=scene.apply_viewpoint,
             sensor=scene.sensor,
+            level=scene.level,
+            sensor_model=scene.sensor_model,
+            sensor_sigma=scene.sensor_sigma,
             topic=scene.topic,
             message=scene.message,
         )
