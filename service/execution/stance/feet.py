@@ -63,6 +63,7 @@ class Sight:
         q, v: (n,) configuration and speeds as measured.
         command: (n,) configuration of the earlier command.
         forces: measured by link (3,), world axes [N].
+        is_blind: whether a sensor has failed, so that the ankles of planted feet follow the plan.
     """
 
     time_s: float
@@ -74,6 +75,7 @@ class Sight:
     v: Float[np.ndarray, "n"]
     command: Float[np.ndarray, "n"]
     forces: Mapping[str, Float[np.ndarray, "3"]]
+    is_blind: bool = False
 
 
 class Feet:
@@ -130,8 +132,11 @@ class Feet:
     def step(self, state: FeetState, sight: Sight) -> FeetState:
         """Return the feet one cycle later."""
         phase, remaining = self.phases[sight.phase], self._find_remaining(sight.phase)
-        balance = self._find_balance(sight, remaining or phase.contacts) if self._may_balance[sight.phase] else None
+        balances = self._may_balance[sight.phase] and not sight.is_blind
+        balance = self._find_balance(sight, remaining or phase.contacts) if balances else None
         landings = self._step_landings(state.landings, phase, sight, balance is not None)
+        if sight.is_blind:
+            return FeetState(landings, None, None, state.trim)
         held = {contact.link for contact in remaining or phase.contacts}
         if held == set(self.ankles) and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, sight)
