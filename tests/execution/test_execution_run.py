@@ -185,7 +185,7 @@ def test_a_foot_that_lands_late_is_waited_for(landing):
 def test_a_foot_that_never_lands_is_looked_for_and_then_the_plan_is_aborted(landing):
     driver = KinematicRobot(landing.joint_names, landing.at(0.0).q, PERIOD)
     press(driver, l_foot=WEIGHT, r_foot=0.0)
-    execution = Execution(landing, driver, ExecutionSettings(machine=MachineSettings(wait_s=1.5)))
+    execution = Execution(landing, driver, ExecutionSettings(machine=MachineSettings(wait_s=1.5), balance=None))
     lowest = []
     report = track(execution, on_cycle=lambda cycle: lowest.append(execution.list_shifts()["r_foot"].offset[2]))
     assert report.verdict == "ABORTED"
