@@ -50,7 +50,7 @@ def test_a_certified_hold_is_done_in_physics(shared_cases: Path, tmp_path: Path,
     report = json.loads(simulated.stdout)
     assert (simulated.exit_code, report["verdict"]) == (0, "DONE"), report
     if name.startswith("button"):
-        assert any("needs stiffer servos" in note for note in result.notes)
+        assert any("needs torque feed-forward" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(("name", "words"), REFUSED.items())
