@@ -12,7 +12,6 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from service.execution.driver import JointCommand, RobotReading
 from service.execution.reference import ReferencePhase, ReferenceState
-from service.execution.shift import limit_length
 from service.execution.stance.capture_point import WORLD_AXES, Balance, BalanceControl, BalanceSettings
 from service.execution.stance.touchdown import (
     FootReading,
@@ -181,9 +180,8 @@ class Feet:
             return trim
         settings = self._control.settings
         if balance is None or not remaining:
-            return max(1.0 - self.period_s / settings.trim_fade_s, 0.0) * trim if trim.any() else trim
-        trim = trim - self.period_s * settings.trim_gain * np.append(balance.error, 0.0)
-        return limit_length(trim, settings.trim_m)
+            return settings.trim.fade(trim, self.period_s)
+        return settings.trim.move(trim, -settings.trim_gain * np.append(balance.error, 0.0), self.period_s)
 
     def _step_landings(
         self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool

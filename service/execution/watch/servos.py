@@ -26,6 +26,7 @@ class ServoModel:
         damping_s: ``Kd`` per ``Kp`` [s].
         feed_forward: ``Kf``.
         delay_s: longest time from a command to its servo, and from a sensor to its reading [s].
+        encoder_rad: error of an encoder, which its servo takes for a torque [rad, m].
         law_share: of a joint's effort, and
         made_share: of the torque that the law gives, by which the measured torque may be off it.
         free_share: of the effort, by which the load of a joint may be off the plan's where nothing is held or stood on.
@@ -39,6 +40,7 @@ class ServoModel:
     damping_s: float = DAMPING_S
     feed_forward: float = 1.0
     delay_s: float = 0.006
+    encoder_rad: float = 2e-4
     law_share: float = 0.05
     made_share: float = 0.25
     free_share: float = 0.3
@@ -123,7 +125,8 @@ class ServoWatch:
         angle = self.stiffness * (sent.q - reading.q)
         made = angle + law.damping_s * self.stiffness * (sent.qd - reading.qd) + law.feed_forward * sent.tau
         made = np.clip(made, -effort, effort)
-        late = self.stiffness * np.abs(sent.qd) * (self.period_s + law.delay_s)  # of a joint that follows late
+        # Of a joint that follows late, and of one whose encoder is noisy.
+        late = self.stiffness * (np.abs(sent.qd) * (self.period_s + law.delay_s) + law.encoder_rad)
         has_torque = state.law is not None
         torque = reading.torque if has_torque else made
         off_law = low_pass(state.law, torque - made, self._share) if has_torque else None
