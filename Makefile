@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-egress | bench-physics | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-egress | bench-physics | bench-faults | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -18,7 +18,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-egress bench-physics attack mutants gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-egress bench-physics bench-faults attack mutants gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -34,6 +34,7 @@ help:
 	@echo "make bench-tasks    doors and valves, given and from simulated scans, certified or not, as tables; an hour"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
+	@echo "make bench-faults   faults of sensors, servos and surroundings in physics, as a table; an hour"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
 	@echo "make mutants   small errors put into the code one at a time: which of them no near test notices; an hour"
 	@echo "make gallery   a film strip of a motion per task, in out/gallery"
@@ -112,6 +113,10 @@ bench-egress: $(READY)
 # BENCH_ARGS=--long simulates 200 plans and takes an hour, BENCH_ARGS="--feed-forward 0" is for pure position servos.
 bench-physics: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics.plans $(BENCH_ARGS)
+
+# BENCH_ARGS="valve --moments 1 --only encoder" takes a quick look.
+bench-faults: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics.faults $(BENCH_ARGS)
 
 # A sample of the longer attacks; ATTACK_ARGS="--seed 7" draws another one, ATTACK_ARGS=--long takes all.
 attack: $(READY)

@@ -202,7 +202,7 @@ def _start_metrics(
     Raises:
         TelemetryError: the address cannot be used.
     """
-    metrics = Metrics()
+    metrics = Metrics([method.name for method in SERVICE.methods])
     metrics.watch(pool=executor.stats, store=store, clouds=clouds)
     if endpoint.metrics is not None:
         stack.enter_context(MetricsServer(endpoint.metrics, metrics.registry, endpoint.is_metrics_remote))

@@ -15,6 +15,7 @@ from costs.stopping import poll
 from service.demands.kind import read_mechanism_physics
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference, ReferenceState
+from service.execution.servo_reference import lead_servos
 from service.replay.replay import read_motion, read_request
 from service.request.schema import PlanRequest
 from service.result.folder import read_result, result_path
@@ -148,6 +149,8 @@ def execute(
     started = time.process_time()
     steps = np.arange(-n_settle, n_plan + n_after + 1)
     q, qd, tau = reference.tabulate_commands(steps * step)
+    nominal = robot.model.stiffness / options.stiffness_scale  # what the plan knows of the servos
+    q, qd = lead_servos(q, qd, tau, nominal, step, options.feed_forward)
     qd[(steps < 0) | (steps > n_plan)] = 0.0
     for i, k in enumerate(steps.tolist()):
         if i % SAMPLE_STEPS == 0:

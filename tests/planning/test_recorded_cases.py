@@ -54,7 +54,7 @@ def test_a_certified_hold_is_done_in_physics(shared_cases: Path, tmp_path: Path,
         (leaf,) = report["mechanism"]
         assert leaf["share"] == pytest.approx(1.0, abs=0.05)
     if name.startswith("button"):
-        assert any("needs stiffer servos" in note for note in result.notes)
+        assert any("needs torque feed-forward" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(("name", "words"), REFUSED.items())

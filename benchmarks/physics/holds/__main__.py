@@ -115,7 +115,7 @@ def measure(draw: Draw, result: PlanResult, began: float) -> Outcome:
         draw.kind,
         result.verdict.value,
         next(iter(made["explanation"]), ""),
-        any("stiffer servos" in line for line in (*result.explanation, *result.notes)),
+        any("needs torque feed-forward" in line for line in (*result.explanation, *result.notes)),
         (min(face.angle for face in faces), max(face.angle for face in faces)) if faces else None,
         max((face.friction for face in faces), default=None),
         runs,
