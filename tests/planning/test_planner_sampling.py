@@ -18,10 +18,10 @@ from service.body.trees import ARM_TREES, MOST_ARM_JOINTS, TREES
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest
+from service.request.tasks.reach import GoalRequest
 from service.result.result import Verdict
-from service.tasks.goal import Goal
-from service.tasks.reach import _ReachSearch
+from service.tasks.reach.goal import Goal
+from service.tasks.reach.search import _ReachSearch
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from costs.allowance import BodyRef
@@ -104,6 +104,20 @@ class StanceTask(Protocol):
 
     def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
         """Return the ways to do the task: for each the hands, and the places in the world that each holds [m]."""
+
+    def rate_places(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
+        """Return the cost of places to stand (x, y, yaw), besides that of the hands' reach."""
+
+    def is_in_the_way(
+        self, poses: Float[np.ndarray, "N 3"], soles: Float[np.ndarray, "N C 2"], body_m: float
+    ) -> Bool[np.ndarray, "N"]:
+        """Return whether the robot would stand where the mechanism moves.
+
+        Args:
+            poses: (x, y, yaw) of the base.
+            soles: corners of the soles, seen from above [m].
+            body_m: radius of the robot about its base [m].
+        """
 
     def place_parts(self, *, is_end: bool) -> list[Float[np.ndarray, "V 3"]]:
         """Return the vertices of the mechanism's bodies in the world, at the start or at the end [m]."""
