@@ -130,13 +130,19 @@ def rate_roughly(template: Template, fits: Hypotheses, region: Region) -> Float[
     """Return a rough score: ends on the object, less ends beside it and rays through it."""
     sigma = float(np.hypot(region.sigma, template.model_sigma))
     solids = template.solids(fits.sizes)
-    at_end = np.abs(nearest(solids, fits.local(region.ends)))
     _, depth = deepest(template, fits, solids, region, sigma, _FEW_SAMPLES)
-    on = _ROUGHLY
-    is_on = np.exp(-((at_end / on) ** 2))
-    beside = np.where(at_end < 4.0 * on, 1.0 - is_on, 0.0)
-    past = np.clip(-depth / on, 0.0, 1.0)
-    return np.asarray(((is_on - 0.7 * beside) * ~region.is_other).sum(axis=1) - past.sum(axis=1))
+    past = np.clip(-depth / _ROUGHLY, 0.0, 1.0)
+    return np.asarray(rate_ends(template, fits, region.ends[~region.is_other]) - past.sum(axis=1))
+
+
+def rate_ends(
+    template: Template, fits: Hypotheses, ends: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, "B"]:
+    """Return the number of points on each object, less those beside it."""
+    at_end = np.abs(nearest(template.solids(fits.sizes), fits.local(ends)))
+    is_on = np.exp(-((at_end / _ROUGHLY) ** 2))
+    beside = np.where(at_end < 4.0 * _ROUGHLY, 1.0 - is_on, 0.0)
+    return np.asarray((is_on - 0.7 * beside).sum(axis=1))
 
 
 def deepest(

@@ -18,9 +18,9 @@ from perception.detect.engine.template import Template
 from perception.sightlines import SightIndex
 
 _ROUGH_RAYS, _MIDDLE_RAYS, _FINE_RAYS, _AVERAGE_RAYS = 100, 400, 600, 300
-_KEPT_HERE, _KEPT_MIDDLE = 5, 8
+_KEPT_HERE, _KEPT_MIDDLE = 4, 5
 # Rays, hypotheses and gates [m] of each pass, and whether it fits sizes.
-_PASSES = ((100, 240, (0.03, 0.025, 0.02), True), (260, 36, (0.02, 0.015, 0.012, 0.01), True))
+_PASSES = ((100, 48, (0.03, 0.025, 0.02), True), (200, 14, (0.02, 0.015, 0.012, 0.01), True))
 _FEWEST = 8
 _FINE_GATES = (0.012, 0.01, 0.01, 0.008, 0.008)
 _MOST_TURN, _MOST_SHIFT, _SOFT = 0.1, 0.01, 10.0  # of the poses averaged over: [rad], [m], units of gain

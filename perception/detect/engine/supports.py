@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.cleaning.clean import voxel_downsample
-from perception.detect.engine.refine import Hypotheses
+from perception.detect.engine.refine import Hypotheses, rate_ends
 from perception.detect.engine.region import Mounting
 from perception.detect.engine.search import Site
 from perception.detect.engine.template import Template
@@ -19,6 +19,8 @@ from perception.view import View
 _VOXEL, _STEP = 0.012, 0.055  # of points, between places [m]
 _ABOUT_HINT = 0.16  # [m]
 _LEVEL_BAND = 0.015
+_MOST_SITES, _MOST_HERE = 24, 12
+_SCREENED, _FEW_POINTS = 4, 40  # one of so many hypotheses, and points, by which sites are compared
 _LAYER, _CELL, _LEAST_CELLS, _APART = 0.01, 0.03, 40, 0.08
 
 
@@ -32,7 +34,7 @@ def standing_sites(
     hint: Float[np.ndarray, "3"] | None,
     sizes: Float[np.ndarray, "K S"],
 ) -> list[Site]:
-    """Return sites on level surfaces with hypotheses of all yaws.
+    """Return the likeliest sites on level surfaces, each with its likeliest hypotheses, by points alone.
 
     Args:
         postures: orientations on the support, before the yaw.
@@ -48,11 +50,18 @@ def standing_sites(
     levels = level_heights(points)
     if view.floor is not None:
         levels.append(float(view.floor.height(points[:, :2].mean(axis=0, keepdims=True))[0]))
-    sites: list[Site] = []
+    rated: list[tuple[float, Site, Float[np.ndarray, "K 3"]]] = []
     for level in levels:
         poll()
-        sites += _on_level(points, level, template, postures, lifts, n_yaws, height, hint, sizes)
-    return sites
+        rated += _on_level(points, level, template, postures, lifts, n_yaws, height, hint, sizes)
+    likely = sorted(rated, key=lambda one: -one[0])[:_MOST_SITES]
+    return [_keep_likely(template, site, points) for _, site, points in likely]
+
+
+def _keep_likely(template: Template, site: Site, points: Float[np.ndarray, "K 3"]) -> Site:
+    """Return a site with the hypotheses that most of its points lie on."""
+    best = np.argsort(-rate_ends(template, site.begun, points), kind="stable")[:_MOST_HERE]
+    return Site(site.place, site.mounting, site.begun.select(best))
 
 
 def _on_level(
@@ -65,7 +74,8 @@ def _on_level(
     height: tuple[float, float],
     hint: Float[np.ndarray, "3"] | None,
     sizes: Float[np.ndarray, "K S"],
-) -> list[Site]:
+) -> list[tuple[float, Site, Float[np.ndarray, "K 3"]]]:
+    """Return sites on one level with their ratings and points."""
     over = points[:, 2] - level
     layer = points[(over > 0.02) & (over < height[1])]
     board = points[np.abs(over) < _LEVEL_BAND]
@@ -107,7 +117,10 @@ def _on_level(
         origin = np.column_stack([cell - middle[:, :2], here + lift])
         mounting = Mounting(np.eye(3), place, sigma)
         begun = Hypotheses.of(rotation, origin, sizes, np.array([0.0, 0.0, 1.0]))
-        sites.append(Site(place + np.array([0.0, 0.0, 0.25 * height[1]]), mounting, begun))
+        about = layer[tree.query_ball_point(cell, template.radius)]
+        some = about[:: max(1, len(about) // _FEW_POINTS)]
+        rating = rate_ends(template, begun.select(range(0, len(begun), _SCREENED)), some).max() * len(about) / len(some)
+        sites.append((float(rating), Site(place + np.array([0.0, 0.0, 0.25 * height[1]]), mounting, begun), some))
     return sites
 
 
