@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.drill.standing import find_standing
-from perception.detect.engine.refine import Hypotheses
-from perception.detect.engine.region import Mounting
+from perception.detect.drill.standing import cluster_sites
 from perception.detect.engine.score import FEATURES
-from perception.detect.engine.search import Fit, Site, drop_same, finish, search
+from perception.detect.engine.search import Fit, search
 from perception.detect.engine.supports import standing_sites
 from perception.detect.engine.templates.drill import DRILL, LYING, SOLE, START_SIZES, lie
 from perception.detect.shared.detection import Detection
@@ -19,7 +17,6 @@ from perception.view import View
 _N_YAWS = 16
 _TALL = (0.045, 0.3)  # height over the support in which a drill has points [m]
 _MOST_POINTS = 200
-_LEVEL_SIGMA = 0.004  # of the points of a board [m]
 
 
 def detect_drill(
@@ -38,21 +35,8 @@ def detect_drill(
     index = index or sight_index(view.cloud)
     postures, lifts = np.stack([np.eye(3), lie(1.0), lie(-1.0)]), np.array([0.0, LYING, LYING])
     sites = standing_sites(view, DRILL, postures, lifts, _N_YAWS, _TALL, hint, START_SIZES)
-    fits = search(DRILL, sites, index)
-    fits += [fit for hit in find_standing(view, hint, index) for fit in _refine(hit, index)]
-    return [_as_detection(fit) for fit in drop_same(sorted(fits, key=lambda fit: -fit.gain))]
-
-
-def _refine(hit: Detection, index: SightIndex) -> list[Fit]:
-    """Return the engine's fit that begins at a drill found from a cluster."""
-    sizes = DRILL.usual[None].copy()
-    sizes[:, :2] = hit.sizes["grip_length"], hit.sizes["body_length"]
-    sizes = DRILL.clip(sizes)
-    pose = hit.pose_world_object
-    foot = pose[:3, 3] - (SOLE + 0.5 * float(sizes[0, 0])) * pose[:3, 2]
-    up = np.array([0.0, 0.0, 1.0])
-    begun = Hypotheses.of(pose[None, :3, :3], foot[None], sizes, up)
-    return finish(DRILL, begun, Site(foot, Mounting(np.eye(3), foot, _LEVEL_SIGMA), begun), index)
+    sites += cluster_sites(view, hint, index)
+    return [_as_detection(fit) for fit in search(DRILL, sites, index)]
 
 
 def _as_detection(fit: Fit) -> Detection:
