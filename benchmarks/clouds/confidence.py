@@ -15,7 +15,9 @@ import csv
 import json
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +38,10 @@ from perception.simulate.scenes import Truth
 _WEIGHTS = Path(__file__).parents[2] / "perception" / "detect" / "engine" / "weights.csv"
 _VARIANTS = ("dense/solid/camera", "sparse/solid_sparse")
 # Signs that a weight may have, so that few examples cannot turn evidence for an object into evidence against it.
-_SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1), strict=True))
+_SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1), strict=True))
 # Templates whose shape says little (a leaf is a flat face) keep their detector's rating as an input.
 _RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam"})
-_FLAT = frozenset({"drill"})  # templates that are not flat
+_SEARCHED = frozenset({"drill"})  # templates of the engine's own search, which are not flat and have a front
 _RIDGE, _RIDGE_OWN = 0.1, 0.1
 _FOLDS = 5
 _FEWEST = 4, 2  # right and wrong hits
@@ -69,13 +71,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, nargs="*", default=(100, 101))
     parser.add_argument("--real", type=Path, help="folder of recorded clouds with their truth")
     parser.add_argument("--only", default="")
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     chosen = parser.parse_args(arguments)
     if chosen.what == "fit":
         _fit_all(_read(chosen.table))
         return
-    for case, source, kinds in (*_simulated(chosen.seeds), *(_recorded(chosen.real) if chosen.real else ())):
+    for case, source, kinds in chain(_simulated(chosen.seeds), _recorded(chosen.real) if chosen.real else ()):
         if chosen.only in case.name:
-            _gather(case, source, kinds, chosen.table)
+            _gather(case, source, [kind for kind in kinds if kind in chosen.kinds], chosen.table)
 
 
 def _simulated(seeds: Sequence[int]) -> Iterator[tuple[Case, str, Sequence[str]]]:
@@ -91,18 +94,22 @@ def _recorded(folder: Path) -> Iterator[tuple[Case, str, Sequence[str]]]:
         document = json.loads(path.read_text())
         truth = tuple(read_truth(document))
         for degrees, lift in ((0.0, 0.0), (1.0, 0.03), (-1.0, -0.03)):
-            cloud = _turn(read_cloud(path.with_suffix(".ply")), degrees, lift)
+            move = np.eye(4)
+            move[:3, :3] = Rotation.from_euler("xy", [degrees, -degrees], degrees=True).as_matrix()
+            move[2, 3] = lift
+            load = partial(_read_moved, path.with_suffix(".ply"), move)
+            moved = tuple(replace(one, pose_world_object=move @ one.pose_world_object) for one in truth)
             reach = Reach(radius=float(document.get("reach") or 4.0), top=4.0)
             unknown = frozenset({"door lever": ("lever", "door")}.get(document["kind"], ())) | set(
                 document.get("excuse", ())
             )
-            case = Case(f"{path.stem}:{degrees:+.0f}", "dense", lambda cloud=cloud: cloud, truth, reach=reach)
+            case = Case(f"{path.stem}:{degrees:+.0f}", "dense", load, moved, reach=reach)
             yield case, document["source"], [kind for kind in KINDS if kind not in unknown or truth]
 
 
-def _turn(cloud: Cloud, degrees: float, lift: float) -> Cloud:
-    turn, up = Rotation.from_euler("xy", [degrees, -degrees], degrees=True).as_matrix(), np.array([0.0, 0.0, lift])
-    return Cloud(cloud.points @ turn.T + up, cloud.origin @ turn.T + up)
+def _read_moved(path: Path, move: Float[np.ndarray, "4 4"]) -> Cloud:
+    cloud, turn, shift = read_cloud(path), move[:3, :3], move[:3, 3]
+    return Cloud(cloud.points @ turn.T + shift, cloud.origin @ turn.T + shift)
 
 
 def read_truth(document: dict[str, object]) -> Iterator[Truth]:
@@ -196,13 +203,13 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
     of = np.array([names.index(name) for name in table.template[used]])
     own = np.eye(k)[of]
     rated = own * np.array([name in _RATED for name in names])
-    flat = np.isin(table.template[used], list(_FLAT)).astype(float)[:, None]
-    design = np.concatenate([x[:, :10], x[:, 10:12] * flat, rated * x[:, 12:13], own, np.ones((len(x), 1))], axis=1)
+    searched = np.isin(table.template[used], list(_SEARCHED)).astype(float)[:, None]
+    design = np.concatenate([x[:, :10], x[:, 10:13] * searched, rated * x[:, 13:14], own, np.ones((len(x), 1))], axis=1)
     size = design.shape[1]
     ridge = np.full(size, _RIDGE)
-    ridge[12 : 12 + k] = _RIDGE_OWN
+    ridge[13 : 13 + k] = _RIDGE_OWN
     ridge[-1] = 1e-3
-    bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:12]]
+    bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:13]]
     bounds += [(0.0, None)] * k + [(None, None)] * (k + 1)
 
     def loss(w: Float[np.ndarray, "W"]) -> tuple[float, Float[np.ndarray, "W"]]:
@@ -215,10 +222,10 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
     weights = {}
     for i, name in enumerate(names):
         row = np.zeros(n + 1)
-        row[0] = w[12 + k + i] + w[-1]
+        row[0] = w[13 + k + i] + w[-1]
         row[1:11] = w[:10]
-        row[11:13] = w[10:12] if name in _FLAT else 0.0
-        row[13] = w[12 + i]
+        row[11:14] = w[10:13] if name in _SEARCHED else 0.0
+        row[14] = w[13 + i]
         weights[name] = row
     return names, weights
 

@@ -32,7 +32,8 @@ def judge(template: Template, hit: Detection, index: SightIndex) -> Float[np.nda
     weight = np.exp(np.clip((evidence.gain - evidence.gain.max()) / 10.0, -30.0, 0.0))
     hits = region.ends[evidence.hit[0]]
     rivals = flat_shares(hits, float(np.hypot(region.sigma, template.model_sigma)))
-    return np.append(weight @ evidence.features / weight.sum(), rivals)
+    # A detector that places objects itself has compared both directions.
+    return np.append(weight @ evidence.features / weight.sum(), (*rivals, 0.0))
 
 
 def _reach(hit: Detection, middle: Float[np.ndarray, "3"]) -> float:

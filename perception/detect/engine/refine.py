@@ -135,9 +135,7 @@ def rate_roughly(template: Template, fits: Hypotheses, region: Region) -> Float[
     return np.asarray(rate_ends(template, fits, region.ends[~region.is_other]) - past.sum(axis=1))
 
 
-def rate_ends(
-    template: Template, fits: Hypotheses, ends: Float[np.ndarray, "N 3"]
-) -> Float[np.ndarray, "B"]:
+def rate_ends(template: Template, fits: Hypotheses, ends: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "B"]:
     """Return the number of points on each object, less those beside it."""
     at_end = np.abs(nearest(template.solids(fits.sizes), fits.local(ends)))
     is_on = np.exp(-((at_end / _ROUGHLY) ** 2))

@@ -96,6 +96,7 @@ FEATURES = (
     "gain",
     "flat_share",
     "flats_share",
+    "margin",
 )
 """Names of what a hit's confidence depends on, in order."""
 
@@ -105,7 +106,7 @@ class Evidence:
     """Evidence of rays for B objects.
 
     Attributes:
-        features: (B, F) in the order of ``FEATURES``, without the last two, which compare with rivals.
+        features: (B, F) in the order of ``FEATURES``, without the last three, which compare with rivals.
         gain: (B,) sum of the log-likelihood ratio of the rays against clutter.
         hit: (B, N) which rays ended on the object.
     """

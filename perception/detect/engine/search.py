@@ -24,6 +24,8 @@ _PASSES = ((100, 48, (0.03, 0.025, 0.02), True), (200, 14, (0.02, 0.015, 0.012, 
 _FEWEST = 8
 _FINE_GATES = (0.012, 0.01, 0.01, 0.008, 0.008)
 _MOST_TURN, _MOST_SHIFT, _SOFT = 0.1, 0.01, 10.0  # of the poses averaged over: [rad], [m], units of gain
+# Where a fit that points the other way begins, along the object [m], and the gates of its refinement [m].
+_AHEAD, _TURNED_GATES = np.array([-0.03, 0.0, 0.03]), (0.025, 0.02, 0.015, 0.01)
 _SAME_PLACE, _SAME_TURN = 0.03, 0.4  # [m], [rad]
 
 
@@ -159,7 +161,10 @@ def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -
             refined.hypotheses,
             np.append(
                 average_features(template, refined.hypotheses, covariance, region, evidence),
-                flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma))),
+                (
+                    *flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma))),
+                    margin(template, refined.hypotheses, region),
+                ),
             ),
             float(evidence.gain[0]),
             covariance,
@@ -168,6 +173,20 @@ def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -
             site,
         )
     ]
+
+
+def margin(template: Template, fit: Hypotheses, region: Region) -> float:
+    """Return by how much a fit explains the rays better than the best fit that points the other way, as a logarithm."""
+    few = region.thin(_AVERAGE_RAYS)
+    middle = fit.rotation[0] @ template.middle(template.named(fit.sizes))[0]
+    back = fit.rotation @ np.diag([-1.0, -1.0, 1.0])
+    ahead = fit.rotation[0][:, 0] * _AHEAD[:, None]
+    place = fit.place + middle - back[0] @ fit.rotation[0].T @ middle + ahead
+    n = len(place)
+    begun = Hypotheses.of(np.repeat(back, n, axis=0), place, np.repeat(fit.sizes, n, axis=0), fit.normal[0])
+    others = refine(template, begun, few, _TURNED_GATES).hypotheses
+    gains = weigh(template, join([fit, others]), few).gain
+    return float(np.log1p(max(float(gains[0] - gains[1:].max()), 0.0)))
 
 
 def average_features(

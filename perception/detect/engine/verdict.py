@@ -34,6 +34,7 @@ INPUTS = (
     "gain",
     "flat_share",
     "flats_share",
+    "margin",
     "rating",
 )
 """Names of the inputs of the logistic curve, in order."""
@@ -91,6 +92,7 @@ def inputs_of(features: Float[np.ndarray, "F"], rating: float) -> dict[str, floa
         "gain": float(np.clip(by_name["gain"], -2.0, 3.0)),
         "flat_share": by_name["flat_share"],
         "flats_share": by_name["flats_share"],
+        "margin": by_name["margin"],
         "rating": float(np.clip(np.log(odds / (1.0 - odds)), -_MOST_RATING, _MOST_RATING)),
     }
 
