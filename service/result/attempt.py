@@ -111,6 +111,7 @@ class Attempt:
             explanation=self.explanation,
             conflict=self.conflict,
             found_from="" if task is None else task.found_from,
+            tried=tuple(monitor.tried),
             notes=(*setup.notes, *(() if task is None else task.notes)),
             pose_graph=None if task is None else task.pose_graph,
             planning_time_s=time.perf_counter() - monitor.started,
