@@ -17,7 +17,9 @@ from jaxtyping import Float
 from costs.state import MotionState
 from scopt import Problem, Settings, SolverError, Status, TrustRegionSQP
 from scopt.multipliers import compute_multipliers
-from service.body.phases import RESTORE_EFFORT, keep_required, straight_path
+from service.body.effort import Effort
+from service.body.paths import straight_path
+from service.body.phases import keep_required
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody
 from service.explain.conflict import Conflict, DemandKind, FilterOutcome
@@ -93,7 +95,7 @@ def explain(
         time_limit_s: wall time; the conflict is then as far reduced as the time allowed.
         should_stop: polled often; True ends it early.
     """
-    brief = replace(settings, **RESTORE_EFFORT)
+    brief = Effort.RESTORE.apply(settings)
     began = time.perf_counter()
     run = _TrialSolver(brief, solved.body, should_stop, began + time_limit_s)
     problem = keep_required(solved.problem)

@@ -16,7 +16,7 @@ from costs.kinematics import locate_frame, locate_links
 from costs.robot import Mechanism, RobotModel
 from costs.static_region import StaticRegionError
 from service.body.loaded_regions import plan_regions
-from service.body.phases import PhaseSolver, random_guesses
+from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import PhaseSpec
@@ -128,12 +128,9 @@ class PoseFinder:
         Random configurations are guessed where that and the robot's postures lead to none.
         """
         sequence = PhaseSequence.of(self.solver, self.mechanism, (spec,))
-        guesses = [pose.q for pose in before[-1:]]
+        guesses = [(pose.name, pose.q) for pose in before[-1:]]
         try:
-            solved = sequence.try_pose(spec.name, spec, guesses)
-            if not solved.is_feasible and n_random:
-                guesses = random_guesses(self.solver.body, n_random, self.solver.seed)
-                solved = sequence.try_pose(spec.name, spec, guesses, n_random)
+            solved = sequence.try_pose(spec.name, spec, guesses, n_random)
             if not solved.is_feasible:
                 return None
             q = solved.x[0]
