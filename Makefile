@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-starts | bench-egress | bench-physics | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-starts | bench-egress | bench-physics | bench-faults | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -18,7 +18,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-starts bench-egress bench-physics attack mutants gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-starts bench-egress bench-physics bench-faults attack mutants gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -26,7 +26,7 @@ help:
 	@echo "make test-fast run the tests of the daily work, within a minute: all but those of tests/slow.txt"
 	@echo "make test-ray  run the tests of the executor on a Ray cluster, in an environment of its own"
 	@echo "make coverage  run the tests and list the lines and branches that none of them runs"
-	@echo "make check     ruff, mypy, import-linter, buf (the schema: comments, and changes that break clients)"
+	@echo "make check     ruff, mypy, import-linter, buf (the schema: comments, and changes that break clients), the page"
 	@echo "make docs      the documentation site, in site"
 	@echo "make client    the wheel of scopt-client, a client without the planner, in dist"
 	@echo "make bench     speed and memory, as a table"
@@ -35,6 +35,7 @@ help:
 	@echo "make bench-starts   which starts of the search lead to motions, and what each costs, as tables; some minutes"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
+	@echo "make bench-faults   faults of sensors, servos and surroundings in physics, as a table; an hour"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
 	@echo "make mutants   small errors put into the code one at a time: which of them no near test notices; an hour"
 	@echo "make gallery   a film strip of a motion per task, in out/gallery"
@@ -80,9 +81,11 @@ check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --config-file tools/mypy_tests.ini tests tools benchmarks
 	$(BIN)/lint-imports
 	$(BIN)/buf lint service/proto
 	$(BIN)/buf breaking service/proto --against service/proto/accepted.binpb
+	tools/check_page.sh
 
 # Clients may rely on the schema from now on: `make check` refuses changes that break them.
 accept-schema: $(READY)
@@ -115,8 +118,13 @@ bench-egress: $(READY)
 bench-physics: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics.plans $(BENCH_ARGS)
 
+# BENCH_ARGS="valve --moments 1 --only encoder" takes a quick look.
+bench-faults: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.physics.faults $(BENCH_ARGS)
+
+# A sample of the longer attacks; ATTACK_ARGS="--seed 7" draws another one, ATTACK_ARGS=--long takes all.
 attack: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.attack $(ATTACK_ARGS)
 
 # MUTANTS="verify trust --count 30 --minutes 10" names groups, --seed 7 or --fresh draws another sample.
 mutants: $(READY)

@@ -111,7 +111,9 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         for a, b in itertools.pairwise(edges):
             phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, named[pair[0]], named[pair[1]])]
-            need, at = -max(depths) if depths else (data["certificate"]["min_clearance_m"] or 0.0) - 1e-6, a
+            is_own = {named[name][0] for name in pair} == {"robot", "scene"}
+            least = max(data["certificate"]["min_clearance_m"] or 0.0, is_own * data.get("clearance_m", 0.0))
+            need, at = -max(depths) if depths else least - 1e-6, a
             todo = [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]
             while todo:
                 first, last, claimed = todo.pop(0)
@@ -159,7 +161,7 @@ def off_line(offsets: Array, slide: Array) -> Array:
 
 
 def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple[bool, str]:
-    """Check that a frame's origin and points 10 cm along its axes (or its free axis) stay in place."""
+    """Check that a frame's origin stays in place, and how far the frame (or its free axis) turns."""
     model, reference = replay.model, target["reference"]
     frame = model.frames[model.getFrameId(target["frame"])]
     holder, there = 0, pin.SE3.Identity()
@@ -169,30 +171,30 @@ def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple
     pose = pin.XYZQUATToSE3(np.array([*target["position"], *np.roll(target["quaternion_wxyz"], -1)]))
     slide = np.zeros(3) if target["slide"] is None else there.rotation @ np.array(target["slide"])
     tips = 0.1 * (np.eye(3) if target["free_axis"] is None else np.array([target["free_axis"]]))
-    allowed = [target["position_tolerance_m"]]
-    is_anywhere = allowed[0] > 1.0  # then the tips are measured from the origin
-    lean = 0.2 * np.sin(0.5 * np.deg2rad(target["rotation_tolerance_deg"]))
-    allowed.append(lean if is_anywhere else allowed[0] + lean)
-    joint, off = int(frame.parentJoint), []
-    for corners, most in zip((np.zeros((1, 3)), tips), allowed, strict=True):
-        is_lean = is_anywhere and corners is tips
-        corners = np.vstack([np.zeros((1, 3)), tips]) if is_lean else corners
-        points = np.array([frame.placement.act(corner) for corner in corners])
-        places = np.array([there.act(pose.act(corner)) for corner in corners])
-        chain = replay.chain(holder, joint, points)
+    # A turn by theta moves the tip of a unit axis by at most 2 sin(theta / 2), three tips together by sqrt(2) more.
+    size = np.sqrt(2.0) if len(tips) == 3 else 1.0
+    joint, turn = int(frame.parentJoint), target["rotation_tolerance_deg"]
+    corners = np.vstack([np.zeros((1, 3)), tips])
+    points = np.array([frame.placement.act(corner) for corner in corners])
+    places = np.array([there.act(pose.act(corner)) for corner in corners])
 
-        def apart(s: float, points: Array = points, places: Array = places, is_lean: bool = is_lean) -> float:
-            offsets = replay.points(s, joint, points, holder) - places
-            return float(
-                (np.linalg.norm(offsets[1:] - offsets[0], axis=1) if is_lean else off_line(offsets, slide)).max()
-            )
+    def away(s: float) -> float:
+        return float(off_line(replay.points(s, joint, points[:1], holder) - places[:1], slide).max())
 
-        def leaves(a: float, b: float, points: Array = points, chain: Any = chain, is_lean: bool = is_lean) -> float:
-            return (2.0 if is_lean else 1.0) * replay.bound(a, b, chain, joint, points)
+    def turned(s: float) -> float:
+        offsets = replay.points(s, joint, points, holder) - places
+        return float(np.linalg.norm(offsets[1:] - offsets[0]))
 
-        off.append(replay.highest(phase, apart, leaves, most))
-    is_kept = all(value <= most for value, most in zip(off, allowed, strict=True))
-    return is_kept, f"off by at most {1e3 * off[0]:.2f} mm, its axes' tips by {1e3 * off[1]:.2f} mm"
+    chain = replay.chain(holder, joint, points[:1])
+    turning = [(column, j, 0.1 if replay.turns[column] else 0.0) for column, j, _ in chain]
+    most, most_turn = target["position_tolerance_m"], 0.2 * size * np.sin(0.5 * np.deg2rad(turn))
+    off = replay.highest(phase, away, lambda a, b: replay.bound(a, b, chain, joint, points[:1]), most)
+    lean = 0.0
+    if turn < 180.0:
+        leaves = lambda a, b: size * replay.bound(a, b, turning, joint, points)  # noqa: E731
+        lean = replay.highest(phase, turned, leaves, most_turn)
+    angle = float(np.rad2deg(2.0 * np.arcsin(min(lean / (0.2 * size), 1.0))))
+    return off <= most and lean <= most_turn, f"off by at most {1e3 * off:.2f} mm, turned by at most {angle:.2f} deg"
 
 
 def has_regions(phase: dict[str, Any]) -> bool:

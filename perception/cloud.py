@@ -27,6 +27,8 @@ class Cloud:
         notes: sentences about the cloud for the user.
         misses: (M, 3) ends of rays without a return: space up to there is free, but there is no surface [m].
         miss_origin: (3,) or (M, 3) starts of the rays without a return; None: ``origin``, which must then be (3,).
+        sensor: kind of sensor, a name of ``noise.MODELS``; empty if unknown.
+        origin_sigma: standard deviation of the start of the rays [m].
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -34,6 +36,8 @@ class Cloud:
     notes: tuple[str, ...] = ()
     misses: Float[np.ndarray, "M 3"] = field(default_factory=_no_points)
     miss_origin: Float[np.ndarray, "*M 3"] | None = None
+    sensor: str = ""
+    origin_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.points.shape[1] != 3:
@@ -139,6 +143,8 @@ def merge_clouds(clouds: Sequence[Cloud]) -> Cloud:
         tuple(note for cloud in clouds for note in cloud.notes),
         np.concatenate([cloud.misses for cloud in clouds]),
         np.concatenate(behind) if behind else None,
+        clouds[0].sensor if len({cloud.sensor for cloud in clouds}) == 1 else "",
+        max(cloud.origin_sigma for cloud in clouds),
     )
 
 

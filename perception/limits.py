@@ -5,7 +5,7 @@ from __future__ import annotations
 # Points of a cloud, including rays without a return; a larger file is thinned to this number while it is read.
 MAX_POINTS = 2_000_000
 # Size of a file.
-MAX_FILE_POINTS = 20_000_000
+MAX_FILE_POINTS = 50_000_000
 MAX_FILE_BYTES = 512 * 2**20
 # Data held in memory at once: a small file, text after thinning, or one compressed block.
 MAX_WHOLE_BYTES = 64 * 2**20

@@ -16,7 +16,7 @@ from perception.perceive import Perceived, perceive
 
 _MOST_BYTES = 512 * 2**20
 # Part of every key: increase it when a code change gives another result for the same input.
-_METHOD = 1
+_METHOD = 2
 
 
 class Memory:
@@ -60,6 +60,7 @@ def content_key(cloud: Cloud, settings: Mapping[str, Any]) -> str:
     digest = hashlib.sha256()
     for part in (_release(), _METHOD, cloud.points, cloud.origin, cloud.misses, cloud.miss_origin, cloud.notes):
         _feed(digest.update, part)
+    _feed(digest.update, (cloud.sensor, cloud.origin_sigma))
     for name in sorted(settings):
         _feed(digest.update, name)
         _feed(digest.update, settings[name])

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from costs.progress import tell
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import never, poll, stops_when
 from perception.cleaning.clean import SELF_MARGIN, Reach, inside_hulls, nearest, voxel_downsample
@@ -23,6 +24,7 @@ from perception.detect.registry import detect_kinds
 from perception.detect.shared.detection import CONFIDENT, Detection, Model
 from perception.errors import MeshError
 from perception.ground.floor import FloorPlane, floor_pieces
+from perception.noise import find_noise
 from perception.solids.match import KnownMesh, locate
 from perception.solids.pieces import make_coacd_pieces
 from perception.solids.rating import MeshMatch
@@ -34,6 +36,8 @@ _MOST_SHOWN = 60_000
 _SHOWN_VOXEL = 0.01
 FRINGE = 5.0 / 3.0  # distance of the outermost noise, as a multiple of the tolerance (3 standard deviations)
 _LONE = 0.03
+# Standard deviations of the start of the rays by which free space keeps away from points.
+_DOUBTFUL = 1.0
 _DEFAULT_REACH = Reach()
 
 
@@ -141,6 +145,7 @@ def _perceive(
     clock.lap("pieces")
     hidden: tuple[ConvexPiece, ...] = ()
     if unknown == "occupied":
+        tell("fill unknown space")
         hidden = make_unknown_pieces(view.cloud.rays, reach, view.floors, view.robot_hulls, soles)
         clock.lap("unknown")
     scene = Scene((*floor_pieces(view.floors, view.reach), *parts, *(piece.shape for piece in made.pieces), *hidden))
@@ -196,6 +201,7 @@ def find_meshes(known: Sequence[KnownMesh], view: View, clock: Clock) -> dict[st
     matches: dict[str, MeshMatch] = {}
     for mesh in known:
         poll()
+        tell(f"look for {mesh.name}")
         _check_span(mesh, view)
         matches[mesh.name] = locate(mesh, view)
         clock.lap("known meshes")
@@ -226,7 +232,8 @@ def _make_pieces(
     if method == "coacd":
         made = make_coacd_pieces(points, starts, rays)
     else:
-        made = make_pieces(points, starts, rays, view.seed)
+        noise, doubt = find_noise(view.near), _DOUBTFUL * view.cloud.origin_sigma
+        made = make_pieces(points, starts, rays, view.seed, noise, doubt)
     return replace(made, pieces=tuple(replace(piece, points=kept[piece.points]) for piece in made.pieces))
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from costs.progress import tell
 from perception.cleaning.clean import Reach, first_of_equals, inside_hulls
 from perception.cleaning.doubts import crop_doubt, low_sensor_doubt, nothing_left
 from perception.cleaning.outliers import surface_points
@@ -175,6 +176,7 @@ def view_of(
         floors: levels of an earlier scan, used unchanged if this scan shows them.
         narrower: view of the same scan; if its reach and floor hold the same points, so do its surfaces.
     """
+    tell("find floor")
     cloud, near, notes = cropped.cloud, cropped.near, cropped.notes
     floors = tuple(floors)
     if not are_there(floors, near.points, cloud.rays, reach):
@@ -188,6 +190,7 @@ def view_of(
         lowest = np.min([level.height(near.starts[:, :2]) for level in floors], axis=0)
         notes = (*notes, *low_sensor_doubt(near.starts, lowest))
     is_floor = find_floor_points(near.points, floors, soles)
+    tell("drop strays")
     kept = _find_surfaces(near, is_floor, narrower) if cleaned else ~is_floor
     missing = "no floor is" if not floors else "no obstacle is" if not kept.any() else ""
     notes = (*notes, *crop_doubt(cloud.points, len(near.points) + cropped.n_own, reach, missing))

@@ -7,17 +7,19 @@ from scopt.expression import ConvexExpression
 from scopt.problem import Constraint, Cost, Penalty, Problem, Sense
 from scopt.residual import Residual
 from scopt.result import Iteration, Result, Status
-from scopt.settings import Settings
+from scopt.settings import Clock, EffortClock, Settings
 from scopt.sqp import TrustRegionSQP
 
 __all__ = [
     "AffineRows",
+    "Clock",
     "Constraint",
     "ConvexExpression",
     "Cost",
     "DerivativeCheck",
     "DerivativeError",
     "DerivativeWarning",
+    "EffortClock",
     "Iteration",
     "Penalty",
     "Problem",

@@ -23,7 +23,7 @@ from scopt.problem import Penalty, Problem
 from scopt.qp import ConicProgram, select_backend, solve_clarabel
 from scopt.residual import StateT
 from scopt.result import Iteration, Result, Status
-from scopt.settings import Settings
+from scopt.settings import Clock, Settings
 from scopt.termination import Termination
 from scopt.trust_region import TrustRegion
 
@@ -36,11 +36,12 @@ class TrustRegionSQP:
     """The optimiser; holds settings and rules only, so one instance may solve many problems.
 
     Attributes:
-        settings: given at construction.
+        settings, clock: given at construction; the clock measures ``Settings.time_limit_s``.
         trust_region, penalty_schedule, termination: rules made of them.
     """
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(self, settings: Settings | None = None, clock: Clock = time.monotonic) -> None:
+        self.clock = clock
         s = self.settings = settings if settings is not None else Settings()
         self.trust_region = TrustRegion(s.trust_radius, s.min_trust_radius, s.accept_ratio, s.shrink, s.expand)
         self.penalty_schedule = PenaltySchedule(s.penalty, s.penalty_factor, s.max_penalty_raises)
@@ -73,6 +74,7 @@ class TrustRegionSQP:
         Raises:
             ProblemError: ``x0`` has the wrong shape or holds NaN, or a term has no finite value there.
         """
+        began = self.clock()
         course = _Course(time.perf_counter(), measure_start(problem, x0), on_iteration)
         region, schedule, termination = self.trust_region, self.penalty_schedule, self.termination
         radius, level, progress = region.init(), schedule.init(), termination.init()
@@ -81,7 +83,7 @@ class TrustRegionSQP:
 
         def find_end() -> Status | None:
             is_cancelled = should_stop is not None and should_stop()
-            return termination.terminate(progress, current, course.elapsed_s, is_cancelled=is_cancelled)
+            return termination.terminate(progress, current, self.clock() - began, is_cancelled=is_cancelled)
 
         while True:  # penalty iterations
             while True:  # convexify iterations
@@ -243,11 +245,6 @@ class _Course(Generic[StateT]):
     history: list[Iteration] = field(default_factory=list)
     is_subproblem_failing: bool = False
 
-    @property
-    def elapsed_s(self) -> float:
-        """Wall time so far [s]."""
-        return time.perf_counter() - self.started
-
     def record(
         self, local: _Local, radius: float, step: _Step, trial: _Trial[StateT], current: Iterate[StateT]
     ) -> None:
@@ -289,7 +286,7 @@ class _Course(Generic[StateT]):
             violation=best.violation,
             penalty=mu,
             history=tuple(self.history),
-            solve_time_s=self.elapsed_s,
+            solve_time_s=time.perf_counter() - self.started,
             message=message,
         )
 

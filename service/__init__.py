@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from service.replay.exchange.joint_trajectory import JointTrajectory
     from service.replay.exchange.read import read_trajectory
     from service.request.file import load_request, parse_request, request_hash
-    from service.request.schema import PlanRequest, PoseGoalRequest
+    from service.request.schema import PlanRequest
+    from service.request.tasks.reach import PoseGoalRequest
     from service.result.folder import read_result
     from service.result.output import write_result
     from service.result.result import PlanResult
@@ -86,7 +87,8 @@ _MODULES = {
     "planner": ("plan",),
     "request.file": ("load_request", "parse_request", "request_hash"),
     "tasks.queries": ("IkSolution", "PoseClearance", "SweepClearance", "clearance", "solve_ik", "sweep_clearance"),
-    "request.schema": ("PlanRequest", "PoseGoalRequest"),
+    "request.schema": ("PlanRequest",),
+    "request.tasks.reach": ("PoseGoalRequest",),
     "result.folder": ("read_result",),
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),

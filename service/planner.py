@@ -21,7 +21,7 @@ from threadpoolctl import ThreadpoolController
 
 from costs.robot import RobotModel
 from costs.stopping import Stopped, stops_when
-from scopt import Settings
+from scopt import Clock, EffortClock, Settings
 from scopt import Status as SolveStatus
 from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.body.phases import Map, PhaseSolver, Terms
@@ -44,11 +44,12 @@ if TYPE_CHECKING:
     from service.setup.world import Surroundings
 
 MAX_REPAIRS = 3
+CLEARANCE_RESERVE_M = 5e-3  # beyond a demanded clearance, for the curve between waypoints
 GRACE_S = 0.2  # allowed after the time limit to make the motion of the best attempt
 # An explanation may take as long as the search took, within these limits.
 EXPLAIN_LEAST_S, EXPLAIN_MOST_S = 10.0, 60.0
 VERDICT_OF_INTERRUPT = {
-    SolveStatus.TIME_LIMIT: (Verdict.TIME_LIMIT, "the time limit of {limit:g} s was reached during '{step}'"),
+    SolveStatus.TIME_LIMIT: (Verdict.TIME_LIMIT, "the {limit} was reached during '{step}'"),
     SolveStatus.CANCELLED: (Verdict.CANCELLED, "cancelled during '{step}'"),
 }
 
@@ -63,6 +64,7 @@ def plan(
     see: Callable[..., Perceived] | None = None,
     around: Surroundings | None = None,
     map: Map = map,
+    clock: Clock | None = None,
 ) -> PlanResult:
     """Plan, time and certify the motion that a request describes.
 
@@ -77,6 +79,8 @@ def plan(
         around: what the request's scan shows, if it is known already (from an earlier plan's result).
         map: calls a function for every one of many independent poses (``task.egress``) and returns the results in
             order, such as that of a ``concurrent.futures.ProcessPoolExecutor`` or of Ray's ``ActorPool``.
+        clock: measures the time limit; by default wall time for ``options.time_limit_s`` and effort
+            (``scopt.EffortClock``) for the limit of a request that states none.
 
     Returns:
         The verdict with the best motion found. A plan that fails is a result, not an error.
@@ -85,7 +89,10 @@ def plan(
         RequestError: one line per problem of the request or of a file it names.
     """
     with _single_blas_thread():
-        monitor = Monitor(request.options.time_limit_s, should_stop, on_progress, on_iteration)
+        started = time.perf_counter()
+        if clock is None:
+            clock = EffortClock() if request.options.time_limit_s is None else time.monotonic
+        monitor = Monitor(request.limit_s, should_stop, on_progress, on_iteration, clock)
         on_step = lambda step: monitor.report(step, 0.02)  # noqa: E731
         setup = prepare(request, on_step, robot, monitor.is_over, see, around=around, finds_package=True)
         monitor.timings.update(setup.timings)
@@ -100,8 +107,8 @@ def plan(
         except (Interrupted, Stopped) as interruption:
             status = interruption.status if isinstance(interruption, Interrupted) else monitor.stop_reason()
             _record_interruption(attempt, status, request, monitor)
-        result = _expect_sag(attempt.to_result(setup, monitor))
-        return replace(result, planning_time_s=time.perf_counter() - monitor.started)
+        result = _expect_sag(attempt.to_result(setup, monitor.timings))
+        return replace(result, planning_time_s=time.perf_counter() - started, tried=tuple(monitor.tried))
 
 
 def _expect_sag(result: PlanResult) -> PlanResult:
@@ -115,7 +122,9 @@ def _expect_sag(result: PlanResult) -> PlanResult:
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:
     """Return the solver of the phases: the robot planted at its start, with the request's margins and settings."""
     options = setup.request.options
-    aims = Aims(options.margin_m, options.balance_margin_m)
+    demanded = options.clearance_m
+    margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
+    aims = Aims(margin, options.balance_margin_m, demanded)
     body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     solver = PhaseSolver(
         body,
@@ -183,15 +192,14 @@ def _explain(attempt: Attempt, solver: PhaseSolver) -> None:
     """Find the constraints that conflict at the step that has no solution, as far as the time allows."""
     task, monitor = attempt.task, solver.monitor
     stuck = None if task is None else task.stuck
-    searched = time.perf_counter() - monitor.started
-    left = min(max(EXPLAIN_LEAST_S, searched), EXPLAIN_MOST_S, monitor.remaining_s())
+    left = min(max(EXPLAIN_LEAST_S, monitor.elapsed_s()), EXPLAIN_MOST_S, monitor.remaining_s())
     if stuck is None or left <= 0.0:
         return
     with monitor.step("explain", 0.95):
         count = monitor.count_attempts(stuck.step)
         conflict = None
         with suppress(Stopped):  # out of the explanation's own time
-            conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop)
+            conflict = explain(stuck.step, stuck.best, count, solver.settings, left, monitor.should_stop, monitor.clock)
     monitor.check_stop()  # a cancelled explanation is incomplete
     if conflict is not None:
         attempt.explain(conflict)
@@ -201,10 +209,16 @@ def _record_interruption(attempt: Attempt, status: SolveStatus, request: PlanReq
     """Set the verdict of an interrupted plan; when time is up, return the best motion without a certificate."""
     verdict, text = VERDICT_OF_INTERRUPT[status]
     step = next(reversed(monitor.timings), "set-up")
-    attempt.interrupt(verdict, text.format(limit=request.options.time_limit_s, step=step))
+    attempt.interrupt(verdict, text.format(limit=_describe_limit(request), step=step))
     if verdict is Verdict.TIME_LIMIT:
         with suppress(Stopped), stops_when(lambda: monitor.remaining_s() < -GRACE_S):
             attempt.take_unverified(lambda task: _make_motion(task, request))
+
+
+def _describe_limit(request: PlanRequest) -> str:
+    if request.options.time_limit_s is not None:
+        return f"time limit of {request.limit_s:g} s"
+    return f"default limit of {request.limit_s:g} s of processor time"
 
 
 @contextmanager

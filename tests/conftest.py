@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,9 +22,6 @@ settings.register_profile("house", derandomize=True, deadline=None, suppress_hea
 settings.load_profile("house")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell, and in all that starts there
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-# Time limits of plans count what this process computes, not what the machine does besides: no verdict depends on that.
-time.perf_counter = time.process_time
 
 # Test modules (`costs/test_x.py`) and test functions (`costs/test_x.py::test_y`) that `make test-fast` leaves out.
 TESTS = Path(__file__).parent

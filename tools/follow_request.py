@@ -4,6 +4,8 @@ Starts at ``plan`` and enters, in the order of the code, every function of the p
 of it, or an object that has one of them as a field (``PlanSetup``). Plain values taken out of the request (numbers,
 names, arrays) are not followed. Types come from annotations, so nothing is planned.
 
+What a request's kind does is followed for one kind (``--kind``).
+
     python tools/follow_request.py            # the figures
     python tools/follow_request.py --list     # and every function on the way
 """
@@ -24,6 +26,7 @@ from typing import Any
 
 PACKAGES = ("service", "perception", "costs", "scopt")  # high to low: each imports those behind it
 SCHEMA = "service.request."
+PARTS: dict[str, Any] = {}  # parts of the kind that is followed, by the function that finds them
 
 
 @dataclass
@@ -185,6 +188,8 @@ def _type_of(node: ast.expr, known: dict[str, Any], names: dict[str, Any]) -> An
         if inspect.isclass(function):
             return function
         name = getattr(function, "__name__", "")
+        if name in PARTS:
+            return type(PARTS[name])
         if name == "replace" and node.args:
             return _type_of(node.args[0], known, names)
         return _hints(function).get("return") if _is_ours(function) else None
@@ -236,8 +241,14 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--list", action="store_true", help="every function on the way")
+    parser.add_argument("--kind", default="valve", help="of the request: reach, valve, door, ...")
     options = parser.parse_args()
     from service.planner import plan
+    from service.request.tasks.kind import load_part
+    from service.request.tasks.registry import KINDS
+
+    kind = next(kind for kind in KINDS if kind.name == options.kind)
+    PARTS.update(find_demand_part=load_part(kind.demand), find_plan_part=load_part(kind.plan))
 
     walk = Walk()
     walk.enter(plan)

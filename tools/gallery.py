@@ -56,7 +56,6 @@ PUSH_BAR = {
             "handle": {"kind": "push_bar", "centre": [0.63, 0.0, 1.02]},
         }
     },
-    "options": {"time_limit_s": 60},
 }
 
 

@@ -16,8 +16,9 @@ import yaml
 from benchmarks.attack import judges
 from benchmarks.attack.arm_files import GOAL, START, arm_request, write_arm
 from benchmarks.attack.outcome import Answer
+from scopt import EffortClock
 from service import parse_request, plan, write_result
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import to_json
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -127,7 +128,7 @@ def write_plan(request: dict[str, Any], folder: Path) -> str:
     """Plan a request, write ``result`` and ``request.yaml`` to ``folder``, and return the verdict."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "request.yaml").write_text(json.dumps(request), encoding="utf-8")
-    result = plan(parse_request(request, folder))
+    result = plan(parse_request(request, folder), clock=EffortClock())
     write_result(result, folder / "result")
     return result.verdict.value
 

@@ -188,6 +188,23 @@ def _finger(follow: Callable[[float], float], *, has_leader: bool = True) -> Cha
     return change
 
 
+def _scale(**factors: float) -> Change:
+    """Return a change that multiplies positions, velocities or accelerations."""
+
+    def change(message: Message) -> Message:
+        for point in _points(message):
+            point.update({name: [factor * value for value in point[name]] for name, factor in factors.items()})
+        return message
+
+    return change
+
+
+def _exchange_names(message: Message) -> Message:
+    names = message["joint_trajectory"]["joint_names"]
+    names[:2] = names[1::-1]
+    return message
+
+
 def _point_field(**more: Any) -> Change:
     def change(message: Message) -> Message:
         _points(message)[3].update(more)
@@ -196,6 +213,7 @@ def _point_field(**more: Any) -> Change:
     return change
 
 
+DEG = float(np.rad2deg(1.0))
 BACK = _move_base((0.4, 0.0, 0.0), back=True)
 ELSEWHERE = {"translation": {"x": 0.5, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
 BASE_STATE = {"joint_names": ["virtual_joint"], "transforms": [ELSEWHERE]}
@@ -220,6 +238,11 @@ LIES: dict[str, tuple[str, str, Change]] = {
     "a second trajectory beside the first": ("fixed", "not read", _around(solution={"joint_names": ["elbow"]})),
     "efforts that the motors lack": ("fixed", "effort", _point_field(effort=[9e9] * 5)),
     "limits of its own": ("fixed", "not read", _point_field(velocity_limits=[9e9] * 5)),
+    "all in degrees": ("fixed", "yaw starts at -51", _scale(positions=DEG, velocities=DEG, accelerations=DEG)),
+    "velocities in degrees": ("fixed", "of its speed limit", _scale(velocities=DEG)),
+    "accelerations in degrees": ("fixed", "of its acceleration limit", _scale(accelerations=DEG)),
+    "velocities the other way": ("fixed", "of its acceleration limit", _scale(velocities=-1.0)),
+    "names of two joints exchanged": ("fixed", "yaw starts at", _exchange_names),
     "times in milliseconds": ("fixed", "milliseconds", _times(lambda t: 1e3 * t, 1e3)),
     "times in microseconds": ("fixed", "microseconds", _times(lambda t: 1e6 * t, 1e6)),
     "times divided by 1000": ("fixed", "in another unit", _times(lambda t: 1e-3 * t, 1e-3)),

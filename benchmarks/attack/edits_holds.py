@@ -120,7 +120,16 @@ def a_lower_force(folder: Folder) -> None:
         push["force_n"] *= 0.1
 
 
-@HOLDS.lie("drawer", "door", level=Level.FITTED)
+@HOLDS.lie("gripper", level=Level.FITTED)
+def pads_of_twice_the_size(folder: Folder) -> None:
+    """Pads that would resist twice the torsion."""
+    for push in _list_pushes(folder):
+        for contact in push["contacts"]:
+            core = np.array(contact["core"])
+            contact["core"] = (core.mean(axis=0) + 2.0 * (core - core.mean(axis=0))).tolist()
+
+
+@HOLDS.lie("drawer", "door", "gripper", level=Level.FITTED)
 def a_bigger_cap(folder: Folder) -> None:
     for push in _list_pushes(folder):
         for contact in push["contacts"]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import pickle
 import random
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -113,22 +112,34 @@ class Kind:
         return "servo" if top == "servo" else "others"
 
 
-def attacks() -> list[Attack]:
-    """Return one attack for each base and group of fields: all edits of it, of which none may be believed."""
+def attacks(seed: int = 0, most: int | None = None) -> list[Attack]:
+    """Return one attack for each base and group of fields: all edits of it, of which none may be believed.
+
+    Args:
+        seed: chooses place and edit of each kind, and the kinds where there are more than ``most``.
+        most: kinds of fields of a group that are falsified; None for all.
+    """
     return [
         Attack(
-            "fields", f"{base}: {group}", partial(_attack, base, group), (base, group) == ("drawer", "pushes"), MOST_S
+            "fields",
+            f"{base}: {group}",
+            partial(_attack, base, group, seed, most),
+            (base, group) == ("drawer", "pushes"),
+            MOST_S,
         )
         for base in BASES
         for group in GROUPS
     ]
 
 
-def _attack(base: str, group: str, scratch: Path) -> tuple[Answer, str]:
+def _attack(base: str, group: str, seed: int, most: int | None, scratch: Path) -> tuple[Answer, str]:
     """Edit every kind of field of a group; the answer names the fields whose edit is believed."""
     honest = json.loads((bases.original(base) / "result" / "result.json").read_text(encoding="utf-8"))
     told, believed = 0, []
-    for index, (steps, name, change) in enumerate(_list_edits(honest, base, group)):
+    rng = random.Random(f"{seed} {base} {group}")
+    edits = list(_list_edits(honest, group, rng))
+    chosen = edits if most is None else rng.sample(edits, min(len(edits), most))
+    for index, (steps, name, change) in enumerate(chosen):
         told += 1
         if _is_believed(base, steps, change, scratch / str(index)):
             believed.append(f"{'.'.join(map(str, steps))} {name}")
@@ -152,9 +163,8 @@ def _is_believed(base: str, steps: Steps, change: Change, scratch: Path) -> bool
     return answer is Answer.BELIEVED and judges.verify(folder.path)[0] is Answer.BELIEVED
 
 
-def _list_edits(honest: Mapping[str, Any], base: str, group: str) -> Iterator[tuple[Steps, str, Change]]:
+def _list_edits(honest: Mapping[str, Any], group: str, rng: random.Random) -> Iterator[tuple[Steps, str, Change]]:
     """Yield path, name and change of an edit of every kind of field of a group."""
-    rng = random.Random(zlib.crc32(f"{base} {group}".encode()))
     for kind in _list_kinds(honest):
         edits = [
             (steps, name)

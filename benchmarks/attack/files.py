@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from benchmarks.attack import bases
 from benchmarks.attack.outcome import Answer, Attack
@@ -118,6 +119,22 @@ def _invent_simulation(folder: Path) -> None:
     record_files(folder, ["simulation.json"])
 
 
+def _edit_manifest(change: Callable[[dict[str, Any]], object]) -> Change:
+    def edit(folder: Path) -> None:
+        path = folder / "manifest.json"
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        change(manifest)
+        path.write_text(json.dumps(manifest), encoding="utf-8")
+
+    return edit
+
+
+def _change_and_leave_out(folder: Path) -> None:
+    add_bytes("viewer.html")(folder)
+    _edit_manifest(lambda manifest: manifest["files"].pop("viewer.html"))(folder)
+
+
+NO_HASH = "sha256:" + 64 * "0"
 LIES: dict[str, tuple[str, Change]] = {
     **{f"{name} changed": (name, add_bytes(name)) for name in VIEWS},
     **{f"{name} changed with its hash": (name, _add_and_list(name)) for name in VIEWS},
@@ -134,6 +151,25 @@ LIES: dict[str, tuple[str, Change]] = {
     "a simulation without a hash": ("simulation.json", write_text("simulation.json", '{"verdict": "STOOD"}')),
     "a simulation edited": ("simulation.json", _edit_simulation),
     "a simulation invented with its hash": ("simulation.json", _invent_simulation),
+    "the page changed and left out of the manifest": ("viewer.html", _change_and_leave_out),
+    "a file in the manifest alone": (
+        "proof.pdf",
+        _edit_manifest(lambda manifest: manifest["files"].update({"proof.pdf": NO_HASH})),
+    ),
+    "a place outside in the manifest": (
+        "../page.html",
+        _edit_manifest(lambda manifest: manifest["files"].update({"../page.html": NO_HASH})),
+    ),
+    "the page without a hash": (
+        "viewer.html",
+        _edit_manifest(lambda manifest: manifest["files"].update({"viewer.html": ""})),
+    ),
+    "a manifest of another format": ("manifest.json", _edit_manifest(lambda manifest: manifest.update(format="x/9"))),
+    "a manifest of another certificate": (
+        "manifest.json",
+        _edit_manifest(lambda manifest: manifest.update(certificate_sha256=NO_HASH)),
+    ),
+    "a manifest that is a list": ("manifest.json", write_text("manifest.json", "[]")),
     "a manifest that is no JSON": ("manifest.json", write_text("manifest.json", "all is well")),
     "an approval that nobody checks": ("approval.json", write_text("approval.json", "approved by ada")),
 }

@@ -13,6 +13,7 @@ from benchmarks.attack import bases, judges
 from benchmarks.attack.edits_certificate import CERTIFICATE
 from benchmarks.attack.edits_contacts import CONTACTS
 from benchmarks.attack.edits_holds import HOLDS
+from benchmarks.attack.edits_invented import INVENTED
 from benchmarks.attack.edits_lever import LEVER
 from benchmarks.attack.edits_motion import MOTION
 from benchmarks.attack.edits_promises import PROMISES
@@ -50,7 +51,7 @@ def attacks() -> list[Attack]:
     """Return edits by kind, texts that are not valid results, replaced files, and scans of something else."""
     edits: list[Edit] = [
         edit
-        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, HOLDS, LEVER, STANCES, WORLD, MOTION)
+        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, HOLDS, INVENTED, LEVER, STANCES, WORLD, MOTION)
         for edit in registry.edits
     ]
     return [

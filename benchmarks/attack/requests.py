@@ -12,6 +12,7 @@ from typing import Any
 
 from benchmarks.attack.outcome import Answer
 from benchmarks.attack.truth import Truth, dense
+from scopt import EffortClock
 from service import RequestError, parse_request, plan
 from service.result.result import PlanResult
 
@@ -53,7 +54,7 @@ class Lie:
 def answer_of(lie: Lie, folder: Path) -> tuple[Answer, str]:
     """Plan the request and compare the result with the truth."""
     try:
-        result = plan(parse_request(lie.request, folder))
+        result = plan(parse_request(lie.request, folder), clock=EffortClock())
     except RequestError as error:
         return Answer.REFUSED, str(error).splitlines()[0]
     if result.verdict.value != "CERTIFIED":

@@ -1,54 +1,62 @@
-"""Put small errors into the code, one at a time, and list those that no near test notices.
+"""Put small errors into the code, one at a time, and list those that no fast test notices.
 
-``python -m benchmarks.mutants [GROUP ...] [--count N] [--seed N | --fresh] [--minutes M]``. Mutants are made in a copy
-of the project; each is given to the nearest test files (fewest imports away) without the slow tests. Tools of this
-kind (mutmut, cosmic-ray) run all tests, or one command for all files, and draw no sample.
+``python -m benchmarks.mutants [GROUP ...] [--count N] [--seed N | --fresh] [--minutes M]``. The lines that each fast
+test runs are recorded once (``recording``). A mutant is made in a copy of the project and given to the tests that run
+its line, the quickest first, in a fork of a process that has everything imported (``judge``). ``equivalent.txt`` lists
+mutants that change nothing, with the reason. Tools of this kind (mutmut, cosmic-ray) start anew for each mutant, which
+takes longer here than the tests.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
-import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, Self
 
+from benchmarks.mutants.judge import CRASH, TIMED_OUT
 from benchmarks.mutants.mutations import Mutant, list_mutants
-from benchmarks.mutants.nearest import ImportGraph
+from benchmarks.mutants.recording import Recording, record
 from benchmarks.tables import print_table
 
 ROOT = Path(__file__).resolve().parents[2]
-# Folders or files of each group, and the tests that are preferred among those equally near.
-GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "scopt": (("scopt",), ("scopt/",)),
-    "costs": (("costs",), ("costs/", "robots/")),
-    "verify": (("service/verify",), ("verify/",)),
-    "planner": (("service/tasks", "service/body", "service/demands"), ("planning/", "contacts/")),
-    "timing": (("service/motion",), ("planning/",)),
-    "trust": (("service/trust",), ("store/", "server/")),
-    "store": (("service/store",), ("store/",)),
+DATA = Path(os.environ.get("SCOPT_DATA", ROOT.parent / "shared" / "data"))
+EQUIVALENT = Path(__file__).parent / "equivalent.txt"
+# Folders of each group.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "scopt": ("scopt",),
+    "costs": ("costs",),
+    "verify": ("service/verify",),
+    "planner": ("service/tasks", "service/body", "service/demands"),
+    "timing": ("service/motion",),
+    "trust": ("service/trust",),
+    "store": ("service/store",),
 }
-MOST_TESTS = 12  # files per mutant
-MOST_SECONDS = 120.0  # per mutant, which may never end
-CRASH = "crash"
-OPTIONS = ("-x", "-q", "-rfE", "-p", "no:cacheprovider", "-m", "not slow")
+# Processor time of the tests of a mutant, which may never end: this much, and a multiple of what they took once.
+LEAST_S, SLOWER = 10.0, 5.0
 NOT_COPIED = (".*", "__pycache__", "node_modules", "*.egg-info", "out", "site")
 
 
 @dataclass
 class Tally:
-    """What became of a group's mutants; ``untried`` ones are those for which the time was too short."""
+    """What became of a group's mutants.
+
+    ``equivalent`` ones change nothing and are not tried; for ``untried`` ones the time was too short.
+    """
 
     killed: int = 0
     timed_out: int = 0
+    equivalent: int = 0
     untried: int = 0
     survivors: list[str] = field(default_factory=list)
 
@@ -64,7 +72,7 @@ class Tally:
 
 
 class Copy:
-    """Copy of a project in which one file at a time is wrong.
+    """Copy of a project in which one file at a time is wrong, and a process that judges what its tests notice.
 
     Attributes:
         broken: tests that fail without any mutant, and are left out.
@@ -77,17 +85,55 @@ class Copy:
         self._changes = 0
         shutil.copytree(project, root, ignore=shutil.ignore_patterns(*NOT_COPIED), dirs_exist_ok=True)
 
-    def judge(self, mutant: Mutant, tests: Sequence[str], seconds: float = MOST_SECONDS) -> str | None:
-        """Return what notices a mutant, as in :meth:`_find_failure`; tests that fail anyway notice nothing."""
-        source = (self.project / mutant.path).read_bytes()
-        while True:
-            self._write(mutant.path, mutant.apply(source))
-            failure = self._find_failure(tests, seconds)
-            self._write(mutant.path, source)
-            if not failure or failure == CRASH or failure in self._sound:
-                return failure
-            is_sound = self._find_failure([failure], MOST_SECONDS) == ""
-            (self._sound if is_sound else self.broken).add(failure)
+    @contextmanager
+    def open(self, modules: Sequence[str] = ()) -> Iterator[Self]:
+        """Start the process, with some modules imported, for as long as the body runs."""
+        command = [sys.executable, "-m", "benchmarks.mutants.judge"]
+        paths = os.pathsep.join(map(str, (self.root, ROOT)))
+        environment = {**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", "SCOPT_DATA": str(DATA)}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        pipe = subprocess.PIPE
+        with subprocess.Popen(command, cwd=self.root, env=environment, stdin=pipe, stdout=pipe, text=True) as process:
+            self._process = process
+            helpers = sorted(folder for folder in (self.root / "tests" / "support").rglob("*") if folder.is_dir())
+            self._ask({"modules": list(modules), "paths": [str(self.root / "tests" / "support"), *map(str, helpers)]})
+            yield self
+
+    def judge(self, mutant: Mutant, tests: Sequence[tuple[str, float]], least_s: float = LEAST_S) -> str:
+        """Return the first test that notices a mutant, or how it ended otherwise; an empty text if none does.
+
+        Args:
+            mutant: of a file of the project.
+            tests: with the seconds that each takes; those that fail anyway notice nothing.
+            least_s: processor time that they may take at least.
+        """
+        old = (self.project / mutant.path).read_bytes()
+        order = {"path": mutant.path, "old": old.decode()}
+        self._write(mutant.path, mutant.apply(old))
+        try:
+            while True:
+                names = [name for name, _ in tests if name not in self.broken]
+                if not names:
+                    return ""
+                cpu_s = least_s + SLOWER * sum(seconds for _, seconds in tests)
+                limited = {**order, "tests": names, "cpu_s": cpu_s}
+                failure = self._ask(limited) or self._ask({**limited, "is_fresh": True})
+                if failure in ("", CRASH, TIMED_OUT) or failure in self._sound:
+                    return failure
+                self._write(mutant.path, old)
+                alone = {**limited, "tests": [failure]}
+                is_sound = self._ask(alone) == self._ask({**alone, "is_fresh": True}) == ""
+                (self._sound if is_sound else self.broken).add(failure)
+                self._write(mutant.path, mutant.apply(old))
+        finally:
+            self._write(mutant.path, old)
+
+    def _ask(self, order: Mapping[str, Any]) -> str:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(order) + "\n")
+        self._process.stdin.flush()
+        return str(json.loads(self._process.stdout.readline()))
 
     def _write(self, path: str, text: bytes) -> None:
         """Write a file as if at another time than before, or its bytecode would be taken for that of the new text."""
@@ -96,33 +142,19 @@ class Copy:
         self._changes += 1
         os.utime(file, (self._changes, self._changes))
 
-    def _find_failure(self, tests: Sequence[str], seconds: float) -> str | None:
-        """Return the first test that fails, an empty text where all pass, or None where the time is over."""
-        tests = [test for test in tests if test not in self.broken]
-        if not tests:
-            return ""
-        left_out = [f"--deselect={test}" for test in self.broken]
-        command = [sys.executable, "-m", "pytest", *OPTIONS]
-        environment = {**os.environ, "PYTHONPATH": str(self.root), "OMP_NUM_THREADS": "1"}
-        environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        with subprocess.Popen(
-            [*command, *left_out, *tests],
-            cwd=self.root,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            start_new_session=True,
-        ) as process:
-            try:
-                output, _ = process.communicate(timeout=seconds)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)  # with the servers that it may have started
-                return None
-        if process.returncode in (0, 5):  # 5: all tests of these files are slow
-            return ""
-        failures = re.findall(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", output, flags=re.MULTILINE)
-        return failures[0] if failures else CRASH
+
+def read_equivalents(file: Path = EQUIVALENT) -> dict[tuple[str, str], str]:
+    """Return the reasons of the mutants that change nothing, by path and by the changed line as it was and becomes."""
+    entries = [entry.split("\n") for entry in file.read_text().strip().split("\n\n") if not entry.startswith("#")]
+    return {(path, f"{old}\n{new}"): reason for path, old, new, reason in (map(str.strip, entry) for entry in entries)}
+
+
+def find_reason(mutant: Mutant, known: Mapping[tuple[str, str], str], root: Path = ROOT) -> str | None:
+    """Return why a mutant changes nothing; None if it is not known to."""
+    source = (root / mutant.path).read_bytes()
+    number = source[: mutant.start].count(b"\n")
+    old, new = (text.decode().splitlines()[number].strip() for text in (source, mutant.apply(source)))
+    return known.get((mutant.path, f"{old}\n{new}"))
 
 
 def draw_mutants(paths: tuple[str, ...], count: int, seed: int, root: Path = ROOT) -> list[Mutant]:
@@ -132,23 +164,27 @@ def draw_mutants(paths: tuple[str, ...], count: int, seed: int, root: Path = ROO
     return random.Random(seed).sample(mutants, min(count, len(mutants)))
 
 
-def try_group(copy: Copy, graph: ImportGraph, name: str, count: int, seed: int, end: float) -> Tally:
-    """Give a sample of a group's mutants to their nearest tests, until ``end`` of the monotonic clock."""
-    paths, among = GROUPS[name]
+def try_group(copy: Copy, recording: Recording, name: str, count: int, seed: int, end: float) -> Tally:
+    """Give a sample of a group's mutants to the tests that run them, until ``end`` of the monotonic clock."""
     tally = Tally()
-    for mutant in draw_mutants(paths, count, seed):
+    known = read_equivalents()
+    for mutant in draw_mutants(GROUPS[name], count, seed):
         if time.monotonic() > end:
             tally.untried += 1
             continue
-        failure = copy.judge(mutant, graph.find_nearest_tests(mutant.path, MOST_TESTS, among))
-        if failure is None:
+        if (reason := find_reason(mutant, known)) is not None:
+            tally.equivalent += 1
+            print(f"{mutant}: changes nothing: {reason}", flush=True)
+            continue
+        tests = recording.find_tests(mutant.path, mutant.line)
+        failure = copy.judge(mutant, tests)
+        if failure == TIMED_OUT:
             tally.timed_out += 1
         elif failure:
             tally.killed += 1
         else:
-            tally.survivors.append(str(mutant))
-        outcome = "timed out" if failure is None else failure or "SURVIVED"
-        print(f"{mutant}: {outcome}", flush=True)
+            tally.survivors.append(f"{mutant} ({len(tests)} tests run it)")
+        print(f"{mutant}: {failure or 'SURVIVED'}", flush=True)
     return tally
 
 
@@ -159,6 +195,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300, help="mutants of each group")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--fresh", action="store_true", help="a sample that nobody has seen")
+    parser.add_argument("--tests", nargs="+", default=["tests"], help="files and folders of tests")
     parser.add_argument("--minutes", type=float, default=60.0, help="for all groups together")
     options = parser.parse_args()
     if unknown := set(options.groups) - set(GROUPS):
@@ -167,12 +204,14 @@ def main() -> None:
     names, began = options.groups or list(GROUPS), time.monotonic()
     tallies = {}
     with TemporaryDirectory(prefix="mutants-") as folder:
-        copy, graph = Copy(ROOT, Path(folder)), ImportGraph(ROOT)
-        for number, name in enumerate(names, start=1):
-            end = began + 60.0 * options.minutes * number / len(names)
-            tallies[name] = try_group(copy, graph, name, options.count, seed, end)
-    header = ["group", "tried", "noticed", "of them timed out", "survived", "not tried"]
-    columns = [(t.tried, t.share, t.timed_out, len(t.survivors), t.untried) for t in tallies.values()]
+        copy = Copy(ROOT, Path(folder))
+        recording = record(copy.root, ROOT / "out" / "mutants", tuple(options.tests))
+        with copy.open(recording.modules):
+            for number, name in enumerate(names, start=1):
+                end = began + 60.0 * options.minutes * number / len(names)
+                tallies[name] = try_group(copy, recording, name, options.count, seed, end)
+    header = ["group", "tried", "noticed", "of them timed out", "survived", "change nothing", "not tried"]
+    columns = [(t.tried, t.share, t.timed_out, len(t.survivors), t.equivalent, t.untried) for t in tallies.values()]
     rows = [[name, *map(str, column)] for name, column in zip(tallies, columns, strict=True)]
     print_table(f"Mutants (seed {seed})", header, rows)
     for tally in tallies.values():

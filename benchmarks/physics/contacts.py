@@ -19,12 +19,12 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from benchmarks.tables import print_table
+from service.demands.kind import read_mechanism_physics
 from service.execution.reference import PlannedReference
 from service.replay.replay import read_motion
 from service.result.folder import read_result, result_path
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.simulation.run import execute
 from service.simulation.stand import read_recorded_request

@@ -177,9 +177,9 @@ def land(reference: PlannedReference, rise: float, slope: float, settings: Execu
     """
     import pinocchio as pin
 
+    from service.demands.resistance import MechanismPhysics
     from service.simulation.model import build_physics
     from service.simulation.options import SimulationOptions
-    from service.simulation.resistance import MechanismPhysics
     from service.simulation.robot import SimulatedRobot
 
     landing = next(k for k, phase in enumerate(reference.phases) if phase.name.endswith("land"))

@@ -47,7 +47,7 @@ from service.body.task_plan import Solved
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import PlanRequest
 from service.setup.prepare import prepare
-from service.tasks.goal import Goal
+from service.tasks.reach.goal import Goal
 
 PANDA = Path(os.environ.get("SCOPT_DATA", Path(__file__).parents[3] / "shared" / "data")) / "mbm_panda"
 PANDA_WAYPOINTS = (12, 16, 20)  # each problem is solved with each number of waypoints
@@ -139,8 +139,10 @@ def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> 
     aims = Aims(request.options.margin_m, request.options.balance_margin_m)
     body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
     solver = PhaseSolver(body, Monitor(float("inf")), Settings())
+    if request.goal is None:
+        raise ValueError("a request with a goal is needed")
     goal = Goal.of(body, request.goal)
-    end = goal.applied_to(body.nominal)
+    end = goal.apply_joints(body.nominal)
     if not goal.is_complete:
         pose = find_pose(solver.pose_problem("goal pose", goal.constraints(0), fixed=goal.joints), [("start", end)])
         if not pose.is_feasible:
@@ -151,7 +153,7 @@ def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> 
         at_ends = {0: start[0], count - 1: end} if goal.is_complete else {0: start[0]}
         as_it_is = replace(solver, settings=Settings(max_iterations=0))
         posed = as_it_is.solve_trajectory(
-            "reach", start, at_ends, constraints=goal.constraints(count - 1), bounds=goal.bound
+            "reach", start, at_ends, constraints=goal.constraints(count - 1), bounds=goal.fix_joints
         )
         yield Case(body, posed.problem, start)
 

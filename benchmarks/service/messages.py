@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import grpc
 from google.protobuf.message import DecodeError
@@ -128,6 +129,7 @@ async def _call(channel: grpc.aio.Channel, name: str, messages: list[bytes]) -> 
 async def _asked(channel: grpc.aio.Channel, name: str, messages: list[bytes]) -> Answer:
     method = wire.DESCRIPTOR.services_by_name["PlannerService"].methods_by_name[name]
     path, began = f"/planner.v1.PlannerService/{name}", time.monotonic()
+    call: Any
     if method.client_streaming:
         call = channel.stream_unary(path)(iter(messages), timeout=TIMEOUT_S)
     elif method.server_streaming:

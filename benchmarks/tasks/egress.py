@@ -24,14 +24,14 @@ from benchmarks.tables import print_table
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.body.equilibrium_pose import EquilibriumPose
-from service.demands.contacts.egress_demand import load_phases
-from service.request.egress import EgressRequest
+from service.demands.egress.demand import load_phases
 from service.request.file import load_request
+from service.request.tasks.egress import EgressRequest
 from service.setup.world import build_obstacles
 from service.start.robot import load_requested_robot
 from service.tasks.egress.plan import PoseSet, find_sequences, make_all_stages, make_graph, solve_poses
 from service.tasks.egress.poses import PoseSolver
-from service.tasks.egress.stages import Stage
+from service.tasks.egress.stages import EgressStage
 
 REQUEST = Path(__file__).resolve().parents[2] / "examples" / "requests" / "egress_model.yaml"
 SAMPLES, SEQUENCES = 50, 12
@@ -64,7 +64,7 @@ class TimedMap:
             yield pose
 
 
-def report_poses(stages: tuple[Stage, ...], poses: PoseSet, timed: TimedMap) -> None:
+def report_poses(stages: tuple[EgressStage, ...], poses: PoseSet, timed: TimedMap) -> None:
     """Print one row per stage, and the whole."""
     rows = []
     for count in poses.counts:
@@ -136,7 +136,7 @@ def places(pose: EquilibriumPose) -> list[str]:
     return [name for name in pose.result.violation if name.endswith((": place", ": plane"))]
 
 
-def solve_by_reweighting(solver: PoseSolver, stage: Stage, share: float) -> tuple[EquilibriumPose, bool]:
+def solve_by_reweighting(solver: PoseSolver, stage: EgressStage, share: float) -> tuple[EquilibriumPose, bool]:
     """Solve as Liu et al. do, and return the pose and whether its torques are within a share of the limits."""
     free = replace(solver, torque_share=None)
     shape = stage.shapes[0]
@@ -151,7 +151,7 @@ def solve_by_reweighting(solver: PoseSolver, stage: Stage, share: float) -> tupl
     return pose, pose.is_feasible and pose.torque_share <= share
 
 
-def compare_with_reweighting(solver: PoseSolver, all_stages: tuple[tuple[Stage, ...], ...]) -> None:
+def compare_with_reweighting(solver: PoseSolver, all_stages: tuple[tuple[EgressStage, ...], ...]) -> None:
     """Print how often and how fast both ways keep torque limits that bind."""
     rows = []
     for k, stage in enumerate(all_stages[0]):

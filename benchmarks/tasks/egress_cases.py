@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from costs.robot import BASE_NAMES
 from costs.rotation import make_quaternions
 from service.demands import compose_scene
-from service.demands.contacts.egress_demand import SHIPPED_PHASES
+from service.demands.egress.demand import SHIPPED_PHASES
 from service.request.file import parse_request
 from service.setup.world import build_obstacles
 from service.start.configuration import make_start_configuration

@@ -35,7 +35,7 @@ from costs.rotation import make_quaternions
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.adjust import adjust_request, read_adjustment
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import parse_request, to_json
 from service.request.schema import PlanRequest
 from service.result.output import write_result

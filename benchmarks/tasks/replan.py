@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.tables import print_table
 from service.errors import RequestError
 from service.planner import plan
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.result.folder import read_result

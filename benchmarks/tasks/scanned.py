@@ -38,7 +38,7 @@ from costs.robot import RobotModel, load_robot
 from perception import write_pcd
 from perception.simulate import Pose, scan
 from service.planner import plan
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.result.output import write_result

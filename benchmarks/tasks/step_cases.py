@@ -170,8 +170,8 @@ def sit_down(
     surfaces = make_surfaces(task.contacts.surfaces, scene, "task.contacts.surfaces")
     contacts = []
     for name, (surface, place) in places.items():
-        pose = find_link_pose(robot.contacts[name], surfaces[surface], np.array(place), 0.0)
-        contacts.append(place_patch(robot.contacts[name], name, surfaces[surface], pose))
+        placed = find_link_pose(robot.contacts[name], surfaces[surface], np.array(place), 0.0)
+        contacts.append(place_patch(robot.contacts[name], name, surfaces[surface], placed))
     aims = Aims(SEATED_MARGIN_M, request.options.balance_margin_m)
     body = WholeBody.standing(robot, scene, guess, (), aims)
     one = np.zeros(1, dtype=int)

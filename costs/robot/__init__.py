@@ -1,6 +1,7 @@
 """Robots: any URDF and SRDF, and the Atlas that ships with the package."""
 
 from costs.robot.attach import AttachedBody, with_attached
+from costs.robot.circles import WHOLE_TURN, list_circular, turn_near
 from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, with_contacts
 from costs.robot.elements.inertia import LinkInertia
 from costs.robot.errors import RobotError
@@ -22,6 +23,7 @@ from costs.robot.mechanism_urdf import (
     read_mesh_hulls,
 )
 from costs.robot.mesh import find_package_folders
+from costs.robot.mesh import read_mesh as read_triangles
 from costs.robot.mesh.visual import VisualMesh
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_followers, read_robot_visuals
@@ -33,6 +35,7 @@ __all__ = [
     "PATCH_DEFAULTS",
     "PLANAR_NAMES",
     "STOP_ROUNDING",
+    "WHOLE_TURN",
     "AttachedBody",
     "LinkBody",
     "LinkInertia",
@@ -55,6 +58,7 @@ __all__ = [
     "check_limits",
     "find_package_folders",
     "format_srdf",
+    "list_circular",
     "load_robot",
     "make_mechanism_model",
     "read_followers",
@@ -63,6 +67,8 @@ __all__ = [
     "read_mesh_hulls",
     "read_object_shapes",
     "read_robot_visuals",
+    "read_triangles",
+    "turn_near",
     "with_attached",
     "with_contacts",
     "with_mechanism",

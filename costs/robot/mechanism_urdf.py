@@ -13,6 +13,7 @@ from jaxtyping import Float
 from costs.names import would_do
 from costs.primitive import Primitive, make_round_shape
 from costs.robot import shapes
+from costs.robot.circles import WHOLE_TURN
 from costs.robot.elements.inertia import LinkInertia
 from costs.robot.elements.joints import Joint
 from costs.robot.elements.shapes import Shape
@@ -27,7 +28,6 @@ MOST_JOINTS = 16
 MOST_BODIES = 64
 DEFAULT_ACCELERATION = {"revolute": 2.0, "prismatic": 1.0}  # [rad/s^2, m/s^2]
 FASTEST = {"revolute": 2.0, "prismatic": 0.5}  # of joints whose speed has no limit [rad/s, m/s]
-WHOLE_TURN = 2.0 * np.pi  # by which a continuous joint may turn either way
 
 Meshes = Mapping[str, Float[np.ndarray, "V 3"]]
 """Vertices of meshes by the name that the URDF gives them, in units of their file."""

@@ -58,8 +58,6 @@ def find_doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 
         )
     elif span <= _LARGEST_SPAN:
         notes += _far_sensor(low, high, origin)
-    if span <= _LARGEST_SPAN and (hint := _sensor_frame_hint(points, origin, float(low[2]))):
-        notes.append(hint)
     return tuple(notes)
 
 
@@ -131,7 +129,7 @@ def shift_to_zero(points: Float[np.ndarray, "N 3"], x: float = 0.0, y: float = 0
     """Return the transform, as text, that moves a cloud's median to (x, y) and its lowest layer to height zero."""
     middle = np.median(points[:, :2], axis=0) - (x, y)
     heights = points[:, 2]
-    bottom = float(np.percentile(heights, 1))
+    bottom = float(np.percentile(heights, 1, method="nearest"))  # a point's height, so that its layer holds one
     lowest = heights[(heights >= bottom - _LAYER) & (heights <= bottom + _LAYER)]
     numbers = [*(f"{-value:.0f}" for value in middle), f"{-np.median(lowest):.2f}"]
     return " ".join(["0" if float(number) == 0.0 else number for number in numbers] + ["0 0 0"])
@@ -171,22 +169,3 @@ def _likely_units(span: float, least: float, most: float) -> str:
         if least <= metres * span <= most
     ]
     return " or ".join(likely)
-
-
-def _sensor_frame_hint(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"], lowest: float) -> str:
-    """Return a hint when points seem to be in the sensor's frame: rays start at zero, and not on the floor."""
-    if len(points) < _FEWEST_POINTS or np.abs(origin).max() > 1e-6:
-        return ""
-    depth = points[:, 2]
-    in_front = np.mean((depth > 0.1) & (np.abs(points[:, :2]) < 1.3 * depth[:, None]).all(axis=1))
-    if in_front > 0.99:
-        return (
-            "looks like a camera's own frame (x right, y down, z forward): give a transform to the world, z up; for a "
-            "camera that looks ahead, level, h metres up it is 0 0 h -1.5708 0 -1.5708"
-        )
-    if lowest < -0.4:
-        return (
-            f"looks sensor-framed: rays start at zero and points reach {-lowest:.2f} m below it; give a transform to "
-            f"the world, floor at 0; for a sensor that stands level it may be 0 0 {-lowest:.2f} 0 0 0"
-        )
-    return ""

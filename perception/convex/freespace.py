@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import ndimage
 
 from costs.stopping import poll
 from perception.cleaning.clean import row_keys
@@ -128,13 +129,14 @@ class Crossing:
         return cls(rays, lower, size, shape)
 
     def mark_free(
-        self, surface: Float[np.ndarray, "M 3"], boxes: Float[np.ndarray, "B 2 3"] | None = None
+        self, surface: Float[np.ndarray, "M 3"], boxes: Float[np.ndarray, "B 2 3"] | None = None, doubt: float = 0.0
     ) -> FreeSpace:
         """Return the cells that the rays passed through.
 
         Args:
             surface: (M, 3) points whose cells and their six neighbours are never free [m].
             boxes: (B, 2, 3) lower and upper corners of boxes; cells outside them may be left unmarked [m].
+            doubt: distance from these points up to which cells are never free, either [m].
         """
         free = np.zeros(int(np.prod(self.shape)), dtype=bool)
         blocks = None if boxes is None else _mark_blocks(boxes, self.lower, self.size, self.shape)
@@ -149,6 +151,11 @@ class Crossing:
             _march(self.rays, chosen, near, self.size, self.shape, free)
         grid = free.reshape(self.shape)
         _clear_beside(surface, self.lower, self.size, grid)
+        if doubt > self.size and len(surface):
+            held = np.zeros(grid.shape, dtype=bool)
+            cells = np.floor((surface - self.lower) / self.size).astype(int)
+            held[tuple(cells[((cells >= 0) & (cells < held.shape)).all(axis=1)].T)] = True
+            grid &= ndimage.distance_transform_edt(~held) * self.size > doubt
         return FreeSpace(self.lower, self.size, grid)
 
 

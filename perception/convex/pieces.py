@@ -9,15 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.progress import tell
 from costs.scene import ConvexPiece
+from perception.convex.body import Body
 from perception.convex.clock import Clock
 from perception.convex.coarse import Coarse, Groups, coarsen, measure_spacing, smooth_points
 from perception.convex.freespace import Crossing, FreeSpace
 from perception.convex.hulls import SKIN, Hull, limit_vertices, make_hull, thicken
 from perception.convex.piece import Piece, measure_evidence
 from perception.convex.planes import Plane, PlaneSettings, find_planes
+from perception.convex.reduce import reduce_bodies
 from perception.convex.slabs import FRONT, Slab, attach_hulls, make_slabs
 from perception.convex.split import find_clusters, merge, refine_hulls, split
+from perception.noise import MODELS, NoiseModel
 
 VOXEL = 0.015
 _CELL = 0.02
@@ -53,6 +57,8 @@ def make_pieces(
     starts: Float[np.ndarray, "*N 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     seed: int = 0,
+    noise: NoiseModel = MODELS["spinning"],
+    doubt: float = 0.0,
 ) -> Pieces:
     """Return thin slabs for the planes of a cloud, and hulls without free space for the remaining points.
 
@@ -60,16 +66,22 @@ def make_pieces(
         points: (N, 3) obstacle points, cleaned [m].
         rays: starts, (3,) or (R, 3), and ends (R, 3) of all rays of the scan, which show free space; rays that end on
             the floor, on the robot or nowhere are included [m].
+        noise: of the sensor; pieces grow by what smoothing does not average out of it.
+        doubt: distance from points within which no space counts as free, since the start of the rays is not known
+            better [m].
         seed: of the plane search; the same points, in any order, and the same seed give the same pieces.
     """
     if not len(points):
         return Pieces((), {})
     clock = Clock()
+    tell("find free space")
     rays = share_start(rays)
     coarse = coarsen(points, starts, VOXEL)
-    free = make_crossing(coarse.points, rays).mark_free(coarse.points)
+    free = make_crossing(coarse.points, rays).mark_free(coarse.points, doubt=doubt)
     clock.lap("free space")
-    bodies = make_bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, clock)
+    bodies = make_bodies(coarse, np.arange(len(coarse.points)), rays, free, seed, clock, noise, doubt)
+    bodies = reduce_bodies(bodies, free)
+    clock.lap("reduction")
     kept = np.ones(len(points), dtype=bool)
     pieces = assign_points(name_bodies(bodies, {}, free), points, kept, Groups.of(coarse), coarse)
     clock.lap("evidence")
@@ -83,25 +95,34 @@ def make_bodies(
     free: FreeSpace,
     seed: int,
     clock: Clock,
+    noise: NoiseModel = MODELS["spinning"],
+    doubt: float = 0.0,
 ) -> list[Body]:
     """Return slabs and hulls for the points with the indices ``left``."""
     if not len(left):
         return []
     points, starts = coarse.points[left], coarse.starts[left]
+    tell("find planes")
     planes = find_planes(points, coarse.counts[left], starts, np.random.default_rng(seed), _PLANES)
     clock.lap("planes")
     apart = measure_spacing(coarse.points, coarse.starts, left)
-    slabs = [(plane, slab) for plane in planes for slab in make_slabs(plane, points, *rays, free, apart)]
+    slabs: list[tuple[Plane, Slab]] = []
+    for i, plane in enumerate(planes):
+        tell("make slabs", i / len(planes))
+        slabs += [(plane, slab) for slab in make_slabs(plane, points, *rays, free, apart)]
     clock.lap("slabs")
     points = smooth_points(coarse.points, coarse.counts, coarse.starts, left)
     rest = ~_find_covered(points, slabs)
+    tell("make hulls")
     hulls = _make_clutter(points[rest], starts[rest], free)
-    hulls = refine_hulls(hulls, points[rest], coarse.points, rays, _GAP)
+    hulls = refine_hulls(hulls, points[rest], coarse.points, rays, _GAP, doubt)
     slabs, hulls = attach_hulls(slabs, hulls, free)
+    bulge = noise.bulge(np.linalg.norm(points - starts, axis=1))
     bodies = [
-        Body(_choose_kind(plane, slab), slab.vertices, np.append(plane.normal, plane.offset)) for plane, slab in slabs
+        Body(_choose_kind(plane, slab), _bulge_slab(plane, slab, bulge, free), np.append(plane.normal, plane.offset))
+        for plane, slab in slabs
     ]
-    bodies += [Body("clutter", _add_skin(hull, apart[rest], free), None) for hull in hulls]
+    bodies += [Body("clutter", _add_skin(hull, apart[rest], bulge[rest], free), None) for hull in hulls]
     clock.lap("clutter")
     return bodies
 
@@ -126,7 +147,12 @@ def _make_clutter(points: Float[np.ndarray, "N 3"], starts: Float[np.ndarray, "N
     """Return hulls of points that are on no plane, merged while they contain no free space."""
     if not len(points):
         return []
-    hulls = [hull for members in find_clusters(points, starts) for hull in split(points, members, free)]
+    hulls: list[Hull] = []
+    n_done = 0
+    for members in find_clusters(points, starts):
+        hulls += split(points, members, free)
+        n_done += len(members)
+        tell("make hulls", n_done / len(points))
     ranges = np.linalg.norm(points - starts, axis=1)
     gaps = np.array([max(_GAP, _GAP_OF_RANGE * float(np.median(ranges[hull.members]))) for hull in hulls])
     return merge(hulls, free, gaps)
@@ -151,17 +177,33 @@ def _find_covered(points: Float[np.ndarray, "N 3"], slabs: list[tuple[Plane, Sla
     return covered
 
 
-def _add_skin(hull: Hull, apart: Float[np.ndarray, "N"], free: FreeSpace) -> Float[np.ndarray, "V 3"]:
+def _bulge_slab(plane: Plane, slab: Slab, bulge: Float[np.ndarray, "N"], free: FreeSpace) -> Float[np.ndarray, "V 3"]:
+    """Return the vertices of a slab, thicker by the bulge of its points if it then contains no more free space."""
+    grown = float(np.median(bulge[plane.members]))
+    if grown <= 0.0:
+        return slab.vertices
+    side = np.sign(slab.vertices @ plane.normal - plane.offset)
+    thick = slab.vertices + (grown * side)[:, None] * plane.normal
+    before, after = (free.count_inside(make_hull(vertices)) for vertices in (slab.vertices, thick))
+    return thick if after <= before else slab.vertices
+
+
+def _add_skin(
+    hull: Hull, apart: Float[np.ndarray, "N"], bulge: Float[np.ndarray, "N"], free: FreeSpace
+) -> Float[np.ndarray, "V 3"]:
     """Return at most 64 vertices of the hull grown by a skin that covers the surface between its points.
 
-    The skin is 5 mm, or two fifths of a larger point spacing if the hull then contains no more free space.
+    The skin is 5 mm and the bulge of the points, or two fifths of a larger point spacing, if the hull then contains no
+    more free space than with 5 mm.
 
     Args:
         hull: its members index ``apart``.
         apart: (N,) distance of each point to its neighbours [m].
+        bulge: (N,) what smoothing leaves of their noise [m].
     """
     skinned = make_hull(thicken(hull.vertices, SKIN), hull.members)
-    skin = min(_SKIN_OF_SPACING * float(np.median(apart[hull.members])), _MOST_SKIN)
+    spaced = _SKIN_OF_SPACING * float(np.median(apart[hull.members]))
+    skin = min(max(spaced, SKIN + float(np.median(bulge[hull.members]))), _MOST_SKIN)
     if skin > SKIN:
         thick = make_hull(thicken(hull.vertices, skin), hull.members)
         if free.count_inside(thick) <= free.count_inside(skinned):
@@ -174,15 +216,6 @@ def _choose_kind(plane: Plane, slab: Slab) -> str:
     width, height = np.ptp(slab.outline, axis=0)
     is_wall = abs(plane.normal[2]) < _UPRIGHT and width >= _WALL[0] and height >= _WALL[1]
     return "wall" if is_wall else "plane"
-
-
-@dataclass(frozen=True)
-class Body:
-    """Kind, vertices and plane of an unnamed piece."""
-
-    kind: str
-    vertices: Float[np.ndarray, "V 3"]
-    plane: Float[np.ndarray, "4"] | None
 
 
 def name_bodies(bodies: Sequence[Body], first: Mapping[str, int], free: FreeSpace) -> list[Piece]:

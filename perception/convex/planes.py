@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from costs.progress import tell
 from costs.stopping import poll
 from perception.cleaning.clean import nearest
 
@@ -122,6 +123,7 @@ def find_planes(
     left = np.arange(len(points))
     misses = 0
     while len(planes) < settings.max_planes and len(left) >= settings.min_points and misses < 4:
+        tell("find planes", 1.0 - len(left) / len(points))
         members = _find_best_region(points, counts, normals, starts, left, rng, settings)
         if members is None:
             misses += 1

@@ -11,6 +11,8 @@ from jaxtyping import Float, Int
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
+from costs.progress import tell
+from costs.stopping import poll
 from perception.cleaning.clean import nearest
 from perception.convex.freespace import FreeSpace, carve
 from perception.convex.hulls import SKIN, Hull, make_hull, thicken
@@ -24,6 +26,8 @@ _CELL = 0.01
 _CLOSE = 2
 _AROUND = 0.03
 _FEW = 3
+# Merging fewer is one step of a longer one.
+_MANY_HULLS = 50
 # Smaller hulls consist of noise and skin only; free space in them is noise and is not refined [m^3].
 _LEAST_VOLUME = 5e-5
 
@@ -124,21 +128,32 @@ def _sweep_cost(ordered: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N-1"]:
 
 
 def merge(
-    hulls: Sequence[Hull], free: FreeSpace, gap: float | Float[np.ndarray, "H"], allowed: SplitAllowance = _DEFAULT
+    hulls: Sequence[Hull],
+    free: FreeSpace,
+    gap: float | Float[np.ndarray, "H"],
+    allowed: SplitAllowance = _DEFAULT,
+    most_left: int = 1,
 ) -> list[Hull]:
     """Merge neighbouring hulls, least added volume first, while the merged hull contains no free space.
 
     Args:
         gap: largest distance between the bounding boxes of neighbours; per hull, the smaller of both counts [m].
         allowed: free space that a merged hull may contain.
+        most_left: number of hulls at which merging ends.
     """
     merger = _Merger(list(hulls), free, np.broadcast_to(gap, len(hulls)), allowed)
     for i in range(len(hulls)):
         merger.propose(i, i)
-    while merger.queue:
+    n_tried = n_merged = 0
+    while merger.queue and len(hulls) - n_merged > most_left:
+        poll()
+        n_tried += 1
+        if len(hulls) > _MANY_HULLS:
+            tell("merge hulls", n_tried / (n_tried + len(merger.queue)))
         _, i, j, joint = heapq.heappop(merger.queue)
         if merger.is_alive[i] and merger.is_alive[j] and is_free_of(joint, free, allowed):
             merger.replace(i, j, joint)
+            n_merged += 1
     return [hull for hull, is_alive in zip(merger.hulls, merger.is_alive, strict=True) if is_alive]
 
 
@@ -200,6 +215,7 @@ def refine_hulls(
     surface: Float[np.ndarray, "M 3"],
     rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
     gap: float,
+    doubt: float = 0.0,
 ) -> list[Hull]:
     """Split hulls until they contain, skin included, no free space more than 2 cm from any point.
 
@@ -210,16 +226,18 @@ def refine_hulls(
         points: (N, 3) points that the hulls' members index [m].
         surface: (M, 3) all surface points of the scan [m].
         gap: parts whose bounding boxes are farther apart are not merged again [m].
+        doubt: distance from points within which no space counts as free [m].
     """
     is_large = [make_hull(thicken(hull.vertices, SKIN), hull.members).volume >= _LEAST_VOLUME for hull in hulls]
     passing = _Passing.of(*rays, sum(is_large))
     done: list[Hull] = []
-    for hull, is_split in zip(hulls, is_large, strict=True):
+    for i, (hull, is_split) in enumerate(zip(hulls, is_large, strict=True)):
+        tell("refine hulls", i / len(hulls))
         if not is_split:
             done.append(hull)
             continue
         lower = _CELL * np.floor((hull.lower - _AROUND) / _CELL)
-        fine = _carve_fine(passing, surface, lower, hull.upper + _AROUND)
+        fine = _carve_fine(passing, surface, lower, hull.upper + _AROUND, doubt)
         if is_free_of(hull, fine, _REFINED):
             done.append(hull)
         else:
@@ -228,9 +246,13 @@ def refine_hulls(
 
 
 def _carve_fine(
-    passing: _Passing, surface: Float[np.ndarray, "M 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+    passing: _Passing,
+    surface: Float[np.ndarray, "M 3"],
+    lower: Float[np.ndarray, "3"],
+    upper: Float[np.ndarray, "3"],
+    doubt: float,
 ) -> FreeSpace:
-    """Return the 1 cm cells in a box that rays passed through, more than about 2 cm from any surface point."""
+    """Return the 1 cm cells in a box that rays passed through, more than about 2 cm and ``doubt`` from any point."""
     near = passing.near(lower, upper)
     inside = surface
     for axis in range(3):
@@ -239,7 +261,9 @@ def _carve_fine(
     held = np.zeros(free.free.shape, dtype=bool)
     cells = np.floor((inside - lower) / free.size).astype(int)
     held[tuple(cells[(cells < held.shape).all(axis=1)].T)] = True
-    return FreeSpace(free.lower, free.size, free.free & ~ndimage.binary_dilation(held, iterations=_CLOSE))
+    return FreeSpace(
+        free.lower, free.size, free.free & ~ndimage.binary_dilation(held, iterations=max(_CLOSE, round(doubt / _CELL)))
+    )
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,18 @@
 """Detectors by kind of object.
 
 To add a kind, write a function ``detect_...(view, hint)`` that returns a list of :class:`Detection`, in a module or
-a folder of its own, and add a line to ``DETECTORS``.  A detector may import ``perception.detect.shared`` but no module
-of another kind: add its module to the import contract in ``pyproject.toml``.
+a folder of its own, and add a line to ``SHIPPED``.  A detector may import ``perception.detect.shared`` but no module
+of another kind: add its module to the import contract in ``pyproject.toml``.  Another package adds a kind by an entry
+point of the group ``scopt_detectors``: ``KIND = module:DETECTOR``, with an offered ``Detector``.
 ``service.request.choices`` repeats the kinds that a request may name, because it must not import this package.
 """
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import entry_points
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +25,7 @@ from perception.detect.hose.detector import detect_hose
 from perception.detect.lever import detect_lever
 from perception.detect.panel.detector import detect_panel
 from perception.detect.shared.detection import Detection
+from perception.detect.shared.detector import Detector
 from perception.detect.shared.faces import FacesInSight
 from perception.detect.shared.overlap import settle_overlaps
 from perception.detect.valve.detector import detect_turnable, detect_valve
@@ -33,28 +36,32 @@ from perception.errors import PerceptionError
 from perception.sightlines import SightIndex, sight_index
 from perception.view import View, widen
 
+ENTRY_POINTS = "scopt_detectors"
 _MOSTLY = 0.5
 
 
-@dataclass(frozen=True)
-class Detector:
-    """Detector of one kind and its needs.
+def _find_added() -> Iterator[tuple[str, Detector]]:
+    """Yield the detectors that other packages add, by kind.
 
-    Attributes:
-        find: function of view and hint, and with ``needs_faces`` of the view's flat faces or with ``needs_index`` of
-            the index of its rays; returns detections.
-        needs_faces: whether it uses the flat faces, which are found once for all such detectors.
-        needs_index: whether it uses the index of the view's rays, made once for all such detectors.
-        is_offered: whether a request may name the kind; the others are for tasks only.
+    Raises:
+        PerceptionError: a package fails, gives something else, or takes a kind that is taken.
     """
+    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda entry: entry.name):
+        where = f"entry point {entry.name!r} of {ENTRY_POINTS} ({entry.value})"
+        try:
+            detector = entry.load()
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            words = f"{where}: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
+            raise PerceptionError(words) from error
+        if not isinstance(detector, Detector):
+            raise PerceptionError(f"{where}: {detector!r}; expected a Detector")
+        if entry.name in SHIPPED:
+            raise PerceptionError(f"{where}: a detector of {entry.name!r} exists already; expected another name")
+        yield entry.name, detector
 
-    find: Callable[..., list[Detection]]
-    needs_faces: bool = False
-    needs_index: bool = False
-    is_offered: bool = True
 
-
-DETECTORS: Mapping[str, Detector] = {
+SHIPPED: Mapping[str, Detector] = {
     "valve": Detector(detect_valve, needs_index=True),
     "door": Detector(detect_door),
     "drill": Detector(detect_drill, needs_index=True),
@@ -71,6 +78,7 @@ DETECTORS: Mapping[str, Detector] = {
     "turnable": Detector(detect_turnable, is_offered=False),
     "wheel": Detector(detect_wheels, is_offered=False),
 }
+DETECTORS: Mapping[str, Detector] = {**SHIPPED, **dict(_find_added())}
 KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.is_offered)
 
 

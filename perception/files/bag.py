@@ -1,8 +1,12 @@
-"""PointCloud2 messages of ROS bags, read by rosbags: ROS 2 (folder, MCAP, SQLite) and ROS 1."""
+"""Clouds and depth images of ROS bags, moved by their transforms; read by rosbags.
+
+ROS 2: folders, MCAP and SQLite files.  ROS 1: .bag files.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,15 +14,18 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from perception.errors import CloudError
+from perception.files.depth import make_depth_scan, parse_intrinsics
+from perception.files.frames import TRANSFORMS, Tree, read_tree
 from perception.files.scan import Scan, find_missing_axis, index_columns, make_scan, quote
 from perception.limits import MAX_POINTS
 
 if TYPE_CHECKING:
-    from jaxtyping import Shaped
+    from jaxtyping import Float, Shaped
 
 Message = int | Literal["all"]
 
 _TYPE = "sensor_msgs/msg/PointCloud2"
+_IMAGE, _INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _PACKED = b"\x28\xb5\x2f\xfd"  # first bytes of a zstd frame; no message starts with them
 # Messages of the reader about a truncated file, and the command that repairs it.
 _CUT_OFF = {
@@ -30,7 +37,7 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 
 def read_bag(path: Path, name: str, topic: str | None, message: Message) -> Scan:
-    """Read one message of a topic, or all of them merged, in the frame they were recorded in.
+    """Read one message of each topic with clouds, or all of them, in the frame that the bag's transforms lead to.
 
     Raises:
         CloudError: the bag cannot be used; the message names ``name`` and the fault.
@@ -55,26 +62,154 @@ def _read(path: Path, name: str, topic: str | None, message: Message) -> Scan:
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     read = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
     with Reader1(path) if is_ros1 else Reader2(path) as reader:
-        connections = _select_topic(reader.connections, topic, name)
-        where = f"{name}: topic {quote(connections[0].topic)}"
+        bag = _Bag(reader, read, name)
+        tree = read_tree(bag.list_messages(TRANSFORMS))
+        topics = _select_topics(reader.connections, topic, name)
+        if not topics:
+            return _read_images(bag, topic, message)
+        if len(topics) > 1:
+            _check_joined(topics, bag, tree, name)
+        return merge_scans([_read_topic(bag, chosen, message, tree) for chosen in topics])
+
+
+@dataclass(frozen=True)
+class _Bag:
+    """An open bag: its reader, how messages are decoded, and its name."""
+
+    reader: Any
+    decode: Callable[[bytes, str], Any]
+    name: str
+
+    def list_messages(self, kind: str) -> Iterator[Any]:
+        """Yield all messages of a type, first the static transforms."""
+        connections = [connection for connection in self.reader.connections if connection.msgtype == kind]
+        for _, _, data in self.reader.messages(connections=connections) if connections else ():
+            yield self.decode(_check_unpacked(bytes(data), self.name), kind)
+
+    def select(self, topic: str, kind: str, message: Message) -> tuple[list[Any], int]:
+        """Return the requested messages of a topic, and how many it has."""
+        connections = [c for c in self.reader.connections if c.topic == topic and c.msgtype == kind]
         n_messages = sum(int(connection.msgcount) for connection in connections)
-        raw = (_check_unpacked(bytes(data), where) for _, _, data in reader.messages(connections=connections))
-        clouds = (read(data, _TYPE) for data in _select_messages(raw, message, n_messages, where))
-        return _merge_messages(clouds, message, n_messages, where)
+        where = f"{self.name}: topic {quote(topic)}"
+        raw = (_check_unpacked(bytes(data), where) for _, _, data in self.reader.messages(connections=connections))
+        return [self.decode(data, kind) for data in _select_messages(raw, message, n_messages, where)], n_messages
 
 
-def _select_topic(connections: Sequence[Any], topic: str | None, name: str) -> list[Any]:
-    """Return the connections of the requested topic, or of the only topic with clouds."""
-    clouds = [connection for connection in connections if connection.msgtype == _TYPE]
-    topics = sorted({connection.topic for connection in clouds})
-    if not topics:
-        held = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in connections}))
-        raise CloudError(f"{name}: has no PointCloud2; its topics are {quote(held) or 'none'}")
-    if topic is None and len(topics) > 1:
+def _read_topic(bag: _Bag, topic: str, message: Message, tree: Tree) -> Scan:
+    clouds, n_messages = bag.select(topic, _TYPE, message)
+    return _merge_messages(clouds, message, n_messages, f"{bag.name}: topic {quote(topic)}", tree)
+
+
+def _check_joined(topics: Sequence[str], bag: _Bag, tree: Tree, name: str) -> None:
+    """
+    Raises:
+        CloudError: the bag's transforms do not join the frames of its topics.
+    """
+    frames = {topic: str(bag.select(topic, _TYPE, 0)[0][0].header.frame_id) for topic in topics}
+    roots = {tree.find_root(frame) for frame in frames.values()}
+    if len(roots) > 1 or not roots.isdisjoint(frames.values()):
         raise CloudError(f"{name}: has clouds on {len(topics)} topics; name one: {quote(', '.join(topics))}")
-    if topic is not None and topic not in topics:
+
+
+def _read_images(bag: _Bag, topic: str | None, message: Message) -> Scan:
+    """Read depth images with the intrinsics of their CameraInfo, in the camera's frame or moved by transforms.
+
+    Raises:
+        CloudError: the bag has no cloud and no such pair, or several.
+    """
+    names = {c.topic for c in bag.reader.connections if c.msgtype == _IMAGE and "depth" in c.topic}
+    infos = {c.topic.rpartition("/")[0]: c.topic for c in bag.reader.connections if c.msgtype == _INFO}
+    pairs = {name: infos[name.rpartition("/")[0]] for name in sorted(names) if name.rpartition("/")[0] in infos}
+    if topic is not None:
+        pairs = {name: info for name, info in pairs.items() if name == topic}
+    if not pairs:
+        held = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.reader.connections}))
+        raise CloudError(
+            f"{bag.name}: has no PointCloud2, and no depth image with a CameraInfo beside it; its topics are "
+            f"{quote(held) or 'none'}"
+        )
+    if len(pairs) > 1:
+        raise CloudError(f"{bag.name}: has depth images on {len(pairs)} topics; name one: {quote(', '.join(pairs))}")
+    ((name, info_name),) = pairs.items()
+    (info,), _ = bag.select(info_name, _INFO, 0)
+    images, n_images = bag.select(name, _IMAGE, 0 if message == "all" else message)
+    matrix = getattr(info, "k", getattr(info, "K", None))
+    camera = parse_intrinsics({"K": None if matrix is None else list(matrix)}, f"{bag.name}: {info_name}")
+    scan = make_depth_scan(_decode_image(images[0], bag.name), camera, bag.name)
+    tree = read_tree(bag.list_messages(TRANSFORMS))
+    scan = _move(scan, str(images[0].header.frame_id), _stamp(images[0]), tree)
+    if n_images > 1:
+        scan = replace(
+            scan, notes=(*scan.notes, f"one of {n_images} depth images was read; another one can be requested")
+        )
+    return scan
+
+
+def _decode_image(image: Any, name: str) -> Float[np.ndarray, "H W"]:
+    """Return the depths of an image of ROS (REP 118) [m]; 0 or NaN where there is none."""
+    kinds = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
+    if str(image.encoding) not in kinds:
+        raise CloudError(f"{name}: image encoding '{quote(str(image.encoding))}' is no depth; expected 16UC1 or 32FC1")
+    code, metres = kinds[str(image.encoding)]
+    kind = np.dtype((">" if image.is_bigendian else "<") + code)
+    height, width, step = int(image.height), int(image.width), int(image.step)
+    data = np.ascontiguousarray(image.data)
+    if (
+        not (height and width)
+        or step < width * kind.itemsize
+        or data.nbytes < height * step
+        or height * width > MAX_POINTS
+    ):
+        raise CloudError(f"{name}: an image of {width} x {height} pixels in {data.nbytes} bytes; its size is wrong")
+    grid: Shaped[np.ndarray, "H W"] = np.ndarray((height, width), kind, data.data, 0, (step, kind.itemsize))
+    return metres * grid.astype(np.float64)
+
+
+def _stamp(message: Any) -> float:
+    stamp = message.header.stamp
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def _move(scan: Scan, frame: str, stamp: float, tree: Tree) -> Scan:
+    """Return a scan moved to the root of the bag's transforms; as it is, with a note, if they do not have its frame."""
+    root = tree.find_root(frame)
+    if root == frame:
+        note = f"the points are in the frame '{quote(frame)}', of which the bag has no transform"
+        return replace(scan, notes=(note, *scan.notes))
+    pose = tree.find_pose(frame, stamp)
+    return Scan(
+        scan.points @ pose[:3, :3].T + pose[:3, 3],
+        misses=scan.misses @ pose[:3, :3].T + pose[:3, 3],
+        starts=pose[:3, 3],
+        notes=(f"moved from the frame '{quote(frame)}' to '{quote(root)}' by the bag's transforms", *scan.notes),
+    )
+
+
+def merge_scans(scans: Sequence[Scan]) -> Scan:
+    """Return the scans of several sensors in one frame, each point with the start of its ray."""
+    if len(scans) == 1:
+        return scans[0]
+    if sum(len(scan.points) + len(scan.misses) for scan in scans) > MAX_POINTS:
+        raise CloudError(f"the clouds of the topics have more than {MAX_POINTS} points together; name one topic")
+
+    def starts_of(scan: Scan, rows: int) -> Float[np.ndarray, "N 3"]:
+        return np.broadcast_to(np.zeros(3) if scan.starts is None else scan.starts, (rows, 3))
+
+    return Scan(
+        np.concatenate([scan.points for scan in scans]),
+        misses=np.concatenate([scan.misses for scan in scans]),
+        starts=np.concatenate([starts_of(scan, len(scan.points)) for scan in scans]),
+        miss_starts=np.concatenate([starts_of(scan, len(scan.misses)) for scan in scans]),
+        notes=tuple(dict.fromkeys(note for scan in scans for note in scan.notes)),
+    )
+
+
+def _select_topics(connections: Sequence[Any], topic: str | None, name: str) -> list[str]:
+    """Return the requested topic with clouds, or all of them; empty if there is none."""
+    topics = sorted({connection.topic for connection in connections if connection.msgtype == _TYPE})
+    if topic is not None and topics and topic not in topics:
         raise CloudError(f"{name}: has no clouds on topic '{quote(topic)}'; it has some on {quote(', '.join(topics))}")
-    return [connection for connection in clouds if connection.topic == (topic or topics[0])]
+    return topics if topic is None or not topics else [topic]
 
 
 def _select_messages(raw: Iterator[bytes], message: Message, n_messages: int, where: str) -> Iterator[bytes]:
@@ -102,11 +237,12 @@ def _check_unpacked(data: bytes, where: str) -> bytes:
     return data
 
 
-def _merge_messages(clouds: Iterator[Any], message: Message, n_messages: int, where: str) -> Scan:
+def _merge_messages(clouds: Sequence[Any], message: Message, n_messages: int, where: str, tree: Tree) -> Scan:
     scans, frames = [], set()
     for cloud in clouds:
-        scans.append(_parse_message(cloud, where))
-        frames.add(quote(str(cloud.header.frame_id)))
+        frame = str(cloud.header.frame_id)
+        scans.append(_move(_parse_message(cloud, where), frame, _stamp(cloud), tree))
+        frames.add(quote(tree.find_root(frame)))
         if len(frames) > 1:
             frame_list = ", ".join(sorted(frames))
             raise CloudError(f"{where}: its messages are in different frames ({frame_list}); choose one message")
@@ -120,19 +256,21 @@ def _merge_messages(clouds: Iterator[Any], message: Message, n_messages: int, wh
         if message == "all" or n_messages == 1:
             raise CloudError(f"{where}: its {len(scans)} messages hold no points; at least one is needed")
         raise CloudError(f"{where}: message {message} of {n_messages} holds no points; choose another one, or all")
-    notes = [
-        f"the points are in the frame '{frames.pop()}'; transforms recorded in the bag are not read, only one that is "
-        "given with it"
-    ]
+    notes: tuple[str, ...] = ()
     if len(scans) > 1:
-        notes.append(f"merged {len(scans)} messages as they stand; that is right for a sensor that stood still")
+        is_moved = scans[0].starts is not None
+        right = "moved by the transforms" if is_moved else "as they stand; that is right for a sensor that stood still"
+        notes = (f"merged {len(scans)} messages {right}",)
     elif n_messages > 1:
-        notes.append(f"message {message} of {n_messages} was read; another one or all can be requested")
-    return Scan(
-        np.concatenate([scan.points for scan in scans]),
-        misses=np.concatenate([scan.misses for scan in scans]),
-        notes=tuple(notes),
-    )
+        notes = (f"message {message} of {n_messages} was read; another one or all can be requested",)
+    if all(scan.starts is None for scan in scans):
+        return Scan(
+            np.concatenate([scan.points for scan in scans]),
+            misses=np.concatenate([scan.misses for scan in scans]),
+            notes=(*scans[0].notes, *notes),
+        )
+    merged = merge_scans(scans)
+    return replace(merged, notes=(*merged.notes, *notes))
 
 
 def _parse_message(cloud: Any, where: str) -> Scan:

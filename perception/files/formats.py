@@ -13,6 +13,7 @@ from pathlib import Path
 
 from perception.files.bag import Message, read_bag
 from perception.files.content import Content, open_content
+from perception.files.depth import read_depth_png
 from perception.files.e57 import read_e57
 from perception.files.las import read_las
 from perception.files.npz import read_npy, read_npz
@@ -21,6 +22,7 @@ from perception.files.ply import read_ply
 from perception.files.ptx import read_ptx
 from perception.files.scan import Scan
 from perception.files.table import read_text
+from perception.files.vtk import read_vtk, read_vtk_xml
 
 HEAD_BYTES = 4096
 
@@ -68,6 +70,9 @@ FORMATS = (
     Format((".npy",), _of_content(read_npy), rb"\x93NUMPY"),
     Format((".las", ".laz"), _of_content(read_las), rb"LASF"),
     Format((".e57",), lambda path, *_: read_e57(path, str(path)), rb"ASTM-E57"),
+    Format((".vtk",), _of_content(read_vtk), rb"# vtk DataFile"),
+    Format((".vtp", ".vtu", ".vts"), _of_content(read_vtk_xml), rb"(<\?xml(?s:.{0,400}?))?<VTKFile"),
+    Format((".png",), lambda path, *_: read_depth_png(path, str(path)), rb"\x89PNG"),
     _of_bag(".mcap", rb"\x89MCAP0\r\n"),
     _of_bag(".db3", rb"SQLite format 3\0"),
     _of_bag(".bag", rb"#ROSBAG"),
@@ -77,7 +82,7 @@ BAG_SUFFIXES = tuple(suffix for kind in FORMATS if kind.is_bag for suffix in kin
 BAG_FOLDER_HAS = "metadata.yaml"
 
 _OTHERS = (
-    (b"\xff\xd8\xff", "a JPEG picture"), (b"\x89PNG", "a PNG picture"), (b"GIF8", "a GIF picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"), (b"GIF8", "a GIF picture"),
     (b"%PDF", "a PDF document"), (b"\x1f\x8b", "a gzip archive; unpack it"), (b"PK\3\4", "a zip archive; unpack it"),
     (b"\x28\xb5\x2f\xfd", "a zstd archive; unpack it"), (b"glTF", "a glTF model"),
     (b"{\\rtf", "an RTF document"), (b"<?xml", "XML"),

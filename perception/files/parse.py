@@ -95,7 +95,8 @@ def _check_format(path: Path) -> tuple[Format, tuple[str, ...]]:
     _check_file(path, None if is_named_bag else MAX_FILE_BYTES)
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    held, other = find_format_by_head(head), describe_other_kind(head)
+    held = find_format_by_head(head)
+    other = "" if held is not None else describe_other_kind(head)
     if held is not None and held is not named:
         if is_named_bag or held.is_bag:
             what = held if is_named_bag else "a bag"

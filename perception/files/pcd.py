@@ -157,10 +157,11 @@ def _parse_fields(entries: dict[str, list[str]], name: str) -> tuple[tuple[str, 
     if len(counts) != len(fields):
         raise CloudError(f"{name}: {len(fields)} FIELDS but {len(counts)} COUNT; one each is needed")
     parsed = []
-    for field, size, kind, count in zip(fields, entries["SIZE"], entries["TYPE"], counts, strict=True):
+    for field, size, word, count in zip(fields, entries["SIZE"], entries["TYPE"], counts, strict=True):
+        kind = word.upper()
         if kind not in _NUMPY_KIND or parse_natural(size) not in _ALLOWED_SIZES[kind]:
             raise CloudError(
-                f"{name}: field '{quote(field)}' has TYPE {quote(kind)} SIZE {quote(size)}; "
+                f"{name}: field '{quote(field)}' has TYPE {quote(word)} SIZE {quote(size)}; "
                 "F 4|8, I or U 1|2|4|8 are possible"
             )
         repeats = parse_natural(count) or 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,9 +27,12 @@ from perception.files.text import Rows, read_rows, use_line_feeds
 from perception.limits import MAX_FILE_POINTS
 
 if TYPE_CHECKING:
-    from jaxtyping import Shaped
+    from jaxtyping import Int, Shaped
 
 _HEADER_LIMIT = 65536
+# Rows times properties that are walked one by one, which takes about a second a million.
+_MOST_WALKED = 20_000_000
+_LENGTH_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I"}
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -75,11 +79,12 @@ def read_ply(data: Content, name: str) -> Scan:
         notes = (*_note_mesh(elements), *rows.notes)
         return make_scan({key: rows.values[:, i] for i, key in enumerate(indices)}, viewpoint, notes)
     for element in before:
-        start += _read_table(data, start, element, order, name).nbytes
-    table = _read_table(data, start, vertex, order, name)
+        start = _find_end(data, start, element, order, name)
     step = choose_step(vertex.count)
     taken_rows = pick_rows(vertex.count, step)
-    columns = {key: table[str(i)][taken_rows] for key, i in indices.items()}
+    columns = {
+        key: values[taken_rows] for key, values in _read_columns(data, start, vertex, indices, order, name).items()
+    }
     return make_scan(columns, viewpoint, (*_note_mesh(elements), *note_thinning(vertex.count, step)))
 
 
@@ -150,11 +155,65 @@ def _split_at_vertex(elements: list[_Element], name: str) -> tuple[list[_Element
     return before, vertex
 
 
-def _read_table(data: Content, start: int, element: _Element, order: str, name: str) -> Shaped[np.ndarray, "N"]:
-    """Read the rows of an element of a binary file; each list must have the same length in all rows.
+def _find_end(data: Content, start: int, element: _Element, order: str, name: str) -> int:
+    """Return where the rows of an element of a binary file end."""
+    table = _read_table(data, start, element, order, name)
+    return start + table.nbytes if table is not None else _walk_rows(data, start, element, order, name)[1]
+
+
+def _read_columns(
+    data: Content, start: int, element: _Element, indices: Mapping[str, int], order: str, name: str
+) -> dict[str, Shaped[np.ndarray, "N"]]:
+    """Return columns of a binary file, whatever the lengths of its lists."""
+    table = _read_table(data, start, element, order, name)
+    if table is not None:
+        return {key: table[str(i)] for key, i in indices.items()}
+    places, _ = _walk_rows(data, start, element, order, name)
+    content = np.frombuffer(data, np.uint8)
+    columns = {}
+    for key, i in indices.items():
+        kind = np.dtype(order + element.properties[i][1])
+        columns[key] = content[places[:, i, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
+    return columns
+
+
+def _walk_rows(
+    data: Content, start: int, element: _Element, order: str, name: str
+) -> tuple[Int[np.ndarray, "N P"], int]:
+    """Return where each property of each row starts, and the end of the last, for lists of differing lengths."""
+    kinds = [[np.dtype(order + part) for part in kind.split()] for _, kind in element.properties]
+    unpack = [struct.Struct(order + _LENGTH_CODES[kind[0].str[1:]]).unpack_from for kind in kinds if len(kind) == 2]
+    if element.count * max(1, len(kinds)) > _MOST_WALKED:
+        raise CloudError(
+            f"{name}: element {quote(element.name)} has lists of differing lengths in {element.count} rows, too many "
+            f"to read; {_suggest_remedy(element)}"
+        )
+    places = np.zeros((element.count, len(kinds)), dtype=np.int64)
+    at = start
+    try:
+        for row in range(element.count):
+            readers = iter(unpack)
+            for i, kind in enumerate(kinds):
+                places[row, i] = at
+                if len(kind) == 2:
+                    length = next(readers)(data, at)[0]
+                    if length < 0:
+                        raise CloudError(f"{name}: element {quote(element.name)} has a list of {length} entries")
+                    at += kind[0].itemsize + length * kind[1].itemsize
+                else:
+                    at += kind[0].itemsize
+    except struct.error:
+        at = len(data) + 1
+    if at > len(data):
+        raise CloudError(f"{name}: ends within the {element.count} rows of element {quote(element.name)}")
+    return places, at
+
+
+def _read_table(data: Content, start: int, element: _Element, order: str, name: str) -> Shaped[np.ndarray, "N"] | None:
+    """Read the rows of an element of a binary file; None if its lists differ in length.
 
     Raises:
-        CloudError: the file is too short, or the lists differ in length.
+        CloudError: the file is too short.
     """
     there = max(len(data) - start, 0)
     layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
@@ -177,18 +236,19 @@ def _read_table(data: Content, start: int, element: _Element, order: str, name: 
     dtype = np.dtype(layout)
     if not element.count or not dtype.itemsize:
         return np.zeros(0, dtype)
-    if there < element.count * dtype.itemsize:
+    lists = [field for field in dtype.names or () if field.endswith("length")]
+    n_there = min(element.count, there // dtype.itemsize)
+    table = np.frombuffer(data, dtype=dtype, count=n_there, offset=start)
+    if any((table[field] != table[field][:1]).any() for field in lists):
+        return None
+    if n_there < element.count:
+        if lists:  # the first lists may be longer than the others
+            return None
         what = "vertices" if element.name == "vertex" else f"rows of element {quote(element.name)}"
         raise CloudError(
             f"{name}: {element.count} {what} of {dtype.itemsize} bytes are announced, but only {there} bytes are there "
             "for them"
         )
-    table = np.frombuffer(data, dtype=dtype, count=element.count, offset=start)
-    for field in dtype.names or ():
-        if field.endswith("length") and (table[field] != table[field][:1]).any():
-            raise CloudError(
-                f"{name}: element {quote(element.name)} has lists of differing lengths; {_suggest_remedy(element)}"
-            )
     return table
 
 
@@ -215,7 +275,9 @@ def _read_ascii(
         if not at:
             raise CloudError(f"{name}: ends before its vertices")
         start, first_line = at, first_line + 1
-    offsets = _find_offsets(data, start, vertex)
+    if vertex.has_list:
+        return _read_listed_rows(data, start, vertex, list(indices.values()), name)
+    offsets = list(range(len(vertex.properties) + 1))
     rows = read_rows(
         data,
         [offsets[i] for i in indices.values()],
@@ -230,13 +292,27 @@ def _read_ascii(
     return rows
 
 
-def _find_offsets(data: Content, start: int, vertex: _Element) -> list[int]:
-    """Return the column of each property, then the number of columns, from the list lengths in the first row."""
-    end = data.find(b"\n", start)
-    words = data[start : end if end >= 0 else len(data)][:_HEADER_LIMIT].split() if vertex.has_list else []
-    offsets = [0]
-    for _, kind in vertex.properties:
-        at = offsets[-1]
-        length = parse_natural(words[at].decode("latin-1")) if " " in kind and at < len(words) else None
-        offsets.append(at + 1 + (length or 0))
-    return offsets
+def _read_listed_rows(data: Content, start: int, vertex: _Element, columns: list[int], name: str) -> Rows:
+    """Read columns of rows of text that hold lists, of any lengths."""
+    lines = bytes(data[start:]).split(b"\n")
+    lines = [line for line in lines if line.strip()][: vertex.count]
+    if len(lines) < vertex.count:
+        raise CloudError(f"{name}: {vertex.count} vertices are announced, {len(lines)} lines are there")
+    step = choose_step(vertex.count)
+    taken = pick_rows(len(lines), step)
+    chosen = lines if isinstance(taken, slice) else [lines[i] for i in taken]
+    values = np.empty((len(chosen), len(columns)))
+    for row, line in enumerate(chosen):
+        words = line.split()
+        places, at = [], 0
+        for _, kind in vertex.properties:
+            places.append(at)
+            length = parse_natural(words[at].decode("latin-1")) if " " in kind and at < len(words) else 0
+            at += 1 + (length or 0)
+        try:
+            values[row] = [float(words[places[column]]) for column in columns]
+        except (IndexError, ValueError):
+            raise CloudError(
+                f"{name}: vertex {row} is '{quote(line.decode('latin-1'))}', no row as announced"
+            ) from None
+    return Rows(values, len(lines), step)

@@ -14,9 +14,12 @@ from perception.files.bag import Message
 from perception.files.parse import is_bag, parse_to_values
 from perception.files.placing import PoseInput, place_scan
 from perception.files.scan import Scan, pick_rows
+from perception.levelling.level import make_level, propose_level
 from perception.limits import MAX_PARSER_BYTES, MAX_PARSER_CPU_S, MAX_PARSER_WALL_S, MAX_POINTS
+from perception.noise import AUTO
 from perception.sandbox import Cause, ProcessLimits, SandboxError, run_in_sandbox
 
+_KINDS = {".png": "depth", ".e57": "survey", ".ptx": "survey"}
 PARSER_LIMITS = ProcessLimits(MAX_PARSER_BYTES, MAX_PARSER_WALL_S, MAX_PARSER_CPU_S)
 
 
@@ -29,6 +32,9 @@ def read_cloud(
     sensor: Sequence[float] | None = None,
     topic: str | None = None,
     message: Message = 0,
+    level: bool = False,
+    sensor_model: str = AUTO,
+    sensor_sigma: float = 0.0,
 ) -> Cloud:
     """Read a cloud file; its content, else its suffix gives the format.
 
@@ -43,12 +49,23 @@ def read_cloud(
             identity viewpoint does not count, since writers without a sensor pose write it.
         topic: topic to read from a bag with several.
         message: index of a bag's message to read (0 the first, -1 the last), or ``all`` to merge them.
+        level: turn the cloud z up and lift its floor to zero; without, a cloud that is not level gets a note.
+        sensor_model: kind of sensor, a name of ``noise.MODELS``; ``auto``: by the file, or estimated when it is needed.
+        sensor_sigma: standard deviation of the start of the rays [m].
 
     Raises:
         CloudError: the file cannot be used; the message names the file, the fault and what is expected.
     """
     return read_clouds(
-        [(path, transform)], unit=unit, apply_viewpoint=apply_viewpoint, sensor=sensor, topic=topic, message=message
+        [(path, transform)],
+        unit=unit,
+        apply_viewpoint=apply_viewpoint,
+        sensor=sensor,
+        topic=topic,
+        message=message,
+        level=level,
+        sensor_model=sensor_model,
+        sensor_sigma=sensor_sigma,
     )
 
 
@@ -60,6 +77,9 @@ def read_clouds(
     sensor: Sequence[float] | None = None,
     topic: str | None = None,
     message: Message = 0,
+    level: bool = False,
+    sensor_model: str = AUTO,
+    sensor_sigma: float = 0.0,
 ) -> Cloud:
     """Read several files and merge them, thinned to at most ``MAX_POINTS``; each point keeps the start of its ray.
 
@@ -67,6 +87,7 @@ def read_clouds(
         files: each file with its pose_world_cloud (None: its points are already in the world).
         unit, apply_viewpoint, sensor: as for ``read_cloud``, for all files.
         topic, message: as for ``read_cloud``, for all bags.
+        level, sensor_model, sensor_sigma: as for ``read_cloud``, for the merged cloud.
 
     Raises:
         CloudError: no file given, or a file cannot be used.
@@ -86,10 +107,20 @@ def read_clouds(
         while sum(len(part.points) + len(part.misses) for part in clouds) > MAX_POINTS:
             clouds, step = [_thin(part, 2) for part in clouds], 2 * step
     whole = merge_clouds(clouds)
-    if step == 1:
-        return whole
-    note = f"took 1 of every {step} points of all files, since at most {MAX_POINTS} are used together"
-    return replace(whole, notes=(*whole.notes, note))
+    if step > 1:
+        note = f"took 1 of every {step} points of all files, since at most {MAX_POINTS} are used together"
+        whole = replace(whole, notes=(*whole.notes, note))
+    known = sensor_model if sensor_model != AUTO else _find_kind([path for path, _ in files])
+    whole = replace(whole, sensor=known, origin_sigma=sensor_sigma)
+    if level:
+        return make_level(whole)
+    return replace(whole, notes=(*whole.notes, *propose_level(whole)))
+
+
+def _find_kind(paths: Sequence[Path | str]) -> str:
+    """Return the kind of sensor that writes such files; empty if several do."""
+    kinds = {_KINDS.get(Path(path).suffix.lower(), "") for path in paths}
+    return kinds.pop() if len(kinds) == 1 else ""
 
 
 def _thin(cloud: Cloud, step: int) -> Cloud:

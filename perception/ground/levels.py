@@ -27,6 +27,10 @@ _TRIES = 24
 _ALIKE = 0.7
 _MOST_BELOW = 0.05
 _NEAREST = 0.05
+# Thickest slab whose underside may be seen [m], and share of an underside that is under its top.
+_SLAB, _BOTH_SEEN = 0.08, 0.6
+# Points of a top against those of its underside.
+_OF_TOP = 0.3
 _MOST_BEFORE = 0.2
 _HIGHEST = 0.4
 _STEP = 0.36
@@ -89,13 +93,46 @@ def find_floors(
         return ()
     points = points[:: -(-len(points) // _MOST_POINTS)]
     patches = patches_of(points)
-    levels = list(_levels(points, patches, np.random.default_rng(seed)))
+    found = list(_levels(points, patches, np.random.default_rng(seed)))
+    levels = _drop_undersides([_raise_to_top(points, level) for level in found])
     main = _under_robot(points, levels, stand)
     if main is None:
         return ()
     kept = [main, *_reach(points, main, [level for level in levels if level is not main])]
     first = main.plane if rays is None else _bound(points, main, rays, stand, extent)
     return (first, *(_outline(points, level, rays) for level in kept[1:]))
+
+
+def _raise_to_top(points: Float[np.ndarray, "N 3"], level: _Level) -> _Level:
+    """Return the top of the slab whose underside a level is; the level itself if there is no such layer above it."""
+    above = level.plane.above(points)
+    members = np.flatnonzero((above > _BAND) & (above <= _SLAB))
+    if len(members) < _OF_TOP * len(level.members):
+        return level
+    cells = np.unique(np.floor(points[members, :2] / _CELL).astype(int), axis=0)
+    normal, offset = plane_of(points[members])
+    rms = float(np.std(points[members] @ normal - offset))
+    plane = FloorPlane(normal, offset, rms, float(len(cells) * _CELL**2))
+    top = _Level(plane, cells, members)
+    is_flat = rms < _ROUGH / 2 and normal[2] >= np.cos(np.radians(MAX_SLOPE_DEG))
+    return top if is_flat and _is_underside(level, top) else level
+
+
+def _drop_undersides(levels: list[_Level]) -> list[_Level]:
+    """Return the levels without those that lie close below another one where that is seen, too.
+
+    No ray from above reaches them: a merged map shows a slab from both sides.
+    """
+    return [level for level in levels if not any(_is_underside(level, other) for other in levels)]
+
+
+def _is_underside(level: _Level, other: _Level) -> bool:
+    depth = other.plane.height(level.places[:, :2]) - level.places[:, 2]
+    if level is other or not _BAND < float(np.median(depth)) <= _SLAB:
+        return False
+    above = {tuple(cell) for cell in other.cells.tolist()}
+    shared = sum(tuple(cell) in above for cell in level.cells.tolist())
+    return shared > _BOTH_SEEN * len(level.cells)
 
 
 def _levels(points: Float[np.ndarray, "N 3"], patches: Patches, rng: np.random.Generator) -> Iterator[_Level]:
@@ -231,7 +268,7 @@ def _under_robot(
 
 
 def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
-    """Return whether over 5 % of the points in the plane's inner cells lie below it, as under a table."""
+    """Return whether over 5 % of the points in the plane's inner cells lie below it and a slab, as under a table."""
     lower = level.cells.min(axis=0) - 1
     picture = np.zeros(level.cells.max(axis=0) - lower + 2, dtype=bool)
     picture[tuple((level.cells - lower).T)] = True
@@ -239,7 +276,7 @@ def _has_things_below(points: Float[np.ndarray, "N 3"], level: _Level) -> bool:
     cells = np.floor(points[:, :2] / _CELL).astype(int) - lower
     valid = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
     here = np.flatnonzero(valid)[inner[tuple(cells[valid].T)]]
-    return bool(len(here)) and float((level.plane.above(points[here]) < -2 * _BAND).mean()) > _MOST_BELOW
+    return bool(len(here)) and float((level.plane.above(points[here]) < -_SLAB).mean()) > _MOST_BELOW
 
 
 def _is_raised(points: Float[np.ndarray, "N 3"], level: _Level, stand: Float[np.ndarray, "3"]) -> bool:

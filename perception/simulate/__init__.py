@@ -1,7 +1,7 @@
 """Sensor simulator: meshes, simulated sensors, and scenes with ground truth."""
 
 from perception.simulate.cast import Caster, cast
-from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState, scan
+from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState, TimeOfFlight, scan
 from perception.simulate.valve_scene import Room, Valve
 from perception.solids.primitives import Mesh, bent_bar, box, capsule, cylinder, hull, join_meshes, lathe, pipe, torus
 
@@ -14,6 +14,7 @@ __all__ = [
     "Scanner",
     "Sensor",
     "SolidState",
+    "TimeOfFlight",
     "Valve",
     "bent_bar",
     "box",

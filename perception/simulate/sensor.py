@@ -1,4 +1,4 @@
-"""Simulated sensors (a spinning line scanner, a solid-state scanner, a depth camera) and the scans they take."""
+"""Simulated sensors (spinning and solid-state scanners, stereo and time-of-flight cameras) and the scans they take."""
 
 from __future__ import annotations
 
@@ -243,6 +243,31 @@ class DepthCamera:
         limit = np.cos(np.radians(self.slant_deg))
         slanted = np.clip(1.0 - hits.cosine / limit, 0.0, 1.0)
         return np.asarray(np.maximum(slanted, self.hole_share))
+
+
+@dataclass(frozen=True)
+class TimeOfFlight(DepthCamera):
+    """A pinhole camera that measures the time of flight of modulated light, with flying pixels along edges.
+
+    Attributes:
+        sigma: standard deviation of the range near the sensor [m].
+        growth: additional deviation per square of the range [1/m].
+        wiggle: amplitude of the error that repeats along the range [m].
+    """
+
+    field_deg: float = 75.0
+    max_range: float = 5.5
+    mixed_share: float = 0.8
+    sigma: float = 0.004
+    growth: float = 0.0005
+    wiggle: float = 0.002
+
+    def measure(self, hits: Hits, beside: Float[np.ndarray, "R"], rng: np.random.Generator) -> Float[np.ndarray, "R"]:
+        """Add flying pixels, holes, noise that grows with the range, and the wiggling error."""
+        ranges = mix_ranges(hits.distance, beside, self.mixed_share, rng)
+        error = (self.sigma + self.growth * ranges**2) * rng.normal(size=len(ranges))
+        error += self.wiggle * np.sin(4.0 * np.pi * ranges)
+        return np.where(rng.random(len(ranges)) > self._hole_share(hits), ranges + error, np.nan)
 
 
 _SCANNER = Scanner()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
+from scipy.spatial import ConvexHull
 
 from perception.errors import MeshError
 
@@ -110,6 +111,15 @@ def unite_solids(solids: Iterable[Solid], name: str = "object") -> Solid:
         if sum(len(mesh.triangles) for mesh in (*closed, *opened)) > MAX_TRIANGLES:
             raise MeshError(f"{name}: has more than {MAX_TRIANGLES} triangles; simplify its meshes")
     return Solid(tuple(closed), tuple(opened), tuple(notes))
+
+
+def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:
+    """Return the convex hull of points as triangles with outward normals."""
+    hull = ConvexHull(points)
+    a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
+    is_inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0.0
+    triangles = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return Mesh(points, triangles.astype(np.int64))
 
 
 def _check(mesh: Mesh, name: str) -> None:

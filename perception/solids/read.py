@@ -31,10 +31,10 @@ def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> 
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path.name}: format '{path.suffix}' is not read; expected {', '.join(SUFFIXES)}")
     mesh = _parse(_read_content(path), path)
-    if not 4 <= len(mesh.triangles) <= MAX_TRIANGLES:
+    if not 1 <= len(mesh.triangles) <= MAX_TRIANGLES:
         what = "points but no triangles" if len(mesh.vertices) and not len(mesh.triangles) else ""
         what = what or f"{len(mesh.triangles)} triangles"
-        raise MeshError(f"{path.name}: has {what}; expected a solid with 4 to {MAX_TRIANGLES} triangles")
+        raise MeshError(f"{path.name}: has {what}; expected 1 to {MAX_TRIANGLES} triangles")
     scaled = Mesh(mesh.vertices * scale, mesh.triangles)
     if np.isfinite(scaled.vertices).all():
         _check_size(scaled, path)

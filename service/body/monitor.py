@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from scopt import Iteration, Result, Settings, Status
+from scopt import Clock, EffortClock, Iteration, Result, Settings, Status, TrustRegionSQP
 
 OnIteration = Callable[[str, tuple[str, ...], Iteration, Float[np.ndarray, "T n"]], None]
 """Called after every trial step with the plan's step, the coordinates' names, the iteration and its waypoints."""
@@ -53,26 +53,36 @@ class Monitor:
     """Time limit, cancellation, progress and record of one plan.
 
     Attributes:
-        time_limit_s: wall time for the whole plan.
+        time_limit_s: for the whole plan, on the clock.
         should_stop: polled often; True ends the plan as cancelled.
         on_progress, on_iteration: callbacks.
-        timings: seconds by step, in the order of the steps.
+        clock: measures the time limit, by default as effort.
+        timings: seconds of wall time by step, in the order of the steps.
         history: (step, iterations) of every solve.
         tried: every start of the search, in the order in which they were tried.
+        started: of the clock.
     """
 
     time_limit_s: float
     should_stop: Callable[[], bool] | None = None
     on_progress: OnProgress | None = None
     on_iteration: OnIteration | None = None
+    clock: Clock = field(default_factory=EffortClock)
     timings: dict[str, float] = field(default_factory=dict)
     history: list[tuple[str, tuple[Iteration, ...]]] = field(default_factory=list)
     tried: list[TriedStart] = field(default_factory=list)
-    started: float = field(default_factory=time.perf_counter)
+    started: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.started = self.clock()
+
+    def elapsed_s(self) -> float:
+        """Return the seconds that count towards the time limit so far."""
+        return self.clock() - self.started
 
     def remaining_s(self) -> float:
         """Return the seconds left."""
-        return self.time_limit_s - (time.perf_counter() - self.started)
+        return self.time_limit_s - self.elapsed_s()
 
     def is_cancelled(self) -> bool:
         """Return whether the caller has cancelled the plan."""
@@ -142,9 +152,9 @@ class Monitor:
         steps = sum(len(history) for _, history in self.history[n_solved:]) if n_steps is None else n_steps
         self.tried.append(TriedStart(step, start, time.process_time() - began, steps, bool(is_feasible)))
 
-    def limit_time(self, settings: Settings) -> Settings:
-        """Return the optimiser's settings with the plan's remaining time as their limit."""
-        return replace(settings, time_limit_s=max(self.remaining_s(), 0.0))
+    def make_optimiser(self, settings: Settings) -> TrustRegionSQP:
+        """Return the optimiser with the plan's clock and remaining time."""
+        return TrustRegionSQP(replace(settings, time_limit_s=max(self.remaining_s(), 0.0)), self.clock)
 
     def record(self, step: str, result: Result) -> None:
         """Record a solve's history.

@@ -13,7 +13,7 @@ from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts
 from costs.robot import RobotModel
 from costs.state import MotionState
-from scopt import Constraint, Cost, Problem, Settings, TrustRegionSQP
+from scopt import Constraint, Cost, Problem, Settings
 from service.body.effort import Effort
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import PlannedRegion
@@ -151,8 +151,8 @@ class PhaseSolver:
     def restore_feasibility(self, step: str, solved: Solved) -> Solved:
         """Solve an infeasible step on for required constraints only; return it as it is if that fails."""
         problem = keep_required(solved.problem)
-        settings = self.monitor.limit_time(Effort.RESTORE.apply(self.settings))
-        result = TrustRegionSQP(settings).solve(problem, solved.x, should_stop=self.monitor.should_stop)
+        optimiser = self.monitor.make_optimiser(Effort.RESTORE.apply(self.settings))
+        result = optimiser.solve(problem, solved.x, should_stop=self.monitor.should_stop)
         self.monitor.record(step, result)
         restored = Solved(result, problem, solved.body)
         return restored if restored.is_feasible else solved
@@ -252,9 +252,9 @@ class PhaseSolver:
     def _solve(self, name: str, problem: Problem[MotionState], start: Float[np.ndarray, "T n"]) -> Solved:
         """Solve a problem from a start."""
         self.monitor.check()
-        solver = TrustRegionSQP(self.monitor.limit_time(self.settings))
         callback = self.monitor.make_callback(name, self.body.robot.joint_names)
-        result = solver.solve(problem, start, callback, self.monitor.should_stop)
+        optimiser = self.monitor.make_optimiser(self.settings)
+        result = optimiser.solve(problem, start, callback, self.monitor.should_stop)
         self.monitor.record(name, result)
         return Solved(result, problem, self.body)
 

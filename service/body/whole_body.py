@@ -66,10 +66,17 @@ BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every l
 
 @dataclass(frozen=True)
 class Aims:
-    """Margins of a plan: clearance, and distance of the centre of mass inside the support polygon [m]."""
+    """Margins of a plan [m].
+
+    Attributes:
+        margin: clearance aimed at.
+        balance_margin: distance of the centre of mass inside the support polygon.
+        clearance: demanded distance from the world, below which no motion is certified.
+    """
 
     margin: float = 0.02
     balance_margin: float = 0.02
+    clearance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -273,10 +280,10 @@ class WholeBody:
         return min([DRIFT if self.region is None else CONTACT_DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
-        """Return the allowances of planted links: those of their contacts, by default with floors."""
+        """Return the allowances of planted links: those of their contacts, by default with what carries their soles."""
         if self.touches is not None:
             return self.touches
-        return make_standing_allowances([foot.link for foot in self.planted], self.scene)
+        return make_standing_allowances(self.planted, self.scene)
 
     def make_problem(
         self,

@@ -27,4 +27,11 @@ def main() -> None:
     except KeyboardInterrupt:
         print("cancelled", file=sys.stderr)
         raise SystemExit(130) from None
+    except ImportError as error:
+        from service.cli.foreign import explain_foreign_libraries
+
+        if (cause := explain_foreign_libraries(error)) is None:
+            raise
+        print(cause, file=sys.stderr)
+        raise SystemExit(70) from None
     run_command()

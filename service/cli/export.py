@@ -1,4 +1,4 @@
-"""``scopt export``: a result for ROS 2, MCAP readers and NumPy."""
+"""``scopt export``: a result for ROS 2, MCAP readers, NumPy, and plain position servos."""
 
 from __future__ import annotations
 
@@ -16,8 +16,12 @@ from service.cli.run import cancellable, consoles, print_json
 def export_command(
     result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
     target: Annotated[
-        Literal["ros2", "mcap", "numpy"],
-        typer.Option("--to", help="A folder with a bag of ROS 2, an MCAP file, or an archive of NumPy."),
+        Literal["ros2", "mcap", "numpy", "servo"],
+        typer.Option(
+            "--to",
+            help="A folder with a bag of ROS 2, an MCAP file, an archive of NumPy, or a table (CSV) of the commands of "
+            "position servos without feed-forward.",
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="File or folder; by default beside the result folder.")
@@ -34,8 +38,14 @@ def export_command(
         from service.result.folder import result_path
 
         folder = result_path(result).parent.resolve()
-        path = folder.with_name(f"{folder.name}{SUFFIXES[target]}") if out is None else out
-        written = export(result, target, path, any_verdict=any_verdict)
+        suffix = "-servo.csv" if target == "servo" else SUFFIXES[target]
+        path = folder.with_name(f"{folder.name}{suffix}") if out is None else out
+        if target == "servo":
+            from service.execution.servo_reference import write_servo_reference
+
+            written = write_servo_reference(folder, path, any_verdict=any_verdict)
+        else:
+            written = export(result, target, path, any_verdict=any_verdict)
     if as_json:
         print_json({"export": str(written), "to": target})
     else:

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from service.request.choices import SensorModel
+
 Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
 
 
@@ -35,6 +37,17 @@ class CloudOptions:
     apply_viewpoint: Annotated[
         bool, typer.Option("--apply-viewpoint", help="The points are in the sensor's frame.")
     ] = False
+    level: Annotated[
+        bool, typer.Option("--level", help="Turn the cloud z up and put its floor at 0, after any transform.")
+    ] = False
+    sensor_model: Annotated[
+        SensorModel,
+        typer.Option(help="Kind of sensor, for its noise; auto: by the files, or estimated."),
+    ] = "auto"
+    sensor_sigma: Annotated[
+        float,
+        typer.Option(help="Standard deviation of where rays started, in metres.", min=0.0, max=1.0),
+    ] = 0.0
     topic: Annotated[str | None, typer.Option(help="Of a bag with clouds on several topics.")] = None
     message: Annotated[
         str, typer.Option(help="Of a bag: number of the message, -1 for the last, or all.", metavar="NUMBER")

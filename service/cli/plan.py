@@ -66,7 +66,10 @@ def plan_command(
     scene: Annotated[Path | None, typer.Option(help="File that holds what a request's scene holds.")] = None,
     start: Annotated[Path | None, typer.Option(help="File that holds what a request's start holds.")] = None,
     time_limit: Annotated[
-        float | None, typer.Option(help="Seconds a TrajOpt problem may take (60).", min=0.01, max=3600.0)
+        float | None,
+        typer.Option(
+            help="Seconds a TrajOpt problem may take; 60 s of processor time by default.", min=0.01, max=3600.0
+        ),
     ] = None,
     untimed: Annotated[
         bool,
@@ -102,8 +105,7 @@ def plan_command(
         if trajopt:
             from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
-            limit_s = TrajoptFiles.time_limit_s if time_limit is None else time_limit
-            files = TrajoptFiles(*paths, limit_s, is_timed=not untimed, checks_torque=not no_torque)
+            files = TrajoptFiles(*paths, time_limit, is_timed=not untimed, checks_torque=not no_torque)
             plan_request = _see(load_trajopt_request(request, files), cloud)
         elif from_phase is not None:
             plan_request, around = _read_rest(request, from_phase, state, cloud, adjust or [], is_compliant=compliant)
@@ -159,7 +161,7 @@ def _read_rest(
 ) -> tuple[PlanRequest, Surroundings | None]:
     """Return the request for the rest of an earlier plan, and what its scan showed unless there is a new one."""
     from service.replay.adjust import adjust_request, read_adjustment
-    from service.replay.resume import make_rest_request, read_recorded_scan
+    from service.replay.rest import make_rest_request, read_recorded_scan
 
     request = make_rest_request(result, phase, state, cloud, is_compliant=is_compliant)
     around = read_recorded_scan(result, request) if cloud is None else None

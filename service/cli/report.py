@@ -74,21 +74,15 @@ def print_verdict(out: Console, summary: Mapping[str, Any]) -> None:
         planned = f", planned in {summary['planning_time_s']:.2f} s" if "planning_time_s" in summary else ""
         held_to = f", {summary['held_to']}" if summary.get("held_to") else ""
         sentence = f"clearance {_format_margin(summary.get('min_clearance_m'))}{planned}{held_to}"
-    sentence += describe_servos(summary.get("servo")) + describe_omissions(summary.get("coverage"))
+    sentence += describe_servos(summary.get("notes")) + describe_omissions(summary.get("coverage"))
     line = Text(verdict, style=f"bold {_COLOURS.get(verdict, 'red')}")
     out.print(line.append(f"  {sentence}", style="not bold default"), soft_wrap=True)
 
 
-def describe_servos(servo: Mapping[str, Any] | None) -> str:
-    """Return a clause, after a semicolon, on hands that give way on position servos; empty where they do not."""
-    hands = (servo or {}).get("hands") or []
-    if not hands:
-        return ""
-    worst = hands[0]
-    return (
-        f"; needs stiffer servos or torques fed forward: {worst['tool']} gives way by {1e3 * worst['sag_m']:.1f} of "
-        f"{1e3 * worst['travel_m']:.1f} mm in phase '{worst['phase']}'"
-    )
+def describe_servos(notes: Sequence[str] | None) -> str:
+    """Return a clause, after a semicolon, on servos that need torques fed forward; empty where they do not."""
+    need = next((note for note in notes or () if note.startswith("needs torque feed-forward")), "")
+    return f"; {need}" if need else ""
 
 
 def describe_omissions(coverage: Mapping[str, Any] | None) -> str:

@@ -17,6 +17,7 @@ import typer
 from rich.console import Console
 
 from costs.stopping import Stopped
+from service.cli.foreign import explain_foreign_libraries
 from service.cli.report import print_verdict
 from service.errors import DamagedResultError, ServiceError
 
@@ -118,8 +119,10 @@ def run(command: Callable[[], str | None], as_json: bool = False, has_verdict: b
     except Exception as error:
         if os.environ.get(TRACEBACK_VARIABLE):
             raise
-        line = " ".join(f"internal error, please report it: {type(error).__name__}: {error}".split())
-        ended = EndedError(INTERNAL_ERROR, (f"{line} ({TRACEBACK_VARIABLE}=1 shows where)",), EXIT_INTERNAL)
+        cause = explain_foreign_libraries(error)
+        line = cause or f"internal error, please report it: {type(error).__name__}: {error}"
+        line = f"{' '.join(line.split())} ({TRACEBACK_VARIABLE}=1 shows where)"
+        ended = EndedError(INTERNAL_ERROR, (line,), EXIT_INTERNAL)
     finally:
         _PRINT_END.reset(token)
     print_end(ended)

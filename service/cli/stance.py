@@ -30,8 +30,11 @@ def stance_command(
         Path | None, typer.Option(help="File for the request with the best start.base.", metavar="REQUEST_OUT")
     ] = None,
     time_limit: Annotated[
-        float, typer.Option("--time-limit", help="Seconds the search may take.", min=0.1, max=3600.0)
-    ] = 20.0,
+        float | None,
+        typer.Option(
+            "--time-limit", help="Seconds the search may take; 20 s of processor time by default.", min=0.1, max=3600.0
+        ),
+    ] = None,
     radius: Annotated[
         float, typer.Option("--radius", help="Of the places searched about the start, in metres.", min=0.05, max=5.0)
     ] = 1.0,
@@ -86,10 +89,11 @@ def stance_command(
     return "NOT_FOUND" if search.is_complete else "TIME_LIMIT"
 
 
-def _describe_failure(summary: Mapping[str, Any], time_limit: float) -> str:
+def _describe_failure(summary: Mapping[str, Any], time_limit: float | None) -> str:
     """Return why no place was found."""
     if not summary["candidates"]:
-        return f"no place to stand was found: none could be examined within {time_limit:g} s; raise --time-limit"
+        within = "20 s of processor time" if time_limit is None else f"{time_limit:g} s"
+        return f"no place to stand was found: none could be examined within {within}; raise --time-limit"
     first = summary["candidates"][0]
     return f"no place to stand was found; for example: {first['refused'][0] if first['refused'] else first['missing']}"
 

@@ -94,10 +94,10 @@ def track_command(
         from service.execution.replan import read_certified
         from service.execution.tracking import KinematicRobot, track
 
-        settings = _make_settings(gains, speed, abort_share, stiff=stiff)
         actions = _list_actions(shift or [], pause or [], resume or [], abort, adjust)
         folder = result.parent if result.is_file() else result
         reference = read_certified(folder)
+        settings = _make_settings(gains, speed, abort_share, _read_servos(reference, folder), stiff=stiff)
         look: Callable[[Cycle], Mapping[str, float]] | None = None
         work: WorkWatch | None = None
         driver: RobotDriver
@@ -146,8 +146,18 @@ def _report_work(work: WorkWatch, tracked: str) -> dict[str, Any]:
     return {"verdict": verdict, "explanation": list(judged.reasons), "mechanism": moves}
 
 
-def _make_settings(gains: str, speed: float, abort_share: float, *, stiff: bool) -> ExecutionSettings:
-    """Return the settings that the options describe.
+def _read_servos(reference: PlannedReference, folder: Path) -> Mapping[str, float]:
+    """Return the stiffness of the servos by joint as the request of a result folder has it [N m/rad, N/m]."""
+    from service.simulation.stand import read_recorded_request
+    from service.start.robot import resolve_stiffness
+
+    return resolve_stiffness(reference.robot, read_recorded_request(folder))
+
+
+def _make_settings(
+    gains: str, speed: float, abort_share: float, stiffness: Mapping[str, float], *, stiff: bool
+) -> ExecutionSettings:
+    """Return the settings that the options describe, with the stiffness of the servos by joint.
 
     Raises:
         ExecutionError: the preset of gains is unknown, or a number is out of range.
@@ -159,11 +169,14 @@ def _make_settings(gains: str, speed: float, abort_share: float, *, stiff: bool)
     from service.execution.guards import GuardSettings
     from service.execution.machine import MachineSettings
     from service.execution.settings import ExecutionSettings
+    from service.execution.watch.servos import ServoModel
+    from service.execution.watch.watch import WatchSettings
 
     if gains not in PRESETS:
         raise ExecutionError(f"--gains: unknown preset {gains!r}; expected {would_do(gains, PRESETS)}")
     machine, guards = MachineSettings(speed=speed), GuardSettings(load_share=abort_share)
-    settings = ExecutionSettings(gains=PRESETS[gains], machine=machine, guards=guards)
+    watch = WatchSettings(servos=ServoModel(stiffness=stiffness))
+    settings = ExecutionSettings(gains=PRESETS[gains], machine=machine, guards=guards, watch=watch)
     return replace(settings, touchdown=None) if stiff else settings
 
 
@@ -285,6 +298,10 @@ def _print_track(out: Console, summary: Mapping[str, Any]) -> None:
     reason += summary.get("explanation", [])
     print_findings(out, {"explanation": reason})
     print_moves(out, summary.get("mechanism", []))
+    for fault in summary["faults"]:
+        print_line(out, "fault", f"{fault['at_s']:.2f} s, {fault['name']}, {fault['reaction']}: {fault['sentence']}")
+    for sentence in summary["unwatched"]:
+        print_line(out, "not watched", sentence)
     off = ", ".join(f"{link} {1e3 * value:.1f} mm" for link, value in summary["off_m"].items())
     print_line(out, "off the plan", off or "no feet or hands")
     for label, value in summary["truth"].items():

@@ -37,6 +37,7 @@ _BROKEN = (
     "keepalive watchdog",
 )
 _CLOSED_BY_SERVER = ("Socket closed", "Connection reset", "Broken pipe", "Stream removed")
+_SILENT = "timed out before receiving SETTINGS frame"  # a port that is bound before the server answers
 _NO_GRPC = ("Failed parsing HTTP/2", "http1.x", "SETTINGS frame", "Handshake read failed")
 
 
@@ -127,6 +128,8 @@ def _explain(text: str, connection: Connection) -> str:
         return f"the server's certificate is not for {target}; use a host name that the certificate contains"
     if "WRONG_VERSION_NUMBER" in text:
         return f"the server at {target} does not use TLS; leave out tls_ca (--tls-ca), or check the port"
+    if _SILENT in text:
+        return f"the server at {target} does not answer yet; it is starting, or is no planning service: try again"
     if any(words in text for words in _NO_GRPC):
         return f"the program at {target} is no planning service; check the port"
     if any(words in text for words in _CLOSED_BY_SERVER):

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
-from service.request.mechanism import MAX_TEXT, is_urdf_text
 from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
-from service.request.schema import PlanRequest, RobotRequest, TaskRequest
+from service.request.schema import PlanRequest, RobotRequest
+from service.request.tasks.mechanism import MAX_TEXT, is_urdf_text
+from service.request.tasks.registry import TaskRequest
 from service.trust.folders import BUILT, UPLOADED, list_paths
 
 CHUNK_BYTES = 512 * 2**10

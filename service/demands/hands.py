@@ -11,7 +11,6 @@ from costs.robot import RobotModel
 PEG_RADIUS = 0.009  # [m]
 PEG_FROM_END = 0.03  # of the frame in the middle of the free rod, from the rod's end [m]
 FREE_BEFORE = 0.035  # of the free rod before that frame [m]
-HOLD_FRICTION = 0.3  # coefficient between a rod and what it holds, steel on steel or on paint [-]
 
 
 @dataclass(frozen=True)

@@ -6,28 +6,20 @@ promises are listed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 import numpy as np
-import pinocchio as pin
-from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.robot import RobotModel, read_joint_axis, with_mechanism
+from costs.robot import RobotModel, read_joint_axis
 from costs.scene import Scene
-from service.demands.contacts.egress_demand import EgressDemand
-from service.demands.contacts.moved_places import take_recorded_places
-from service.demands.contacts.stances import ContactPhase, ContactStance, ends_with_new_contacts, list_contact_phases
-from service.demands.holds.pushes import add_pushes
-from service.demands.neighbours import make_neighbour_allowances
-from service.demands.program import ProgramDemand, make_program_targets, report_fixed_joints_that_move
-from service.demands.recorded_task import RecordedTask, TaskDemand
 from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
-from service.demands.targets import make_goal_targets, make_kept_target
+from service.demands.targets import make_kept_target
+from service.demands.task_demand import PhaseDemand, TaskDemand, World
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
-from service.verify import Certificate, HandLoad, HandPush, Motion, Phase, PressedPart, SupportPolygon, Target
+from service.verify import Certificate, Motion, Phase, SupportPolygon, Target
 from service.verify.coverage.required import list_waived_checks
 from service.verify.hashes import bodies_hash, robot_hash, scene_hash
 from service.verify.polygons import outside_polygon
@@ -43,35 +35,28 @@ class Demands:
     """Demands of a request on every motion that answers it.
 
     Attributes:
-        robot: the robot without the mechanism that a task moves.
-        start: (n,) configuration at the start.
-        scene: all pieces, floors included.
-        program: demands of the request's TrajOpt problem, or None.
-        task: demands of a task that moves a mechanism, or None.
-        stances: of a task that changes contacts, that of the start first.
-        egress: demands of a task that gets out of a vehicle, or None.
+        world: the request with its robot and scene.
+        task: what its task demands.
     """
 
-    request: PlanRequest
-    robot: RobotModel
-    start: Float[np.ndarray, "n"]
-    scene: Scene
-    program: ProgramDemand | None = None
-    task: TaskDemand | None = None
-    stances: tuple[ContactStance, ...] = ()
-    egress: EgressDemand | None = None
+    world: World
+    task: TaskDemand
 
     @property
-    def changes_contacts(self) -> bool:
-        """Whether the task moves from stance to stance."""
-        return bool(self.stances) or self.egress is not None
+    def request(self) -> PlanRequest:
+        """The request."""
+        return self.world.request
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot without what the task moves."""
+        return self.world.robot
 
     @property
     def feet(self) -> tuple[str, ...]:
         """Planted links."""
-        if self.program is not None:
-            return self.program.planted
-        return list_planted_feet(self.robot, self.request.options.feet)
+        feet = self.task.feet
+        return list_planted_feet(self.robot, self.request.options.feet) if feet is None else feet
 
 
 @dataclass(frozen=True)
@@ -95,25 +80,26 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     Raises:
         ValueError: the request's feet do not span a polygon.
     """
-    robot = demands.robot
-    if demands.task is not None:
-        robot = with_mechanism(robot, demands.task.mechanism.joints)
+    task, robot = demands.task, demands.task.augment(demands.robot)
     differences = list(compare_world(demands, robot, recorded))
     if recorded.robot.joint_names != robot.joint_names:
         return HeldMotion(recorded, tuple(differences))
     differences += compare_path(demands, recorded)
-    promises, lines = _promises(demands, robot, recorded)
-    phases = tuple(_rebuild(demands, recorded, index, promises) for index in range(len(recorded.phases)))
-    differences += lines
+    demanded = task.demand_phases(demands.world, robot, recorded)
+    standing = _Standing.of(demands)
+    phases = tuple(standing.rebuild(recorded, *one) for one in enumerate(demanded.phases))
+    differences += demanded.problems
     for phase, own in zip(recorded.phases, phases, strict=True):
-        differences += compare_phase(phase, own, is_program=demands.program is not None)
+        differences += compare_phase(phase, own, has_own_targets=task.has_own_targets)
     waived = list_waived_checks(
         is_timed=demands.request.options.timed,
-        is_balanced=promises.stance.hull is not None or demands.changes_contacts or not demands.robot.is_floating,
+        is_balanced=standing.stance.hull is not None or task.changes_contacts or not demands.robot.is_floating,
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
-    releases = () if demands.task is None else demands.task.mechanism.releases
+    if recorded.clearance_m != demands.request.options.clearance_m:
+        differences.append("the record demands another clearance than the request")
+    releases = () if task.moved is None else task.moved.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
     continues = None if demands.request.resume is None else demands.request.resume.plan
@@ -122,10 +108,11 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     motion = replace(
         recorded,
         robot=robot,
-        scene=demands.scene,
+        scene=demands.world.scene,
         phases=phases,
         mechanism_links=robot.mechanism_links,
         waived=waived,
+        clearance_m=demands.request.options.clearance_m,
         releases=releases,
         continues=continues,
     )
@@ -133,148 +120,57 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
 
 
 @dataclass(frozen=True)
-class _Promises:
-    """Promises of the phases, made from the request.
+class _Standing:
+    """What every phase promises besides its task: feet, balance, the way out of overlaps, and what is kept.
 
     Attributes:
         stance: planted feet and support polygon.
-        standing: allowances of planted links on floors.
+        floors: allowances of planted links on floors.
         escape: allowances of the overlaps at the start.
-        last: targets of the last phase.
-        everywhere: targets of all phases.
-        task: phases of a task that moves a mechanism, or None.
-        neighbours: allowances of the mechanism and what is near it at the start.
-        changes: phases of a task that changes contacts.
+        kept: targets of all phases.
     """
 
     stance: Stance
-    standing: tuple[Allowance, ...]
+    floors: tuple[Allowance, ...]
     escape: tuple[Allowance, ...]
-    last: tuple[Target, ...]
-    everywhere: tuple[Target, ...]
-    task: RecordedTask | None
-    neighbours: tuple[Allowance, ...]
-    changes: tuple[ContactPhase, ...] = ()
+    kept: tuple[Target, ...]
 
+    @staticmethod
+    def of(demands: Demands) -> _Standing:
+        """Make the promises from the request."""
+        request, robot, feet, task = demands.request, demands.robot, demands.feet, demands.task
+        start, scene = demands.world.start, demands.world.scene
+        is_balanced = task.is_balanced and robot.can_balance and not task.changes_contacts
+        stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
+        leaves = request.options.escape and task.can_escape
+        inside = find_hull_overlaps(robot, start, scene, feet) if leaves else []
+        kept = tuple(make_kept_target(robot, start, keep) for keep in request.keep)
+        return _Standing(stance, make_standing_allowances(stance.contacts, scene), make_escape_allowances(inside), kept)
 
-def _promises(demands: Demands, augmented: RobotModel, recorded: Motion) -> tuple[_Promises, tuple[str, ...]]:
-    request, robot, start, feet = demands.request, demands.robot, demands.start, demands.feet
-    is_balanced = (demands.program is None or demands.program.is_balanced) and robot.can_balance
-    stance = Stance.of(
-        robot, start, feet, request.options.balance_margin_m, is_balanced and not demands.changes_contacts
-    )
-    leaves = request.options.escape and demands.program is None
-    inside = find_hull_overlaps(robot, start, demands.scene, feet) if leaves else []
-    targets: tuple[Target, ...] = ()
-    lines: tuple[str, ...] = ()
-    knots = recorded.curve.knots
-    if request.goal is not None:
-        targets = make_goal_targets(robot, request.goal, float(knots[-1]))
-    elif demands.program is not None:
-        targets, lines = make_program_targets(demands.program, robot, knots, recorded.curve.positions[:, : robot.n])
-    task, neighbours = None, tuple[Allowance, ...]()
-    if demands.task is not None:
-        mechanism, friction = demands.task.mechanism, request.options.hand_friction
-        task = RecordedTask.of(demands.task, recorded).map_specs(
-            lambda specs: add_pushes(specs, augmented, mechanism, friction)
+    def rebuild(self, recorded: Motion, index: int, demand: PhaseDemand) -> Phase:
+        """Return one phase of a record with the promises of the request."""
+        phase = recorded.phases[index]
+        own = Phase(
+            name=phase.name,
+            first=phase.first,
+            last=phase.last,
+            allowances=demand.allowances,
+            targets=(*demand.targets, *self.kept),
+            loads=demand.loads,
+            pushes=demand.pushes,
+            pressed=demand.pressed,
+            regions=phase.regions,  # evidence, which the verifier proves
         )
-        lines = task.problems
-        at_start = np.concatenate([start, demands.task.mechanism.start])
-        neighbours = make_neighbour_allowances(augmented, demands.scene, at_start)
-    changes = tuple[ContactPhase, ...]()
-    stances, has_finish, forbidden = demands.stances, False, tuple[str, ...]()
-    if demands.egress is not None:
-        stances, forbidden = demands.egress.read_stances(recorded)
-        has_finish = ends_with_new_contacts(stances)
-    elif request.task is not None and request.task.contacts is not None:
-        stances, forbidden = take_recorded_places(stances, demands.scene, recorded)
-        has_finish = request.task.contacts.finish is not None
-    if stances:
-        changes = list_contact_phases(stances, has_finish=has_finish)
-        lines = forbidden + tuple(
-            _compare_names([phase.name for phase in recorded.phases], [spec.name for spec in changes])
+        if demand.contacts is not None:
+            return replace(own, contacts=demand.contacts, region_margin_m=demand.region_margin_m)
+        first = recorded.curve(np.array([phase.first]))[0, : self.stance.robot.n]
+        escape = self.escape if phase.name == ESCAPE and index == 0 else ()
+        return replace(
+            own,
+            contacts=self.stance.contacts,
+            allowances=(*self.floors, *escape, *demand.allowances),
+            support=self.stance.support(phase.name, first),
         )
-        lines += tuple(_find_unmade(robot, recorded, changes))
-    return _Promises(
-        stance,
-        make_standing_allowances(feet, demands.scene),
-        make_escape_allowances(inside),
-        targets,
-        tuple(make_kept_target(robot, start, keep) for keep in request.keep),
-        task,
-        neighbours,
-        changes,
-    ), lines
-
-
-def _compare_names(recorded: Sequence[str], wanted: Sequence[str]) -> Iterator[str]:
-    if recorded != wanted:
-        yield f"the phases are {', '.join(recorded)}; the task has {', '.join(wanted)}"
-
-
-def _find_unmade(robot: RobotModel, recorded: Motion, changes: Sequence[ContactPhase]) -> Iterator[str]:
-    """Yield a sentence for each contact that is not in its place at the end of the phase that lands it.
-
-    No phase stands on the contacts that the last stance makes, so that no other check sees them.
-    """
-    data = robot.model.createData()
-    for phase, change in zip(recorded.phases, changes, strict=False):
-        for contact in change.moving if change.kind == "land" else ():
-            planted = contact.planted
-            q = recorded.curve(np.array([phase.last]))[0, : robot.n]
-            pin.framesForwardKinematics(robot.model, data, q)
-            pose = data.oMf[robot.model.getFrameId(planted.link)]
-            points = planted.sole @ pose.rotation.T + pose.translation
-            off = float(np.linalg.norm(points - planted.points, axis=1).max())
-            if off > planted.knot_tolerance_m:
-                yield f"{contact.patch} is {1e3 * off:.1f} mm off its place at the end of phase '{phase.name}'"
-
-
-def _rebuild(demands: Demands, recorded: Motion, index: int, promises: _Promises) -> Phase:
-    """Return one phase with the promises of the request."""
-    phase = recorded.phases[index]
-    if promises.changes:
-        return _rebuild_change(demands, phase, promises.changes[min(index, len(promises.changes) - 1)])
-    first = recorded.curve(np.array([phase.first]))[0, : demands.robot.n]
-    escape = promises.escape if phase.name == ESCAPE and index == 0 else ()
-    targets = promises.last if index == len(recorded.phases) - 1 else ()
-    touching: tuple[Allowance, ...] = ()
-    loads: tuple[HandLoad, ...] = ()
-    pushes: tuple[HandPush, ...] = ()
-    pressed: tuple[PressedPart, ...] = ()
-    spec = None if promises.task is None else promises.task.specs[index]
-    if spec is not None and demands.task is not None:
-        targets, touching = spec.targets(demands.task.mechanism, phase.last), spec.touches
-        loads, pushes, pressed = spec.loads, spec.pushes, spec.pressed
-    if demands.program is not None:  # the planner itself promises targets between its steps
-        targets = (*(target for target in phase.targets if getattr(target, "at", None) is None), *targets)
-    return Phase(
-        name=phase.name,
-        first=phase.first,
-        last=phase.last,
-        contacts=promises.stance.contacts,
-        allowances=(*promises.standing, *escape, *touching, *promises.neighbours),
-        targets=(*targets, *promises.everywhere),
-        support=promises.stance.support(phase.name, first),
-        loads=loads,
-        pushes=pushes,
-        regions=phase.regions,  # evidence, which the verifier proves
-        pressed=pressed,
-    )
-
-
-def _rebuild_change(demands: Demands, phase: Phase, change: ContactPhase) -> Phase:
-    """Return one phase of a task that changes contacts with the promises of the request."""
-    return Phase(
-        name=phase.name,
-        first=phase.first,
-        last=phase.last,
-        contacts=tuple(contact.planted for contact in change.contacts),
-        allowances=change.list_allowances(demands.robot),
-        targets=change.list_targets(),
-        regions=phase.regions,  # evidence, which the verifier proves
-        region_margin_m=demands.request.options.balance_margin_m,
-    )
 
 
 def compare_world(demands: Demands, robot: RobotModel, recorded: Motion) -> Iterator[str]:
@@ -287,21 +183,20 @@ def compare_world(demands: Demands, robot: RobotModel, recorded: Motion) -> Iter
         yield "the bodies, or the ignored pairs, are not those of the robot and the task's mechanism"
     elif not _have_same_joints(recorded.robot, robot, demands.robot.n):
         yield "the task's mechanism does not move as the request demands"
-    if scene_hash(recorded.scene) != scene_hash(demands.scene):
-        yield _scene_difference(recorded.scene, demands.scene)
+    if scene_hash(recorded.scene) != scene_hash(demands.world.scene):
+        yield _scene_difference(recorded.scene, demands.world.scene)
 
 
 def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
     """Yield a sentence for each difference in start, time law, fixed joints and phase borders."""
     q = recorded.curve.positions[:, : demands.robot.n]
-    off = np.abs(q[0] - demands.start)
+    off = np.abs(q[0] - demands.world.start)
     if off.max(initial=0.0) > SAME:
         joint = demands.robot.joint_names[int(off.argmax())]
         yield f"the motion starts {off.max():.3g} away from the request's start at {joint}"
     if demands.request.options.timed and recorded.law is None:
         yield "the request demands a timed motion, and the record has no time law"
-    if demands.program is not None:
-        yield from report_fixed_joints_that_move(demands.program, demands.robot, demands.start, q)
+    yield from demands.task.find_strays(demands.world, q)
     for phase in recorded.phases[1:]:
         if not _rests(recorded, phase.first):
             yield f"phase '{phase.name}' begins while the robot moves; it must rest there"
@@ -310,12 +205,12 @@ def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
         yield "only the first phase may escape from an overlap at the start"
 
 
-def compare_phase(recorded: Phase, own: Phase, is_program: bool) -> Iterator[str]:
+def compare_phase(recorded: Phase, own: Phase, has_own_targets: bool) -> Iterator[str]:
     """Yield a sentence for each promise of a recorded phase that is not the request's."""
     if not _same_support(recorded.support, own.support):
         yield f"support of phase '{recorded.name}' are not those of the request"
     names = ("contacts", "allowances", "loads", "region_margin_m")
-    for name in (*names, *(() if is_program else ("targets",))):
+    for name in (*names, *(() if has_own_targets else ("targets",))):
         if not _same(getattr(recorded, name), getattr(own, name)):
             yield f"{name} of phase '{recorded.name}' are not those of the request"
     if recorded.pressed is None:  # a record of an earlier release says neither what is pressed nor by which contacts

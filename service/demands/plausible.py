@@ -11,7 +11,7 @@ from jaxtyping import Float
 from costs.robot import MechanismJoint
 from costs.scene import ConvexPiece
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
-from service.demands.given_mechanism import GivenMechanism
+from service.demands.mechanism.given import GivenMechanism
 from service.verify.solids import CoalSolid, DistanceQuery
 
 MOST_OUT_M = 0.15  # of any part of a handle's bar in front of the leaf's face

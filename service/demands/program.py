@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,8 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 
 from costs.robot import RobotModel
-from service.verify import AxisTarget, JointTarget, PoseTarget, Target
+from service.demands.task_demand import PhaseDemand, RecordDemand, TaskDemand, World
+from service.verify import AxisTarget, JointTarget, Motion, PoseTarget, Target
 from service.verify.targets.pose_errors import (
     limits_rotation,
     list_position_demands,
@@ -25,22 +27,64 @@ StepTarget = JointTarget | PoseTarget | AxisTarget
 
 
 @dataclass(frozen=True)
-class ProgramDemand:
+class ProgramDemand(TaskDemand):
     """Demands of a problem, step by step.
 
     Attributes:
         steps: targets of each step; their path parameters (``at``) are set from the motion.
         free: (f,) coordinates that may move.
         planted: links that stand throughout.
-        is_balanced: whether the centre of mass stays above them.
-        unproven: constraints of the file that no target stands for.
+        balances: whether the centre of mass stays above them.
+        without_target: constraints of the file that no target stands for.
     """
 
     steps: tuple[tuple[StepTarget, ...], ...]
     free: Int[np.ndarray, "f"]
     planted: tuple[str, ...]
-    is_balanced: bool
-    unproven: tuple[str, ...] = ()
+    balances: bool
+    without_target: tuple[str, ...] = ()
+
+    @property
+    def feet(self) -> tuple[str, ...]:
+        """Links that stand throughout."""
+        return self.planted
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether the centre of mass stays above them."""
+        return self.balances
+
+    @property
+    def can_escape(self) -> bool:
+        """No: the waypoints of a problem include the start."""
+        return False
+
+    @property
+    def has_own_targets(self) -> bool:
+        """Yes: the planner itself promises targets between the steps."""
+        return True
+
+    @property
+    def unproven(self) -> tuple[str, ...]:
+        """Constraints of the file that no target stands for."""
+        return self.without_target
+
+    def demand_phases(self, world: World, robot: RobotModel, recorded: Motion) -> RecordDemand:
+        """Demand the targets of the steps at the waypoints that meet them, and what the record promises all along."""
+        q = recorded.curve.positions[:, : world.robot.n]
+        targets, problems = make_program_targets(self, world.robot, recorded.curve.knots, q)
+        own = [tuple(t for t in phase.targets if getattr(t, "at", None) is None) for phase in recorded.phases]
+        demands = [PhaseDemand(kept) for kept in own]
+        demands[-1:] = [PhaseDemand((*own[-1], *targets))]
+        return RecordDemand(tuple(demands), problems)
+
+    def find_strays(self, world: World, q: Float[np.ndarray, "K n"]) -> Iterator[str]:
+        """Yield a sentence for each coordinate that moves although the problem keeps it fixed."""
+        others = np.setdiff1d(np.arange(world.robot.n), self.free)
+        moves = np.abs(q[:, others] - world.start[others]).max(axis=0, initial=0.0)
+        for column, moved in zip(others.tolist(), moves.tolist(), strict=True):
+            if moved > STILL:
+                yield f"{world.robot.joint_names[column]} moves by {moved:.3g}, and task.trajopt does not move it"
 
 
 def make_program_targets(
@@ -68,19 +112,6 @@ def make_program_targets(
         after = row
         targets += [replace(target, at=float(knots[row])) for target in demanded]
     return tuple(targets), ()
-
-
-def report_fixed_joints_that_move(
-    program: ProgramDemand, robot: RobotModel, start: Float[np.ndarray, "n"], q: Float[np.ndarray, "K n"]
-) -> tuple[str, ...]:
-    """Return one sentence for each coordinate that moves although the program keeps it fixed."""
-    others = np.setdiff1d(np.arange(robot.n), program.free)
-    moves = np.abs(q[:, others] - start[others]).max(axis=0, initial=0.0)
-    return tuple(
-        f"{robot.joint_names[column]} moves by {moved:.3g}, and task.trajopt does not move it"
-        for column, moved in zip(others.tolist(), moves.tolist(), strict=True)
-        if moved > STILL
-    )
 
 
 def _holds(robot: RobotModel, target: StepTarget, q: Float[np.ndarray, "n"]) -> bool:

@@ -8,9 +8,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from costs.robot import Mechanism
+from costs.robot import Mechanism, RobotModel
+from service.demands.figures.displacement import measure_displacement
+from service.demands.holds.pushes import add_pushes
+from service.demands.neighbours import make_neighbour_allowances
 from service.demands.phase_spec import PhaseSpec
 from service.demands.stance import UNSETTLED
+from service.demands.task_demand import IncompletePlanError, PhaseDemand, RecordDemand, TaskDemand, World
+from service.request.resume import NominalRequest
 from service.verify import Motion
 from service.verify.forces.hand_loads import bound_coordinate
 
@@ -18,8 +23,8 @@ STILL = 1e-5  # by which a joint of the mechanism at rest may be off [rad, m]
 BORDER_OFF = 1.5e-3  # by which a joint of the mechanism may miss its value at a phase's border [rad, m]
 
 
-class TaskDemand(Protocol):
-    """What a task with a mechanism demands of any motion."""
+class MovingTask(Protocol):
+    """A task that moves a mechanism by phases, with the choices that it leaves."""
 
     @property
     def mechanism(self) -> Mechanism:
@@ -30,8 +35,12 @@ class TaskDemand(Protocol):
         """Return the task's phases with the choices of a record, and a sentence for each choice that it forbids."""
         ...
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a sentence for each figure of a result that is not the request's."""
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure the figures of the task on a motion."""
+        ...
+
+    def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
+        """Return the fields of ``resume`` that keep a record's choices, or a sentence why it has none."""
         ...
 
 
@@ -48,7 +57,7 @@ class RecordedTask:
     problems: tuple[str, ...]
 
     @staticmethod
-    def of(task: TaskDemand, recorded: Motion) -> RecordedTask:
+    def of(task: MovingTask, recorded: Motion) -> RecordedTask:
         """Match the phases of a motion whose last coordinates are the mechanism's."""
         chosen, forbidden = task.read_choices(recorded)
         names = [phase.name for phase in recorded.phases]
@@ -69,6 +78,55 @@ class RecordedTask:
         """Return the same with phases changed, those that are None left out."""
         changed = iter(change([spec for spec in self.specs if spec is not None]))
         return replace(self, specs=tuple(None if spec is None else next(changed) for spec in self.specs))
+
+
+@dataclass(frozen=True)
+class MechanismDemand(TaskDemand):
+    """What a task with a mechanism demands: its phases, with the loads and pushes of its hands."""
+
+    task: MovingTask
+
+    @property
+    def moved(self) -> Mechanism:
+        """The mechanism that the task moves."""
+        return self.task.mechanism
+
+    def demand_phases(self, world: World, robot: RobotModel, recorded: Motion) -> RecordDemand:
+        """Demand the task's phases with the choices of the record."""
+        mechanism, friction = self.moved, world.request.options.hand_friction
+        task = RecordedTask.of(self.task, recorded).map_specs(
+            lambda specs: add_pushes(specs, robot, mechanism, friction)
+        )
+        at_start = np.concatenate([world.start, mechanism.start])
+        neighbours = make_neighbour_allowances(robot, world.scene, at_start)
+        demands = [
+            PhaseDemand(allowances=neighbours)
+            if spec is None
+            else PhaseDemand(
+                spec.targets(mechanism, phase.last),
+                (*spec.touches, *neighbours),
+                spec.loads,
+                spec.pushes,
+                spec.pressed,
+            )
+            for spec, phase in zip(task.specs, recorded.phases, strict=True)
+        ]
+        return RecordDemand(tuple(demands), task.problems)
+
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        """Measure the task's figures on a motion."""
+        return self.task.measure(motion)
+
+    def measure_displacement(self, motion: Motion, earlier: NominalRequest) -> Mapping[str, float]:
+        """Measure how far the hands that hold are from an earlier motion."""
+        return measure_displacement(motion, self.task.read_choices(motion)[0], earlier)
+
+    def keep_choices(self, recorded: Motion) -> dict[str, Any]:
+        """Return the fields of ``resume`` that keep hand, grip and other choices."""
+        kept = self.task.keep_choices(recorded)
+        if isinstance(kept, str):
+            raise IncompletePlanError(kept)
+        return kept
 
 
 def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[PhaseSpec | None]) -> Iterator[str]:

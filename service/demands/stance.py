@@ -15,7 +15,7 @@ from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
 from costs.work_space import borrow_data
 from service.start.overlaps import Overlap
-from service.start.standing import FEET_GROUP, FLOOR_KIND, sole_corners
+from service.start.standing import FEET_GROUP, list_carrying_pieces, sole_corners
 from service.verify import PlantedContact, SupportPolygon
 from service.verify.ground import STANDING_DEPTH_M
 
@@ -82,10 +82,13 @@ def list_planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[
     return robot.link_groups.get(FEET_GROUP, ()) if feet is None else feet
 
 
-def make_standing_allowances(feet: Sequence[str], scene: Scene) -> tuple[Allowance, ...]:
-    """Return the allowances of planted links that rest on floors."""
-    floors = [BodyRef.of_piece(piece.name) for piece in scene.pieces if piece.kind == FLOOR_KIND]
-    return tuple(Allowance(BodyRef.of_link(foot), floor, STANDING_DEPTH_M) for foot in feet for floor in floors)
+def make_standing_allowances(planted: Sequence[PlantedContact], scene: Scene) -> tuple[Allowance, ...]:
+    """Return the allowances of planted links with what carries their soles: floors, mats, boards, boxes."""
+    return tuple(
+        Allowance(BodyRef.of_link(contact.link), BodyRef.of_piece(name), STANDING_DEPTH_M)
+        for contact in planted
+        for name in list_carrying_pieces(contact.points, scene.pieces)
+    )
 
 
 def make_escape_allowances(overlaps: Sequence[Overlap]) -> tuple[Allowance, ...]:

@@ -9,9 +9,10 @@ import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.robot import BASE_NAMES, RobotModel
+from costs.robot import BASE_NAMES, RobotModel, turn_near
 from costs.work_space import borrow_data
-from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
+from service.request.schema import KeepRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget, Target
 
 JOINT_TOLERANCE = 1e-3  # [rad, m]
@@ -19,21 +20,33 @@ SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond 
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
-def find_goal_joints(robot: RobotModel, goal: GoalRequest) -> Mapping[int, float]:
-    """Return the goal's value by coordinate; a posture's base stays free, since the planted feet do not move."""
+def find_goal_joints(robot: RobotModel, goal: GoalRequest, near: Float[np.ndarray, "n"]) -> Mapping[int, float]:
+    """Return the goal's value by coordinate; a posture's base stays free, since the planted feet do not move.
+
+    A joint without limits is at its goal after any number of turns; its value is the one nearest to ``near``. A value
+    that rounding put beyond a limit is at the limit.
+    """
+    q = np.array(near, dtype=float)
     if goal.posture is None:
-        return {robot.joint_names.index(name): value for name, value in goal.joints.items()}
-    posture = robot.postures[goal.posture]
-    first = len(BASE_NAMES) if robot.is_floating else 0
-    return {index: float(posture[index]) for index in range(first, len(posture))}
+        columns = {name: k for k, name in enumerate(robot.joint_names)}
+        wanted = {columns[name]: value for name, value in goal.joints.items() if name in columns}  # no followers
+    else:
+        posture = robot.postures[goal.posture]
+        first = len(BASE_NAMES) if robot.is_floating else 0
+        wanted = {index: float(posture[index]) for index in range(first, len(posture))}
+    q[list(wanted)] = list(wanted.values())
+    turned = np.clip(turn_near(robot, q, near), robot.lower, robot.upper)
+    return {index: float(turned[index]) for index in wanted}
 
 
-def make_goal_targets(robot: RobotModel, goal: GoalRequest, at: float) -> tuple[Target, ...]:
-    """Return the targets of a goal that the motion must reach at path parameter ``at``."""
+def make_goal_targets(
+    robot: RobotModel, goal: GoalRequest, at: float, near: Float[np.ndarray, "n"]
+) -> tuple[Target, ...]:
+    """Return the targets of a goal that the motion must reach at path parameter ``at``, joints by turns to ``near``."""
     return (
         *(
             JointTarget(robot.joint_names[i], value, JOINT_TOLERANCE, at)
-            for i, value in find_goal_joints(robot, goal).items()
+            for i, value in find_goal_joints(robot, goal, near).items()
         ),
         *(target for pose in goal.poses for target in _pose_targets(pose, at)),
     )

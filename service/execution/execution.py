@@ -13,7 +13,7 @@ from costs.robot.poses import matrix_rpy
 from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
-from service.execution.guards import Finding, Guards, Severity
+from service.execution.guards import Finding, Severity
 from service.execution.machine import ExecutionMachine, MachineState, Mode, Order
 from service.execution.pose_control import Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
@@ -23,10 +23,11 @@ from service.execution.sensing.forces import ForceMeter, MeasuredForces
 from service.execution.settings import ExecutionSettings
 from service.execution.shift import Shift, step_shift
 from service.execution.stance.capture_point import find_turn_rates
+from service.execution.watch.driver_link import DriverLink
+from service.execution.watch.watch import Watch
 from service.verify.polygons import describe_inside
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
-HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
 CONTINUE_TOLERANCE = 0.02  # between the last command and the start of another plan [rad, m]
 
 
@@ -95,12 +96,18 @@ class Execution:
         self._forces: MeasuredForces | None = None
         self._estimate: PelvisEstimate | None = None
         self._order: Order | None = None
-        self._load(reference, begin_s)
-        start = reference.at(begin_s)
-        self._check_start(start)
+        self._watch: Watch | None = None
+        start, first = reference.at(begin_s), driver.read()
         self.command = Command.at_rest(start.configuration)
+        still = np.zeros(len(driver.joint_names))
+        order = [reference.joint_names.index(name) for name in driver.joint_names]
+        self._link = DriverLink(
+            driver, JointCommand(start.q[order], still, start.tau[order]), self.settings.watch.silent_s
+        )
+        self._load(reference, first, begin_s)
+        self._check_start(start, first)
 
-    def _load(self, reference: PlannedReference, begin_s: float = 0.0) -> None:
+    def _load(self, reference: PlannedReference, first: RobotReading, begin_s: float = 0.0) -> None:
         """Take a plan, from a time of its own on."""
         settings, driver, robot = self.settings, self.driver, reference.robot
         self.reference = reference
@@ -111,8 +118,11 @@ class Execution:
         self.machine = ExecutionMachine(reference.phases, balance, settings.machine)
         self.state = MachineState(time_s=begin_s, phase=reference.find_phase_number(begin_s))
         self._wanted = reference.at(begin_s)
-        self._guards = Guards(settings.guards)
-        feet, reading = robot.link_groups.get("feet", ()), driver.read()
+        sensors = first if self._watch is None else self._watch.readings
+        self._watch = Watch(
+            reference, tuple(driver.joint_names), driver.period_s, settings.guards, settings.watch, sensors
+        )
+        feet, reading = robot.link_groups.get("feet", ()), first
         self._has_forces = robot.is_floating and all(foot in reading.foot_wrenches for foot in feet) and len(feet) == 2
         margins = balance.list_margins() if balance is not None else [np.inf] * len(reference.phases)
         earlier = self._reflexes
@@ -129,7 +139,18 @@ class Execution:
     @property
     def is_at_rest(self) -> bool:
         """Whether the plan's clock stands still."""
-        return self.state.rate == 0.0 and self.state.mode is not Mode.RETURNING
+        return self.state.rate == 0.0 and self.state.mode not in (Mode.RETURNING, Mode.HOLDING)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the driver has not answered for so long that nothing is commanded any more."""
+        return self._link.is_lost
+
+    @property
+    def watch(self) -> Watch:
+        """The guards, for their limits and for what they cannot see."""
+        assert self._watch is not None
+        return self._watch
 
     def give(self, order: Order) -> None:
         """Give an order, which the next cycle obeys.
@@ -179,7 +200,7 @@ class Execution:
                 f"expected at most {CONTINUE_TOLERANCE:g} for all {n} joints"
             )
         self._shifts = {}
-        self._load(reference)
+        self._load(reference, self.watch.readings.good)
         first = reference.at(0.0).configuration.copy()
         first[columns] = self.command.q[self._columns]
         self.command = Command.at_rest(first)
@@ -188,38 +209,27 @@ class Execution:
         """Carry out one control cycle."""
         begin = time.perf_counter()
         period, settings = self.driver.period_s, self.settings
-        reading = self.driver.read()
+        reading = self.watch.read(self._link)
         waited = time.perf_counter() - begin
         wanted = self._wanted
         gain = np.zeros(len(self._columns))
         self._forces = self._meter.step(self._forces, reading, gain)
         if self._estimator is not None and self._estimate is not None:
             self._estimate = self._estimator.step(self._estimate, reading)
-        phase, following = self._current_phases()
-        found, self._guards = self._guards.check(
-            phase,
-            following,
-            self._forces.contacts,
-            self._forces.sizes,
-            wanted.contact_wrenches,
-            period,
-        )
-        findings = (*found, *self._find_fall(reading, wanted), *self._find_imbalance(following))
+        findings = self._find(reading, wanted)
         order, self._order = self._order, None
         self.state = self.machine.step(self.state, findings, order, period)
+        if self.is_lost and not self.state.is_over:
+            self.state = replace(self.state, mode=Mode.ABORTED, rate=0.0, reason=self._link.problem)
         phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
         self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
-        if self._reflexes is not None:
-            self._reflexes.step(self._see(reading, wanted), self._shifts)
         control = time.perf_counter()
-        self.command = self.controller.step(
-            self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
-        )
+        sent = self._control(reading, wanted)
         control_s = time.perf_counter() - control
-        sent = self._send(wanted, reading)
         cycle_s = time.perf_counter() - begin - waited
-        self.driver.command(sent)
+        if not self.is_lost:
+            sent = self._link.command(sent)
         return Cycle(
             self.state,
             phase.name,
@@ -240,7 +250,7 @@ class Execution:
         An operator acts through ``on_cycle``, which is called after every cycle.
         """
         after = 0.0
-        while after <= settle_s:
+        while after <= settle_s and not (self.is_lost and self.state.is_over):
             cycle = self.step()
             if on_cycle is not None:
                 on_cycle(cycle)
@@ -251,8 +261,40 @@ class Execution:
         phases, k = self.reference.phases, self.state.phase
         return phases[k], phases[k + 1] if k + 1 < len(phases) else None
 
-    def _check_start(self, start: ReferenceState) -> None:
-        measured = self.driver.read().q
+    def _find(self, reading: RobotReading, wanted: ReferenceState) -> tuple[Finding, ...]:
+        """Return everything that is wrong in this cycle."""
+        assert self._forces is not None
+        phase, following = self._current_phases()
+        place = None if self._estimate is None else (self._read_configuration(reading, wanted), self.command.q)
+        found = self.watch.judge(
+            self._link,
+            reading,
+            wanted,
+            (self.state.phase, phase, following),
+            self._forces,
+            wanted.tau[self._order_of_plan],
+            place,
+        )
+        return (*found, *self._find_fall(reading, wanted), *self._find_imbalance(following))
+
+    def _control(self, reading: RobotReading, wanted: ReferenceState) -> JointCommand:
+        """Return the next command; where none can be computed, the last one at rest, and the execution ends."""
+        try:
+            if self._reflexes is not None:
+                self._reflexes.step(self._see(reading, wanted), self._shifts)
+            command = self.controller.step(
+                self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
+            )
+        except (ExecutionError, np.linalg.LinAlgError) as error:
+            self._reflexes = None
+            self.command = Command.at_rest(self.command.q)
+            self.state = replace(self.state, mode=Mode.ABORTED, rate=0.0, reason=str(error))
+            return JointCommand(self._link.sent.q, np.zeros(len(self._columns)), self._link.sent.tau)
+        self.command = command
+        return self._send(wanted, reading)
+
+    def _check_start(self, start: ReferenceState, first: RobotReading) -> None:
+        measured = np.asarray(first.q)
         off = np.abs(measured - start.configuration[self._columns])
         if off.max(initial=0.0) > START_TOLERANCE:
             worst = int(off.argmax())
@@ -297,7 +339,7 @@ class Execution:
         q, v = self._read_configuration(reading, wanted), np.zeros(self.reference.robot.model.nv)
         v[:3], v[self._columns] = self._estimate.speed, self._estimate.joint_speeds
         v[3:6] = find_turn_rates(q[3:6], reading.imu_rotation @ reading.imu_angular_velocity)
-        return Senses(self.state, wanted, reading, q, v, self.command.q, self._forces)
+        return Senses(self.state, wanted, reading, q, v, self.command.q, self._forces, self.watch.is_blind)
 
     def list_shifts(self) -> Mapping[str, Shift]:
         """Return the displacements of all targets: the operator's, and those of the reflexes."""

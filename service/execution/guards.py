@@ -13,13 +13,17 @@ from service.errors import ExecutionError
 from service.execution.reference import ReferencePhase
 from service.verify import PlantedContact
 
+TREND_S = 0.03  # over which the growth of a force is measured [s]
+
 
 class Severity(Enum):
     """What a finding means for the execution."""
 
     NOTE = "note"  # reported only
+    SLOW = "slow"  # the plan's clock goes slowly as long as it is found
     WAIT = "wait"  # the next phase may not begin
-    ABORT = "abort"
+    ABORT = "abort"  # back to the last pose in balance
+    HOLD = "hold"  # the robot stays where it is: no way back can be trusted
     STOP = "stop"  # the robot falls: no way back
 
 
@@ -29,19 +33,23 @@ class Finding:
 
     Attributes:
         severity: what follows.
-        link: the foot or the hand.
-        force_n: measured force [N].
-        limit_n: the limit that it is compared with [N].
+        link: the foot or the hand, or the joint or sensor.
+        value: measured force [N]; of joints their torque or angle [N m, rad], of times seconds.
+        limit: the limit that it is compared with, in the same unit.
         sentence: for the operator.
         is_lost: whether the link should be planted and is not.
+        is_load: whether it is a hand that presses too hard on what it moves.
+        name: kind of fault, by which reports count; ``force`` of a measured force.
     """
 
     severity: Severity
     link: str
-    force_n: float
-    limit_n: float
+    value: float
+    limit: float
     sentence: str
     is_lost: bool = False
+    is_load: bool = False
+    name: str = "force"
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,8 @@ class GuardSettings:
         lost_share: a foot counts as lost below this share of the upright force that the plan expects of it.
         lost_n: feet that the plan expects less of are not compared [N].
         hold_s: time for which a limit must be exceeded [s].
+        stop_s: in which a hand that is stopped still presses on; a force that grows to its cap in that time aborts
+            at once [s].
         fall_rad: angle between the pelvis and that of the plan at which the robot falls [rad].
     """
 
@@ -66,6 +76,7 @@ class GuardSettings:
     lost_share: float = 0.05
     lost_n: float = 400.0
     hold_s: float = 0.25
+    stop_s: float = 0.2
     fall_rad: float = 0.35
 
     def __post_init__(self) -> None:
@@ -77,7 +88,7 @@ class GuardSettings:
             min(self.touch_n, self.hand_touch_n) > 0.0
             and 0.0 <= self.lost_share < 1.0
             and self.lost_n > 0.0
-            and self.hold_s >= 0.0
+            and min(self.hold_s, self.stop_s) >= 0.0
         ):
             raise ExecutionError(
                 f"guards: touch_n {self.touch_n:g}, lost_share {self.lost_share:g}, lost_n {self.lost_n:g}, hold_s "
@@ -92,10 +103,12 @@ class Guards:
     Attributes:
         settings: limits.
         exceeded_s: by link and limit [s].
+        slow: filtered force by tool, from which follows how fast it grows [N].
     """
 
     settings: GuardSettings = field(default_factory=GuardSettings)
     exceeded_s: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    slow: Mapping[str, float] = field(default_factory=dict)
 
     def check(
         self,
@@ -115,11 +128,15 @@ class Guards:
             expected: wrench (6,) that the plan expects per link [N, N m].
             period_s: of the cycle [s].
         """
-        over = {**self._check_contacts(phase, contacts, expected), **self._check_loads(phase, hands)}
+        share = min(period_s / TREND_S, 1.0)
+        slow = {tool: (1.0 - share) * self.slow.get(tool, force) + share * force for tool, force in hands.items()}
+        over = {**self._check_contacts(phase, contacts, expected), **self._check_loads(phase, hands, slow)}
         exceeded = {key: self.exceeded_s.get(key, 0.0) + period_s for key in over}
-        findings = [finding for key, finding in over.items() if exceeded[key] > self.settings.hold_s]
+        findings = [
+            f for key, f in over.items() if exceeded[key] > (TREND_S if key[1] == "soon" else self.settings.hold_s)
+        ]
         findings += self._list_missing(phase, following, contacts)
-        return tuple(findings), replace(self, exceeded_s=exceeded)
+        return tuple(findings), replace(self, exceeded_s=exceeded, slow=slow)
 
     def _check_contacts(
         self,
@@ -150,8 +167,10 @@ class Guards:
                 over[link, "lost"] = Finding(lost, link, force, least, words, True)
         return over
 
-    def _check_loads(self, phase: ReferencePhase, hands: Mapping[str, float]) -> dict[tuple[str, str], Finding]:
-        """Return the hands that press harder on a mechanism than they may."""
+    def _check_loads(
+        self, phase: ReferencePhase, hands: Mapping[str, float], slow: Mapping[str, float]
+    ) -> dict[tuple[str, str], Finding]:
+        """Return the hands that press harder on a mechanism than they may, or will before they can be stopped."""
         over = {}
         for load in phase.loads:
             force = hands.get(load.tool, 0.0)
@@ -161,7 +180,14 @@ class Guards:
                     f"{load.tool} presses with {force:.0f} N in '{phase.name}'; expected {load.expected_n:.0f} N, "
                     f"abort at {limit:.0f} N, cap {load.cap_n:.0f} N"
                 )
-                over[load.tool, "load"] = Finding(Severity.ABORT, load.tool, force, limit, words)
+                over[load.tool, "load"] = Finding(Severity.ABORT, load.tool, force, limit, words, is_load=True)
+            soon = force + (force - slow.get(load.tool, force)) / TREND_S * self.settings.stop_s
+            if force > limit and soon > load.cap_n:
+                words = (
+                    f"{load.tool} presses with {force:.0f} N in '{phase.name}' and soon with {soon:.0f} N; expected "
+                    f"{load.expected_n:.0f} N, cap {load.cap_n:.0f} N"
+                )
+                over[load.tool, "soon"] = Finding(Severity.ABORT, load.tool, soon, load.cap_n, words, is_load=True)
         return over
 
     def _list_missing(

@@ -24,6 +24,7 @@ class Mode(Enum):
     PAUSED = "paused"  # the clock slows down, then stands still
     WAITING = "waiting"  # at the end of a phase, for what the next phase needs
     RETURNING = "returning"  # aborted, on the way back to the last pose in balance
+    HOLDING = "holding"  # a sensor or servo is not to be trusted: the clock comes to rest, and the execution ends there
     ABORTED = "aborted"  # there, at rest; only a new plan goes on
     FALLEN = "fallen"  # nothing is commanded any more but the last pose
     DONE = "done"
@@ -60,6 +61,7 @@ class MachineSettings:
         ramp_s: time in which the clock comes to full speed or to rest [s].
         wait_s: longest wait for what a phase needs before the execution is aborted [s].
         margin_m: balance margin of the pose that an abort returns to [m].
+        slow_share: of both speeds while a guard asks to go slowly.
     """
 
     speed: float = 1.0
@@ -67,12 +69,15 @@ class MachineSettings:
     ramp_s: float = 0.3
     wait_s: float = 3.0
     margin_m: float = 0.03
+    slow_share: float = 0.3
 
     def __post_init__(self) -> None:
         if not (0.01 <= self.speed <= 1.0 and 0.01 <= self.return_speed <= 1.0):
             raise ExecutionError(f"speed {self.speed:g}, return_speed {self.return_speed:g}; expected 0.01 to 1")
         if not (self.ramp_s > 0.0 and self.wait_s >= 0.0):
             raise ExecutionError(f"ramp_s {self.ramp_s:g}, wait_s {self.wait_s:g}; expected a positive ramp and wait")
+        if not 0.0 < self.slow_share <= 1.0:
+            raise ExecutionError(f"slow_share {self.slow_share:g}; expected above 0, at most 1")
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,7 @@ class MachineState:
         waited_s: time spent in ``WAITING`` [s].
         goal_s: time that an abort returns to [s].
         reason: why it paused, waits or was aborted; empty while it runs.
+        returns: whether it was paused on its way back after an abort.
     """
 
     mode: Mode = Mode.RUNNING
@@ -96,6 +102,7 @@ class MachineState:
     waited_s: float = 0.0
     goal_s: float = 0.0
     reason: str = ""
+    returns: bool = False
 
     @property
     def is_over(self) -> bool:
@@ -135,38 +142,64 @@ class ExecutionMachine:
         state = self._obey(state, order)
         if state.is_over:
             return replace(state, rate=0.0)
-        stopping = [finding for finding in findings if finding.severity is Severity.STOP]
-        if stopping:
-            return replace(state, mode=Mode.FALLEN, rate=0.0, reason=stopping[0].sentence)
-        aborting = [finding for finding in findings if finding.severity is Severity.ABORT]
-        if aborting and state.mode is not Mode.RETURNING:
-            lost = [finding.link for finding in findings if finding.is_lost]
-            state = self._abort(state, aborting[0].sentence, lost)
+        state = self._react(state, findings)
+        slow = self.settings.slow_share if any(finding.severity is Severity.SLOW for finding in findings) else 1.0
+        if state.mode is Mode.FALLEN:
+            return state
         if state.mode is Mode.RETURNING:
-            return self._go_back(state, period_s)
+            return self._go_back(state, slow, period_s)
+        if state.mode is Mode.HOLDING or state.returns:
+            return self._come_to_rest(state, period_s)
         if state.mode is Mode.WAITING:
             return self._wait(state, findings, period_s)
-        wanted = self.settings.speed if state.mode is Mode.RUNNING else 0.0
+        wanted = slow * self.settings.speed if state.mode is Mode.RUNNING else 0.0
         return self._go_on(replace(state, rate=self._approach(state.rate, wanted, period_s)), findings, period_s)
+
+    def _react(self, state: MachineState, findings: Sequence[Finding]) -> MachineState:
+        """Return the state after the gravest finding.
+
+        The way back is left for nothing but a fall, and a hold for nothing but a hand that presses too hard: it stays
+        where it is then no longer.
+        """
+        worst = {finding.severity: finding for finding in reversed(findings)}
+        if Severity.STOP in worst:
+            return replace(state, mode=Mode.FALLEN, rate=0.0, reason=worst[Severity.STOP].sentence)
+        presses = next((f for f in findings if f.severity is Severity.ABORT and f.is_load), None)
+        if state.mode is Mode.RETURNING or (state.mode is Mode.HOLDING and presses is None):
+            return state
+        if state.mode is not Mode.HOLDING and Severity.HOLD in worst:
+            return replace(state, mode=Mode.HOLDING, returns=False, reason=worst[Severity.HOLD].sentence)
+        if Severity.ABORT in worst and not state.returns:
+            lost = [finding.link for finding in findings if finding.is_lost]
+            return self._abort(state, (presses or worst[Severity.ABORT]).sentence, lost)
+        return state
 
     def check_order(self, state: MachineState, order: Order) -> None:
         """Refuse an order that makes no sense in the present mode.
 
         Raises:
-            ExecutionError: the execution is over, or was aborted.
+            ExecutionError: the execution is over, or was aborted; a pause stops it on its way back, too.
         """
         if state.is_over:
             raise ExecutionError(f"{order.value}: the execution is {state.mode.value}; plan again to go on")
-        if state.mode is Mode.RETURNING:
+        if state.mode is Mode.RETURNING and order is not Order.PAUSE:
             raise ExecutionError(f"{order.value}: the execution was aborted and returns to its last pose in balance")
+        if state.mode is Mode.HOLDING:
+            raise ExecutionError(f"{order.value}: the execution comes to rest for good, since {state.reason}")
 
     def _obey(self, state: MachineState, order: Order | None) -> MachineState:
-        if order is None or state.is_over or state.mode is Mode.RETURNING:
+        if order is None or state.is_over or state.mode is Mode.HOLDING:
+            return state
+        if order is Order.PAUSE:
+            returns = state.returns or state.mode is Mode.RETURNING
+            reason = state.reason if returns else "paused by the operator"
+            return replace(state, mode=Mode.PAUSED, reason=reason, waited_s=0.0, returns=returns)
+        if state.returns:  # resumed or aborted: the way back goes on
+            return replace(state, mode=Mode.RETURNING, returns=False)
+        if state.mode is Mode.RETURNING:
             return state
         if order is Order.ABORT:
             return self._abort(state, "aborted by the operator", ())
-        if order is Order.PAUSE:
-            return replace(state, mode=Mode.PAUSED, reason="paused by the operator", waited_s=0.0)
         return replace(state, mode=Mode.RUNNING, reason="")
 
     def _abort(self, state: MachineState, reason: str, lost: Sequence[str]) -> MachineState:
@@ -202,12 +235,22 @@ class ExecutionMachine:
             return self._abort(state, waiting[0].sentence, [f.link for f in waiting if f.is_lost])
         return replace(state, waited_s=waited, reason=waiting[0].sentence)
 
-    def _go_back(self, state: MachineState, period_s: float) -> MachineState:
+    def _come_to_rest(self, state: MachineState, period_s: float) -> MachineState:
+        """Slow the clock down inside the present phase; a hold has ended once it stands still."""
+        rate, end = self._approach(state.rate, 0.0, period_s), self.phases[state.phase].end_s
+        time = min(max(state.time_s + rate * period_s, 0.0), end)  # what the next phase needs may be missing
+        rate = 0.0 if rate > 0.0 and time == end else rate  # all motion rests at this border
+        state = replace(state, time_s=time, rate=rate, phase=self._find_phase(time, state.phase))
+        return replace(state, mode=Mode.ABORTED) if state.mode is Mode.HOLDING and rate == 0.0 else state
+
+    def _go_back(self, state: MachineState, slow: float, period_s: float) -> MachineState:
         """Move the clock towards the time of the last pose in balance, forwards only to come to rest."""
         settings = self.settings
         left = state.time_s - state.goal_s
         slope = settings.speed / settings.ramp_s
-        wanted = -min(settings.return_speed, float(np.sqrt(slope * max(left, 0.0))), 10.0 * slope * max(left, 0.0))
+        wanted = -min(
+            slow * settings.return_speed, float(np.sqrt(slope * max(left, 0.0))), 10.0 * slope * max(left, 0.0)
+        )
         rate = self._approach(state.rate, wanted, period_s)
         time = max(state.time_s + rate * period_s, state.goal_s) if rate < 0.0 else state.time_s + rate * period_s
         time = min(time, self.phases[state.phase].end_s)  # what the next phase needs may be missing

@@ -37,6 +37,7 @@ class Senses:
         q, v: (n,) configuration and speeds as sensors and estimator show them.
         command: (n,) configuration of the earlier command.
         forces: measured.
+        is_blind: whether a sensor has failed: feet become stiff, and nothing else gives way any more.
     """
 
     machine: MachineState
@@ -46,6 +47,7 @@ class Senses:
     v: Float[np.ndarray, "n"]
     command: Float[np.ndarray, "n"]
     forces: MeasuredForces
+    is_blind: bool = False
 
 
 class Reflexes:
@@ -118,6 +120,8 @@ class Reflexes:
     def step(self, senses: Senses, shifts: Mapping[str, Shift]) -> None:
         """Advance all reflexes by one cycle; ``shifts`` are the operator's displacements of targets."""
         self._step_feet(senses)
+        if senses.is_blind:
+            return
         self._step_yielding(senses)
         self._n_cycles += 1
         if self._n_cycles % HAND_CYCLES == 0:
@@ -168,6 +172,7 @@ class Reflexes:
             senses.v,
             senses.command,
             senses.forces.contacts,
+            senses.is_blind,
         )
         self._feet_state = self._feet.step(self._feet_state, sight)
 

@@ -18,7 +18,7 @@ from service.execution.reference import PlannedReference
 from service.planner import plan
 from service.replay.adjust import adjust_request
 from service.replay.replay import verify_result
-from service.replay.resume import make_rest_request, read_recorded_scan
+from service.replay.rest import make_rest_request, read_recorded_scan
 from service.result.folder import check_folder
 from service.result.output import write_result
 

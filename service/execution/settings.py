@@ -13,6 +13,7 @@ from service.execution.sensing.filters import PidGains
 from service.execution.shift import ShiftLimits
 from service.execution.stance.capture_point import BalanceSettings
 from service.execution.stance.touchdown import TouchdownSettings
+from service.execution.watch.watch import WatchSettings
 from service.execution.yielding import YieldSettings
 
 
@@ -23,7 +24,8 @@ class ExecutionSettings:
     Attributes:
         gains: of the pose control.
         machine: of the plan's clock.
-        guards: limits of the guards.
+        guards: limits of the forces.
+        watch: limits of sensors and servos, and the servos' law.
         touchdown: of feet that land; None lands them stiff, and their ankles follow the plan.
         balance: of ankles while feet alone carry the robot; None for ankles that follow the plan.
         shifts: how fast operator's displacements of targets come.
@@ -39,6 +41,7 @@ class ExecutionSettings:
     gains: PoseGains = PRESETS["follow"]
     machine: MachineSettings = field(default_factory=MachineSettings)
     guards: GuardSettings = field(default_factory=GuardSettings)
+    watch: WatchSettings = field(default_factory=WatchSettings)
     touchdown: TouchdownSettings | None = field(default_factory=TouchdownSettings)
     balance: BalanceSettings | None = field(default_factory=BalanceSettings)
     shifts: ShiftLimits = field(default_factory=ShiftLimits)

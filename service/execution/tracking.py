@@ -13,6 +13,7 @@ from jaxtyping import Float
 from service.errors import ExecutionError
 from service.execution.driver import JointCommand, RobotReading
 from service.execution.execution import Cycle, Execution
+from service.execution.guards import Severity
 from service.execution.machine import Mode, Order
 from service.execution.reference import PlannedReference
 
@@ -98,6 +99,28 @@ class Change:
 
 
 @dataclass(frozen=True)
+class Fault:
+    """The first finding of one kind at one place that changed what the execution did.
+
+    Attributes:
+        at_s: since the run began [s].
+        name: kind, such as ``encoder`` or ``weak servo``.
+        where: link, joint or sensor.
+        reaction: ``slow``, ``abort`` (back to the last pose in balance), ``hold`` or ``stop``.
+        value, limit: measured value and its limit, in the unit of the sentence.
+        sentence: for the operator.
+    """
+
+    at_s: float
+    name: str
+    where: str
+    reaction: str
+    value: float
+    limit: float
+    sentence: str
+
+
+@dataclass(frozen=True)
 class TrackReport:
     """What became of a plan.
 
@@ -112,6 +135,9 @@ class TrackReport:
         bound_cycles: number of cycles in which a limit held a joint back.
         control_ms, cycle_ms: median, 99th percentile and largest computing time of the pose control, and of everything
             but the driver [ms].
+        faults: what the guards found, in their order.
+        unwatched: what the robot's sensors leave unwatched, a sentence each.
+        guards: limits of the guards, from the plan and the servos' law.
     """
 
     verdict: str
@@ -125,6 +151,9 @@ class TrackReport:
     bound_cycles: int
     control_ms: tuple[float, float, float]
     cycle_ms: tuple[float, float, float]
+    faults: tuple[Fault, ...]
+    unwatched: tuple[str, ...]
+    guards: Mapping[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON data."""
@@ -135,6 +164,8 @@ class TrackReport:
             "control_ms": list(self.control_ms),
             "cycle_ms": list(self.cycle_ms),
             "changes": [vars(change) for change in self.changes],
+            "faults": [vars(fault) for fault in self.faults],
+            "unwatched": list(self.unwatched),
         }
 
 
@@ -146,6 +177,7 @@ class _Watch:
         self.links = (*groups.get("feet", ()), *groups.get("hands", ()))
         self.off = dict.fromkeys(self.links, 0.0)
         self.changes: list[Change] = []
+        self.faults: dict[tuple[str, str], Fault] = {}
         self.control_s: list[float] = []
         self.cycle_s: list[float] = []
         self.speed = self.acceleration = 0.0
@@ -161,6 +193,13 @@ class _Watch:
         if last is None or (last.mode, last.phase) != (state.mode.value, cycle.phase):
             at_s = len(self.cycle_s) * self._period_s
             self.changes.append(Change(at_s, state.time_s, state.mode.value, cycle.phase, state.reason))
+        for finding in cycle.findings:
+            if finding.severity not in (Severity.NOTE, Severity.WAIT):
+                at_s, reaction = len(self.cycle_s) * self._period_s, finding.severity.value
+                fault = Fault(
+                    at_s, finding.name, finding.link, reaction, finding.value, finding.limit, finding.sentence
+                )
+                self.faults.setdefault((finding.name, finding.link), fault)
         self.control_s.append(cycle.control_s)
         self.cycle_s.append(cycle.cycle_s)
         self.bound += bool(command.is_bound[columns].any())
@@ -200,6 +239,9 @@ class _Watch:
             bound_cycles=self.bound,
             control_ms=summarize_times(self.control_s),
             cycle_ms=summarize_times(self.cycle_s),
+            faults=tuple(self.faults.values()),
+            unwatched=execution.watch.list_unwatched(),
+            guards=execution.watch.describe(),
         )
 
 

@@ -17,7 +17,7 @@ from costs.robot import RobotModel
 from costs.robot.servo import default_stiffness
 from service.errors import ExecutionError
 from service.execution.guards import press_on
-from service.execution.shift import limit_length
+from service.execution.offset import OffsetFilter
 from service.verify import PlantedContact
 
 
@@ -71,6 +71,11 @@ class YieldSettings:
                 "yielding: expected shares around 1, and positive forces, times, speeds and distances; touch_n is at "
                 "most landing_n"
             )
+
+    @property
+    def offset(self) -> OffsetFilter:
+        """Limit of the displacements, and their way back."""
+        return OffsetFilter(self.most_m, self.fade_s)
 
 
 @dataclass(frozen=True)
@@ -159,8 +164,9 @@ def press_trunk(
         measured: force (3,) per link, world axes [N].
         period_s: of the cycle [s].
     """
+    held = settings.offset
     if not bounds:
-        return _fade(offset, max(1.0 - period_s / settings.fade_s, 0.0))
+        return held.fade(offset, period_s)
     for link, bound in bounds.items():
         if link not in measured or bound.contact.normal is None:
             continue
@@ -168,13 +174,8 @@ def press_trunk(
         excess = force - float(np.clip(force, bound.least, bound.most))
         if excess:
             speed = _find_speed(settings, settings.softness, excess, force)
-            offset = offset + period_s * speed * np.asarray(bound.contact.normal)
-    return limit_length(offset, settings.most_m)
-
-
-def _fade(offset: Float[np.ndarray, "k"], left: float) -> Float[np.ndarray, "k"]:
-    """Return the share of a displacement that is left, and zero where that is next to nothing."""
-    return np.where(np.abs(offset) < 1e-6, 0.0, left * offset)
+            offset = held.move(offset, speed * np.asarray(bound.contact.normal), period_s)
+    return offset
 
 
 def _find_speed(settings: YieldSettings, softness: float, excess: float, force: float) -> float:
@@ -271,8 +272,8 @@ class Yielding:
                 if not state.offset.any():
                     made[link] = state
                     continue
-                left = max(1.0 - period_s / settings.fade_s, 0.0)
-                made[link] = ArmYield(_fade(state.offset, left), left * state.travel)
+                left = settings.offset.fade(np.append(state.offset, state.travel), period_s)
+                made[link] = ArmYield(left[:-1], float(left[-1]))
                 continue
             contact, least, most = bounds[link].contact, bounds[link].least, bounds[link].most
             force = press_on(contact, measured[link])

@@ -43,7 +43,8 @@ class PoolStats:
 
     Attributes:
         workers: one entry per worker.
-        restarts: how many workers were replaced because they died or were killed.
+        restarts: how many workers were replaced because they died or were killed, but for those of jobs that were
+            asked to stop.
         queued: number of jobs that wait for a worker.
         running: number of jobs that run.
         done: number of jobs that have ended, cancelled ones included.

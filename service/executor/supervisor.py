@@ -92,7 +92,7 @@ class Supervisor(ABC, Generic[W]):
     Attributes:
         target: how many workers there shall be, those for light jobs alone included.
         workers: those there are; a new tuple at each change.
-        restarts: how many workers died or were killed.
+        restarts: how many workers died or were killed, but for those of jobs that were asked to stop.
     """
 
     _any_thread_sends = False  # whether ``_send_job`` works in any thread that holds ``_guard``
@@ -282,8 +282,7 @@ class Supervisor(ABC, Generic[W]):
 
     def _kill_overdue(self, worker: W) -> None:
         """Kill the worker of a job that was asked to stop and did not."""
-        record = self._take_record(worker)
-        self.restarts += 1
+        record = self._take_record(worker)  # what was asked for is no restart that an operator should look at
         self._end_worker(worker)
         if record is not None:
             record.set_killed()

@@ -7,7 +7,6 @@ loaded first, and stays out where the rest still cannot be met, neither from the
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.state import MotionState
-from scopt import Problem, Settings, SolverError, Status, TrustRegionSQP
+from scopt import Clock, EffortClock, Problem, Settings, SolverError, Status, TrustRegionSQP
 from scopt.multipliers import compute_multipliers
 from service.body.effort import Effort
 from service.body.paths import straight_path
@@ -38,7 +37,8 @@ class _TrialSolver:
         settings: of a brief solve.
         body: the robot in its scene.
         should_stop: polled often.
-        deadline: of ``time.perf_counter``.
+        deadline: of the clock.
+        clock: measures the time limit.
         n_solves: problems solved so far.
         last: (T, n) last iterate, of the least merit, not of the least worst violation.
     """
@@ -47,12 +47,13 @@ class _TrialSolver:
     body: WholeBody
     should_stop: Callable[[], bool] | None
     deadline: float
+    clock: Clock
     n_solves: int = 0
     last: Float[np.ndarray, "T n"] = field(default_factory=lambda: np.zeros((0, 0)))
 
     def solve(self, problem: Problem[MotionState], x: Float[np.ndarray, "T n"]) -> Solved | None:
         """Solve the problem from ``x``; None when time is up."""
-        left = self.deadline - time.perf_counter()
+        left = self.deadline - self.clock()
         if left <= 0.0:
             return None
         self.n_solves += 1
@@ -61,7 +62,7 @@ class _TrialSolver:
         def remember(_: object, at: Float[np.ndarray, "T n"]) -> None:
             self.last = at
 
-        solver = TrustRegionSQP(replace(self.settings, time_limit_s=left))
+        solver = TrustRegionSQP(replace(self.settings, time_limit_s=left), self.clock)
         result = solver.solve(problem, x, remember, self.should_stop)
         if result.status in (Status.TIME_LIMIT, Status.CANCELLED):
             return None
@@ -84,6 +85,7 @@ def explain(
     settings: Settings,
     time_limit_s: float,
     should_stop: Callable[[], bool] | None = None,
+    clock: Clock | None = None,
 ) -> Conflict | None:
     """Return the conflicting demands at the best attempt; None where none has a notable multiplier.
 
@@ -92,12 +94,14 @@ def explain(
         solved: the best attempt at it.
         n_attempts: number of attempts at it.
         settings: of the optimiser.
-        time_limit_s: wall time; the conflict is then as far reduced as the time allowed.
+        time_limit_s: on the clock; the conflict is then as far reduced as the time allowed.
         should_stop: polled often; True ends it early.
+        clock: measures the time limit, by default as effort.
     """
     brief = Effort.RESTORE.apply(settings)
-    began = time.perf_counter()
-    run = _TrialSolver(brief, solved.body, should_stop, began + time_limit_s)
+    clock = EffortClock() if clock is None else clock
+    began = clock()
+    run = _TrialSolver(brief, solved.body, should_stop, began + time_limit_s, clock)
     problem = keep_required(solved.problem)
     least = run.solve(problem, solved.x)
     run.settings = replace(brief, max_iterations=TRIAL_STEPS)
@@ -112,7 +116,7 @@ def explain(
     else:
         kept, search = _filter_demands(run, problem, x, ranked)
     standing_on = tuple(foot.link for foot in solved.body.planted)
-    spent = time.perf_counter() - began if search is FilterOutcome.CUT_SHORT else None
+    spent = clock() - began if search is FilterOutcome.CUT_SHORT else None
     return Conflict(step, n_attempts, standing_on, tuple(group.demand for group in kept), search, run.n_solves, spent)
 
 

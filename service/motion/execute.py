@@ -58,6 +58,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
             is_balanced=not body.robot.is_floating or body.polygon is not None or body.region is not None,
         ),
         releases=body.releases,
+        clearance_m=body.aims.clearance,
     )
     if timing is None:
         is_held = any(phase.holds or _find_body(plan, phase).holds() for phase in plan.phases)

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from service.motion.servo_sag import list_deflections
+from service.motion.servo_sag import STIFFNESS_ERROR, list_deflections
 from service.verify import HandLoad, Motion, Phase
 from service.verify.frame_paths import find_mechanism_joints
 
@@ -38,17 +38,33 @@ class HandSag:
         """Factor on the stiffness of the servos with which the hand would lose 5 % of the travel."""
         return self.sag_m / (MOST_SHARE * self.travel_m)
 
+    @property
+    def led_m(self) -> float:
+        """What is left of the sag on servos that follow the servo reference and are softer than planned [m]."""
+        return find_led_sag(self.sag_m)
+
     def to_json(self) -> dict[str, Any]:
         """Return an entry of ``servo.hands`` of ``result.json``."""
         return {**asdict(self), "stiffer": self.stiffer}
 
     def describe(self) -> str:
         """Return a sentence on what position servos need."""
+        way = f"of {1e3 * self.travel_m:.1f} mm in phase '{self.phase}'"
+        if self.led_m > MOST_SHARE * self.travel_m:
+            return (
+                f"needs torque feed-forward: on position servos {self.tool} gives way by {1e3 * self.sag_m:.1f} {way}, "
+                f"and by {1e3 * self.led_m:.1f} mm where these follow the servo reference; or make robot.servo "
+                f"{self.stiffer:.1f} times as stiff"
+            )
         return (
-            f"needs stiffer servos where no torques are fed forward: {self.tool} gives way by {1e3 * self.sag_m:.1f} "
-            f"of {1e3 * self.travel_m:.1f} mm in phase '{self.phase}'; feed torques forward, or make robot.servo "
-            f"{self.stiffer:.1f} times as stiff"
+            f"on position servos {self.tool} gives way by {1e3 * self.sag_m:.1f} {way}; let them follow the servo "
+            "reference (scopt export --to servo), or feed torques forward"
         )
+
+
+def find_led_sag(sag_m: float) -> float:
+    """Return what is left of a sag on servos that follow the servo reference and are softer than planned [m]."""
+    return sag_m * STIFFNESS_ERROR / (1.0 - STIFFNESS_ERROR)
 
 
 def list_short_hands(motion: Motion, stiffness: Mapping[str, float]) -> tuple[HandSag, ...]:

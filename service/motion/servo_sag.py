@@ -22,6 +22,7 @@ from service.verify.timeline import find_time
 
 SAMPLES = 12  # in each phase
 GRAVITY = 9.81
+STIFFNESS_ERROR = 0.2  # of servos, by which they may be softer or stiffer than the plan has them
 _SMALL = 1e-9  # of a stiffness, so that the base is free [N/m, N m/rad]
 _GIVES = 1e-9  # by which contacts give, relative to the stiffest servo: their rows may depend on each other
 
@@ -37,6 +38,8 @@ class ServoSag:
         margin_m: least balance margin [m]; None where no phase has one.
         margin_after_m: least of balance margin minus sag [m].
         tight_phase: phase with the latter.
+        led_m: least of balance margin minus the sag that is left where servos follow the servo reference
+            ``q + tau / K``, and are softer than it has them by ``STIFFNESS_ERROR`` [m].
     """
 
     stiffness: Mapping[str, float]
@@ -45,6 +48,7 @@ class ServoSag:
     margin_m: float | None
     margin_after_m: float | None
     tight_phase: str
+    led_m: float | None
 
     def to_json(self) -> dict[str, Any]:
         """Return the key ``servo`` of ``result.json``."""
@@ -56,13 +60,18 @@ class ServoSag:
         }
 
     def list_notes(self) -> tuple[str, ...]:
-        """Return a sentence if the sag is larger than the balance margin."""
+        """Return a sentence if the sag is larger than the balance margin, with what position servos then need."""
         if self.margin_m is None or self.margin_after_m is None or self.margin_after_m >= 0.0:
             return ()
+        sag = (
+            f"in phase '{self.tight_phase}': the centre of mass sags by up to {1e3 * self.sag_m:.1f} mm, and the "
+            f"balance margin is {1e3 * self.margin_m:.1f} mm"
+        )
+        if self.led_m is not None and self.led_m < 0.0:
+            return (f"needs torque feed-forward or stiffer servos {sag}",)
         return (
-            f"servos that only hold positions may let the robot fall in phase '{self.tight_phase}': the centre of mass "
-            f"sags by up to {1e3 * self.sag_m:.1f} mm, and the balance margin is {1e3 * self.margin_m:.1f} mm; feed "
-            "torques forward, or stiffen robot.servo",
+            f"servos that only hold the planned positions may let the robot fall {sag}; let them follow the servo "
+            "reference (scopt export --to servo), or feed torques forward",
         )
 
 
@@ -77,13 +86,14 @@ def measure_sag(motion: Motion, stiffness: Mapping[str, float], proven_m: float 
     robot = motion.robot
     if not robot.is_floating or not sum(float(inertia.mass) for inertia in robot.model.inertias[1:]) > 0.0:
         return None
-    largest, at, margin, after, tight = 0.0, None, np.inf, np.inf, ""
+    largest, at, margin, after, tight, led = 0.0, None, np.inf, np.inf, "", np.inf
     for phase in motion.phases:
         if not phase.contacts:
             return None
         s = np.linspace(phase.first, phase.last, SAMPLES)
         q = motion.curve(s)
-        sag = np.linalg.norm(compute_sags(motion, phase, q, stiffness)[..., :2], axis=2).max(axis=0)
+        plain, softer = compute_sags(motion, phase, q, stiffness)
+        sag = np.linalg.norm(plain[..., :2], axis=2).max(axis=0)
         worst = int(sag.argmax())
         if float(sag[worst]) > largest:
             largest, at = float(sag[worst]), find_time(motion.law, float(s[worst]))
@@ -92,18 +102,24 @@ def measure_sag(motion: Motion, stiffness: Mapping[str, float], proven_m: float 
             continue
         margin = min(margin, float(inside.min()))
         left = inside - sag
+        led = min(led, float((inside - np.linalg.norm(softer[..., :2], axis=2).max(axis=0)).min()))
         if float(left.min()) < after:
             after, tight = float(left.min()), phase.name
     has_margin = bool(np.isfinite(margin))
     if has_margin and proven_m is not None and proven_m < margin:
-        margin, after = proven_m, after - (margin - proven_m)
-    return ServoSag(stiffness, largest, at, margin if has_margin else None, after if has_margin else None, tight)
+        margin, after, led = proven_m, after - (margin - proven_m), led - (margin - proven_m)
+    left_m = (margin, after, led) if has_margin else (None, None, None)
+    return ServoSag(stiffness, largest, at, left_m[0], left_m[1], tight, left_m[2])
 
 
 def compute_sags(
     motion: Motion, phase: Phase, q: Float[np.ndarray, "S n"], stiffness: Mapping[str, float]
-) -> Float[np.ndarray, "K S 3"]:
+) -> tuple[Float[np.ndarray, "K S 3"], Float[np.ndarray, "K S 3"]]:
     """Return the sag of the centre of mass [m] at configurations, without loads of the hands and with all of them.
+
+    The second sag is that of servos which are softer than planned by the share ``e = -STIFFNESS_ERROR`` and follow
+    ``q + tau / K``: they turn by ``tau / K - tau / ((1 + e) K)``, so that ``e / (1 + e)`` of the sag is left, on servos
+    that give ``1 / (1 + e)`` as much.
 
     Servos at rest turn by ``d`` until ``K d + g + J_c' f = 0`` with ``J_c d = 0``: gravity and loads ``g`` are carried
     by the servos and by the forces ``f`` of contacts that stay where they are.  The sag is ``x = J_com d``.  A centre
@@ -113,14 +129,18 @@ def compute_sags(
     """
     weight = GRAVITY * sum(float(inertia.mass) for inertia in motion.robot.model.inertias[1:])
     ground = float(np.mean(np.concatenate([contact.points[:, 2] for contact in phase.contacts])))
-    sags = []
+    sags: list[np.ndarray] = []
+    led: list[np.ndarray] = []
+    softness = 1.0 / (1.0 - STIFFNESS_ERROR)
     for data, com, turned in list_deflections(motion, phase, q, stiffness):
         moved_com = com @ turned
         height = max(float(data.com[0][2]) - ground, 1e-3)
-        sag = moved_com[:, 2:].T
-        sag[:, :2] = _tip(moved_com[:2, :2] * weight / height, moved_com[:2, 2:], height).T
-        sags.append(sag)
-    return np.stack(sags, axis=1)
+        share = moved_com[:2, :2] * weight / height
+        for made, left, soft in ((sags, 1.0, 1.0), (led, STIFFNESS_ERROR * softness, softness)):
+            sag = left * moved_com[:, 2:].T
+            sag[:, :2] = _tip(soft * share, sag[:, :2].T, height).T
+            made.append(sag)
+    return np.stack(sags, axis=1), np.stack(led, axis=1)
 
 
 def list_deflections(

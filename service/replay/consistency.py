@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.demands import Demands
+from service.demands.figures.displacement import DISPLACED_MM
 from service.errors import shown
 from service.json_data import to_json_data
 from service.motion.expected_sag import expect_sag
@@ -76,6 +77,20 @@ def compare_servos(
         is_same = _is_plausible({**recorded, "at_s": None}, {**servo, "at_s": None})
     if not is_same:
         yield "servo is not the sag of the request's servos along the motion"
+
+
+def compare_figures(recorded: Mapping[str, Any], demands: Demands, motion: Motion) -> Iterator[str]:
+    """Yield a sentence where a result's figures are not those of its motion."""
+    figures = dict(demands.task.measure(motion))
+    resume = demands.request.resume
+    if DISPLACED_MM in recorded and resume is not None and resume.nominal is not None and resume.is_compliant:
+        # A plan that could not keep the earlier motion says nothing of it.
+        figures |= demands.task.measure_displacement(motion, resume.nominal)
+    if recorded.keys() != figures.keys():
+        yield f"figures are {', '.join(recorded) or 'none'}; those of the motion are {', '.join(figures) or 'none'}"
+    for name in recorded.keys() & figures.keys():
+        if not _is_plausible(recorded[name], figures[name]):
+            yield f"figures.{name} is {shown(recorded[name])}, measured on the motion {figures[name]:.4g}"
 
 
 def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: Motion, version: int) -> Iterator[str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
-from service.demands.door_demand import SeenDoor
+from service.demands.door.demand import SeenDoor
 from service.errors import shown
 
 if TYPE_CHECKING:

@@ -14,27 +14,21 @@ from costs.robot import RobotModel, bundled_robots
 from costs.scene import ConvexPiece, Scene
 from service.demands import (
     Demands,
-    ProgramDemand,
-    TaskDemand,
     compose_scene,
     find_recorded_obstacles,
     has_scan,
     list_planted_feet,
 )
-from service.demands.contacts.contact_task import make_stances
-from service.demands.contacts.egress_demand import EgressDemand
-from service.demands.door_demand import DoorDemand, SeenDoor, choose_door, make_door, resume_door, set_back
-from service.demands.given_mechanism import read_given_mechanism
-from service.demands.hands import list_robot_hands
-from service.demands.moved_object.demand import GivenMechanismDemand, resume_mechanism
-from service.demands.valve_demand import ValveDemand, resume_valve, turn_back
-from service.demands.wheel import make_wheel
+from service.demands.door.demand import SeenDoor
+from service.demands.kind import find_demand_part
+from service.demands.task_demand import World
 from service.errors import RequestError
 from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
+from service.request.tasks.registry import ADDED
 from service.setup.given_objects import check_given_objects
-from service.setup.prepare import PlanSetup, resolve_start
+from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
 from service.start.mechanism_file import inline_mechanism
 from service.start.robot import add_request_parts, attach_bodies, load_requested_robot
@@ -54,22 +48,25 @@ class Grounds:
         scene: source of the pieces.
         robot: source of the robot.
         without: constraints of the request that the verifier cannot check.
+        reader: package outside this project that says what the task demands, or None.
     """
 
     request: str
     scene: str
     robot: str
     without: tuple[str, ...] = ()
+    reader: str | None = None
 
     def sentence(self) -> str:
         """Return the phrase for the verdict's line; equal sources are named once."""
         sources = dict.fromkeys((self.request, self.robot, self.scene))
         without = f", without {', '.join(self.without)}" if self.without else ""
-        return f"for {' and '.join(sources)}{without}"
+        reader = "" if self.reader is None else f", with the demands of {self.reader}"
+        return f"for {' and '.join(sources)}{without}{reader}"
 
 
 @dataclass(frozen=True)
-class Record:
+class RecordedWorld:
     """Robot and scene of a result's folder.
 
     Attributes:
@@ -88,7 +85,7 @@ class Record:
 
 
 def rebuild_demands(
-    request: PlanRequest, record: Record, given: Path | None, clouds: Sequence[Path]
+    request: PlanRequest, record: RecordedWorld, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
     """Return a request's demands and their sources.
 
@@ -104,7 +101,8 @@ def rebuild_demands(
     request = inline_mechanism(request)
     request_from = "the request in this folder" if given is None else given.name
     robot, robot_from = _rebuild_robot(request, record, given is not None, request_from)
-    start, _, program = resolve_start(robot, request)
+    resolved = find_demand_part(request).resolve_start(request.section, request, robot)
+    start, program = resolved.q, resolved.program
     feet = list_planted_feet(robot, request.options.feet) if program is None else program.planted
     is_read = bool(clouds) or (given is not None and request.scene.file is not None)
     surroundings = Surroundings(
@@ -120,9 +118,9 @@ def rebuild_demands(
     check_given_objects(request, robot, start, obstacles)
     scene, _ = compose_scene(request, robot, start, surroundings.pieces, obstacles)
     scene_from = "the recorded scene" if are_recorded else scene_from
-    demands = _make_demands(request, robot, start, scene, program, surroundings)
-    without = () if demands.program is None else demands.program.unproven
-    return demands, Grounds(request_from, scene_from, robot_from, without)
+    demands = _make_demands(World(request, robot, start, scene), surroundings, program)
+    reader = None if request.kind not in ADDED else request.kind.demand.partition(":")[0]
+    return demands, Grounds(request_from, scene_from, robot_from, demands.task.unproven, reader)
 
 
 def make_setup_demands(setup: PlanSetup) -> Demands:
@@ -131,69 +129,18 @@ def make_setup_demands(setup: PlanSetup) -> Demands:
     Raises:
         RequestError: the scan does not show what the task moves.
     """
-    return _make_demands(setup.request, setup.robot, setup.start, setup.scene, setup.program, setup.surroundings)
+    world = World(setup.request, setup.robot, setup.start, setup.scene)
+    return _make_demands(world, setup.surroundings, setup.program)
 
 
-def _make_demands(
-    request: PlanRequest,
-    robot: RobotModel,
-    start: Float[np.ndarray, "n"],
-    scene: Scene,
-    program: Program | None,
-    surroundings: Surroundings,
-) -> Demands:
-    task = _rebuild_task(request, robot, start, surroundings)
-    changing = None if request.task is None else request.task.contacts
-    stances = () if changing is None else make_stances(changing, robot, scene, start)
-    leaving = None if request.task is None else request.task.egress
-    egress = None if leaving is None else EgressDemand.of(leaving, robot, scene, start, request.folder)
-    return Demands(request, robot, start, scene, _get_program(program, robot), task, stances, egress)
+def _make_demands(world: World, surroundings: Surroundings, program: Program | None) -> Demands:
+    part, section = find_demand_part(world.request), world.request.section
+    return Demands(world, part.make_demand(section, world, surroundings, program))
 
 
-def _get_program(program: Program | None, robot: RobotModel) -> ProgramDemand | None:
-    if program is None:
-        return None
-    from service.trajopt.verifier_targets import make_program_demand  # slow to import
-
-    return make_program_demand(program, robot)
-
-
-def _rebuild_task(
-    request: PlanRequest, robot: RobotModel, start: Float[np.ndarray, "n"], surroundings: Surroundings
-) -> TaskDemand | None:
-    """Return the demands of the request's task, if it moves a mechanism."""
-    task = request.task
-    if task is None or (task.valve is None and task.door is None and task.mechanism is None):
-        return None
-    if task.mechanism is not None:
-        friction = request.options.hand_friction
-        moving = GivenMechanismDemand(read_given_mechanism(task.mechanism), robot, friction)
-        return moving if request.resume is None else resume_mechanism(moving, request.resume)
-    if task.door is not None:
-        base = start[:3] if robot.is_floating else np.zeros(3)
-        geometry = choose_door(task.door, surroundings.doors, base)
-        if isinstance(geometry, str):
-            raise RequestError(f"task.door: {geometry}")
-        door = set_back(
-            make_door(task.door, geometry, surroundings.seen if task.door.leaf is None else None), request.resume
-        )
-        opening = DoorDemand(door, task.door, robot)
-        return opening if request.resume is None else resume_door(opening, request.resume)
-    if task.valve is None:
-        return None
-    from service.tasks.valve_task import read_given_valve
-
-    given = read_given_valve(task.valve)
-    valve = given or next(iter(surroundings.valves), None)
-    if valve is None:
-        raise RequestError("task.valve: the scene shows no valve")
-    seen = surroundings.seen if given is None else None
-    wheel = make_wheel(turn_back(valve, request.resume), task.valve, seen)
-    turning = ValveDemand(wheel, task.valve, list_robot_hands(robot), request.options.hand_friction[1])
-    return turning if request.resume is None else resume_valve(turning, request.resume)
-
-
-def _rebuild_robot(request: PlanRequest, record: Record, is_given: bool, request_from: str) -> tuple[RobotModel, str]:
+def _rebuild_robot(
+    request: PlanRequest, record: RecordedWorld, is_given: bool, request_from: str
+) -> tuple[RobotModel, str]:
     """Return the robot and its source; only a user's request has robot files read again."""
     if is_given or (request.robot.urdf is None and request.robot.name in bundled_robots()):
         return attach_bodies(load_requested_robot(request, finds_package=is_given), request), request_from
@@ -209,8 +156,8 @@ def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, 
     if not has_scan(request):
         return ()
     own = {obstacle.name for obstacle in request.scene.obstacles}
-    if request.task is not None and request.task.mechanism is not None:
-        own |= {piece.name for piece in read_given_mechanism(request.task.mechanism).pieces}
+    given = find_demand_part(request).read_mechanism(request.section)
+    own |= set() if given is None else {piece.name for piece in given.pieces}
     parts = {piece.name for piece in find_recorded_obstacles(request, recorded)}
     return tuple(piece for piece in recorded.pieces if piece.name not in own | parts)
 

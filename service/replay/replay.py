@@ -12,10 +12,10 @@ from typing import Any
 from costs.robot import RobotError, RobotModel, load_robot
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.errors import DamagedResultError, RequestError, ResultError, shown
-from service.replay.consistency import CHANGED, compare_servos, find_contradictions
+from service.replay.consistency import CHANGED, compare_figures, compare_servos, find_contradictions
 from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.folder_files import FileFindings, check_files
-from service.replay.rebuild import Grounds, Record, rebuild_demands
+from service.replay.rebuild import Grounds, RecordedWorld, rebuild_demands
 from service.replay.standing import HELD_BEFORE, Standing, State
 from service.request.file import has_hash, load_request, parse_request
 from service.request.formats import FORMAT
@@ -28,6 +28,7 @@ from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
 from service.result.result_json import add_reports, proof_summary
 from service.result.versions import find_format
 from service.verify import Certificate, Motion, Status, VerifyError, verify
+from service.verify.hashes import robot_hash
 
 OTHER = "it answers another request, or was changed after it was written"
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")
@@ -157,14 +158,13 @@ def _verify_claim(result: _Result) -> _Answer:
         reports = report_phases(held.motion, certificate)
         differences = (
             *held.differences,
-            *_compare_demands(result, demands, certificate),
+            *_compare_demands(result, demands, held.motion, certificate),
             *_compare_record(result, certificate, reports),
             *compare_servos(result.data["servo"], held.motion, demands, certificate),
         )
     is_certified = certificate.status is Status.CERTIFIED
-    if is_certified and differences:
-        why = CHANGED if result.request is None else OTHER
-        raise DamagedResultError("\n".join(f"{result.folder}: {line}; {why}" for line in differences))
+    if is_certified:
+        _refuse_changes(result, differences, CHANGED if result.request is None else OTHER)
     standing = Standing.of(FORMAT) if is_certified else None
     return _Answer(certificate, reports, differences, grounds, standing)
 
@@ -177,12 +177,15 @@ def _verify_earlier(result: _Result) -> _Answer:
         with _explain_defects(result.folder):
             certificate = verify(held.motion)
             reports = report_phases(held.motion, certificate)
-            differences = (*held.differences, *_compare_demands(result, demands, certificate))
+            differences = (*held.differences, *_compare_demands(result, demands, held.motion, certificate))
     except (RequestError, ResultError) as error:
         if own is None or result.request is not None or result.clouds:
             raise
         reason = " ".join(str(error).removeprefix(f"{result.folder}: ").split())
         return _Answer(own, report_phases(result.recorded, own), (), None, Standing.of(result.version, [reason]))
+    is_own = result.request is None and not result.clouds
+    if is_own and demands.request.goal is not None and _has_robot(result, demands):
+        _refuse_changes(result, differences)  # what a goal promises has been the same in all formats
     standing = Standing.compare(result.version, result.data["certificate"], certificate, differences)
     is_other = result.request is not None and not has_hash(demands.request, result.data["request_hash"])
     if is_other and differences:
@@ -207,25 +210,33 @@ def _verify_record(result: _Result) -> Certificate | None:
             for phase in result.data["phases"]
             if phase["status"] not in (None, PhaseStatus.CERTIFIED.value)
         ]
-    lines = (*contradictions, *unsolved, *result.files.differences)
-    if lines:
-        raise DamagedResultError("\n".join(f"{result.folder}: {line}; {CHANGED}" for line in lines))
+    _refuse_changes(result, (*contradictions, *unsolved, *result.files.differences))
     return own
+
+
+def _has_robot(result: _Result, demands: Demands) -> bool:
+    """Return whether today's reading of a request gives the recorded robot."""
+    return robot_hash(result.robot) == robot_hash(demands.robot)
+
+
+def _refuse_changes(result: _Result, lines: Sequence[str], why: str = CHANGED) -> None:
+    """Refuse a result with a sentence for each part that was changed (``DamagedResultError``), if there are any."""
+    if lines:
+        raise DamagedResultError("\n".join(f"{result.folder}: {line}; {why}" for line in lines))
 
 
 def _hold(result: _Result) -> tuple[HeldMotion, Demands, Grounds]:
     """Return the recorded motion with the promises of its request, the demands, and their sources."""
-    record = Record(result.robot, result.recorded.scene)
+    record = RecordedWorld(result.robot, result.recorded.scene)
     demands, grounds = _read_demands(result.data, result.folder, record, result.request, result.clouds)
     with _explain_defects(result.folder):
         return hold_to_request(demands, result.recorded), demands, grounds
 
 
-def _compare_demands(result: _Result, demands: Demands, certificate: Certificate) -> Iterator[str]:
-    """Yield a sentence for each demand on speed or on the task's figures that is not met."""
+def _compare_demands(result: _Result, demands: Demands, motion: Motion, certificate: Certificate) -> Iterator[str]:
+    """Yield a sentence for each demand on speed that is not met, and for each figure that is not the motion's."""
     yield from compare_pace(demands.request, certificate)
-    if demands.task is not None:
-        yield from demands.task.compare_figures(result.data["figures"])
+    yield from compare_figures(result.data["figures"], demands, motion)
 
 
 def _compare_record(result: _Result, certificate: Certificate, reports: Sequence[PhaseReport]) -> tuple[str, ...]:
@@ -235,7 +246,7 @@ def _compare_record(result: _Result, certificate: Certificate, reports: Sequence
 
 
 def _read_demands(
-    data: dict[str, Any], folder: Path, record: Record, given: Path | None, clouds: Sequence[Path]
+    data: dict[str, Any], folder: Path, record: RecordedWorld, given: Path | None, clouds: Sequence[Path]
 ) -> tuple[Demands, Grounds]:
     """Return the demands of the user's or the recorded request, and their sources."""
     request = read_request(data, folder) if given is None else load_request(given)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import entry_points
 from typing import Literal
 
 Method = Literal["planes", "coacd"]
@@ -10,7 +11,13 @@ Method = Literal["planes", "coacd"]
 Unknown = Literal["free", "occupied"]
 """Treatment of space that no ray has seen."""
 
-KINDS = ("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening")
+SensorModel = Literal["auto", "spinning", "depth", "tof", "solid", "survey"]
+"""Kind of sensor: ``auto``, or a name of ``perception.noise.MODELS``."""
+
+KINDS = (
+    *("valve", "door", "drill", "beam", "hose", "lever", "panel", "seat", "opening"),
+    *sorted(entry.name for entry in entry_points(group="scopt_detectors")),
+)
 """Kinds of detectable objects, equal to ``perception.KINDS`` but without importing perception."""
 
 EVERY_KIND = "all"

@@ -35,8 +35,22 @@ MAX_BITS = 1023  # size of an integer in plain data
 MAP_M = 1e8  # map coordinates are offset from zero by thousands of kilometres
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M)]
-Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M)]
+
+
+def _check_workspace(value: object) -> object:
+    """Refuse a coordinate or length so large that its unit must be wrong."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and WORKSPACE_M < abs(value) < math.inf:
+        raise PydanticCustomError(
+            "unit",
+            "{value} m is beyond {most} m; are these millimetres? Use {metres}.",
+            {"value": f"{value:g}", "most": f"{WORKSPACE_M:g}", "metres": f"{value / 1000.0:g}"},
+        )
+    return value
+
+
+_IN_METRES = BeforeValidator(_check_workspace)
+Coordinate = Annotated[Number, Field(ge=-WORKSPACE_M, le=WORKSPACE_M), _IN_METRES]
+Length = Annotated[Number, Field(gt=0.0, le=WORKSPACE_M), _IN_METRES]
 Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 _MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]

@@ -14,13 +14,6 @@ from service.errors import RequestError, shown
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
 
-VALVE_JOINT = "valve_turn"
-VALVE_LINK = "valve"
-DOOR = "door"  # its links are DOOR/...
-LEAF_JOINT, HANDLE_JOINT = "door_opening", "door_handle"
-MECHANISM = "mechanism"  # of a URDF; its links are MECHANISM/...
-STILL = "fixture"  # its bodies that no joint moves are fixture/...
-
 
 @dataclass(frozen=True)
 class TakenNames:
@@ -42,13 +35,8 @@ class TakenNames:
         owners = {body.name: f"a body of {robot.name}" for body in robot.bodies}
         links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
         owners |= dict.fromkeys([*links, *(body.link for body in robot.bodies)], f"a link of {robot.name}")
-        if request.task is not None and request.task.valve is not None:
-            return TakenNames(owners, VALVE_LINK, (VALVE_JOINT,))
-        if request.task is not None and request.task.door is not None:
-            return TakenNames(owners, DOOR, (LEAF_JOINT, HANDLE_JOINT))
-        if request.task is not None and request.task.mechanism is not None:
-            return TakenNames(owners, MECHANISM)
-        return TakenNames(owners, None)
+        moved = request.section.moved_names
+        return TakenNames(owners, None) if moved is None else TakenNames(owners, moved.mechanism, moved.joints)
 
     def is_of_mechanism(self, name: str) -> bool:
         """Return whether the name belongs to the mechanism or to a part of it."""

@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
-from service.request.choices import Method, Unknown
+from service.request.choices import Method, SensorModel, Unknown
 from service.request.fields import (
     SECTION,
     FilePath,
@@ -90,7 +90,7 @@ class ConvexRequest(_Placed):
 
 @dataclass(config=SECTION, kw_only=True)
 class MeshRequest(_Placed):
-    """A mesh file (STL, OBJ, PLY, or a URDF with every joint at zero), split into convex pieces.
+    """A mesh file (STL, OBJ, PLY, DAE, GLB, glTF, or a URDF with every joint at zero), split into convex pieces.
 
     ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is the only piece.  With ``match``
     its pose is searched in the scan near the given one, and points on or inside the mesh do not become pieces.
@@ -187,6 +187,10 @@ class SceneRequest(Section):
         apply_viewpoint: whether the points are in the sensor's frame and must be transformed by the file's VIEWPOINT,
             before ``position`` and ``quaternion_wxyz``.
         sensor: start of the rays in the world if the file does not give it [m].
+        level: whether the merged cloud is turned z up and its floor put at 0, after ``position`` and
+            ``quaternion_wxyz``.
+        sensor_model: kind of sensor, for its noise; ``auto``: by the file, or estimated from the points.
+        sensor_sigma: standard deviation of the start of the rays [m].
         topic: topic of a bag with several clouds.
         message: index of a bag's message, or ``all`` to merge them.
         method: method of making pieces from the scan.
@@ -203,6 +207,9 @@ class SceneRequest(Section):
     unit: Literal["m", "cm", "mm", "km", "in", "ft"] = "m"
     apply_viewpoint: StrictBool = False
     sensor: Point | None = None
+    level: StrictBool = False
+    sensor_model: SensorModel = "auto"
+    sensor_sigma: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.0
     topic: Label | None = None
     message: Message = 0
     method: Method = "planes"

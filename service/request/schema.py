@@ -6,7 +6,6 @@ Only the request itself is checked here; ``service.setup.prepare`` checks it aga
 
 from __future__ import annotations
 
-import math
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,9 +16,6 @@ from pydantic_core import PydanticCustomError
 
 from service.errors import shown
 from service.request.contact_patch import ContactPatchRequest
-from service.request.contacts import ContactsRequest
-from service.request.door import DoorRequest
-from service.request.egress import EgressRequest
 from service.request.fields import (
     HAND_FRICTION,
     MAX_JOINTS,
@@ -29,7 +25,6 @@ from service.request.fields import (
     Label,
     Name,
     Number,
-    PlainData,
     Point,
     Quaternion,
     Section,
@@ -37,13 +32,13 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
-from service.request.lever import LeverRequest, check_lever
-from service.request.mechanism import MechanismRequest
 from service.request.resume import Hash, ResumeRequest
 from service.request.robot_parts import RobotHandRequest, RobotServoRequest, RobotTorqueRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
+from service.request.tasks.kind import TaskKind, TaskSection
+from service.request.tasks.reach import GoalRequest
+from service.request.tasks.registry import REACH, TaskRequest
 
-LEAST_STUCK_TURN_DEG = 10.0
 Friction = Annotated[Number, Field(ge=0.0, le=5.0)]
 
 
@@ -130,22 +125,6 @@ class StartRequest(Section):
 
 
 @dataclass(config=SECTION)
-class PoseGoalRequest(Section):
-    """A pose of ``link`` (a link or frame of the robot) at the end; without a quaternion the orientation is free."""
-
-    link: Name
-    position: Point
-    quaternion_wxyz: Quaternion | None = None
-    position_tolerance_m: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.001
-    rotation_tolerance_deg: Annotated[Number, Field(ge=0.0, le=180.0)] = 0.5
-    free_axis: Literal["none", "x", "y", "z"] = "none"
-
-    def __post_init__(self) -> None:
-        if self.free_axis != "none" and self.quaternion_wxyz is None:
-            raise PydanticCustomError("pose", "free_axis needs a quaternion_wxyz whose axis it frees")
-
-
-@dataclass(config=SECTION)
 class StateRequest(Section):
     """State of a robot and of the mechanism it moves.
 
@@ -167,92 +146,15 @@ class StateRequest(Section):
 
 
 @dataclass(config=SECTION)
-class GoalRequest(Section):
-    """End of the motion: joint positions, poses of links, or a named posture."""
-
-    joints: Joints = field(default_factory=dict)
-    poses: Annotated[tuple[PoseGoalRequest, ...], at_most(20)] = ()
-    posture: Label | None = None
-
-    def __post_init__(self) -> None:
-        require_exactly_one(self, ("joints", "poses", "posture"))
-        twice = find_repeated(pose.link for pose in self.poses)
-        if twice:
-            words = "link {link} has two poses; expected one for each link"
-            raise PydanticCustomError("goal", words, {"link": shown(twice[0])})
-
-
-@dataclass(config=SECTION)
-class ValveRequest(Section):
-    """Task of turning a valve detected in the scan (near ``hint``) or given by ``centre``, ``axis`` and ``radius``.
-
-    A valve with a lever, or with a crank, is given by ``centre``, ``axis`` and ``lever``.
-
-    Attributes:
-        mode: ``hook`` rests a hook between the spokes, ``grasp`` turns the hand with the wheel.
-        hand: hand to use; ``auto`` tries both.
-        turn_deg: angle, positive counter-clockwise as seen by the robot; beyond a turn with a new hold.
-        sense: whether the wheel turns in the sense of ``turn_deg``; if ``unknown`` it is only tried, a little each way.
-        stuck: whether it may be stuck: it is first rocked a little, for which the robot is held with twice the torque.
-        centre, axis, radius: the rim's centre-line circle, axis towards the robot [m].
-        spokes_deg, spoke_width_m: angles of the spokes of a given valve, counter-clockwise as seen by the robot, from
-            the rim's rightmost point; and their width.
-        torque_nm: torque that turns the wheel; the robot is held with it and without it.
-        lever: bar of a lever valve or of a crank, whose spindle is at ``centre`` along ``axis``.
-        stops_deg: least and largest angle of a lever from where it is, counted like ``turn_deg``; by default a lever
-            stops after a quarter turn, and a crank turns freely.
-    """
-
-    mode: Literal["hook", "grasp"] = "hook"
-    hand: Literal["left", "right", "auto"] = "auto"
-    turn_deg: Annotated[Number, Field(ge=-1440.0, le=1440.0)] = 360.0
-    hint: Point | None = None
-    centre: Point | None = None
-    axis: Point | None = None
-    radius: Annotated[Number, Field(gt=0.0, le=2.0)] | None = None
-    torque_nm: Annotated[Number, Field(ge=0.0, le=200.0)] = 10.0
-    spokes_deg: Annotated[tuple[Number, ...], at_most(8)] = ()
-    spoke_width_m: Annotated[Number, Field(gt=0.0, le=0.1)] = 0.02
-    sense: Literal["given", "unknown"] = "given"
-    stuck: bool = False
-    lever: LeverRequest | None = None
-    stops_deg: tuple[Number, Number] | None = None
-
-    def __post_init__(self) -> None:
-        check_lever(self.lever, self.stops_deg, self.turn_deg, self.radius, self.axis)
-        if self.turn_deg == 0.0:
-            raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -1440 to 1440 except 0")
-        if self.stuck and abs(self.turn_deg) < LEAST_STUCK_TURN_DEG:
-            raise PydanticCustomError("valve", "a stuck wheel is turned by 10 deg or more; turn_deg is smaller")
-        if self.spokes_deg and self.centre is None:
-            raise PydanticCustomError("valve", "spokes_deg belong to a valve given by centre, axis and radius")
-        if self.axis is not None and math.hypot(*self.axis) < 1e-6:
-            raise PydanticCustomError("valve", "axis has no length; expected a direction such as [-1, 0, 0]")
-
-
-@dataclass(config=SECTION)
-class TaskRequest(Section):
-    """The task; ``trajopt`` is a problem as in its files (docs/trajopt.md)."""
-
-    valve: ValveRequest | None = None
-    door: DoorRequest | None = None
-    contacts: ContactsRequest | None = None
-    egress: EgressRequest | None = None
-    trajopt: PlainData | None = None
-    mechanism: MechanismRequest | None = None
-
-    def __post_init__(self) -> None:
-        require_exactly_one(self, ("valve", "door", "mechanism", "contacts", "egress", "trajopt"))
-
-
-@dataclass(config=SECTION)
 class Options(Section):
     """Options of planning.
 
     Attributes:
         waypoints: number per phase; chosen by the planner by default.
-        time_limit_s: wall time for the whole plan.
-        margin_m: requested clearance.
+        time_limit_s: wall time for the whole plan; by default the plan is limited by processor time
+            (``PlanRequest.limit_s``).
+        margin_m: clearance aimed at.
+        clearance_m: demanded distance of the robot from every obstacle that it may not touch; no certificate below it.
         seed: seed of every random draw.
         balance_margin_m: smallest distance of the balance point from the support polygon's edges.
         feet: links planted at the start; by default the robot's feet.
@@ -266,8 +168,9 @@ class Options(Section):
     """
 
     waypoints: Annotated[StrictInt, Field(ge=3, le=500)] | None = None
-    time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] = 60.0
+    time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] | None = None
     margin_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.02
+    clearance_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.0
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
     feet: Annotated[tuple[Name, ...], at_most(8)] | None = None
@@ -374,8 +277,29 @@ class PlanRequest(Section):
         require_exactly_one(self, ("goal", "task"))
         if self.task is not None and self.keep:
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
-        if self.resume is not None and self.task is not None and self.task.trajopt is not None:
-            raise PydanticCustomError("request", "resume belongs to a goal or a task; a TrajOpt problem has no phases")
+        if self.resume is not None and not self.section.can_resume:
+            words = "resume belongs to a goal or a task with phases; {field} has none"
+            raise PydanticCustomError("request", words, {"field": self.kind.field})
+
+    @property
+    def kind(self) -> TaskKind:
+        """The kind of what is to be done."""
+        return REACH if self.task is None else self.task.kind
+
+    @property
+    def section(self) -> TaskSection:
+        """The section that says what is to be done: the goal, or that of the task's kind."""
+        if self.task is not None:
+            return self.task.section
+        assert self.goal is not None  # exactly one of them is given
+        return self.goal
+
+    @property
+    def limit_s(self) -> float:
+        """Seconds that the plan may take: of wall time if the request states them, else of processor time."""
+        if self.options.time_limit_s is not None:
+            return self.options.time_limit_s
+        return self.section.effort_s
 
     def resolve(self, path: str) -> Path:
         """Return a path of this request, resolved against its folder."""

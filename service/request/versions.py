@@ -19,6 +19,7 @@ from service.errors import RequestError, shown
 from service.request.fields import Section
 from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
+from service.request.tasks.registry import ADDED as ADDED_KINDS
 
 COMPLETE = 2
 """Last format that wrote every default.  A field that came later is left out where it has its default."""
@@ -62,7 +63,14 @@ ADDED = {
         "ValveRequest.stops_deg",
         "_Obstacle.in_scan",
     ),
-    3: ("LeafChoice.slant_rad", "Options.hand_friction"),
+    3: (
+        "LeafChoice.slant_rad",
+        "Options.clearance_m",
+        "Options.hand_friction",
+        "SceneRequest.level",
+        "SceneRequest.sensor_model",
+        "SceneRequest.sensor_sigma",
+    ),
 }
 """Fields by the format that brought them: ``CLASS.FIELD``, with the class of the schema that declares the field.
 
@@ -74,7 +82,7 @@ FORMER_DEFAULTS: dict[int, dict[str, Any]] = {
         "DoorRequest.open_deg": 80.0,
         "Options.starts": 16,
     },
-    3: {"MechanismJointRequest.friction": 0.0},
+    3: {"MechanismJointRequest.friction": 0.0, "Options.time_limit_s": 60.0},
 }
 """Defaults that a format changed, each with the value that it had in the formats before."""
 
@@ -118,7 +126,7 @@ def write_as(request: PlanRequest, version: int) -> dict[str, Any]:
         request: any request.
         version: from ``find_first_format`` to ``FORMAT``.
     """
-    data = dict(_REQUEST.dump_python(request, mode="json"))
+    data = _drop_kinds_of_others(request, dict(_REQUEST.dump_python(request, mode="json")))
     for section, part in list(_list_sections(request, data)):
         for field in _list_versioned_fields(section):
             value, default = getattr(section, field.name), field.default_in(version)
@@ -128,6 +136,14 @@ def write_as(request: PlanRequest, version: int) -> dict[str, Any]:
             if field.added > version or (field.added > COMPLETE and value == default):
                 del part[field.name]
     return data
+
+
+def _drop_kinds_of_others(request: PlanRequest, data: dict[str, Any]) -> dict[str, Any]:
+    """Remove the kinds that other packages add where a request does not use them: its data are the same without."""
+    if request.task is None:
+        return data
+    unused = [kind.name for kind in ADDED_KINDS if getattr(request.task, kind.name) is None]
+    return {**data, "task": {name: value for name, value in data["task"].items() if name not in unused}}
 
 
 def find_first_format(request: PlanRequest) -> int:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from service.body.monitor import Monitor
 from service.body.task_plan import TaskPlan
 from service.explain.conflict import Conflict
 from service.result.result import PlanResult, Verdict
@@ -95,7 +93,7 @@ class Attempt:
         self.conflict = conflict
         self.explanation = (*conflict.sentences(), *(() if self.task is None else self.task.obstacle))
 
-    def to_result(self, setup: PlanSetup, monitor: Monitor) -> PlanResult:
+    def to_result(self, setup: PlanSetup, timings: dict[str, float]) -> PlanResult:
         """Return the attempt as the plan's result."""
         task = self.task
         return PlanResult(
@@ -111,11 +109,9 @@ class Attempt:
             explanation=self.explanation,
             conflict=self.conflict,
             found_from="" if task is None else task.found_from,
-            tried=tuple(monitor.tried),
             notes=(*setup.notes, *(() if task is None else task.notes)),
             pose_graph=None if task is None else task.pose_graph,
-            planning_time_s=time.perf_counter() - monitor.started,
-            timings=monitor.timings,
+            timings=timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
             detections=_list_detections(setup.surroundings),
             obstruction=self._describe_obstruction(setup),

@@ -39,6 +39,7 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "waypoints": [sample_index(s, knot) for knot in motion.curve.knots],
         "phases": phases,
         "waived": sorted(motion.waived or ()),
+        "clearance_m": motion.clearance_m,
         "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "releases": [asdict(release) for release in motion.releases],
         "continues": motion.continues,
@@ -73,6 +74,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         waived=frozenset(str(name) for name in data.get("waived", ())),
         releases=tuple(_read_release(release) for release in data.get("releases", ())),
         continues=data.get("continues"),
+        clearance_m=float(data.get("clearance_m", 0.0)),
     )
 
 

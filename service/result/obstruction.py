@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import coal
@@ -13,41 +12,21 @@ from jaxtyping import Float
 from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.scene import Scene
-from service.body.whole_body import Aims, WholeBody
-from service.demands.targets import make_goal_rotation
 from service.result.motion_json import file_positions
-from service.result.phase_json import read_rotation, targets_json, write_rotation
+from service.result.phase_json import targets_json, write_rotation
 from service.setup.prepare import PlanSetup
 from service.start.overlaps import find_overlaps
-from service.tasks.goal import Goal
-from service.verify import CircleTarget, JointTarget, PoseTarget, Target
+from service.tasks.kind import find_plan_part
 from service.verify.solids import make_coal_convex
 
 if TYPE_CHECKING:
-    from service.trajopt import Program
-
-FREE = np.full(3, np.inf)
-
-
-@dataclass(frozen=True)
-class _End:
-    """Requested end of a motion.
-
-    Attributes:
-        targets: targets of frames and joints.
-        q: (n,) requested configuration, other joints as at the start; None if no joint is requested.
-        poses: frame, pose in the world (4, 4), and whether its orientation is requested; else it is the start's.
-    """
-
-    targets: tuple[Target, ...] = ()
-    q: Float[np.ndarray, "n"] | None = None
-    poses: tuple[tuple[str, Float[np.ndarray, "4 4"], bool], ...] = ()
+    pass
 
 
 def describe_obstruction(setup: PlanSetup) -> dict[str, Any] | None:
     """Return ``obstruction`` of ``result.json`` (docs/result-format.md); None if the request names no end."""
     robot, planted = setup.robot, tuple(setup.soles)
-    end = _get_end(setup)
+    end = find_plan_part(setup.request).get_end(setup.request.section, setup)
     if end is None:
         return None
     poses: dict[str, np.ndarray] = {}
@@ -56,7 +35,7 @@ def describe_obstruction(setup: PlanSetup) -> dict[str, Any] | None:
         poses |= locate_links(KinematicsEngine(robot), end.q, sorted({body.link for body in robot.bodies}))
         hits = find_overlaps(robot, end.q, setup.scene, planted)
         overlaps += [{"link": hit.link, "other": hit.other, "depth_m": hit.depth} for hit in hits]
-    for frame, pose, is_oriented in end.poses:
+    for frame, pose, is_oriented in _complete_poses(setup, end.poses):
         links = _locate_rigid_links(robot, frame, pose)
         poses |= links
         overlaps += _list_overlaps(robot, setup.scene, links, planted, is_oriented)
@@ -69,46 +48,6 @@ def describe_obstruction(setup: PlanSetup) -> dict[str, Any] | None:
         ],
         "overlaps": overlaps,
     }
-
-
-def _get_end(setup: PlanSetup) -> _End | None:
-    request, robot = setup.request, setup.robot
-    if request.goal is not None:
-        body = WholeBody.standing(robot, setup.scene, setup.start, setup.contacts, Aims())
-        goal = Goal.of(body, request.goal)
-        poses = [(pose.link, np.array(pose.position), make_goal_rotation(pose)) for pose in goal.request.poses]
-        q = goal.apply_joints(setup.start) if goal.joints else None
-        return _End(goal.targets(0.0), q, _complete_poses(setup, poses))
-    if setup.program is not None:
-        return _get_program_end(setup, setup.program)
-    valve = None if request.task is None else request.task.valve
-    if valve is not None and valve.centre is not None and valve.axis is not None:
-        radius = valve.radius if valve.lever is None else valve.lever.length_m
-        if radius is not None:
-            axis = np.array(valve.axis) / np.linalg.norm(valve.axis)
-            return _End((CircleTarget("rim", np.array(valve.centre), axis, radius, 0.0),))
-    return None
-
-
-def _get_program_end(setup: PlanSetup, program: Program) -> _End:
-    """Return the first fixed waypoint after the start that overlaps something, else the last, and pose constraints."""
-    from service.trajopt.problem import PoseTerm  # slow to import
-
-    fixed = [q for step, q in sorted(program.fixed.items()) if step]
-    hit = [q for q in fixed if find_overlaps(setup.robot, q, setup.scene, tuple(setup.soles))]
-    poses = [
-        (term.frame, np.array(term.xyz), read_rotation(term.wxyz) if all(term.rot_coeffs) else None)
-        for term in program.problem.terms
-        if isinstance(term, PoseTerm) and not term.is_cost and term.reference is None and not any(term.offset_xyz)
-    ]
-    targets: list[Target] = [PoseTarget(frame, place, turn, FREE, FREE, 0.0) for frame, place, turn in poses]
-    shown = [*hit[:1], *fixed[-1:]]
-    if not shown:
-        return _End(tuple(targets), None, _complete_poses(setup, poses))
-    q = shown[0]
-    names = setup.robot.joint_names
-    targets += [JointTarget(names[column], float(q[column]), 0.0, 0.0) for column in program.columns.tolist()]
-    return _End(tuple(targets), q)
 
 
 def _complete_poses(

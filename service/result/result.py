@@ -101,6 +101,12 @@ class PlanResult:
         duration = "untimed" if self.motion.law is None else f"{self.times[-1]:.2f} s"
         return f"<PlanResult {self.verdict.value}, {len(self.positions)} samples, {duration}{shown}>"
 
+    def _repr_html_(self) -> str:
+        """Return verdict, checks and viewer page, as notebooks show an object."""
+        from service.result.notebook import make_html  # it writes the page, which few results need
+
+        return make_html(self)
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Coordinates of the robot: a floating base as six (position, yaw, pitch, roll), then the joints."""

@@ -133,6 +133,7 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
             "times": [0.0],
         },
         "curve": None,
+        "clearance_m": result.request.options.clearance_m,
         **{key: [] for key in ("waypoints", "phases", "waived", "movables", "support_polygons", "com", "zmp")},
     }
 

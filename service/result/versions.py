@@ -27,6 +27,7 @@ ADDED: dict[int, dict[str, Any]] = {
         "movables[].start": 0.0,
     },
     3: {
+        "clearance_m": 0.0,
         "request_format": None,
         "request_defaults": {},
     },

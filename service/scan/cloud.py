@@ -13,6 +13,7 @@ import numpy as np
 from costs.robot import RobotError, load_robot
 from perception import METRES_BY_UNIT, Cloud, PerceptionError, Reach, View, read_clouds, rigid_pose
 from service.errors import RequestError, would_do
+from service.request.choices import SensorModel
 from service.request.file import load_section, parse_section
 from service.request.schema import RobotRequest, StartRequest
 from service.start.configuration import make_start_configuration
@@ -35,6 +36,9 @@ class CloudInput:
         transforms: texts with pose_world_cloud as 6, 7 or 16 numbers; one for all files, or one for each.
         apply_viewpoint: whether the points are in the sensor's frame.
         sensor: start of the rays if the files do not give it [m].
+        level: whether the merged cloud is turned z up and lifted to its floor.
+        sensor_model: kind of sensor.
+        sensor_sigma: standard deviation of the start of the rays [m].
         topic: topic of a bag with several clouds.
         message: index of a bag's message, or ``all`` to merge them.
         reach_m: horizontal radius around the world's origin in which points are kept [m].
@@ -49,6 +53,9 @@ class CloudInput:
     transforms: tuple[str, ...] = ()
     apply_viewpoint: bool = False
     sensor: tuple[float, float, float] | None = None
+    level: bool = False
+    sensor_model: SensorModel = "auto"
+    sensor_sigma: float = 0.0
     topic: str | None = None
     message: int | Literal["all"] = 0
     reach_m: float = DEFAULT_REACH_M
@@ -127,6 +134,9 @@ def read_input(clouds: CloudInput, on_step: OnStep) -> CloudRead:
             unit=clouds.unit,
             apply_viewpoint=clouds.apply_viewpoint,
             sensor=clouds.sensor,
+            level=clouds.level,
+            sensor_model=clouds.sensor_model,
+            sensor_sigma=clouds.sensor_sigma,
             topic=clouds.topic,
             message=clouds.message,
         )

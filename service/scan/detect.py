@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from costs.progress import tells_progress
 from costs.stopping import Stopped, poll, stops_when
 from perception import Detection, PerceptionError, View, detect_each, find_matches, make_view, settle_overlaps
 from perception.solids.match import KnownMesh, locate
@@ -91,7 +92,10 @@ def detect_file(
         with limit_time(time_limit_s):
             read = read_input(clouds, on_step)
             on_step("clean")
-            view = make_view(read.cloud, reach=clouds.reach, robot_hulls=read.hulls, soles=read.soles, seed=clouds.seed)
+            with tells_progress(on_step):
+                view = make_view(
+                    read.cloud, reach=clouds.reach, robot_hulls=read.hulls, soles=read.soles, seed=clouds.seed
+                )
             search = Search()
             if known:
                 search_given(known, view, hint, on_step, search)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from costs.progress import tells_progress
 from costs.scene import ConvexPiece, Scene
 from perception import (
     Detection,
@@ -27,7 +28,7 @@ from perception import (
 )
 from perception.convex.hulls import make_hull
 from perception.solids.match import KnownMesh
-from perception.solids.mesh import Solid
+from perception.solids.mesh import Solid, hull_mesh
 from service.errors import RequestError, shown
 from service.json_data import encode_piece, to_json_data
 from service.request.choices import Method, Unknown
@@ -51,7 +52,6 @@ from service.scan.known_meshes import (
     load_known_meshes,
     place_meshes,
 )
-from service.scan.meshes import hull_mesh
 from service.scan.scene_file import (
     EvidenceRecord,
     MeshRecord,
@@ -249,7 +249,8 @@ def build_scene(request: SceneInput, on_step: OnStep, time_limit_s: float | None
             known = load_known_meshes(request.meshes)
             read = read_input(request.clouds, on_step)
             on_step("find pieces" if request.before is None else "update pieces")
-            seen = _perceive(request, read, known)
+            with tells_progress(on_step):
+                seen = _perceive(request, read, known)
             if known:
                 on_step("split meshes")
             meshes = place_meshes(known, request.meshes, seen.matches)

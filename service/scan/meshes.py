@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
-from costs.robot import RobotError, StillShape, read_object_shapes
+from costs.robot import RobotError, StillShape, read_object_shapes, read_triangles
 from service.errors import RequestError
 from service.request.shapes import OBJECT_SUFFIXES
 from service.scan.given_objects import read_object
@@ -18,15 +17,16 @@ if TYPE_CHECKING:
     from perception.solids.mesh import Mesh, Solid
 
 URDF = ".urdf"
-FORMATS = (".stl", ".obj", ".ply", URDF, *OBJECT_SUFFIXES)
+SCENES = (".dae", ".glb", ".gltf")  # files of several parts with their places, which robots may be made of too
+FORMATS = (".stl", ".obj", ".ply", *SCENES, URDF, *OBJECT_SUFFIXES)
 
 
 def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
     """Read a mesh file, in its own frame [m].
 
     Args:
-        path: STL, OBJ or PLY, or a URDF, whose collision shapes with every joint at zero form one object, or an object
-            file with its parameters.
+        path: STL, OBJ, PLY, Collada or glTF, or a URDF, whose collision shapes with every joint at zero form one
+            object, or an object file with its parameters. Flat meshes become thin plates.
         field: field of the request that names the file.
         scale: metres per unit of the file.
 
@@ -34,8 +34,7 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         RequestError: the file is missing, of another format, too large or broken; the message names ``field``.
     """
     from perception import PerceptionError  # takes a while, and most scenes need none
-    from perception.solids.mesh import make_solid, unite_solids
-    from perception.solids.read import read_mesh
+    from perception.solids.mesh import unite_solids
 
     if not path.is_file():
         raise RequestError(f"{field}: {path} is not there; paths start at the request's folder")
@@ -45,9 +44,9 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
         if path.suffix.lower() in OBJECT_SUFFIXES:
             return read_object(path, scale)
         if path.suffix.lower() != URDF:
-            return make_solid(read_mesh(path, scale), path.name)
+            return _make_solid(_read_triangles(path, scale), path.name)
         return unite_solids(
-            [make_solid(_read_shape(shape, scale), shape.where) for shape in read_object_shapes(path)], path.name
+            [_make_solid(_read_shape(shape, scale), shape.where) for shape in read_object_shapes(path)], path.name
         )
     except RequestError as error:
         raise RequestError([f"{field}: {problem}" for problem in error.problems]) from None
@@ -79,23 +78,30 @@ def split_convex(solid: Solid, name: str, field: str, *, decompose: bool = True)
         raise RequestError(f"{field}: {error}") from None
 
 
+def _make_solid(mesh: Mesh, name: str) -> Solid:
+    from perception.solids.mesh import make_solid
+    from perception.solids.sheet import make_sheet
+
+    return make_sheet(mesh, name) or make_solid(mesh, name)
+
+
+def _read_triangles(path: Path, scale: float | Float[np.ndarray, "3"]) -> Mesh:
+    """Return the triangles of a mesh file [m]; Collada and glTF say their own unit, and ``scale`` comes on top."""
+    from perception.solids.mesh import Mesh
+    from perception.solids.read import read_mesh
+
+    if path.suffix.lower() not in SCENES:
+        return read_mesh(path, scale)
+    read = read_triangles(path, path.name)
+    return Mesh(read.vertices * scale, read.faces)
+
+
 def _read_shape(shape: StillShape, scale: float) -> Mesh:
     """Return a shape's triangles in the object's frame; a round shape becomes its circumscribed polytope."""
-    from perception.solids.read import read_mesh
+    from perception.solids.mesh import hull_mesh
 
     pose = shape.pose_object_shape.copy()
     pose[:3, 3] *= scale
     if shape.mesh is not None:
-        return read_mesh(shape.mesh, shape.scale * scale).place(pose)
+        return _read_triangles(shape.mesh, shape.scale * scale).place(pose)
     return hull_mesh(np.asarray(shape.points) * scale).place(pose)
-
-
-def hull_mesh(points: Float[np.ndarray, "N 3"]) -> Mesh:
-    """Return the convex hull of points as triangles with outward normals."""
-    from perception.solids.mesh import Mesh
-
-    hull = ConvexHull(points)
-    a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
-    is_inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0.0
-    triangles = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-    return Mesh(points, triangles.astype(np.int64))

@@ -52,7 +52,16 @@ T = TypeVar("T")
 M = TypeVar("M", BuildSceneRequest, BuildSceneRequest | DetectRequest)
 MIN_REACH_M, MAX_REACH_M = 0.1, 50.0
 SCENE_FIELDS = ("hint", "unknown", "method")  # fields of a message that the scene of a request has, too
-CLOUD_FIELDS = ("unit", "apply_viewpoint", "sensor", "topic", "message")  # of ``clouds`` that it has, too
+CLOUD_FIELDS = (
+    "unit",
+    "apply_viewpoint",
+    "sensor",
+    "level",
+    "sensor_model",
+    "sensor_sigma",
+    "topic",
+    "message",
+)  # of ``clouds`` that it has, too
 
 
 class CloudHandlers:
@@ -188,6 +197,9 @@ class CloudHandlers:
                 transforms=tuple(_join_numbers(file.position, file.quaternion_wxyz) for file in files),
                 apply_viewpoint=scene.apply_viewpoint,
                 sensor=scene.sensor,
+                level=scene.level,
+                sensor_model=scene.sensor_model,
+                sensor_sigma=scene.sensor_sigma,
                 topic=scene.topic,
                 message=scene.message,
                 reach_m=_reach_m(given),

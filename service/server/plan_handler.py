@@ -13,6 +13,7 @@ from functools import cached_property
 import grpc
 import structlog
 
+from scopt.settings import WALL_SHARE
 from service.executor import Lane, Place
 from service.proto.planner.v1.planner_pb2 import (
     PRIORITY_BATCH,
@@ -229,7 +230,7 @@ class PlanHandler:
             run_plan,
             accepted.make_task(deadline),
             deadline=None,
-            budget_s=accepted.request.options.time_limit_s,
+            budget_s=_find_longest(accepted.request),
             on_event=plan.report,
             is_typical=_is_typical,
             place=accepted.place,
@@ -349,6 +350,11 @@ def _log_end(kind: str, answer: PlanAnswer) -> None:
 def parse_result(record: PlanRecord) -> MotionResult:
     """Parse the stored result of a finished plan."""
     return MotionResult.FromString(record.reply)
+
+
+def _find_longest(request: Request) -> float:
+    """Return the wall time after which a plan should have ended by itself [s]."""
+    return request.limit_s if request.options.time_limit_s is not None else request.limit_s / WALL_SHARE
 
 
 def _place_of(message: PlanRequest) -> Place:

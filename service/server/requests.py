@@ -58,7 +58,7 @@ class RequestReader:
             raise refuse_invalid([*error.problems, *names], WITHIN) from None
         problems = [f"{field}: {problem}" for field, problem in self.folders.find_problems(request)]
         budget = self.settings.budget_s(kind_of(request))
-        limit = request.options.time_limit_s
+        limit = request.limit_s
         if limit > budget:
             problems.append(f"options.time_limit_s: expected at most {budget:g} on this server, got {limit:g}")
         problems += names
@@ -95,11 +95,7 @@ def current_warnings() -> tuple[str, ...]:
 
 def kind_of(request: PlanRequest) -> str:
     """Return the kind of a request, as budgets and metrics name it."""
-    if request.goal is not None:
-        goal = request.goal
-        return "joint_goal" if goal.joints else "pose_goal" if goal.poses else "posture"
-    names = ("valve", "door", "mechanism", "contacts", "egress", "trajopt")
-    return next((name for name in names if getattr(request.task, name) is not None), "unknown")
+    return request.section.variant or request.kind.name
 
 
 def list_files(scene: SceneRequest) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ from service.wire.reflection import enable_reflection
 from service.work.look import list_names
 
 _LOG = structlog.get_logger("scopt.server")
-PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve_task", "service.trajopt")
+PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve.plan", "service.trajopt")
 CHECK_JOBS_EVERY_S = 0.5
 SWITCH_S = 1e-3  # a thread that reads a large message must yield to the event loop, which answers all calls
 SEND_S = 5.0  # for responses that are being sent when all jobs have ended
@@ -202,7 +202,7 @@ def _start_metrics(
     Raises:
         TelemetryError: the address cannot be used.
     """
-    metrics = Metrics()
+    metrics = Metrics([method.name for method in SERVICE.methods])
     metrics.watch(pool=executor.stats, store=store, clouds=clouds)
     if endpoint.metrics is not None:
         stack.enter_context(MetricsServer(endpoint.metrics, metrics.registry, endpoint.is_metrics_remote))

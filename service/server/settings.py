@@ -7,13 +7,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from service.request.tasks.kind import TaskSection
+from service.request.tasks.registry import KINDS as TASK_KINDS
 from service.store import CloudLimits, StoreLimits
 
-KINDS = (
-    "default", "valve", "door", "mechanism", "contacts", "egress", "trajopt", "joint_goal", "pose_goal", "posture",
-    "scene", "detect", "verify", "simulate",
-)  # fmt: skip
-BUDGETS_S = {"default": 60.0, "egress": 300.0}
+KINDS = ("default", *(name for kind in TASK_KINDS for name in kind.counted_as), "scene", "detect", "verify", "simulate")
+BUDGETS_S = {
+    "default": TaskSection.effort_s,
+    **{
+        name: kind.section.effort_s
+        for kind in TASK_KINDS
+        for name in kind.counted_as
+        if kind.section.effort_s != TaskSection.effort_s
+    },
+}
 WORKER_BYTES = 8 * 2**30  # of address space, of which libraries and threads reserve far more than they use
 MESSAGE_BYTES = 4 * 2**20
 SMALL_BYTES = 64 * 2**10  # larger messages are read in a thread beside the event loop
@@ -29,7 +36,7 @@ class ServerSettings:
         workers: worker processes.
         spread: workers that one plan may use while they are otherwise idle.
         queue: waiting requests per worker.
-        budgets_s: greatest ``options.time_limit_s`` by kind of request (``default`` for the others).
+        budgets_s: greatest time limit by kind of request (``default`` for the others).
         allowed: folders whose files requests may name.
         robots: folder of further robots, a subfolder each.
         drain_s: time for open requests after a signal to stop.

@@ -10,14 +10,16 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from costs.robot import RobotModel
+from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.work_space import borrow_data
 from service.demands import list_planted_feet
 from service.demands.contacts.stances import ContactStance
-from service.errors import RequestError, would_do
+from service.demands.kind import find_demand_part
+from service.demands.targets import find_goal_joints
+from service.errors import RequestError
 from service.request.schema import PlanRequest
-from service.start.configuration import find_limit_violations, find_unknown_joints
+from service.start.configuration import find_unknown_links, is_sliding
 from service.start.overlaps import (
     Overlap,
     describe_dead_end,
@@ -57,31 +59,17 @@ class StartCheck:
     notes: tuple[str, ...]
 
 
-def check_goal_and_keep(robot: RobotModel, request: PlanRequest) -> None:
-    """Check the names and joint values of ``goal`` and ``keep``, and the posture that a task ends in.
+def check_names_and_values(robot: RobotModel, request: PlanRequest) -> None:
+    """Check the names and joint values of ``keep`` and of the goal or the task.
 
     Raises:
         RequestError: one line per unknown joint, posture or link, or joint value beyond its limits.
     """
-    goal, problems = request.goal, []
-    if goal is not None:
-        locked = [name for name in goal.joints if name in request.robot.locked]
-        problems += [f"goal.joints.{name}: robot.locked fixes this joint; name it in one of them" for name in locked]
-        free = {name: value for name, value in goal.joints.items() if name not in locked}
-        problems += find_unknown_joints(robot, free, "goal.joints") or find_limit_violations(robot, free, "goal.joints")
-        if goal.posture is not None and goal.posture not in robot.postures:
-            known = would_do(goal.posture, robot.postures) or "no postures; give goal.joints"
-            problems.append(f"unknown posture {goal.posture!r} in goal.posture; {robot.name} has {known}")
-        for index, pose in enumerate(goal.poses):
-            problems += _find_unknown_links(robot, (pose.link,), f"goal.poses[{index}].link")
-    finish = None if request.task is None or request.task.contacts is None else request.task.contacts.finish
-    if finish is not None and finish not in robot.postures:
-        known = would_do(finish, robot.postures) or "no postures; leave it out"
-        problems.append(f"task.contacts.finish: unknown posture {finish!r}; {robot.name} has {known}")
+    problems = list(find_demand_part(request).list_name_problems(request.section, request, robot))
     for index, keep in enumerate(request.keep):
-        problems += _find_unknown_links(robot, (keep.link,), f"keep[{index}].link")
+        problems += find_unknown_links(robot, (keep.link,), f"keep[{index}].link")
         if keep.relative_to is not None:
-            problems += _find_unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
+            problems += find_unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
     if problems:
         raise RequestError(problems)
 
@@ -115,7 +103,7 @@ def _check_feet(robot: RobotModel, start: Float[np.ndarray, "n"], requested: tup
             + (f" (lowest at the start: {lowest})" if lowest else "")
         )
     with_shape = {body.link for body in robot.bodies}
-    problems = _find_unknown_links(robot, feet, "options.feet") or [
+    problems = find_unknown_links(robot, feet, "options.feet") or [
         f"options.feet: link {foot!r} has no collision shape to stand on; {', '.join(sorted(with_shape))} have"
         for foot in feet
         if foot not in with_shape
@@ -175,8 +163,11 @@ def check_start(
             off_ground = [line for _, line in find_ground_problems(scene.pieces, soles)]
         lines = find_standing_problems(robot, start, soles, off_ground)
         problems += [f"start is out of balance: {line}" for line in lines]
-    if program is None and request.options.timed and not robot.is_floating:
-        problems += find_overloaded_joints(robot, start)
+    if program is None and request.options.timed:
+        problems += find_overloaded_joints(robot, start, "start", tuple(soles))
+        end = _read_whole_goal(robot, start, request)
+        if end is not None and not robot.is_floating:
+            problems += find_overloaded_joints(robot, end, "goal", tuple(soles))
     if problems:
         raise RequestError(problems)
     may_leave = may_leave and not any(describe_dead_end(overlap, tuple(soles)) for overlap in near)
@@ -188,24 +179,55 @@ def check_start(
     return StartCheck(overlaps, (), tuple(f"{line}; the first phase leaves it" for line in left))
 
 
-def find_overloaded_joints(robot: RobotModel, start: Float[np.ndarray, "n"]) -> list[str]:
-    """Return a line about joints of a fixed robot that cannot hold it at its start, if there are any.
+def find_overloaded_joints(
+    robot: RobotModel, q: Float[np.ndarray, "n"], where: str, planted: tuple[str, ...]
+) -> list[str]:
+    """Return a line about joints that cannot hold the robot at a configuration, if there are any.
 
-    No time law makes such a motion possible, however slow.
+    No time law makes such a motion possible, however slow. Joints between the base and planted links are left out: what
+    they carry depends on the forces at these links.
     """
     still = np.zeros(robot.n)
-    torque = np.abs(pin.rnea(robot.model, borrow_data(robot.model), start, still, still))
+    torque = np.abs(pin.rnea(robot.model, borrow_data(robot.model), q, still, still))
+    torque[_list_carrying(robot, planted)] = 0.0
     weak = np.flatnonzero((robot.effort > 0.0) & (torque > robot.effort))
     if not len(weak):
         return []
     names = [robot.joint_names[k] for k in weak]
     worst = int(weak[np.argmax(torque[weak] / robot.effort[weak])])
+    unit = "N" if is_sliding(robot, robot.joint_names[worst]) else "N m"
     return [
-        f"start: {robot.joint_names[worst]} needs {torque[worst]:.4g} at rest, its effort limit is "
-        f"{robot.effort[worst]:.4g}; if springs or a balance carry that, leave the torque out with "
+        f"{where}: {robot.joint_names[worst]} needs {torque[worst]:.4g} {unit} at rest, its effort limit is "
+        f"{robot.effort[worst]:.4g} {unit}; if springs or a balance carry that, leave the torque out with "
         f"robot.torque: {{unchecked: [{', '.join(names[:MOST_NAMED])}{', …' if len(names) > MOST_NAMED else ''}]}} "
         "or {check: false}"
     ]
+
+
+def _list_carrying(robot: RobotModel, planted: tuple[str, ...]) -> list[int]:
+    """Return the coordinates of a floating base and of the joints between it and planted links."""
+    model = robot.model
+    carrying = set(range(len(BASE_NAMES))) if robot.is_floating else set[int]()
+    for link in planted:
+        joint = int(model.frames[model.getFrameId(link)].parentJoint)
+        for above in model.supports[joint]:
+            first = int(model.joints[above].idx_v)
+            carrying |= set(range(first, first + int(model.joints[above].nv)))
+    return sorted(k for k in carrying if 0 <= k < robot.n)
+
+
+def _read_whole_goal(
+    robot: RobotModel, start: Float[np.ndarray, "n"], request: PlanRequest
+) -> Float[np.ndarray, "n"] | None:
+    """Return the configuration of a goal that says where every joint is; None for any other."""
+    if request.goal is None or request.goal.poses:
+        return None
+    joints = find_goal_joints(robot, request.goal, start)
+    if len(joints) < robot.n:
+        return None
+    end = start.copy()
+    end[list(joints)] = list(joints.values())
+    return end
 
 
 def _check_stance_start(
@@ -225,12 +247,3 @@ def _check_stance_start(
     if inside:
         raise RequestError([f"start is in collision: {overlap}" for overlap in inside])
     return StartCheck((), tuple(f"the start is too near to plan from: {overlap.nearness}" for overlap in near), ())
-
-
-def _find_unknown_links(robot: RobotModel, links: tuple[str, ...], field: str) -> list[str]:
-    frames = [frame.name for frame in robot.model.frames if frame.name != "universe"]
-    return [
-        f"unknown link {link!r} in {field}; {robot.name} has {would_do(link, frames)}"
-        for link in links
-        if link not in frames
-    ]

@@ -9,9 +9,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece
-from service.demands.door_demand import read_given_door
-from service.demands.given_mechanism import read_given_mechanism
-from service.demands.plausible import list_door_problems, list_mechanism_problems
+from service.demands.kind import find_demand_part
 from service.errors import RequestError
 from service.request.schema import PlanRequest
 
@@ -30,11 +28,7 @@ def check_given_objects(
     Raises:
         RequestError: one line with field and distance.
     """
-    task, problems = request.task, list[str]()
-    if task is not None and task.door is not None:
-        geometry = read_given_door(task.door, start[:3] if robot.is_floating else np.zeros(3))
-        problems += [] if geometry is None else list_door_problems(geometry)
-    if task is not None and task.mechanism is not None:
-        problems += list_mechanism_problems(read_given_mechanism(task.mechanism), obstacles)
+    part = find_demand_part(request)
+    problems = list(part.list_given_problems(request.section, robot, start, obstacles))
     if problems:
         raise RequestError(problems)

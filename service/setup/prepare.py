@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from costs.progress import tells_progress
 from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.holds import KeptPose, make_kept_poses
-from service.demands import compose_scene, list_planted_feet
-from service.demands.contacts.contact_task import make_stances
-from service.demands.contacts.egress_demand import EgressDemand
+from service.demands import World, compose_scene
 from service.demands.contacts.stances import ContactStance
+from service.demands.kind import ResolvedStart, find_demand_part
 from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
-from service.setup.checks import StartCheck, check_goal_and_keep, check_start, find_soles
+from service.setup.checks import StartCheck, check_names_and_values, check_start, find_soles
 from service.setup.given_objects import check_given_objects
 from service.setup.units import check_units
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
-from service.start.configuration import make_start_configuration
+from service.start.configuration import note_snapped, note_turns
 from service.start.mechanism_file import inline_mechanism
 from service.start.overlaps import Overlap
 from service.start.robot import attach_bodies, load_requested_robot
@@ -116,7 +116,11 @@ def prepare(
     robot = attach_bodies(robot, request)
     weightless = check_masses(robot, holds_something=request.task is not None)
     check_names(request, robot, TakenNames.of(robot, request))
-    start, notes, program = _resolve_and_check(robot, request)
+    resolved = _resolve_and_check(robot, request)
+    start, notes, program = resolved.q, resolved.notes, resolved.program
+    if request.goal is not None:
+        joints = request.goal.joints
+        notes += (*note_turns(robot, joints, "goal.joints"), *note_snapped(robot, joints, "goal"))
     notes += (*weightless, *robot.notes, *check_units(request, robot, start))
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)
@@ -126,7 +130,8 @@ def prepare(
             poll()
             with _timed(timings, "perceive"):
                 if around is None:
-                    around = read_surroundings(request, robot, start, soles, see)
+                    with tells_progress(lambda step: announce(f"perceive scene: {step}")):
+                        around = read_surroundings(request, robot, start, soles, see)
             with _timed(timings, "build_scene"):
                 obstacles, obstacle_notes = build_obstacles(request, around.matches)
     except Stopped:
@@ -137,7 +142,7 @@ def prepare(
     check_given_objects(request, robot, start, obstacles)
     pieces, moved = move_floor_to_soles(around.pieces, soles)
     scene, renamed = compose_scene(request, robot, start, pieces, obstacles)
-    stances = _read_stances(request, robot, scene, start)
+    stances = find_demand_part(request).list_stances(request.section, World(request, robot, start, scene))
     announce("check start")
     with _timed(timings, "check_start"):
         nothing_checked = StartCheck((), (), ())
@@ -160,10 +165,8 @@ def prepare(
     )
 
 
-def _resolve_and_check(
-    robot: RobotModel, request: PlanRequest
-) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
-    """Return what ``resolve_start`` does.
+def _resolve_and_check(robot: RobotModel, request: PlanRequest) -> ResolvedStart:
+    """Return the start, as the kind of the request resolves it.
 
     Raises:
         RequestError: the problems of the start, the goal and ``keep`` together.
@@ -171,41 +174,16 @@ def _resolve_and_check(
     problems: list[str] = []
     resolved = None
     try:
-        resolved = resolve_start(robot, request)
+        resolved = find_demand_part(request).resolve_start(request.section, request, robot)
     except RequestError as error:
         problems += error.problems
     try:
-        check_goal_and_keep(robot, request)
+        check_names_and_values(robot, request)
     except RequestError as error:
         problems += error.problems
     if resolved is None or problems:
         raise RequestError(problems)
     return resolved
-
-
-def _read_stances(
-    request: PlanRequest, robot: RobotModel, scene: Scene, start: Float[np.ndarray, "n"]
-) -> tuple[ContactStance, ...]:
-    """Return the stances of a task that changes contacts, of an egress that of the start; none for any other task."""
-    if request.task is not None and request.task.egress is not None:
-        return (EgressDemand.of(request.task.egress, robot, scene, start, request.folder).seat(),)
-    if request.task is None or request.task.contacts is None:
-        return ()
-    return make_stances(request.task.contacts, robot, scene, start)
-
-
-def resolve_start(
-    robot: RobotModel, request: PlanRequest
-) -> tuple[Float[np.ndarray, "n"], tuple[str, ...], Program | None]:
-    """Return the start configuration, notes about it, and the request's TrajOpt problem, which may set the start."""
-    document = None if request.task is None else request.task.trajopt
-    if document is None:
-        feet = list_planted_feet(robot, request.options.feet)
-        return *make_start_configuration(robot, request.start, feet), None
-    from service.trajopt import make_program  # takes a while, and few requests need it
-
-    program, notes = make_program(request, document, robot)
-    return program.start, notes, program
 
 
 @contextmanager

@@ -99,24 +99,10 @@ def _places(request: PlanRequest, boxes: Sequence[_Box]) -> Iterator[tuple[str, 
         else:
             yield f"{field}.position", np.array(obstacle.position), box
     points: list[tuple[str, tuple[float, float, float] | None]] = [("scene.hint", request.scene.hint)]
-    if request.goal is not None:
-        points += [(f"goal.poses[{k}].position", pose.position) for k, pose in enumerate(request.goal.poses)]
+    points += [(f"{request.kind.field}.{name}", point) for name, point in request.section.list_points()]
     points += [
         (f"keep[{k}].position", keep.position) for k, keep in enumerate(request.keep) if keep.relative_to is None
     ]
-    task = request.task
-    if task is not None and task.valve is not None:
-        points += [("task.valve.hint", task.valve.hint), ("task.valve.centre", task.valve.centre)]
-    if task is not None and task.door is not None:
-        points.append(("task.door.hint", task.door.hint))
-        if task.door.leaf is not None:
-            points += [("task.door.leaf.hinge", task.door.leaf.hinge), ("task.door.leaf.edge", task.door.leaf.edge)]
-        if task.door.handle is not None:
-            points.append(("task.door.handle.centre", task.door.handle.centre))
-    if task is not None and task.mechanism is not None:
-        points.append(("task.mechanism.position", task.mechanism.position))
-    if task is not None and task.egress is not None:
-        points.append(("task.egress.hint", task.egress.hint))
     for field, point in points:
         if point is not None:
             yield field, np.array(point), _Box.around(np.array([point]))

@@ -15,10 +15,12 @@ from scipy.spatial import ConvexHull, QhullError
 from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece
-from service.demands.door_demand import SeenDoor
-from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
+from service.demands.door.demand import SeenDoor
+from service.demands.kind import find_demand_part
+from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
+from service.request.resume import ResumeRequest
 from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest
 from service.request.schema import PlanRequest
 from service.scan.meshes import read_solid, split_convex
@@ -56,6 +58,7 @@ class Surroundings:
 
 
 NOTHING = Surroundings(())
+TURNABLE = "turnable"  # detected kind of valves, the only objects that a scene file has
 
 
 def read_surroundings(
@@ -77,14 +80,13 @@ def read_surroundings(
     Raises:
         RequestError: a file that cannot be used.
     """
-    scene, task = request.scene, None if request.task is None else request.task.valve
-    moved = task if task is not None or request.task is None else request.task.door
-    hint = scene.hint if moved is None or moved.hint is None else moved.hint
+    scene, section = request.scene, request.section
+    hint = section.near or scene.hint
     if scene.file is not None:
         from service.scan.scene_file import read_scene  # takes a while, and few requests need it
 
         record = read_scene(request.resolve(scene.file), "scene.file")
-        if task is None:
+        if TURNABLE not in section.detected:
             return Surroundings(record.pieces)
         valves = record.valves(hint)
         return Surroundings(record.pieces_without(valves[:1]), valves, seen=record.list_seen_parts(hint))
@@ -112,6 +114,7 @@ def _perceive_scan(
     )
 
     scene = request.scene
+    start = _recall_start(request.resume, robot, start)
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
     known = load_match_meshes(request)
     given = _read_mechanism(request)
@@ -124,6 +127,9 @@ def _perceive_scan(
             unit=scene.unit,
             apply_viewpoint=scene.apply_viewpoint,
             sensor=scene.sensor,
+            level=scene.level,
+            sensor_model=scene.sensor_model,
+            sensor_sigma=scene.sensor_sigma,
             topic=scene.topic,
             message=scene.message,
         )
@@ -132,7 +138,7 @@ def _perceive_scan(
             reach=Reach(x=x, y=y),
             robot_hulls=[*own, *moved],
             soles=soles,
-            kinds=_list_kinds(request),
+            kinds=request.section.detected,
             hint=None if hint is None else np.array(hint),
             unknown=scene.unknown,
             seed=request.options.seed,
@@ -153,6 +159,19 @@ def _perceive_scan(
     return Surroundings(seen.scene.pieces, valves, seen.shown, notes, seen.matches, doors, parts)
 
 
+def _recall_start(
+    resume: ResumeRequest | None, robot: RobotModel, start: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """Return where the robot is in the scan: of an earlier plan's scan, where that plan began."""
+    if resume is None or resume.is_rescanned or resume.nominal is None:
+        return start
+    names = resume.nominal.joint_names
+    if not set(robot.joint_names) <= set(names) or not resume.nominal.has_curve:
+        return start
+    first = min(resume.nominal.phases.values(), key=lambda phase: phase.knots[0])
+    return np.array([first.positions[names.index(name)] for name in robot.joint_names])
+
+
 def _note_taken_out(
     scene: SceneRequest, points: Float[np.ndarray, "N 3"], hulls: Sequence[Float[np.ndarray, "V 3"]]
 ) -> Iterator[str]:
@@ -165,16 +184,6 @@ def _note_taken_out(
     ]
     if counts:
         yield "took out of the scan: " + ", ".join(f"{count} points on {name}" for name, count in counts)
-
-
-def _list_kinds(request: PlanRequest) -> tuple[str, ...]:
-    """Return the kinds of objects to find in the scan: what the task moves, whose points are no obstacles."""
-    task = request.task
-    if task is not None and task.valve is not None:
-        return ("turnable",)
-    if task is None or task.door is None:
-        return ()
-    return ("door" if task.door.hinge == "auto" else f"door_{task.door.hinge}",)
 
 
 def load_match_meshes(request: PlanRequest) -> tuple[KnownMesh, ...]:
@@ -249,8 +258,7 @@ def _make_shape(shape: CutRequest, field: str) -> Float[np.ndarray, "V 3"]:
 
 def _read_mechanism(request: PlanRequest) -> GivenMechanism | None:
     """Return the mechanism that the request's task gives by its URDF, if it does."""
-    task = request.task
-    return None if task is None or task.mechanism is None else read_given_mechanism(task.mechanism)
+    return find_demand_part(request).read_mechanism(request.section)
 
 
 def _solid(request: PlanRequest, obstacle: MeshRequest, field: str) -> Solid:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from service.simulation.measures import Frames, list_rows, measure_hand_force
-from service.simulation.run import Execution
+from service.simulation.run import SimulatedRun
 
 SLIP_M = 0.02  # from which a slip is named [m]
 LONG_S = 0.05  # for which a torque has to be saturated to be named [s]
@@ -18,7 +18,7 @@ EARLIER_S = 0.5  # before a fall without an unusual event, when the centre of ma
 
 
 def find_cause(
-    execution: Execution,
+    execution: SimulatedRun,
     frames: Frames,
     slips: Mapping[str, tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"]]],
     saturation: list[dict[str, Any]],

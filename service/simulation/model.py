@@ -11,10 +11,10 @@ from jaxtyping import Float, Int
 
 from costs.robot import read_joint_axis
 from costs.robot.servo import DAMPING_S, default_stiffness, list_servo_joints
+from service.demands.resistance import MechanismPhysics, Resistance
 from service.errors import ResultError
 from service.simulation.options import SimulationOptions
 from service.simulation.perturb import Perturbation, draw_perturbation
-from service.simulation.resistance import MechanismPhysics, Resistance
 from service.simulation.spec import BASE, Follower, SpecBuilder
 from service.verify import Motion
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from service.result.motion_json import samples_of
-from service.simulation.run import Execution
+from service.simulation.run import SimulatedRun
 from service.viewer import list_drawn_frames, make_pose_graph, place_links, place_poses, trace_hand_contacts
 from service.viewer.files import replace_file
 from service.viewer.html import render_viewer
@@ -17,7 +17,7 @@ from service.viewer.movables import place_movables
 from service.viewer.payload import make_payload, pack, quantize, select_samples
 
 
-def write_page(data: Mapping[str, Any], execution: Execution, report: Mapping[str, Any], path: Path) -> None:
+def write_page(data: Mapping[str, Any], execution: SimulatedRun, report: Mapping[str, Any], path: Path) -> None:
     """Write the viewer page of a result with the simulated robot as a layer (``y`` hides it) and its verdict on top.
 
     Args:
@@ -43,7 +43,7 @@ def write_page(data: Mapping[str, Any], execution: Execution, report: Mapping[st
     replace_file(path, render_viewer(payload).encode("utf-8"))
 
 
-def _make_simulated(data: Mapping[str, Any], execution: Execution, frames: tuple[str, ...]) -> dict[str, Any]:
+def _make_simulated(data: Mapping[str, Any], execution: SimulatedRun, frames: tuple[str, ...]) -> dict[str, Any]:
     """Return the poses of the payload's links in physics, and the ground's force, at the page's frame rate."""
     record, reference = execution.record, execution.reference
     rows = np.flatnonzero(record.times >= -1e-9)

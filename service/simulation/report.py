@@ -14,7 +14,7 @@ from service.execution.reference import PlannedReference, ReferencePhase
 from service.result.motion_json import file_columns, file_positions
 from service.simulation.cause import LONG_S, SLIP_M, find_cause
 from service.simulation.measures import Frames, list_planted, list_rows, measure_hand_force, measure_slips, smooth
-from service.simulation.run import Execution
+from service.simulation.run import SimulatedRun
 from service.simulation.verdict import DONE, FELL, STOOD, judge, list_goal_frames
 from service.verify.polygons import outside_polygon
 from service.verify.timeline import list_phases
@@ -27,7 +27,7 @@ TRACK_PERIOD_S = 0.02
 _WORSE = (DONE, STOOD, FELL)
 
 
-def make_report(executions: Sequence[Execution]) -> tuple[dict[str, Any], Execution]:
+def make_report(executions: Sequence[SimulatedRun]) -> tuple[dict[str, Any], SimulatedRun]:
     """Return what ``simulation.json`` holds (docs/simulation.md), and the run that it shows: the worst one.
 
     Args:
@@ -49,7 +49,7 @@ def make_report(executions: Sequence[Execution]) -> tuple[dict[str, Any], Execut
     return {**made[worst], "runs": runs}, executions[worst]
 
 
-def _report_run(execution: Execution) -> dict[str, Any]:
+def _report_run(execution: SimulatedRun) -> dict[str, Any]:
     """Return the report on one run."""
     reference, record = execution.reference, execution.record
     frames = Frames(reference, record, [*list_planted(reference), *_list_hands(reference)])
@@ -113,7 +113,7 @@ def find_longest_stretch(times: Float[np.ndarray, "S"], is_over: Bool[np.ndarray
     return longest
 
 
-def _report_phase(execution: Execution, phase: ReferencePhase) -> dict[str, Any]:
+def _report_phase(execution: SimulatedRun, phase: ReferencePhase) -> dict[str, Any]:
     record, reference = execution.record, execution.reference
     rows = list_rows(record, phase)
     ground = np.sum([wrench[:, 2] for wrench in record.wrenches.values()], axis=0) if record.wrenches else None
@@ -146,7 +146,7 @@ def _report_phase(execution: Execution, phase: ReferencePhase) -> dict[str, Any]
     }
 
 
-def _report_hands(execution: Execution, frames: Frames) -> list[dict[str, Any]]:
+def _report_hands(execution: SimulatedRun, frames: Frames) -> list[dict[str, Any]]:
     """Return the distance of each tool and hand from its planned place."""
     reference, record = execution.reference, execution.record
     rows = np.flatnonzero((record.times >= 0.0) & (record.times <= reference.duration_s + 1e-9))
@@ -167,7 +167,7 @@ def _report_hands(execution: Execution, frames: Frames) -> list[dict[str, Any]]:
     return hands
 
 
-def _report_joint_error(execution: Execution) -> dict[str, Any]:
+def _report_joint_error(execution: SimulatedRun) -> dict[str, Any]:
     reference, record = execution.reference, execution.record
     error = np.abs(record.configuration - record.planned)[:, reference.joint_columns]
     row, column = np.unravel_index(int(error.argmax()), error.shape)
@@ -178,7 +178,7 @@ def _report_joint_error(execution: Execution) -> dict[str, Any]:
     }
 
 
-def _list_saturation(execution: Execution) -> list[dict[str, Any]]:
+def _list_saturation(execution: SimulatedRun) -> list[dict[str, Any]]:
     """Return the joints whose torque was at its limit, the longest first."""
     record, names = execution.record, execution.reference.joint_names
     step = float(record.times[1] - record.times[0]) if len(record.times) > 1 else 0.0
@@ -190,7 +190,7 @@ def _list_saturation(execution: Execution) -> list[dict[str, Any]]:
     return sorted(joints, key=lambda joint: -float(str(joint["seconds"])))
 
 
-def _list_touches(execution: Execution) -> list[dict[str, Any]]:
+def _list_touches(execution: SimulatedRun) -> list[dict[str, Any]]:
     """Return forces between the robot and what the plan lets it not touch, the strongest first."""
     reference, record = execution.reference, execution.record
     planned = list_phases(reference.motion)
@@ -227,7 +227,7 @@ def _list_touches(execution: Execution) -> list[dict[str, Any]]:
     return sorted(touches, key=lambda touch: -float(str(touch["peak_n"])))
 
 
-def _report_balance(execution: Execution, frames: Frames) -> dict[str, Any]:
+def _report_balance(execution: SimulatedRun, frames: Frames) -> dict[str, Any]:
     """Return the smallest distance of the centre of mass inside the feet, planned and simulated, on level soles [m]."""
     reference, record = execution.reference, execution.record
     planned, true, worst = np.inf, np.inf, None
@@ -252,7 +252,7 @@ def _report_balance(execution: Execution, frames: Frames) -> dict[str, Any]:
     }
 
 
-def _write_track(execution: Execution) -> dict[str, Any]:
+def _write_track(execution: SimulatedRun) -> dict[str, Any]:
     """Return the simulated motion in the columns of a trajectory, and the ground's force, planned and simulated."""
     reference, record = execution.reference, execution.record
     rows = np.flatnonzero(record.times >= -1e-9)

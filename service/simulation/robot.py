@@ -11,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from service.demands.resistance import SPRING_TRAVEL
 from service.execution.driver import JointCommand, RobotReading
 from service.simulation.model import PhysicsModel, import_mujoco
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import SPRING_TRAVEL
 from service.simulation.spec import TIME_STEP_S
 
 # Standard deviations of the sensors at noise 1.

@@ -12,14 +12,15 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.stopping import poll
+from service.demands.kind import read_mechanism_physics
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference, ReferenceState
+from service.execution.servo_reference import lead_servos
 from service.replay.replay import read_motion, read_request
 from service.request.schema import PlanRequest
 from service.result.folder import read_result, result_path
 from service.simulation.model import PhysicsModel, build_physics, import_mujoco
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.simulation.seen import Seen
 from service.simulation.verdict import REST_S, find_unrest
@@ -56,7 +57,7 @@ class Record(Seen):
 
 
 @dataclass(frozen=True)
-class Execution:
+class SimulatedRun:
     """A plan and its record.
 
     Attributes:
@@ -79,7 +80,7 @@ def execute_folder(
     path: str | Path,
     options: SimulationOptions | None = None,
     report: Callable[[str, float | None], None] | None = None,
-) -> tuple[Execution, ...]:
+) -> tuple[SimulatedRun, ...]:
     """Carry out the plan of a result folder in physics, once per end of the request's friction of the hands.
 
     The folder is read like ``scopt verify`` reads it; its robot files must be inside it. A friction of the options
@@ -104,7 +105,7 @@ def execute_motion(
     request_hash: str,
     options: SimulationOptions | None = None,
     report: Callable[[str, float | None], None] | None = None,
-) -> tuple[Execution, ...]:
+) -> tuple[SimulatedRun, ...]:
     """Carry out a motion in physics, with the mechanism and the servos of a request (as above)."""
     options = options or SimulationOptions()
     reference = PlannedReference(motion)
@@ -114,7 +115,7 @@ def execute_motion(
         chosen = replace(options, hand_friction=friction)
         model = build_physics(motion, read_mechanism_physics(request), chosen, stiffness)
         record = execute(reference, SimulatedRobot(model, reference.at(0.0).configuration, chosen), report)
-        executions.append(Execution(reference, model, chosen, record, verdict, request_hash))
+        executions.append(SimulatedRun(reference, model, chosen, record, verdict, request_hash))
     return tuple(executions)
 
 
@@ -140,7 +141,7 @@ def execute(
         report: called with a step and the share that is done.
         look: called with the plan's time and the robot at every sample.
     """
-    watch = _Watch(reference, robot)
+    watch = _Sampler(reference, robot)
     options, step = robot.options, robot.period_s
     longest = max(options.after_s, MOST_AFTER_S)
     n_settle, n_plan, n_after = (round(s / step) for s in (options.settle_s, reference.duration_s, longest))
@@ -148,6 +149,8 @@ def execute(
     started = time.process_time()
     steps = np.arange(-n_settle, n_plan + n_after + 1)
     q, qd, tau = reference.tabulate_commands(steps * step)
+    nominal = robot.model.stiffness / options.stiffness_scale  # what the plan knows of the servos
+    q, qd = lead_servos(q, qd, tau, nominal, step, options.feed_forward)
     qd[(steps < 0) | (steps > n_plan)] = 0.0
     for i, k in enumerate(steps.tolist()):
         if i % SAMPLE_STEPS == 0:
@@ -177,7 +180,7 @@ def has_fallen(pose_world_base: Float[np.ndarray, "4 4"], wanted: ReferenceState
     return bool(pose_world_base[2, 3] < planned[2, 3] - FALLEN_M or tilt > FALLEN_TILT)
 
 
-class _Watch:
+class _Sampler:
     """Samples of a simulation as it goes."""
 
     def __init__(self, reference: PlannedReference, robot: SimulatedRobot) -> None:

@@ -11,11 +11,11 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotHand, RobotModel, read_joint_axis
+from service.demands.resistance import MechanismPhysics
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
 from service.simulation.perturb import Perturbation
-from service.simulation.resistance import MechanismPhysics
 from service.verify import Motion
 from service.verify.frame_paths import find_mechanism_joints
 

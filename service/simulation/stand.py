@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from service.demands.kind import read_mechanism_physics
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference
 from service.replay.replay import read_request
@@ -14,7 +15,6 @@ from service.request.schema import PlanRequest
 from service.result.folder import read_result
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.start.robot import resolve_stiffness
 

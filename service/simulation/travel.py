@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from service.demands.resistance import MechanismPhysics
 from service.execution.reference import PlannedReference, ReferencePhase
-from service.simulation.resistance import MechanismPhysics
 from service.simulation.seen import Seen
 
 TRAVEL_SHARE = 0.05  # of a planned travel, by which a joint may fall short

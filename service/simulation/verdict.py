@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from service.demands.resistance import MechanismPhysics
 from service.execution.reference import PlannedReference
-from service.simulation.resistance import MechanismPhysics
 from service.simulation.seen import Seen
 from service.simulation.travel import (
     STRAY,

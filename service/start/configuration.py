@@ -9,17 +9,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel, read_joint_axis
+from costs.robot import BASE_NAMES, PLANAR_NAMES, WHOLE_TURN, RobotModel, list_circular, read_joint_axis
 from service.errors import RequestError, would_do
-from service.request.contacts import PostureRequest
 from service.request.schema import StartRequest
+from service.request.tasks.contacts import PostureRequest
+from service.start.followers import leave_out_followers
 from service.start.standing import sole_corners
 
 SNAP_TOLERANCE = 1e-3  # rounding of joint positions reported by a robot [rad, m]
 STANDING_POSTURE = "stand"
 LARGEST_PITCH_DEG = 85.0
 LEAST_DEGREES = 5.0  # a smaller position beyond the limits is hardly in degrees
-MOST_TURNS = 8.0 * math.pi  # largest position of a joint without limits [rad]
+MOST_TURNS = 8.0 * math.pi  # position of a joint without limits from which a note says how it is read [rad]
 
 
 def make_start_configuration(
@@ -36,7 +37,7 @@ def make_start_configuration(
         RequestError: an unknown posture or joint, or a joint beyond its limits by more than 1e-3.
     """
     q, notes = _posture(robot, start)
-    positions = start.positions_by_joint
+    positions = leave_out_followers(robot, start.positions_by_joint, q, "start.joints")
     problems = find_unknown_joints(robot, positions, "start.joints")
     if problems:
         raise RequestError(problems)
@@ -44,7 +45,7 @@ def make_start_configuration(
         q[robot.joint_names.index(name)] = position
     if start.base is not None:
         _place_base(robot, q, start)
-    q, notes = _snap_to_limits(robot, q, notes)
+    q, notes = _snap_to_limits(robot, q, (*notes, *note_turns(robot, positions, "start.joints")))
     if start.base is None and robot.is_floating and not q[: len(BASE_NAMES)].any():
         notes += _stand_on_floor(robot, q, feet)
     return q, notes
@@ -115,6 +116,16 @@ def find_unknown_joints(robot: RobotModel, names: Mapping[str, float] | Sequence
     ]
 
 
+def find_unknown_links(robot: RobotModel, links: Sequence[str], field: str) -> list[str]:
+    """Return one line per name that is neither a link nor a frame of the robot."""
+    frames = [frame.name for frame in robot.model.frames if frame.name != "universe"]
+    return [
+        f"unknown link {link!r} in {field}; {robot.name} has {would_do(link, frames)}"
+        for link in links
+        if link not in frames
+    ]
+
+
 def find_limit_violations(
     robot: RobotModel, positions: Mapping[str, float], field: str, tolerance: float = 0.0
 ) -> list[str]:
@@ -128,12 +139,30 @@ def find_limit_violations(
                 f"{field}.{name}: {position:.6g} is outside the joint's limits; expected {lower:.6g} to {upper:.6g}"
                 f"{_suggest_radians(robot, name, position)}"
             )
-        elif abs(position) > MOST_TURNS and not _slides(robot, name):
-            problems.append(
-                f"{field}.{name}: {position:.6g} rad are {abs(position) / (2.0 * math.pi):.0f} turns"
-                f"{_suggest_radians(robot, name, position) or f'; expected at most {MOST_TURNS:.6g}'}"
-            )
     return problems
+
+
+def note_turns(robot: RobotModel, positions: Mapping[str, float], field: str) -> tuple[str, ...]:
+    """Return one note per joint without limits that is given many turns off, whose turns do not count."""
+    circular = {robot.joint_names[k] for k in list_circular(robot)}
+    return tuple(
+        f"{field}.{name}: {position:.6g} rad are {abs(position) / WHOLE_TURN:.0f} turns, which do not count: "
+        f"the joint is at {math.remainder(position, WHOLE_TURN):.6g}{_suggest_radians(robot, name, position)}"
+        for name, position in positions.items()
+        if name in circular and abs(position) > MOST_TURNS
+    )
+
+
+def note_snapped(robot: RobotModel, positions: Mapping[str, float], where: str) -> tuple[str, ...]:
+    """Return one note per position that rounding put beyond a limit, which is read as the limit."""
+    limits = {name: (low, high) for name, low, high in zip(robot.joint_names, robot.lower, robot.upper, strict=True)}
+    known = {name: value for name, value in positions.items() if name in limits}
+    inside = {name: float(np.clip(value, *limits[name])) for name, value in known.items()}
+    return tuple(
+        f"{where}: {name} snapped from {value:.9g} to its limit {inside[name]:.9g}"
+        for name, value in known.items()
+        if value != inside[name]
+    )
 
 
 def _suggest_radians(robot: RobotModel, name: str, position: float) -> str:
@@ -141,12 +170,12 @@ def _suggest_radians(robot: RobotModel, name: str, position: float) -> str:
     index = robot.joint_names.index(name)
     in_radians = math.radians(position)
     fits = float(robot.lower[index]) <= in_radians <= float(robot.upper[index])
-    if not fits or abs(position) < LEAST_DEGREES or _slides(robot, name):
+    if not fits or abs(position) < LEAST_DEGREES or is_sliding(robot, name):
         return ""
     return f"; joints are in radians, are these degrees? Use {in_radians:.6g}."
 
 
-def _slides(robot: RobotModel, name: str) -> bool:
+def is_sliding(robot: RobotModel, name: str) -> bool:
     """Return whether a joint slides."""
     if name in BASE_NAMES[:3]:
         return True
@@ -190,7 +219,5 @@ def _snap_to_limits(
     )
     if problems:
         raise RequestError(problems)
-    inside = np.clip(q, robot.lower, robot.upper)
-    for index in np.flatnonzero(inside != q):
-        notes += (f"start: {robot.joint_names[index]} snapped from {q[index]:.6g} to its limit {inside[index]:.6g}",)
-    return inside, notes
+    snapped = note_snapped(robot, dict(zip(robot.joint_names, q.tolist(), strict=True)), "start")
+    return np.clip(q, robot.lower, robot.upper), (*notes, *snapped)

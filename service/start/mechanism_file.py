@@ -7,8 +7,8 @@ import dataclasses
 from costs.robot import RobotError, read_mesh_hulls
 from costs.robot.xmlfile import read_xml_text
 from service.errors import RequestError
-from service.request.mechanism import MAX_MESH_POINTS, MAX_TEXT, MeshHullRequest, is_urdf_text
 from service.request.schema import PlanRequest
+from service.request.tasks.mechanism import MAX_MESH_POINTS, MAX_TEXT, MeshHullRequest, is_urdf_text
 
 
 def inline_mechanism(request: PlanRequest) -> PlanRequest:

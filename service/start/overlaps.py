@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import coal
@@ -15,7 +15,7 @@ from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.work_space import borrow_data
-from service.start.standing import FLOOR_KIND
+from service.start.standing import list_carrying_pieces, sole_corners
 from service.verify.ground import GROUND_TOLERANCE_M
 from service.verify.solids import make_coal_convex
 
@@ -72,12 +72,12 @@ class Overlap:
 def describe_collisions(
     robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
 ) -> list[str]:
-    """Return one line per pair in collision at ``q``, the deepest first; planted feet may touch the floor."""
+    """Return one line per pair in collision at ``q``, the deepest first; planted feet may touch what carries them."""
     return [str(overlap) for overlap in find_overlaps(robot, q, scene, planted)]
 
 
 def find_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]) -> list[Overlap]:
-    """Return the pairs whose shapes collide at ``q``, the deepest first; planted feet may touch the floor."""
+    """Return the pairs whose shapes collide at ``q``, the deepest first; planted feet may touch what carries them."""
     return find_overlaps_and_unresolved(robot, q, scene, planted)[0]
 
 
@@ -110,9 +110,16 @@ def _find_hull_overlaps(
     poses = [data.oMi[thing.joint].homogeneous if isinstance(thing, LinkBody) else here for thing in things]
     vertices = [thing.vertices @ pose[:3, :3].T + pose[:3, 3] for thing, pose in zip(things, poses, strict=True)]
     overlaps: list[tuple[Overlap, bool]] = []
+    with_shape = {body.link for body in robot.bodies}
+    resting = {
+        (link, name)
+        for link in planted
+        if link in with_shape
+        for name in list_carrying_pieces(sole_corners(robot, q, link), scene.pieces)
+    }
     for k, j in _find_box_pairs(vertices, len(robot.bodies)):
         body, other = robot.bodies[k], things[j]
-        allowed = _allowed_depth(robot, body, other, planted)
+        allowed = _allowed_depth(robot, body, other, resting)
         if not np.isfinite(allowed):
             continue
         hull_depth = ExactShape.of_hull(body).depth_in(ExactShape.of_hull(other), poses[k], poses[j])
@@ -159,14 +166,16 @@ def _find_box_pairs(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int)
     return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
 
 
-def _allowed_depth(robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPiece, planted: Sequence[str]) -> float:
+def _allowed_depth(
+    robot: RobotModel, body: LinkBody, other: LinkBody | ConvexPiece, resting: Collection[tuple[str, str]]
+) -> float:
     """Return the allowed penetration depth at the start [m]; infinite for a pair that is not checked."""
     if isinstance(other, LinkBody):
         pair = (min(body.link, other.link), max(body.link, other.link))
         return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
     if body.link in robot.fixed_links:
         return np.inf
-    return GROUND_TOLERANCE_M if body.link in planted and other.kind == FLOOR_KIND else TOUCH_M
+    return GROUND_TOLERANCE_M if (body.link, other.name) in resting else TOUCH_M
 
 
 @dataclass(frozen=True)

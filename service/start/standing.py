@@ -14,7 +14,7 @@ from costs.scene import ConvexPiece
 from costs.support import SupportPolygon
 from costs.work_space import borrow_data
 from service.errors import RequestError
-from service.verify.ground import GROUND_TOLERANCE_M, describe_gap, find_ground_gaps
+from service.verify.ground import GROUND_TOLERANCE_M, UNSEEN_KIND, describe_gap, find_ground_gaps
 
 FEET_GROUP = "feet"
 SOLE_BAND_M = 0.002  # height above a foot's lowest vertex up to which vertices belong to its sole
@@ -27,6 +27,19 @@ def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Flo
     """Return the corners of a foot's sole in the world [m]: the vertices within 2 mm of its lowest at ``q``."""
     vertices = np.vstack([v for _, v in place_bodies(robot, q, link)])
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
+
+
+def list_carrying_pieces(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]) -> tuple[str, ...]:
+    """Return the pieces on which a planted sole may rest: floors, and those whose upper side a corner is on.
+
+    Space that no scan has seen carries nothing.
+    """
+    return tuple(
+        piece.name
+        for piece in pieces
+        if piece.kind == FLOOR_KIND
+        or (piece.kind != UNSEEN_KIND and np.abs(find_ground_gaps(corners, [piece])).min() <= GROUND_TOLERANCE_M)
+    )
 
 
 def find_lowest_links(robot: RobotModel, q: Float[np.ndarray, "n"]) -> tuple[str, ...]:

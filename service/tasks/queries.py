@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,16 +19,17 @@ from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
 from service.demands import list_planted_feet
 from service.errors import RequestError, would_do
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.start.configuration import STANDING_POSTURE
-from service.tasks.goal import Goal
-from service.tasks.goal_poses import GoalEnds
+from service.tasks.reach.goal import Goal
+from service.tasks.reach.goal_poses import GoalEnds
 from service.verify import Basis, Motion, VerifySettings, verify
 from service.verify.clearance.pairs import collect_pairs
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.solids import DistanceQuery
 
 HORIZON_M = 0.1
+IK_EFFORT_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def solve_ik(
     *,
     margin_m: float = 0.0,
     count: int = 1,
-    time_limit_s: float = 5.0,
+    time_limit_s: float | None = None,
     seed: int = 0,
 ) -> tuple[IkSolution, ...]:
     """Return configurations at which links have poses, within joint limits and free of collisions.
@@ -167,7 +169,7 @@ def solve_ik(
         nominal: (n,) configuration to stay near; by default the posture ``stand``, or zero within the limits.
         margin_m: clearance that is aimed at [m].
         count: largest number of different configurations.
-        time_limit_s: wall time.
+        time_limit_s: wall time; by default ``IK_EFFORT_S`` of processor time.
         seed: of the random guesses.
 
     Returns:
@@ -184,7 +186,8 @@ def solve_ik(
     start = _choose_nominal(robot) if nominal is None else _check_configuration(robot, nominal, "nominal")
     feet = list_planted_feet(robot, None)
     body = WholeBody.standing(robot, _as_scene(scene), start, feet, Aims(margin_m))
-    solver = PhaseSolver(body, Monitor(time_limit_s), Settings(), seed=seed)
+    monitor = Monitor(IK_EFFORT_S) if time_limit_s is None else Monitor(time_limit_s, clock=time.monotonic)
+    solver = PhaseSolver(body, monitor, Settings(), seed=seed)
     found: list[np.ndarray] = []
     try:
         for solved in GoalEnds(solver, Goal.of(body, goal_request)).find_all():

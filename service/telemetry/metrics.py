@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -21,10 +21,19 @@ _RPC_BUCKETS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5,
 _PHASE_BUCKETS = (0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2, 4, 8, 15, 30, 60, 120, 300)
 
 
+ALERT_CODES = ("INTERNAL", "UNKNOWN", "DATA_LOSS")  # of requests, on whose first one an alert fires
+
+
 class Metrics:
     """A server's metrics, in a registry of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self, methods: Sequence[str] = ()) -> None:
+        """Make the metrics.
+
+        Args:
+            methods: of the service, whose errors are counted from 0: an alert on ``increase`` sees nothing in the first
+                sample of a series.
+        """
         self.registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         self._requests = Counter("scopt_requests", "RPCs that ended.", ["method", "code"], registry=registry)
@@ -45,6 +54,9 @@ class Metrics:
         )
         self._verdicts = Counter("scopt_verdicts", "Plans that finished.", ["kind", "verdict"], registry=registry)
         self._upload_bytes = Counter("scopt_upload_bytes", "Bytes of clouds that came in.", registry=registry)
+        for method in methods:
+            for code in ALERT_CODES:
+                self._requests.labels(method, code)
 
     def request_began(self, method: str) -> None:
         """Count the begin of an RPC."""

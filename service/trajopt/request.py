@@ -32,7 +32,7 @@ class TrajoptFiles:
         is_floating: whether the base is free; by default true for bundled robots only.
         scene: file with the content of a request's ``scene``.
         start: file with the content of a request's ``start``.
-        time_limit_s: limit of the whole plan.
+        time_limit_s: wall time for the whole plan, by default that of a request.
         is_timed: whether the motion gets a time law; otherwise the path alone is planned and certified.
         checks_torque: whether joint torques are checked.
     """
@@ -43,7 +43,7 @@ class TrajoptFiles:
     is_floating: bool | None = None
     scene: Path | None = None
     start: Path | None = None
-    time_limit_s: float = 60.0
+    time_limit_s: float | None = None
     is_timed: bool = True
     checks_torque: bool = True
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 from service.errors import shown
-from service.request.mechanism import is_urdf_text
 from service.request.scene import MeshRequest, SceneRequest
 from service.request.schema import PlanRequest, RobotRequest
 from service.trust.errors import TrustError
@@ -100,12 +99,8 @@ def list_paths(request: PlanRequest) -> Iterator[tuple[str, str, Kind]]:
     """Yield field, path and kind of every file that a request names."""
     yield from _robot_paths(request.robot)
     yield from _scene_paths(request.scene)
-    mechanism = None if request.task is None else request.task.mechanism
-    if mechanism is not None and not is_urdf_text(mechanism.urdf):
-        yield "task.mechanism.urdf", mechanism.urdf, "file"
-    egress = None if request.task is None else request.task.egress
-    if egress is not None and egress.phases_file is not None:
-        yield "task.egress.phases_file", egress.phases_file, "file"
+    for name, path in request.section.list_paths():
+        yield f"{request.kind.field}.{name}", path, "file"
 
 
 def _robot_paths(robot: RobotRequest) -> Iterator[tuple[str, str, Kind]]:

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from service.verify.joint_chain import Chain
+from service.verify.joint_chain import JointChain
 from service.verify.motion import Motion, VerifyError
-from service.verify.prepared_motion import PreparedMotion
+from service.verify.prepared_motion import ForwardKinematics, PreparedMotion
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class FramePath:
     rotation: Float[np.ndarray, "3 3"]
     holder: int
     pose_holder_reference: pin.SE3
-    chain: Chain
-    turning: Chain
+    chain: JointChain
+    turning: JointChain
     rounding: float
 
     @staticmethod
@@ -93,10 +93,24 @@ class FramePath:
         return np.asarray(self.turning.travel(over) + np.pi * slack)
 
     def _deviation(
-        self, chain: Chain, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]
+        self, chain: JointChain, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]
     ) -> Float[np.ndarray, "I"]:
         over = self.prepared.over(first, last)
         return np.asarray(chain.deviation(over) + chain.sampling_slack(over, self.rounding))
+
+
+def trace_frame(
+    model: pin.Model, frame: str, q: Float[np.ndarray, "S n"]
+) -> tuple[Float[np.ndarray, "S 3 3"], Float[np.ndarray, "S 3"]]:
+    """Return a frame's rotations and positions in the world at configurations.
+
+    Raises:
+        VerifyError: when the model has no such frame.
+    """
+    joint, pose_joint_frame = _carrying_joint(model, frame)
+    placed = ForwardKinematics(model).at(q)
+    rotation, position = placed.rotation[:, joint], placed.translation[:, joint]
+    return rotation @ pose_joint_frame.rotation, rotation @ pose_joint_frame.translation + position
 
 
 def _carrying_joint(model: pin.Model, frame: str) -> tuple[int, pin.SE3]:
@@ -126,7 +140,7 @@ class MassPath:
         if len(self._joints) == 0:
             raise VerifyError("the robot has no mass, so its balance cannot be checked")
         levers = zip(self._joints, self._levers, strict=True)
-        self._chains = Chain.stack([prepared.tree.chain(0, j, lever[None]) for j, lever in levers])
+        self._chains = JointChain.stack([prepared.tree.chain(0, j, lever[None]) for j, lever in levers])
 
     def at(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S 3"]:
         """Return the centre of mass in the world [m]."""

@@ -32,7 +32,7 @@ _SEVERAL = {"JointModelTranslation": (False,) * 3, "JointModelSphericalZYX": (Tr
 
 
 @dataclass(frozen=True)
-class Chain:
+class JointChain:
     """Coordinates between a frame and a body, from the frame outwards; or, row by row, those of many bodies.
 
     Rows of fewer coordinates than the longest are filled up with coordinate 0 at a reach of 0.
@@ -54,19 +54,19 @@ class Chain:
     ratio: Float[np.ndarray, "*C m"]
 
     @staticmethod
-    def stack(chains: Sequence[Chain]) -> Chain:
+    def stack(chains: Sequence[JointChain]) -> JointChain:
         """Stack chains row by row."""
         width = max((len(chain.coordinates) for chain in chains), default=0)
         shape = (len(chains), width)
-        stacked = Chain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool, float)))
+        stacked = JointChain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool, float)))
         for row, chain in enumerate(chains):
-            for item in fields(Chain):
+            for item in fields(JointChain):
                 getattr(stacked, item.name)[row, : len(chain.coordinates)] = getattr(chain, item.name)
         return stacked
 
-    def take(self, rows: Int[np.ndarray, "E"]) -> Chain:
+    def take(self, rows: Int[np.ndarray, "E"]) -> JointChain:
         """Return these rows, in this order."""
-        return Chain(*(getattr(self, item.name)[rows] for item in fields(Chain)))
+        return JointChain(*(getattr(self, item.name)[rows] for item in fields(JointChain)))
 
     @cached_property
     def weight(self) -> float:
@@ -155,7 +155,7 @@ class JointTree:
             joint = self._parents[joint]
         return path
 
-    def chain(self, holder: int, mover: int, points: Float[np.ndarray, "V 3"]) -> Chain:
+    def chain(self, holder: int, mover: int, points: Float[np.ndarray, "V 3"]) -> JointChain:
         """Return the chain that moves ``points`` (in the frame of joint ``mover``) in the frame of joint ``holder``."""
         poll()
         up, down = self.ancestors(holder), self.ancestors(mover)
@@ -178,7 +178,7 @@ class JointTree:
         axes = [row[1] for row in rows]
         coordinates = np.array([axis.coordinate for axis in axes], dtype=int)
         is_revolute = np.array([axis.is_revolute for axis in axes], dtype=bool)
-        return Chain(
+        return JointChain(
             coordinates,
             np.array([row[0] for row in rows], dtype=int),
             is_revolute,

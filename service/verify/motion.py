@@ -380,6 +380,7 @@ class Motion:
             request is unknown: checks that were not made are then listed in the coverage and nothing more.
         releases: rules of the mechanism's latches.
         continues: hash of the certificate of the plan whose task this motion continues, or None.
+        clearance_m: demanded distance of the robot from every piece that it may not touch [m].
     """
 
     robot: RobotModel
@@ -392,3 +393,4 @@ class Motion:
     waived: frozenset[str] | None = None
     releases: tuple[Release, ...] = ()
     continues: str | None = None
+    clearance_m: float = 0.0

@@ -17,6 +17,7 @@ from service.verify.coverage.pressed import note_given
 from service.verify.coverage.required import list_own_joints
 from service.verify.forces.dynamics import check_dynamics
 from service.verify.forces.hand_contacts import check_hand_contacts
+from service.verify.forces.letting_go import check_letting_go
 from service.verify.ground import check_ground
 from service.verify.hashes import bodies_hash, promises_hash, robot_hash, scene_hash
 from service.verify.limits import check_positions, check_timing
@@ -32,7 +33,9 @@ PhaseCheck = Callable[[PreparedMotion, Phase, VerifySettings], Iterable[Check]]
 
 # Checks of the whole motion, then of each phase, in the certificate's order; clearance and coverage follow.
 MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing, check_mechanism)
-PHASE_CHECKS: tuple[PhaseCheck, ...] = (check_stance, check_targets, check_hand_contacts, check_ground, check_dynamics)
+PHASE_CHECKS: tuple[PhaseCheck, ...] = (
+    check_stance, check_targets, check_hand_contacts, check_letting_go, check_ground, check_dynamics,
+)  # fmt: skip
 
 
 def verify(

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from costs.robot import BASE_NAMES, bundled_robots
+from costs.robot import BASE_NAMES, bundled_robots, read_followers
 from service.errors import RequestError, ResultError, shown
 from service.executor import Control
 from service.request.known_names import RobotNames
 from service.request.scene import KnownMeshRequest
-from service.request.schema import GoalRequest, PlanRequest, RobotRequest
+from service.request.schema import PlanRequest, RobotRequest
+from service.request.tasks.reach import GoalRequest
 from service.scan.cloud import CloudInput
 from service.store import find_damaged_uploads
 from service.work.plan import ROBOTS, Refused, stops_with
@@ -156,7 +157,7 @@ def list_names() -> tuple[RobotNames, ...]:
     return tuple(
         RobotNames(
             robot.name,
-            tuple(name for name in robot.joint_names if name not in BASE_NAMES),
+            (*(name for name in robot.joint_names if name not in BASE_NAMES), *read_followers(robot)),
             tuple(robot.postures),
             frozenset(frame.name for frame in robot.model.frames) - {"universe"},
         )

@@ -18,7 +18,9 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.stopping import Stopped, stops_when
+from scopt import Clock, EffortClock
 from scopt import Iteration as Trial
+from scopt.settings import WALL_SHARE
 from service.errors import RequestError
 from service.executor import Control
 from service.executor.job import JobCancelled
@@ -129,13 +131,17 @@ def run_plan(task: PlanTask, control: Control) -> PlanAnswer | Refused:
     try:
         with stops_with(control):
             robot = ROBOTS.get(request)
+        limited, clock = request, None
+        if task.until is not None:
+            limited, clock = _limit_time(request, task.until - control.now(), task.with_files)
         result = plan(
-            request if task.until is None else _limit_time(request, task.until - control.now(), task.with_files),
+            limited,
             on_progress=reporter.report_step,
             should_stop=control.should_stop,
             robot=robot,
             on_iteration=reporter.report_iteration,
             see=perceive_cached,
+            clock=clock,
         )
     except RequestError as error:
         return Refused(error.problems)
@@ -216,15 +222,23 @@ class _ProgressReporter:
         self._control.report(PlanResponse(progress=progress).SerializeToString())
 
 
-def _limit_time(request: PlanRequest, left: float, with_files: bool = False) -> PlanRequest:
-    """Reduce the request's time limit to the time left [s], so that the answer is there before the deadline."""
+def _limit_time(request: PlanRequest, left: float, with_files: bool = False) -> tuple[PlanRequest, Clock | None]:
+    """Return the request and the clock with which the answer is there before the deadline.
+
+    Args:
+        request: a stated time limit is reduced to what is left; so is the default one if less is left than it.
+        left: time left [s].
+        with_files: whether the answer holds the result's files.
+    """
     reserved = min(ANSWER_SHARE * left, MAX_ANSWER_TIME_S)
     if with_files:
         reserved = min(reserved + WRITE_SLACK * max(_WRITE_TIMES_S), MAX_RESERVED_SHARE * left)
     left = max(left - reserved, MIN_TIME_S)
-    if left >= request.options.time_limit_s:
-        return request
-    return replace(request, options=replace(request.options, time_limit_s=round(left, 3)))
+    if left < request.limit_s:
+        return replace(request, options=replace(request.options, time_limit_s=round(left, 3))), None
+    if request.options.time_limit_s is not None:
+        return request, None
+    return request, EffortClock(max(WALL_SHARE, request.limit_s / left))
 
 
 def _make_archive(result: PlanResult) -> tuple[bytes, str]:

@@ -194,3 +194,13 @@ def test_unusable_tls_files_are_refused(folder: Path) -> None:
         PlannerClient("localhost:1", tls_ca=folder / "notes.pem")
     with pytest.raises(RequestError, match=r"tls_cert and tls_key: .*server\.key are no PEM certificate"):
         PlannerClient("localhost:1", tls_cert=folder / "client.pem", tls_key=folder / "server.key")
+
+
+def test_a_port_that_is_bound_and_does_not_answer_belongs_to_a_server_that_starts() -> None:
+    text = (
+        "failed to connect to all addresses; last error: UNKNOWN: ipv4:127.0.0.1:50051: connection attempt timed out "
+        "before receiving SETTINGS frame"
+    )
+    error = PlannerError(grpc.StatusCode.UNAVAILABLE, text)
+    words = explain_unreachable(error, Connection("localhost:50051")).text
+    assert words.startswith("the server at localhost:50051 does not answer yet; it is starting")

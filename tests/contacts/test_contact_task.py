@@ -32,7 +32,7 @@ from service.demands.contacts.stances import (
     place_patch,
 )
 from service.demands.contacts.surfaces import STRIP_M, make_surfaces
-from service.request.contacts import SurfaceRequest
+from service.request.tasks.contacts import SurfaceRequest
 
 REQUESTS = Path(__file__).parents[2] / "examples" / "requests"
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)

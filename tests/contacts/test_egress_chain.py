@@ -18,7 +18,7 @@ from costs.scene import Scene
 from service.body.loaded_regions import plan_contact_region
 from service.body.whole_body import Aims, WholeBody
 from service.demands.contacts.stances import Surface
-from service.request.egress import WeightsRequest
+from service.request.tasks.egress import WeightsRequest
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.chain import BrokenChain, Chain, link_poses
 from service.tasks.egress.plan import explain_missing, find_sequences, make_all_stages, make_graph, solve_poses

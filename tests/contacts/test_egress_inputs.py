@@ -9,11 +9,11 @@ import pinocchio as pin
 import pytest
 from egress_car import REQUEST, car, phases, stages, task
 
-from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.surfaces import make_surfaces
+from service.demands.egress.demand import load_phases
 from service.errors import RequestError
-from service.request.egress import ContactRequest, EgressRequest, PhasesFile
 from service.request.file import load_request, parse_section
+from service.request.tasks.egress import ContactRequest, EgressRequest, PhasesFile
 from service.start.configuration import make_start_configuration
 from service.tasks.egress.plan import make_all_stages
 from service.tasks.egress.stages import list_lasting, make_stages

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from costs.kinematics import KinematicsEngine, locate_links
-from service.demands.contacts.mirrored_phases import mirror_phases, swap_sides
-from service.request.contacts import PostureRequest
+from service.demands.egress.mirrored_phases import mirror_phases, swap_sides
+from service.request.tasks.contacts import PostureRequest
 from service.start.configuration import make_posture
 
 MIRROR = np.diag([1.0, -1.0, 1.0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from service.demands.contacts.egress_demand import SHIPPED_PHASES, EgressDemand
+from service.demands.egress.demand import SHIPPED_PHASES, EgressDemand
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result

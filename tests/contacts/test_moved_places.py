@@ -15,7 +15,7 @@ from service.demands.contacts.stances import ContactStance, Surface, place_patch
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import parse_request
 from service.result.folder import read_result
 from service.result.output import write_result
@@ -40,7 +40,7 @@ REQUEST = {
             ],
         }
     },
-    "options": {"seed": 0, "time_limit_s": 120},
+    "options": {"seed": 0},
 }
 
 

@@ -20,7 +20,7 @@ from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.adjust import adjust_request, read_adjustment
 from service.replay.replay import read_record, verify_result
-from service.replay.resume import hash_plan, make_rest_request
+from service.replay.rest import hash_plan, make_rest_request
 from service.request.file import parse_request
 from service.result.folder import read_result
 from service.result.output import write_result
@@ -45,7 +45,7 @@ REQUEST = {
             ],
         }
     },
-    "options": {"seed": 0, "time_limit_s": 300},
+    "options": {"seed": 0},
 }
 
 

@@ -67,7 +67,7 @@ def test_a_foot_that_the_plan_hardly_loads_may_carry_nothing():
 def test_the_cap_of_a_foot_is_that_of_all_its_corners():
     assert check_for(1.0, STAND, None, {"l_foot": 2900.0}) == ()
     (finding,) = check_for(1.0, STAND, None, {"l_foot": 3100.0})
-    assert (finding.severity, finding.limit_n, finding.is_lost) == (Severity.ABORT, 3000.0, False)
+    assert (finding.severity, finding.limit, finding.is_lost) == (Severity.ABORT, 3000.0, False)
     assert "its cap is 2000 N, abort at 3000 N" in finding.sentence
 
 

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
 from contact_plans import plan_example
 
+from service.demands.resistance import MechanismPhysics
 from service.execution.execution import Execution
 from service.execution.machine import Mode, Order
 from service.execution.reference import PlannedReference
@@ -17,7 +18,6 @@ from service.execution.settings import ExecutionSettings
 from service.execution.stance.capture_point import BalanceSettings
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import MechanismPhysics
 from service.simulation.robot import SimulatedRobot
 
 FOOT = "r_foot"

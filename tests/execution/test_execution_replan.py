@@ -13,7 +13,7 @@ from costs.scene import ConvexPiece
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from perception.detect.valve.bodies import ValveDetection
 from service import parse_request, plan, write_result
-from service.demands.door_demand import SeenDoor
+from service.demands.door.demand import SeenDoor
 from service.errors import ExecutionError, RequestError, ResultError
 from service.execution.execution import Execution
 from service.execution.machine import Order

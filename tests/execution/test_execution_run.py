@@ -15,6 +15,8 @@ from service.execution.reference import PlannedReference
 from service.execution.sensing.forces import ForceMeter
 from service.execution.settings import ExecutionSettings
 from service.execution.tracking import Action, KinematicRobot, track
+from service.execution.watch.pelvis import PelvisSettings
+from service.execution.watch.watch import WatchSettings
 from service.verify import Motion
 
 PERIOD = 1e-2
@@ -185,7 +187,9 @@ def test_a_foot_that_lands_late_is_waited_for(landing):
 def test_a_foot_that_never_lands_is_looked_for_and_then_the_plan_is_aborted(landing):
     driver = KinematicRobot(landing.joint_names, landing.at(0.0).q, PERIOD)
     press(driver, l_foot=WEIGHT, r_foot=0.0)
-    execution = Execution(landing, driver, ExecutionSettings(machine=MachineSettings(wait_s=1.5)))
+    # The pelvis leans while the foot goes down, which the inertial unit of this robot does not show.
+    watch = WatchSettings(pelvis=PelvisSettings(lean_rad=0.3, place_m=0.5))
+    execution = Execution(landing, driver, ExecutionSettings(machine=MachineSettings(wait_s=1.5), watch=watch))
     lowest = []
     report = track(execution, on_cycle=lambda cycle: lowest.append(execution.list_shifts()["r_foot"].offset[2]))
     assert report.verdict == "ABORTED"

@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from given_wheels import wheel_request
 from planar_arm import write_planar_arm
 from typer.testing import CliRunner
 
 from service.cli.app import app
+from service.demands.kind import read_mechanism_physics
+from service.demands.resistance import MechanismPhysics
 from service.errors import ResultError
 from service.execution.driver import JointCommand
 from service.execution.reference import BLEND_S, PlannedReference
@@ -27,25 +30,12 @@ from service.result.result import Verdict
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
 from service.simulation.report import find_longest_stretch
-from service.simulation.resistance import MechanismPhysics, read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.simulation.run import execute_folder
 from service.simulation.simulate import simulate
 
 REQUESTS = Path(__file__).parents[2] / "examples" / "requests"
-ATLAS: dict[str, Any] = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}}
-VALVE = {
-    **ATLAS,
-    "task": {
-        "valve": {
-            "centre": [0.68, 0.12, 1.1],
-            "axis": [-1, 0, 0],
-            "radius": 0.14,
-            "spokes_deg": [45, 135, 225, 315],
-            "turn_deg": 60,
-        }
-    },
-}
+VALVE = wheel_request()
 ARM_INERTIA = (
     '<inertial><mass value="1"/><origin xyz="0.15 0 0"/>'
     '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'

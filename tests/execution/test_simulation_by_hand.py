@@ -19,13 +19,13 @@ from costs.robot.mesh.hull import make_outer_hull
 from costs.robot.model import LinkBody
 from costs.scene import ConvexPiece, Scene
 from service.demands.moved_object.loads import MovedObject
+from service.demands.resistance import MechanismPhysics, Resistance
 from service.errors import RequestError, ResultError
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.model import PhysicsModel, build_physics
 from service.simulation.options import SimulationOptions
-from service.simulation.resistance import MechanismPhysics, Resistance
 from service.simulation.robot import SimulatedRobot
 from service.verify import Motion, Phase, PlantedContact
 

@@ -10,6 +10,8 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
 from benchmarks.tasks.given_cases import make_doors
+from service.demands.kind import read_mechanism_physics
+from service.demands.resistance import MechanismPhysics, Resistance
 from service.execution.execution import Execution
 from service.execution.reference import PlannedReference
 from service.execution.tracking import track
@@ -20,7 +22,6 @@ from service.simulation.follow import WorkWatch
 from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
 from service.simulation.report import make_report
-from service.simulation.resistance import MechanismPhysics, Resistance, read_mechanism_physics
 from service.simulation.robot import SimulatedRobot
 from service.simulation.run import execute_motion
 

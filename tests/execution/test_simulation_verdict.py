@@ -14,8 +14,8 @@ from costs.robot import MechanismJoint, Release, RobotModel, with_mechanism
 from costs.robot.mesh.hull import make_outer_hull
 from costs.robot.model import LinkBody
 from costs.scene import Scene
+from service.demands.resistance import MechanismPhysics, Resistance
 from service.execution.reference import PlannedReference
-from service.simulation.resistance import MechanismPhysics, Resistance
 from service.simulation.seen import Seen
 from service.simulation.travel import measure_moves
 from service.simulation.verdict import Judgement, judge

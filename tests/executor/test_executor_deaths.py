@@ -72,7 +72,7 @@ def test_killing_workers_under_load_loses_no_job_and_ends_none_twice(tmp_path: P
         assert pool.wait_ready(SOON_S)
         todo = [pool.submit(jobs.append_mark_late, tmp_path, str(i), 0.004) for i in range(150)]
         for job in todo:
-            job.add_done_callback(lambda job: n_ends.update([job.number]))
+            job.add_done_callback(lambda job: n_ends.update([job.number]))  # type: ignore[attr-defined]
         for n_done in range(10, 140, 20):
             assert until(lambda n_done=n_done: sum(job.done() for job in todo) >= n_done, SOON_S)
             assert until(lambda: victims.append(running_on(pool, todo)) or victims[-1])

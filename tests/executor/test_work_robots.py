@@ -10,7 +10,8 @@ import pytest
 from costs.robot import bundled_robots
 from service.errors import RequestError
 from service.request.file import parse_request
-from service.request.schema import GoalRequest, PlanRequest, RobotRequest
+from service.request.schema import PlanRequest, RobotRequest
+from service.request.tasks.reach import GoalRequest
 from service.server.robots import RobotFolder
 from service.work.look import describe_robots
 from service.work.robots import RobotCache

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from given_wheels import wheel_request
 from typer.testing import CliRunner
 
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.rotation import make_tangent_basis
 from service.cli.app import app
-from service.errors import RequestError
+from service.errors import DamagedResultError, RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.request.file import parse_request, to_json
 from service.request.schema import PlanRequest
 from service.result.folder import read_result
@@ -26,20 +27,8 @@ from service.result.result import PlanResult, Verdict
 from service.verify import Motion
 from service.wire.requests import request_from_message, request_to_message
 
-CENTRE = np.array([0.68, 0.12, 1.1])
-VALVE: dict[str, Any] = {
-    "robot": {"name": "atlas"},
-    "start": {"posture": "reach_ready"},
-    "task": {
-        "valve": {
-            "centre": CENTRE.tolist(),
-            "axis": [-1, 0, 0],
-            "radius": 0.14,
-            "spokes_deg": [45, 135, 225, 315],
-            "turn_deg": 60,
-        }
-    },
-}
+VALVE = wheel_request()
+CENTRE = np.array(VALVE["task"]["valve"]["centre"])
 MOVED = np.array([0.006, -0.005, 0.004])
 
 
@@ -51,19 +40,26 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_result(result, tmp_path_factory.mktemp("turned") / "out").folder
 
 
+@pytest.fixture(scope="module")
+def kept(turned: Path) -> PlanResult:
+    """The same motion, kept for a valve that is some millimetres away."""
+    return plan(_moved(turned, MOVED))
+
+
 def _moved(folder: Path, offset: Sequence[float] | np.ndarray) -> PlanRequest:
     """The request to keep the motion for the valve elsewhere."""
     request = make_rest_request(folder, "reach", None, is_compliant=True)
-    valve = {**VALVE["task"]["valve"], "centre": (CENTRE + offset).tolist()}
-    return replace(request, task=parse_request({**VALVE, "task": {"valve": valve}}).task)
+    return replace(request, task=parse_request(wheel_request(centre=(CENTRE + offset).tolist())).task)
 
 
 def _notes(result: PlanResult) -> str:
     return " | ".join(note for note in result.notes if "earlier motion" in note)
 
 
-def test_only_the_arm_that_holds_the_wheel_is_elsewhere_at_the_same_times(turned: Path, tmp_path: Path) -> None:
-    result = plan(_moved(turned, MOVED))
+def test_only_the_arm_that_holds_the_wheel_is_elsewhere_at_the_same_times(
+    turned: Path, kept: PlanResult, tmp_path: Path
+) -> None:
+    result = kept
     assert "is kept" in _notes(result)
     assert verify_result(write_result(result, tmp_path / "out").folder)["verdict"] == "CERTIFIED"
     assert result.motion is not None
@@ -91,6 +87,14 @@ def test_only_the_arm_that_holds_the_wheel_is_elsewhere_at_the_same_times(turned
     assert 1e3 * np.linalg.norm(MOVED) - 1.5 < result.figures["hand_displaced_mm"] < 15.0
 
 
+@pytest.mark.parametrize("name", ["hand_displaced_mm", "hand_displaced_deg", "turned_deg", "holds_torque_nm"])
+def test_a_figure_that_is_smaller_than_the_motion_s_is_refused(name: str, kept: PlanResult, tmp_path: Path) -> None:
+    figures = {**kept.figures, name: 0.9 * kept.figures[name]}
+    folder = write_result(replace(kept, figures=figures), tmp_path / "out").folder
+    with pytest.raises(DamagedResultError, match=f"figures.{name} is "):
+        verify_result(folder)
+
+
 def _time(motion: Motion, s: float) -> float:
     """Return when a motion is at a path parameter [s]."""
     assert motion.law is not None
@@ -110,8 +114,8 @@ def _largest_distance(result: PlanResult, earlier: np.ndarray, tool: str) -> flo
     return float(np.linalg.norm(np.array(places[0]) - places[1], axis=1).max())
 
 
-def test_the_peg_stays_in_the_wheel_where_it_is_now(turned: Path) -> None:
-    motion = plan(_moved(turned, MOVED)).motion
+def test_the_peg_stays_in_the_wheel_where_it_is_now(kept: PlanResult) -> None:
+    motion = kept.motion
     assert motion is not None
     turn = next(phase for phase in motion.phases if phase.name == "turn")
     q = motion.curve(np.linspace(turn.first, turn.last, 30))

@@ -34,7 +34,7 @@ class Bent(Solved):
 
     @property
     def x(self) -> np.ndarray:
-        return self.bent
+        return self.bent  # type: ignore[attr-defined]
 
     @property
     def is_feasible(self) -> bool:

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from costs.robot import MechanismJoint, make_mechanism_model
 from costs.robot.elements.inertia import LinkInertia
 from service import parse_request
-from service.demands.given_mechanism import GivenMechanism
 from service.demands.hands import HANDS
+from service.demands.mechanism.given import GivenMechanism
+from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.moved_object.loads import JointLoad, MovedObject
-from service.demands.moved_object.phases import make_mechanism_phases
 from service.demands.moved_object.ranges import bound_polynomial, bound_waves
 from service.errors import RequestError
 from service.setup.prepare import prepare

@@ -9,8 +9,8 @@ import pytest
 from given_doors import door_request
 from scipy.spatial.transform import Rotation
 
-from service.demands.door import Door, DoorChoice, make_door_phases
-from service.demands.door_demand import make_door, read_given_door
+from service.demands.door.demand import make_door, read_given_door
+from service.demands.door.phases import Door, DoorChoice, make_door_phases
 from service.demands.hands import HANDS
 from service.demands.phase_spec import HandMotion, PhaseSpec, check_moves, make_hand_targets
 from service.request.file import parse_request

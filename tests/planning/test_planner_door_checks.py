@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clocks import CountingClock
 from given_doors import door_request
 
 from costs.robot import Mechanism
-from service.demands.door import Door
-from service.demands.door_demand import make_door, read_given_door
+from service.demands.door.demand import make_door, read_given_door
+from service.demands.door.phases import Door
 from service.demands.held_motion import Demands, HeldMotion, hold_to_request
+from service.demands.recorded_task import MechanismDemand
+from service.demands.task_demand import World
 from service.planner import plan
 from service.replay.replay import read_motion
 from service.request.file import parse_request
@@ -46,8 +49,11 @@ class _DoorDemand:
     def read_choices(self, recorded: Motion) -> tuple[tuple[Any, ...], tuple[str, ...]]:
         return (), ("not looked at",)
 
-    def compare_figures(self, figures: Mapping[str, Any]) -> Any:
-        return iter(())
+    def measure(self, motion: Motion) -> Mapping[str, float]:
+        return {}
+
+    def keep_choices(self, recorded: Motion) -> str:
+        return "not looked at"
 
 
 def _hold(opened: PlanResult, recorded: Motion) -> HeldMotion:
@@ -56,7 +62,8 @@ def _hold(opened: PlanResult, recorded: Motion) -> HeldMotion:
     assert geometry is not None
     release = float(np.deg2rad(request.release_deg))
     door = Door(geometry, release, request.lever_nm, request.hinge_nm, request.push_bar_n)
-    demands = Demands(opened.request, opened.robot, opened.start, opened.scene, task=_DoorDemand(door.mechanism))
+    world = World(opened.request, opened.robot, opened.start, opened.scene)
+    demands = Demands(world, MechanismDemand(_DoorDemand(door.mechanism)))
     return hold_to_request(demands, recorded)
 
 
@@ -201,7 +208,8 @@ def test_a_piece_in_the_way_of_the_leaf_is_named_with_the_angle() -> None:
 
 def test_the_time_limit_of_a_best_attempt_leaves_the_verdict() -> None:
     request = parse_request(door_request(open_deg=80.0, obstacles=(CABINET,)))
-    result = plan(replace(request, options=replace(request.options, time_limit_s=0.25)))
+    # The clock is read 300 times before the best attempt begins, and 1300 times before its motion is made.
+    result = plan(replace(request, options=replace(request.options, time_limit_s=0.7)), clock=CountingClock(1e-3))
     assert result.verdict is Verdict.INFEASIBLE
     assert result.explanation[0] == "the leaf meets cabinet at 42 deg of the 80 asked for"
 

@@ -15,8 +15,8 @@ from heavy_mechanisms import chest_request, inertial
 
 from costs.curve import TimeLaw
 from service import RequestError, parse_request, plan, write_result
-from service.demands.given_mechanism import read_given_mechanism
-from service.demands.moved_object.demand import GivenMechanismDemand
+from service.demands.mechanism.demand import GivenMechanismDemand
+from service.demands.mechanism.given import read_given_mechanism
 from service.demands.recorded_task import RecordedTask
 from service.replay.replay import verify_result
 from service.result.result import PlanResult, Verdict

@@ -13,8 +13,9 @@ from service.body.holds import largest_hold_error, make_kept_poses
 from service.body.paths import straight_path
 from service.body.seeds import BASE_SPREAD, JOINT_SPREAD, random_guesses
 from service.body.whole_body import Aims, WholeBody
-from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
-from service.tasks.goal import Goal, lead_path, make_line_holds
+from service.request.schema import KeepRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
+from service.tasks.reach.goal import Goal, lead_path, make_line_holds
 
 FEET = ("l_foot", "r_foot")
 

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,12 +28,17 @@ from perception import write_npz
 from perception.simulate import Pose, Scanner, scan
 from perception.solids.primitives import box as solid_box
 from service.client.local_files import resolve_paths
-from service.demands.given_mechanism import read_given_mechanism
+from service.demands import Demands
 from service.demands.hands import HANDS
-from service.demands.moved_object.demand import GivenMechanismDemand
-from service.demands.moved_object.phases import make_mechanism_phases
+from service.demands.mechanism.demand import GivenMechanismDemand
+from service.demands.mechanism.given import read_given_mechanism
+from service.demands.mechanism.phases import make_mechanism_phases
+from service.demands.recorded_task import MechanismDemand
+from service.demands.rest import RestTask
+from service.demands.task_demand import World
 from service.errors import RequestError, ResultError
 from service.planner import plan
+from service.replay.consistency import compare_figures
 from service.replay.replay import verify_result
 from service.replay.whole import certify_whole
 from service.request.file import load_request, parse_request, request_hash
@@ -411,11 +417,24 @@ def test_too_many_loads_at_once_are_refused() -> None:
         make_mechanism_phases(found, HANDS["left"])
 
 
-def test_a_figure_that_is_not_the_request_s_is_found(drawer: tuple[PlanResult, Path]) -> None:
-    demand = GivenMechanismDemand(read_given_mechanism(drawer[0].request.task.mechanism), atlas())
-    assert not list(demand.compare_figures(drawer[0].figures))
-    assert list(demand.compare_figures({"slide_m": 0.26})) == ["figures.slide_m is 0.26, the request moves it to 0.25"]
-    assert list(demand.compare_figures({})) == ["figures.slide_m is None, the request moves it to 0.25"]
+@pytest.mark.parametrize(
+    ("figures", "words"),
+    [
+        ({"slide_m": 0.26}, "figures.slide_m is 0.26, measured on the motion 0.25"),
+        ({}, "figures are none; those of the motion are slide_m"),
+        ({"slide_m": 0.25, "holds_n": 900.0}, "figures are slide_m, holds_n; those of the motion are slide_m"),
+        ({"slide_m": 0.25, "hand_displaced_mm": 0.0}, "figures are slide_m, hand_displaced_mm; those"),
+    ],
+)
+def test_a_figure_that_is_not_the_motion_s_is_found(
+    figures: dict[str, float], words: str, drawer: tuple[PlanResult, Path]
+) -> None:
+    result = drawer[0]
+    demand = GivenMechanismDemand(read_given_mechanism(result.request.task.mechanism), atlas())
+    world = World(result.request, result.robot, result.start, result.scene)
+    demands = Demands(world, MechanismDemand(demand))
+    assert not list(compare_figures(result.figures, demands, result.motion))
+    assert any(line.startswith(words) for line in compare_figures(figures, demands, result.motion))
 
 
 def test_the_specifications_move_the_mechanism_without_jumps_and_have_one_anchor() -> None:
@@ -426,3 +445,18 @@ def test_the_specifications_move_the_mechanism_without_jumps_and_have_one_anchor
         assert next(spec for spec in specs if spec.is_anchor).name == "move slide"
         for spec, after in pairwise(specs):
             np.testing.assert_array_equal(spec.last, after.first)
+
+
+@pytest.mark.parametrize(
+    ("phase", "expected"),
+    [("approach", ["reach", "approach", "move slide", "retract"]), ("retract", ["take hold", "retract"])],
+)
+def test_the_rest_of_a_task_reaches_for_the_handle_only_before_it_moves_anything(
+    phase: str, expected: list[str]
+) -> None:
+    given = read_given_mechanism(parse_request(drawer_request()).task.mechanism)
+    specs = make_mechanism_phases(given, HANDS["left"])
+    rest = RestTask(given.mechanism, specs, phase, lambda motion: {})
+    recorded = SimpleNamespace(phases=[SimpleNamespace(name=spec.name, targets=()) for spec in specs])
+    chosen, problems = rest.read_choices(recorded)
+    assert ([spec.name for spec in chosen], problems) == (expected, ())

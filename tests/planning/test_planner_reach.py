@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from clocks import CountingClock
 from planar_arm import write_planar_arm
 from stranger import Stranger
 
@@ -13,13 +14,14 @@ from service.body.poses import find_pose
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest, Options, PlanRequest, PoseGoalRequest
+from service.request.schema import Options, PlanRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import Attempt
 from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare
-from service.tasks.goal import Goal
-from service.tasks.goal_poses import bring_to_goal
+from service.tasks.reach.goal import Goal
+from service.tasks.reach.goal_poses import bring_to_goal
 
 TABLE = {"name": "table", "type": "box", "size": [0.5, 1.2, 0.05], "position": [0.75, 0.0, 0.9]}
 POST = {"name": "post", "type": "cylinder", "radius": 0.04, "height": 2.0, "position": [0.5, 0.45, 1.0]}
@@ -161,7 +163,7 @@ def test_a_late_plan_comes_with_its_best_attempt_and_reasons_and_without_a_certi
     monkeypatch.setattr(planner, "verify", lambda motion: pytest.fail("a certificate was begun after the limit"))
     result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
     assert result.verdict is Verdict.TIME_LIMIT
-    assert result.explanation[0].startswith("the time limit of")
+    assert result.explanation[0].startswith("the default limit of 60 s")
     assert any("board" in line for line in result.explanation[1:]), result.explanation
     assert result.motion is not None
     assert result.certificate is None
@@ -206,7 +208,7 @@ def test_a_cancelled_plan_says_when_and_a_late_one_that_time_is_up():
     )
     assert result.verdict is Verdict.CANCELLED
     assert "cancelled during" in result.explanation[0]
-    late = plan(atlas(tool_at([0.6, 0.2, 1.15]), time_limit_s=1e-3))
+    late = plan(atlas(tool_at([0.6, 0.2, 1.15]), time_limit_s=1e-3), clock=CountingClock(1e-3))
     assert late.verdict is Verdict.TIME_LIMIT
     assert "0.001 s" in late.explanation[0]
 

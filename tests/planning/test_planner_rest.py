@@ -14,37 +14,30 @@ import pytest
 import yaml
 from given_doors import door_request
 from given_mechanisms import drawer_request
+from given_wheels import wheel_request
+from tiny_robots import atlas
 from typer.testing import CliRunner
 
+from perception import Cloud, PerceptionError, make_cloud, write_npz
 from service.cli.app import app
-from service.demands.valve_demand import turn_back
+from service.demands.valve.demand import turn_back
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.replay.resume import hash_plan, make_rest_request, read_recorded_scan
+from service.replay.rest import hash_plan, make_rest_request, read_recorded_scan
 from service.request.file import parse_request, to_json
-from service.request.resume import NominalPhase, ResumeRequest
+from service.request.resume import NominalPhase, NominalRequest, ResumeRequest
 from service.request.schema import PlanRequest
 from service.result.folder import read_result
 from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.scan.scene_file import wheel_from_circle
+from service.setup.world import read_surroundings
+from service.start.standing import place_bodies
 from service.wire.hashes import hash_certificate
 from service.wire.requests import request_from_message, request_to_message
 
-VALVE = {
-    "robot": {"name": "atlas"},
-    "start": {"posture": "reach_ready"},
-    "task": {
-        "valve": {
-            "centre": [0.68, 0.12, 1.1],
-            "axis": [-1, 0, 0],
-            "radius": 0.14,
-            "spokes_deg": [45, 135, 225, 315],
-            "turn_deg": 60,
-        }
-    },
-}
+VALVE = wheel_request()
 
 
 @pytest.fixture(scope="module")
@@ -352,3 +345,29 @@ def test_the_command_plans_the_rest(turned: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0, done.stderr
     assert [phase["name"] for phase in json.loads(done.stdout)["phases"]] == ["turn", "retract"]
     assert CliRunner().invoke(app, ["plan", "--from-phase", "turn", str(turned)]).exit_code == 2
+
+
+@pytest.mark.parametrize("is_rescanned", [False, True])
+def test_the_scan_of_an_earlier_plan_shows_the_robot_where_that_plan_began(is_rescanned: bool, tmp_path: Path) -> None:
+    write_npz(tmp_path / "cloud.npz", make_cloud(np.ones((9, 3)), np.zeros(3)))
+    robot = atlas()
+    later = np.zeros(robot.n)
+    earlier = later + 0.1
+    still = (0.0,) * robot.n
+    phases = {
+        "turn": NominalPhase(tuple(later.tolist()), (1.0,), still),
+        "reach": NominalPhase(tuple(earlier.tolist()), (0.0,), still),
+    }
+    nominal = NominalRequest(robot.joint_names, phases)
+    resume = ResumeRequest("turn", "sha256:" + 64 * "0", is_rescanned=is_rescanned, nominal=nominal)
+    request = parse_request({**wheel_request(), "scene": {"cloud": "cloud.npz"}}, tmp_path)
+    hulls: list[np.ndarray] = []
+
+    def see(cloud: Cloud, *, robot_hulls: list[np.ndarray], **others: Any) -> None:
+        hulls.extend(robot_hulls)
+        raise PerceptionError("seen enough")
+
+    with pytest.raises(RequestError, match="seen enough"):
+        read_surroundings(replace(request, resume=resume), robot, later, {}, see)
+    bodies = place_bodies(robot, later if is_rescanned else earlier)
+    np.testing.assert_allclose(hulls[0], bodies[0][1])

@@ -8,7 +8,7 @@ import pytest
 from planar_arm import write_planar_arm
 
 from costs.state import MotionState
-from scopt import Constraint, ConvexExpression, Cost, Residual
+from scopt import Constraint, ConvexExpression, Cost, EffortClock, Residual
 from service.planner import plan
 from service.request.file import parse_request
 from service.result.result import Verdict
@@ -69,7 +69,7 @@ def test_a_constraint_that_cannot_be_kept_is_the_reason_why_nothing_was_found(re
         return [Constraint("nowhere", ConvexExpression(robot.n, lambda q: cvxpy.norm(q - 9.0) <= 1.0, [3]))]
 
     options = replace(request_of.options, time_limit_s=6.0)  # which the search uses up
-    result = plan(replace(request_of, options=options), terms=terms)
+    result = plan(replace(request_of, options=options), terms=terms, clock=EffortClock())
     assert result.verdict is Verdict.NOT_FOUND
     assert any("nowhere is missed by" in line for line in result.explanation)
 

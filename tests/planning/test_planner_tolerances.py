@@ -30,7 +30,7 @@ def reach(arm, tilt_deg: float, tolerance_deg: float, tolerance_m: float = 0.005
                 "scene": {"floor": False},
                 "start": {"joints": {"j0": 0.3, "j1": 0.6, "j2": -0.4}},
                 "goal": {"poses": [{**pose, **tolerances}]},
-                "options": {"starts": 1, "time_limit_s": 5},
+                "options": {"starts": 1},
             }
         )
     )

@@ -12,16 +12,17 @@ from stranger import Stranger
 from perception import SeenPart
 from service.body.whole_body import Aims, WholeBody
 from service.demands.hands import HANDS, PEG_RADIUS
-from service.demands.wheel import make_wheel
+from service.demands.valve.given import read_given_valve
+from service.demands.valve.wheel import make_wheel
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare
-from service.tasks.valve_task import list_choices, read_given_valve
+from service.tasks.valve.plan import list_choices
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TRUTH = json.loads((EXAMPLES / "data" / "valve_scan.json").read_text())["valve"]

@@ -41,7 +41,7 @@ def slider(tmp_path, gap_m: float, **options):
             "scene": {"obstacles": walls, "floor": False},
             "start": {"joints": {"slide": -0.5}},
             "goal": {"joints": {"slide": 0.5}},
-            "options": {"timed": False, "time_limit_s": 20, **options},
+            "options": {"timed": False, **options},
         }
     )
 

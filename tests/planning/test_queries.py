@@ -123,7 +123,7 @@ def test_ends_that_nearly_touch_are_left_straight_and_certified(
     end = START if where == "start" else GOAL
     centre, size = _box_at(arm, end, gap, -1.0 if where == "start" else 1.0)
     near = {"name": "near", "type": "box", "size": size, "position": centre.tolist()}
-    request = parse_request(make_request(tmp_path, scene={"obstacles": [POST, near]}, options={"time_limit_s": 60.0}))
+    request = parse_request(make_request(tmp_path, scene={"obstacles": [POST, near]}))
     result = plan(request)
     assert result.verdict.value == "CERTIFIED", result.explanation
     write_result(result, tmp_path / "out")

@@ -10,9 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from clocks import CountingClock
 from given_mechanisms import drawer_request
 from typer.testing import CliRunner
 
+from scopt import EffortClock
 from service import RequestError, StanceSearch, find_stance, load_request, parse_request
 from service.cli.app import app
 from service.planner import plan
@@ -42,7 +44,7 @@ def search() -> StanceSearch:
         patch.setattr(stance_search, "ENOUGH_GOOD", 1)
         patch.setattr(stance_search, "FINE", 1)
         patch.setattr(stance_search, "FINE_ROUNDS", 1)
-        return find_stance(parse_request(REQUEST), limit_s=300.0)
+        return find_stance(parse_request(REQUEST), limit_s=300.0, clock=EffortClock())
 
 
 def test_best_stance_opens_the_door_in_single_poses(search: StanceSearch) -> None:
@@ -55,11 +57,13 @@ def test_best_stance_opens_the_door_in_single_poses(search: StanceSearch) -> Non
     assert best.clearance_m >= 0.02
 
 
-def test_a_drawer_has_a_place_to_stand_from_which_it_comes_out_whole() -> None:
+def test_a_drawer_of_a_file_has_a_place_to_stand_from_which_it_comes_out_whole(tmp_path: Path) -> None:
     data = drawer_request()
+    (tmp_path / "drawer.urdf").write_text(data["task"]["mechanism"]["urdf"])
+    data["task"]["mechanism"]["urdf"] = str(tmp_path / "drawer.urdf")
     away = float(data.get("start", {}).get("base", {}).get("position", [0.0])[0]) - 0.5
     data["start"] = {"posture": "reach_ready", "base": {"position": [away, 0.0, 0.9177]}}
-    found = find_stance(parse_request(data), limit_s=300.0, radius_m=0.7, takes_first=True)
+    found = find_stance(parse_request(data), limit_s=300.0, clock=EffortClock(), radius_m=0.7, takes_first=True)
     best = found.best
     assert best is not None
     assert best.outcome is not None
@@ -141,7 +145,7 @@ def test_a_place_that_has_all_poses_ends_the_search_for_a_first_one(search: Stan
     assert search.best is not None
     base = {"position": list(search.best.position), "quaternion_wxyz": list(search.best.quaternion_wxyz)}
     request = parse_request({**REQUEST, "start": {"posture": "reach_ready", "base": base}})
-    first = find_stance(request, limit_s=300.0, takes_first=True)
+    first = find_stance(request, limit_s=300.0, clock=EffortClock(), takes_first=True)
     assert [candidate.outcome.missing for candidate in first.candidates if candidate.outcome] == [""]
     assert len(first.candidates) == 1
 
@@ -176,7 +180,7 @@ def test_command_refuses_a_goal_in_one_line(tmp_path: Path) -> None:
 
 
 def test_time_limit_ends_the_search_with_what_it_has() -> None:
-    search = find_stance(parse_request(REQUEST), limit_s=0.3)
+    search = find_stance(parse_request(REQUEST), limit_s=0.3, clock=CountingClock(0.01))
     assert not search.is_complete
 
 

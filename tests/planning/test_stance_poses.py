@@ -11,12 +11,12 @@ from jaxtyping import Float
 from costs.robot import RobotModel, load_robot, with_mechanism
 from costs.scene import Scene
 from service.body.whole_body import Aims, WholeBody
-from service.demands.door import Door, DoorChoice, make_door_phases
-from service.demands.door_demand import make_door, measure_peg, read_given_door
+from service.demands.door.demand import make_door, measure_peg, read_given_door
+from service.demands.door.phases import Door, DoorChoice, make_door_phases
 from service.demands.hands import HANDS
 from service.demands.phase_spec import PhaseSpec
 from service.demands.scene import make_floor
-from service.request.door import DoorRequest, HandleRequest, LeafRequest
+from service.request.tasks.door import DoorRequest, HandleRequest, LeafRequest
 from service.tasks.stances.poses import (
     find_shoulder,
     list_arm_joints,

@@ -8,15 +8,15 @@ import pinocchio as pin
 import pytest
 
 from costs.robot import RobotError, load_robot
-from service.demands.valve_demand import ValveDemand
-from service.demands.wheel import make_wheel
+from service.demands.valve.demand import ValveDemand
+from service.demands.valve.given import read_given_valve
+from service.demands.valve.wheel import make_wheel
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.result.output import write_result
 from service.result.result import Verdict
-from service.tasks.valve_task import read_given_valve
 
 WHEEL = {"centre": [0.68, 0.12, 1.1], "axis": [-1.0, 0.0, 0.0], "radius": 0.14}
 TUBE = 0.015
@@ -154,11 +154,11 @@ def test_the_choice_of_a_record_is_read_back_and_another_hand_is_refused(grasped
     result, _ = grasped
     valve = result.request.task.valve
     wheel = make_wheel(read_given_valve(valve), valve)
-    stroke = ValveDemand(wheel, valve).read_stroke(result.motion)
+    stroke = ValveDemand(wheel, valve).keep_choices(result.motion)["stroke"]
     assert (stroke.hand, stroke.strokes) == ("left", 1)
     assert stroke.gap_rad in wheel.gaps
-    other = ValveDemand(wheel, replace(valve, hand="right")).read_stroke(result.motion)
+    other = ValveDemand(wheel, replace(valve, hand="right")).keep_choices(result.motion)
     assert "no hand that the task permits" in other
     hooked = replace(valve, mode="hook")
     as_hook = ValveDemand(make_wheel(read_given_valve(valve), hooked), hooked)
-    assert "no hand that the task permits" in as_hook.read_stroke(result.motion)
+    assert "no hand that the task permits" in as_hook.keep_choices(result.motion)

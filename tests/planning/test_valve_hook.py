@@ -9,14 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.demands.hands import FREE_BEFORE, HANDS, PEG_FROM_END, PEG_RADIUS
-from service.demands.peg import LEAST_RIM_SPACE, PEG_SPACE, PegPlace, place_peg
-from service.demands.strokes import find_count, find_least_count, find_net_turn, list_strokes
-from service.demands.wheel import GROWTH_M, make_wheel
+from service.demands.valve.given import read_given_valve
+from service.demands.valve.peg import LEAST_RIM_SPACE, PEG_SPACE, PegPlace, place_peg
+from service.demands.valve.strokes import find_count, find_least_count, find_net_turn, list_strokes
+from service.demands.valve.wheel import GROWTH_M, make_wheel
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.result.result import PlanResult, Verdict
-from service.tasks.valve_task import describe_valve, read_given_valve
+from service.tasks.valve.plan import describe_valve
 
 TUBE = 0.015  # half the thickness of a given rim [m]
 DEEPEST, FARTHEST = 2e-3, 2e-3  # overlap, and gap of the pressed spoke [m]

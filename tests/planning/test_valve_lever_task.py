@@ -14,15 +14,16 @@ from perception.sightlines import Sightlines, index_of
 from perception.simulate import Pose, Room, Scanner, scan
 from perception.simulate.scenes.valves import LeverValve
 from service.demands.hands import FREE_BEFORE, HANDS, PEG_FROM_END, PEG_RADIUS
-from service.demands.peg import PEG_SPACE, PegPlace, place_peg
-from service.demands.wheel import STOP_ROUNDING, make_wheel, make_wheel_mechanism
+from service.demands.valve.given import read_given_valve
+from service.demands.valve.peg import PEG_SPACE, PegPlace, place_peg
+from service.demands.valve.wheel import STOP_ROUNDING, make_wheel, make_wheel_mechanism
 from service.errors import RequestError
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.result.result import PlanResult, Verdict
 from service.scan.scene_file import lever_from_sizes
-from service.tasks.valve_task import read_given_valve, refuse_lever
+from service.tasks.valve.plan import refuse_lever
 
 DEEPEST, FARTHEST = 2e-3, 2e-3  # overlap, and gap of the pressed bar [m]
 LEVER = {

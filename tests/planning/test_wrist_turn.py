@@ -13,14 +13,14 @@ from service.body.monitor import Monitor
 from service.body.whole_body import WholeBody
 from service.demands.hands import list_robot_hands
 from service.demands.phase_spec import PhaseSpec
-from service.demands.strokes import TurnChoice, list_usable_entries, make_turn_phases
-from service.demands.wheel import Wheel, make_wheel
+from service.demands.valve.given import read_given_valve
+from service.demands.valve.strokes import TurnChoice, list_usable_entries, make_turn_phases
+from service.demands.valve.wheel import Wheel, make_wheel
 from service.planner import _make_solver
 from service.request.file import parse_request
-from service.request.schema import ValveRequest
+from service.request.tasks.valve import ValveRequest
 from service.setup.prepare import prepare
-from service.tasks.valve import measure_wrist
-from service.tasks.valve_task import read_given_valve
+from service.tasks.valve.turn import measure_wrist
 
 
 def grasp(turn_deg: float) -> tuple[WholeBody, Wheel, ValveRequest]:

@@ -11,8 +11,8 @@ from opened_door import compile_opening
 
 from costs.kinematics import KinematicsEngine, locate_links
 from service.demands.phase_spec import HandMotion, PhaseSpec
-from service.tasks.compliance import CannotFollowError, _yield_arm
 from service.tasks.held_tool import bring_tool
+from service.tasks.rest.compliance import CannotFollowError, _yield_arm
 
 LEAF_AXES = np.eye(3)
 

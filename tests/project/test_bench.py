@@ -34,7 +34,7 @@ def write(folder, problems: list[dict]):
 
 def test_rows_say_what_was_certified_and_hold_the_path_in_the_files_joint_order(arm, tmp_path):
     file = write(tmp_path, [problem(1, "post", [0.2, 0.9]), problem(2, "post", [0.0, 0.0])])
-    problems = read_problems(file, arm, {"time_limit_s": 20.0})
+    problems = read_problems(file, arm, {})
     rows = run_bench(
         problems, load_requested_robot(problems[0].request), tmp_path / "out.json", lambda name, done: None
     )

@@ -14,8 +14,8 @@ from costs.robot import load_robot, with_mechanism
 from service.body.whole_body import Aims, WholeBody
 from service.request.file import parse_request
 from service.setup.prepare import prepare
-from service.tasks.door_task import find_door
-from service.tasks.doors.sweep import find_blocked_opening
+from service.tasks.door.plan import find_door
+from service.tasks.door.sweep import find_blocked_opening
 
 ROBOT = load_robot("atlas")
 

@@ -122,3 +122,26 @@ def test_commands_of_image_and_unit_exist() -> None:
 
 def _read(name: str) -> Any:
     return yaml.safe_load((DEPLOY / name).read_text())
+
+
+def test_errors_on_which_an_alert_fires_are_counted_from_zero():
+    """``increase`` of a series that begins at 1 is 0, so that the first error would go unseen."""
+    metrics = Metrics([method.name for method in SERVICE.methods])
+    text = generate_latest(metrics.registry).decode()
+    rows = {
+        (sample.labels["method"], sample.labels["code"]): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+        if sample.name == "scopt_requests_total"
+    }
+    rules = yaml.safe_load((DEPLOY / "alerts.yml").read_text())["groups"][0]["rules"]
+    codes = {
+        code
+        for rule in rules
+        if rule["alert"] in ("ScoptInternalErrors", "ScoptDamagedData")
+        for name, values in MATCHER.findall(rule["expr"])
+        if name == "code"
+        for code in values.split("|")
+    }
+    assert codes
+    assert rows == {(method.name, code): 0.0 for method in SERVICE.methods for code in codes}

@@ -9,15 +9,15 @@ import pytest
 from given_doors import door_request
 
 from costs.robot import load_robot
-from service.demands.door import PEG_ACROSS, PULL_TILT, Door, DoorChoice, hold_handle, make_door_phases
-from service.demands.door_demand import read_given_door
+from service.demands.door.demand import read_given_door
+from service.demands.door.phases import PEG_ACROSS, PULL_TILT, Door, DoorChoice, hold_handle, make_door_phases
 from service.demands.hands import HANDS, PEG_RADIUS
-from service.demands.peg import place_peg
-from service.demands.strokes import list_peg_loads
-from service.demands.wheel import make_wheel
+from service.demands.valve.given import read_given_valve
+from service.demands.valve.peg import place_peg
+from service.demands.valve.strokes import list_peg_loads
+from service.demands.valve.wheel import make_wheel
 from service.request.fields import HAND_FRICTION
 from service.request.file import parse_request
-from service.tasks.valve_task import read_given_valve
 
 AXIS = np.array([-1.0, 0.0, 0.0])
 

@@ -33,8 +33,12 @@ def test_few_failures_are_run_once_more_and_named(tmp_path: Path) -> None:
     code, told, runs = _run(tmp_path, 3, 1, "-p", "xdist", "-n", "2")
     assert (code, runs) == (0, [2, 2, 2])
     told = told.partition("passed the second time only")[2]
+    names = (tmp_path / "out" / "second_chance.txt").read_text()
     for number in range(3):
         assert f"test_it.py::test_it[{number}]\n    call: AssertionError: too early\n" in told
+        assert f"test_it.py::test_it[{number}]\n    call: AssertionError: too early\n" in names
+    assert _run(tmp_path, 3, 0, "-p", "xdist", "-n", "2")[0] == 0
+    assert not (tmp_path / "out" / "second_chance.txt").exists()
 
 
 @pytest.mark.parametrize(("count", "n_failures", "n_runs"), [(1, 2, 2), (4, 1, 1)])

@@ -128,7 +128,10 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
             "start: {base: {position: [0, 0, 862]}}\nscene: {floor: 5000}",
             "scene.floor: expected true, false or a height in metres",
         ),
-        ("start: {base: {position: [0, 0, 5000]}}", "start.base.position[2]: expected at most 1000, got 5000"),
+        (
+            "start: {base: {position: [0, 0, 5000]}}",
+            "start.base.position[2]: 5000 m is beyond 1000 m; are these millimetres? Use 5.",
+        ),
         ("options: {wayponts: 3}", "options: unknown key 'wayponts'; expected waypoints, …"),
         ("options: {waypoints: 3.5}", "options.waypoints: a whole number is needed, got 3.5"),
         ("options: {waypoints: 1000000}", "options.waypoints: expected at most 500, got 1000000"),

@@ -87,8 +87,14 @@ def test_a_hollow_solid_is_split_into_parts_that_contain_its_surface(tmp_path: P
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        ("a.dae", b"<x/>", "file: a.dae: format '.dae' is not read; expected .stl, .obj, .ply, .urdf"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "file: a.obj: has 1 triangles; expected a solid with 4 to"),
+        (
+            "a.fbx",
+            b"<x/>",
+            "file: a.fbx: format '.fbx' is not read; expected .stl, .obj, .ply, .dae, .glb, .gltf, .urdf",
+        ),
+        ("a.dae", b"<x/>", "file: a.dae: mesh 'a.dae'"),
+        ("a.glb", b"glTF", "file: a.glb: mesh 'a.glb'"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "file: a.obj: lies in a plane or on a line; expected"),
         ("a.obj", b"rubbish\n", "file: a.obj: has 0 triangles"),
         ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "file: a.stl: "),
         (
@@ -165,7 +171,7 @@ def test_scale_is_metres_per_unit_of_all_of_a_urdf(tmp_path: Path) -> None:
         ('<link name="a"/>', "file: thing.urdf: no link has a <collision>"),
         ("<!DOCTYPE a>", "file: thing.urdf: "),
         (
-            '<link name="a">' + _collision('<mesh filename="flat.obj"/>') + "</link>",
+            '<link name="a">' + _collision('<mesh filename="line.obj"/>') + "</link>",
             "file: thing.urdf: link 'a': lies in a plane or on a line; expected a solid",
         ),
         (
@@ -179,7 +185,7 @@ def test_scale_is_metres_per_unit_of_all_of_a_urdf(tmp_path: Path) -> None:
     ],
 )
 def test_a_urdf_that_cannot_be_used_is_refused_by_name(tmp_path: Path, body: str, problem: str) -> None:
-    _obj(tmp_path / "flat.obj", [_cube((0, 0, 0), (1, 1, 0))])
+    _obj(tmp_path / "line.obj", [_cube((0, 0, 0), (1, 0, 0))])
     with pytest.raises(RequestError) as caught:
         read_solid(_urdf(tmp_path, body), "file")
     assert str(caught.value).startswith(problem)
@@ -193,3 +199,43 @@ def test_many_large_meshes_in_one_urdf_are_refused(tmp_path: Path, monkeypatch: 
     assert len(read_solid(_urdf(tmp_path, f'<link name="a">{2 * cube}</link>'), "file").closed) == 2
     with pytest.raises(RequestError, match=r"file: thing.urdf: has more than 30 triangles; simplify its meshes"):
         read_solid(_urdf(tmp_path, f'<link name="a">{3 * cube}</link>'), "file")
+
+
+def test_a_flat_mesh_is_a_wall_with_its_hole_open(tmp_path: Path) -> None:
+    """A wall of 3 x 3 m with a window of 1 x 1 m, of eight triangles in the plane y = 2."""
+    corners = [(0, 0), (3, 0), (3, 3), (0, 3), (1, 1), (2, 1), (2, 2), (1, 2)]
+    faces = [(0, 1, 5), (0, 5, 4), (1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7)]
+    path = tmp_path / "window.obj"
+    path.write_text(
+        "".join(f"v {x} 2 {z}\n" for x, z in corners) + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
+    )
+    hulls = [ConvexHull(part).equations for part in _parts(path)]
+    inside = lambda point: min(np.max(h[:, :3] @ point + h[:, 3]) for h in hulls)  # noqa: E731
+    assert inside(np.array([0.5, 2.0, 0.5])) < 0.0
+    assert inside(np.array([1.5, 2.0, 1.5])) > 0.4
+
+
+@pytest.mark.parametrize("suffix", [".dae", ".glb"])
+def test_obstacles_may_be_scenes_of_parts_as_robots_may(tmp_path: Path, suffix: str) -> None:
+    import trimesh
+
+    cube = trimesh.creation.box((0.2, 0.4, 0.6))
+    content = cube.export(file_type=suffix[1:]) if suffix == ".glb" else COLLADA_CUBE
+    (tmp_path / f"cube{suffix}").write_bytes(content if isinstance(content, bytes) else content.encode())
+    (part,) = _parts(tmp_path / f"cube{suffix}")
+    np.testing.assert_allclose(sorted(np.ptp(part, axis=0)), [0.2, 0.4, 0.6], atol=1e-6)
+
+
+COLLADA_CUBE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="centimeter" meter="0.01"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="24">0 0 0 20 0 0 20 40 0 0 40 0 0 0 60 20 0 60 20 40 60 0 40 60</float_array>
+<technique_common><accessor source="#pa" count="8" stride="3"/></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="12"><input semantic="VERTEX" source="#v" offset="0"/>
+<p>0 2 1 0 3 2 4 5 6 4 6 7 0 1 5 0 5 4 1 2 6 1 6 5 2 3 7 2 7 6 3 0 4 3 4 7</p></triangles></mesh></geometry>
+</library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node></visual_scene>
+</library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""

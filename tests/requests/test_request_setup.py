@@ -342,3 +342,27 @@ def test_a_robot_on_feet_that_weighs_nothing_is_planned_without_balance(tmp_path
 def test_a_robot_that_is_bolted_down_needs_no_masses(tmp_path: Path) -> None:
     robot = {"urdf": str(_post(tmp_path, "")), "root": "fixed"}
     assert not _prepare(tmp_path, robot=robot, goal={"joints": {"turn": 0.5}}).robot.is_floating
+
+
+def test_a_load_that_a_standing_robot_cannot_hold_is_refused_with_the_joint() -> None:
+    """25 kg 0.4 m before the right hand: the wrist bears 35 N m of its 25 (own statics), the legs are not judged."""
+    load = {"name": "load", "type": "box", "link": "r_hand", "size": [0.2, 0.2, 0.2], "position": [0, -0.40, 0]}
+    held = [{**load, "mass_kg": 25, "touches": ["r_hook"]}]
+    lines = _problems(start={"posture": "stand"}, attached=held)
+    assert [line for line in lines if line.startswith("start: r_arm_wrx needs 35.3") and "N m" in line]
+    _prepare(start={"posture": "stand"}, attached=[{**held[0], "mass_kg": 10}])
+
+
+def test_a_goal_that_a_fixed_robot_cannot_hold_is_refused(tmp_path: Path) -> None:
+    """A link of 10 kg, its centre 0.5 m out: 49 N m when level, 0 when upright, of 30."""
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="base"/><link name="bar"><inertial><origin xyz="0 0 0.5"/><mass value="10"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 1"/></geometry></collision></link>'
+        '<joint name="lift" type="revolute"><parent link="base"/><child link="bar"/><axis xyz="0 1 0"/>'
+        '<limit lower="-2" upper="2" velocity="1" effort="30"/></joint></robot>'
+    )
+    arm = {"robot": {"urdf": "arm.urdf"}, "scene": {"floor": False}, "start": {"joints": {"lift": 0.0}}}
+    with pytest.raises(RequestError, match=r"^goal: lift needs 49\.05 N m at rest, its effort limit is 30 N m"):
+        prepare(parse_request({**arm, "goal": {"joints": {"lift": np.pi / 2}}}, tmp_path))
+    prepare(parse_request({**arm, "goal": {"joints": {"lift": 0.3}}}, tmp_path))

@@ -72,8 +72,8 @@ def test_a_later_field_enters_data_and_hash_only_where_it_differs_from_its_defau
     assert "hand_friction" not in to_json(plain)["options"]
     assert to_json(changed)["options"]["hand_friction"] == [0.3, 0.7]
     assert (find_format(plain), find_format(changed)) == (2, 3)
-    assert list_defaults(plain) == {"Options.hand_friction": [0.3, 0.6]}
-    assert list_defaults(changed) == {}
+    assert list_defaults(plain)["Options.hand_friction"] == [0.3, 0.6]
+    assert "Options.hand_friction" not in list_defaults(changed)
 
 
 def test_recorded_defaults_are_those_of_some_version(monkeypatch: pytest.MonkeyPatch) -> None:

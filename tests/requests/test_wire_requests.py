@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import HAND_LEFT, MotionRequest
 from service.request.file import load_request, parse_request, to_json
-from service.request.schema import PlanRequest, TaskRequest
+from service.request.schema import PlanRequest
+from service.request.tasks.registry import TaskRequest
 from service.wire.plain import decode_enum, to_plain
 from service.wire.requests import request_from_message, request_to_message
 from service.wire.violations import make_violation

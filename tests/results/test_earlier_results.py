@@ -17,7 +17,7 @@ from service.cli.app import app
 from service.errors import DamagedResultError, ResultError
 from service.replay import replay, standing
 from service.replay.replay import verify_result
-from service.replay.resume import make_rest_request
+from service.replay.rest import make_rest_request
 from service.replay.standing import HELD_BEFORE, Standing
 from service.request.file import hash_request_data
 from service.result.folder import read_result
@@ -147,15 +147,14 @@ def test_a_changed_result_of_an_earlier_release_is_damaged(reach: Path, edit: Ca
         verify_result(reach)
 
 
-def test_a_rehashed_request_of_an_earlier_release_is_not_met(latest: Path) -> None:
+def test_a_rehashed_request_of_an_earlier_release_is_damage_and_not_called_held_before(reach: Path) -> None:
     def move_goal(data: dict[str, Any]) -> None:
         data["request"]["goal"]["poses"][0]["position"][0] += 0.05
         data["request_hash"] = hash_request_data(data["request"])
 
-    _edit(latest, move_goal)
-    summary = verify_result(latest)
-    assert summary["verdict"] == HELD_BEFORE
-    assert "targets of phase 'reach' are not those of the request" in summary["explanation"]
+    _edit(reach, move_goal)
+    with pytest.raises(DamagedResultError, match="targets of phase 'reach' are not those of the request"):
+        verify_result(reach)
 
 
 def test_a_result_of_this_version_cannot_pass_for_an_earlier_one(latest: Path) -> None:

@@ -27,12 +27,12 @@ from service.explain.conflict import Conflict, Demand, DemandKind, FilterOutcome
 from service.explain.narrow import explain
 from service.planner import _explain, plan
 from service.request.file import parse_request
-from service.request.schema import GoalRequest, PoseGoalRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import list_shortfalls
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.start.standing import FEET_GROUP
-from service.tasks.goal import Goal
+from service.tasks.reach.goal import Goal
 from service.verify import Status, verify
 
 # 30 mm between them for an arm of 40 mm: it is 5 mm deep in either, or deeper in one.
@@ -196,8 +196,8 @@ def test_a_search_cut_short_tells_after_which_time_and_what_was_found_by_then():
 def test_an_explanation_may_take_as_long_as_the_search_within_what_is_left(monkeypatch, limit_s, searched_s, spent_s):
     given = []
     monkeypatch.setattr("service.planner.explain", lambda *terms: given.append(terms[4]))
-    monkeypatch.setattr("time.perf_counter", lambda: 1000.0)
-    monitor = Monitor(limit_s, started=1000.0 - searched_s)
+    times = iter([1000.0 - searched_s])
+    monitor = Monitor(limit_s, clock=lambda: next(times, 1000.0))
     task = SimpleNamespace(stuck=SimpleNamespace(step="reach", best=None))
     _explain(SimpleNamespace(task=task, conflict=None), SimpleNamespace(monitor=monitor, settings=None))
     assert given == [pytest.approx(spent_s)]

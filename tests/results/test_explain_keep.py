@@ -11,8 +11,9 @@ from costs.scene import Scene
 from service.body.holds import make_kept_poses, project_onto_holds
 from service.body.whole_body import Aims, WholeBody
 from service.explain.distance import find_never_kept
-from service.request.schema import GoalRequest, KeepRequest, PoseGoalRequest
-from service.tasks.goal import Goal
+from service.request.schema import KeepRequest
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
+from service.tasks.reach.goal import Goal
 from service.verify import Target
 
 

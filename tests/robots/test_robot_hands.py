@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from given_doors import door_request
 from given_mechanisms import drawer_request
+from given_wheels import wheel_request
 from tiny_robots import atlas
 
 import costs.robot.atlas
@@ -28,15 +29,7 @@ OURS = {
     side: {"link": f"{side[0]}_hand", **{key: f"{side[0]}_{name}" for key, name in RENAMED.items()}}
     for side in ("left", "right")
 }
-VALVE = {
-    "valve": {
-        "centre": [0.68, 0.12, 1.1],
-        "axis": [-1, 0, 0],
-        "radius": 0.14,
-        "spokes_deg": [45, 135, 225, 315],
-        "turn_deg": 20,
-    }
-}
+VALVE = wheel_request(turn_deg=20)["task"]
 
 
 @pytest.fixture(scope="module")

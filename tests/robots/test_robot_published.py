@@ -139,7 +139,6 @@ def _plan(urdf: Path, goal: dict[str, float], start: dict[str, float] | None = N
     data = {
         "robot": {"urdf": str(urdf), "package_dirs": [str(urdf.parents[1])], **robot},
         "goal": {"joints": goal},
-        "options": {"time_limit_s": 20.0},
         **({} if start is None else {"start": {"joints": start}}),
     }
     return plan(parse_request(data, folder=urdf.parent))

@@ -18,7 +18,7 @@ from costs.scene import Scene
 from service.cli.report import print_verdict
 from service.errors import RequestError
 from service.motion.hand_sag import list_short_hands
-from service.motion.servo_sag import measure_sag
+from service.motion.servo_sag import ServoSag, measure_sag
 from service.planner import plan
 from service.request.file import parse_request, request_hash
 from service.result.result_json import summary_json
@@ -113,6 +113,12 @@ def test_a_margin_below_the_sag_is_named_with_its_phase() -> None:
     assert f"sags by up to {1e3 * expected:.1f} mm, and the balance margin is {500.0 * expected:.1f} mm" in note
 
 
+def test_a_margin_that_the_sag_uses_up_and_no_more_is_not_named() -> None:
+    sag = ServoSag({}, 0.02, 1.0, margin_m=0.02, margin_after_m=0.0, tight_phase="reach")
+    assert sag.list_notes() == ()
+    assert len(replace(sag, margin_after_m=-1e-9).list_notes()) == 1
+
+
 def test_a_fixed_base_has_no_sag() -> None:
     assert measure_sag(replace(standing(0.2), robot=replace(leaning_pendulum(), is_floating=False)), {}) is None
 
@@ -182,13 +188,13 @@ def test_a_plan_that_position_servos_do_not_carry_out_says_so_in_its_last_line(
 ) -> None:
     result = plan(parse_request(BUTTON))
     assert result.verdict.value == "CERTIFIED", result.explanation
-    (note,) = [note for note in result.notes if "needs stiffer servos" in note]
+    (note,) = [note for note in result.notes if "needs torque feed-forward" in note]
     assert "r_tool gives way by" in note
     assert "of 8.0 mm in phase 'move press'" in note
     print_verdict(Console(width=400), summary_json(result))
-    assert "; needs stiffer servos or torques fed forward: r_tool gives way by" in capsys.readouterr().out
+    assert "; needs torque feed-forward: on position servos r_tool gives way by" in capsys.readouterr().out
     stiff = {**BUTTON, "robot": {"name": "atlas", "servo": {"stiffness": dict.fromkeys(("leg", "back", "arm"), 5e5)}}}
-    assert not [note for note in plan(parse_request(stiff)).notes if "stiffer servos" in note]
+    assert not [note for note in plan(parse_request(stiff)).notes if "feed-forward" in note]
 
 
 def test_a_plan_says_stiffness_and_sag_and_soft_servos_get_a_note() -> None:
@@ -204,7 +210,7 @@ def test_a_plan_says_stiffness_and_sag_and_soft_servos_get_a_note() -> None:
     assert request_hash(request) != request_hash(parse_request(REACH))
     weak = plan(request)
     assert weak.verdict is result.verdict
-    assert [note for note in weak.notes if note.startswith("servos that only hold positions may let the robot fall")]
+    assert [note for note in weak.notes if note.startswith("needs torque feed-forward or stiffer servos in phase")]
 
 
 def test_an_unknown_group_is_refused_with_the_field() -> None:
@@ -213,3 +219,16 @@ def test_an_unknown_group_is_refused_with_the_field() -> None:
         prepare(request)
     with pytest.raises(RequestError, match=r"robot.servo.stiffness.leg"):
         parse_request({**REACH, "robot": {"name": "atlas", "servo": {"stiffness": {"leg": 0.0}}}})
+
+
+def test_servos_that_follow_their_reference_keep_a_quarter_of_their_sag_where_they_are_a_fifth_softer() -> None:
+    (sag,) = list_short_hands(pushing(20.0), {"joint0": STIFFNESS})
+    # tau / K is led, and tau / (0.8 K) is what the servo gives: a quarter of tau / K is left.
+    assert sag.led_m == pytest.approx(0.25 * sag.sag_m)
+    body = measure_sag(standing(0.2), {"joint0": STIFFNESS})
+    assert body is not None
+    assert body.margin_m is not None
+    assert body.led_m is not None
+    assert body.margin_after_m is not None
+    assert body.margin_after_m < body.led_m < body.margin_m
+    assert body.margin_m - body.led_m < 0.4 * (body.margin_m - body.margin_after_m)

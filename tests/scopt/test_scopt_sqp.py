@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from clocks import CountingClock
 from quadratic_terms import Affine, Function, identity_state
 
 from scopt import Constraint, Cost, Penalty, Problem, ProblemError, Sense, Settings, Status, TrustRegionSQP
@@ -110,8 +111,12 @@ def test_cancelled_and_timed_out_solves_say_so_and_keep_their_iterate():
     assert result.status is Status.CANCELLED
     assert len(result.history) == len(seen) == 3
     np.testing.assert_array_equal(result.x, seen[-1][1])
-    timed = TrustRegionSQP(Settings(time_limit_s=0.0)).solve(problem, np.zeros((1, 2)))
+    timed = TrustRegionSQP(Settings(time_limit_s=5.5, trust_radius=0.1), CountingClock(1.0)).solve(
+        problem, np.zeros((1, 2)), on_iteration=lambda i, x: seen.append((i, x))
+    )
     assert timed.status is Status.TIME_LIMIT
+    np.testing.assert_array_equal(timed.x, seen[-1][1])
+    assert 0 < len(timed.history) <= 5
 
 
 def test_merit_never_rises_while_the_penalty_stands():

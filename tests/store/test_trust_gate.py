@@ -302,7 +302,7 @@ async def until_other_than(
 def _retry_after(error: grpc.aio.AioRpcError) -> float:
     """What ``google.rpc.RetryInfo`` in an error says [s]."""
     metadata = dict(error.trailing_metadata() or ())
-    status = rpc_status.status_pb2.Status.FromString(metadata["grpc-status-details-bin"])
+    status = rpc_status.status_pb2.Status.FromString(metadata["grpc-status-details-bin"])  # type: ignore[attr-defined]
     assert status.message == error.details()
     info = error_details_pb2.RetryInfo()
     assert status.details[0].Unpack(info)

@@ -125,7 +125,7 @@ def test_what_is_wrong_with_certificates_is_named(tmp_path: Path, authority: tru
     (tmp_path / "text").write_text("-----BEGIN nothing")
     (tmp_path / "text").chmod(0o600)
     for wrong, words in (
-        (TlsFiles(files.cert, other.key), "do not match"),
+        (TlsFiles(files.cert, other.key), r"do not match as certificate and key \(key values mismatch\)"),
         (TlsFiles(files.key, files.key), "do not match"),
         (TlsFiles(tmp_path / "text", files.key), "do not match"),
         (TlsFiles(files.cert, files.key, tmp_path / "text"), "text: expected the certificate of an authority"),

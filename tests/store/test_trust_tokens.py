@@ -147,3 +147,12 @@ def test_a_token_needs_a_plain_name_and_a_role() -> None:
         make_token("ann: {", [Role.PLAN])
     with pytest.raises(TrustError, match="roles: expected at least one"):
         make_token("ann", [])
+
+
+def test_a_file_and_a_name_are_as_long_as_they_may_be_and_no_longer(tmp_path: Path) -> None:
+    entry = "- {{name: ann, roles: [plan], certificate: {name}}}\n#"
+    text = entry.format(name="c" * 200)
+    tokens = Tokens(_file(tmp_path, text + "x" * (1_000_000 - len(text))))
+    assert tokens.find_common_name("c" * 200) is not None
+    assert "has more than 1000000 bytes" in _refused(tmp_path, text + "x" * (1_000_001 - len(text)))
+    assert "expected the common name of a client certificate" in _refused(tmp_path, entry.format(name="c" * 201))

@@ -1,7 +1,7 @@
 """A pytest plugin: where few tests failed, these are run once more, one after the other; what they do then decides.
 
 A busy machine may fail a test that states what is true. What only passes the second time is named with its first
-failure, so that it gets mended.
+failure, at the end and in ``out/second_chance.txt``, so that it gets mended.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ class _SecondChance:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> Generator[None]:
         """Run what failed once more, after the summary of the first run."""
+        names = session.config.rootpath / "out" / "second_chance.txt"
+        names.unlink(missing_ok=True)
         yield
         if session.exitstatus != pytest.ExitCode.TESTS_FAILED or not 0 < len(self._failures) <= self._most:
             return
@@ -51,8 +53,10 @@ class _SecondChance:
         session.exitstatus = ended.returncode
         if ended.returncode == pytest.ExitCode.OK:
             told.sep("=", "passed the second time only: to be mended", red=True)
-            for name, words in self._failures.items():
-                told.line(f"{name}\n    {words}")
+            lines = [f"{name}\n    {words}" for name, words in self._failures.items()]
+            told.line("\n".join(lines))
+            names.parent.mkdir(exist_ok=True)
+            names.write_text("\n".join(lines) + "\n")
 
 
 def _last_words(report: pytest.TestReport) -> str:

@@ -13,7 +13,7 @@ from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Sense
 from service.body.whole_body import Aims, WholeBody
-from service.tasks.program import fit_body
+from service.tasks.trajopt.program import fit_body
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.verify import AxisTarget, JointTarget, PoseTarget
 

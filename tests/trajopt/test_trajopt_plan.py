@@ -24,7 +24,7 @@ from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.result.result import PlanResult, Verdict
 from service.start.standing import place_bodies
-from service.tasks.program import ProgramPhase
+from service.tasks.trajopt.program import ProgramPhase
 
 ARM = ("--robot", EXAMPLES / "arm7.urdf", "--srdf", EXAMPLES / "arm7.srdf")
 TABLE = ("--scene", EXAMPLES / "table.yaml")

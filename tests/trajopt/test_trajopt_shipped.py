@@ -24,9 +24,7 @@ def _plan(folder: Path, name: str, robot: Path, scene: str = "", start: str = ""
             (folder / f"{key}.yaml").write_text(text)
             files[key] = folder / f"{key}.yaml"  # type: ignore[assignment]
     return plan(
-        load_trajopt_request(
-            DATA / f"{name}.json", TrajoptFiles(str(robot), robot.with_suffix(".srdf"), time_limit_s=20.0, **files)
-        )
+        load_trajopt_request(DATA / f"{name}.json", TrajoptFiles(str(robot), robot.with_suffix(".srdf"), **files))
     )
 
 

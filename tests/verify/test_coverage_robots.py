@@ -38,7 +38,7 @@ def planned(
         (folder / "robot.srdf").write_text(srdf)
         robot["srdf"] = str(folder / "robot.srdf")
     scene = {"obstacles": list(obstacles)}
-    options = {"time_limit_s": 20, "starts": 4, **options}
+    options = {"starts": 4, **options}
     request = {"robot": robot, "start": {"joints": start}, "goal": {"joints": goal}, "scene": scene, "options": options}
     return plan(parse_request(request))
 

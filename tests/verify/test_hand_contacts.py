@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
-from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from costs.primitive import Primitive
@@ -208,39 +207,3 @@ def test_a_round_body_has_the_normal_of_its_axis_whatever_polygon_stands_for_it(
             met.normal, -outwards, atol=np.sqrt(2e-6 / met.apart)
         )  # the distance is known to 1 um
     assert RoundedBody.of_body(bar).radius == pytest.approx(ROUND_ROUNDING_M)
-
-
-def nearest_vector(rod: Float[np.ndarray, "2 3"], corners: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3"]:
-    """Shortest vector from a segment to a hull, by a general solver."""
-    count = len(corners)
-
-    def between(weights: np.ndarray) -> np.ndarray:
-        return weights[2:] @ corners - weights[:2] @ rod
-
-    best = minimize(
-        lambda weights: float(between(weights) @ between(weights)),
-        np.concatenate([[0.5, 0.5], np.full(count, 1.0 / count)]),
-        jac=lambda weights: 2.0 * np.concatenate([-(rod @ between(weights)), corners @ between(weights)]),
-        bounds=[(0.0, 1.0)] * (2 + count),
-        constraints=[
-            {"type": "eq", "fun": lambda weights: weights[:2].sum() - 1.0},
-            {"type": "eq", "fun": lambda weights: weights[2:].sum() - 1.0},
-        ],
-        options={"maxiter": 300, "ftol": 1e-14},
-    )
-    return between(best.x)
-
-
-@given(st.integers(0, 100_000))
-@settings(max_examples=60, deadline=None)
-def test_the_vector_between_two_cores_changes_by_no_more_than_the_bound(seed: int) -> None:
-    """sqrt(e (2 d + e)) of two convex sets whose points move by at most e."""
-    rng = np.random.default_rng(seed)
-    corners = box(rng.uniform(0.01, 0.1, size=3)) + np.array([0.12, 0.0, 0.0])
-    rod = rng.uniform(-0.03, 0.03, size=(2, 3))
-    e = float(rng.uniform(1e-4, 5e-3))
-    moves = rng.normal(size=(2, 3))
-    moved = rod + e * moves / np.linalg.norm(moves, axis=1, keepdims=True) * rng.uniform(0.0, 1.0, size=(2, 1))
-    first, second = nearest_vector(rod, corners), nearest_vector(moved, corners)
-    d = float(np.linalg.norm(first))
-    assert np.linalg.norm(second - first) <= np.sqrt(e * (2.0 * d + e)) + 1e-4

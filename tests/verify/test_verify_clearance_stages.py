@@ -17,7 +17,7 @@ from service.verify import Motion, Phase, Status, VerifyError, VerifySettings, v
 from service.verify.clearance.broad_phase import bound_clearances, find_open_intervals, refine_edges
 from service.verify.clearance.pair_poses import PairPoses
 from service.verify.clearance.pairs import PairIntervals, PairTable, collect_pairs
-from service.verify.joint_chain import Chain
+from service.verify.joint_chain import JointChain
 from service.verify.prepared_motion import ForwardKinematics, PreparedMotion
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -175,7 +175,7 @@ def test_stacked_chains_bound_what_each_of_them_bounds(seed: int) -> None:
     rows = rng.integers(6, size=20)
     first = rng.uniform(knots[0], knots[1], size=20)
     over = prepared.over(first, 0.5 * (first + knots[1]))
-    stacked = Chain.stack(chains).take(rows)
+    stacked = JointChain.stack(chains).take(rows)
     for k, row in enumerate(rows.tolist()):
         one, alone = over.take(slice(k, k + 1)), chains[row]
         assert stacked.deviation(over)[k] == pytest.approx(float(alone.deviation(one)[0]), rel=1e-12, abs=1e-15)

@@ -32,8 +32,8 @@ def test_the_curve_is_scipys_polynomial_with_the_same_derivatives(seed: int, kin
     at = np.linspace(s[0], s[-1], 301)[:-1]
     for order in (0, 1, 2):
         np.testing.assert_allclose(curve(at, order), reference(at, nu=order), atol=1e-7 * 10.0**order)
-    assert curve.measure_position_error() < 1e-12
-    assert np.abs(curve.measure_slope_jumps()).max() < 1e-9
+    assert curve.measure_position_error() < 1e-12  # type: ignore[attr-defined]
+    assert np.abs(curve.measure_slope_jumps()).max() < 1e-9  # type: ignore[attr-defined]
 
 
 @given(seed=st.integers(0, 10_000), kind=st.sampled_from(["linear", "cubic", "quintic", "spline"]))

@@ -26,13 +26,13 @@ from benchmarks.physics.holds.draws import Draw, make_draws
 from benchmarks.physics.holds.faces import list_faces
 from benchmarks.tables import print_table
 from benchmarks.tasks.given import stand
+from service.demands.kind import read_mechanism_physics
 from service.errors import ServiceError
 from service.planner import plan
 from service.request.file import parse_request, request_hash
 from service.request.schema import PlanRequest
 from service.result.result import PlanResult, Verdict
 from service.simulation.report import make_report
-from service.simulation.resistance import read_mechanism_physics
 from service.simulation.run import execute_motion
 from service.tasks.stances.search import find_stance
 
@@ -115,7 +115,7 @@ def measure(draw: Draw, result: PlanResult, began: float) -> Outcome:
         draw.kind,
         result.verdict.value,
         next(iter(made["explanation"]), ""),
-        any("stiffer servos" in line for line in (*result.explanation, *result.notes)),
+        any("needs torque feed-forward" in line for line in (*result.explanation, *result.notes)),
         (min(face.angle for face in faces), max(face.angle for face in faces)) if faces else None,
         max((face.friction for face in faces), default=None),
         runs,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from perception.cloud import Cloud
-from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState, scan
+from perception.simulate.sensor import DepthCamera, Pose, Scanner, Sensor, SolidState, TimeOfFlight, scan
 from perception.solids.primitives import Mesh, box, cylinder
 
 VARIANTS: Mapping[str, Sensor] = {
@@ -22,6 +22,8 @@ VARIANTS: Mapping[str, Sensor] = {
     "solid_sparse": SolidState(n_points=30_000, sigma=0.012),
     "camera": DepthCamera(),
     "camera_sparse": DepthCamera(width=212, height=120, field_deg=86.0),
+    "tof": TimeOfFlight(),
+    "survey": Scanner(n_lines=180, sigma=0.002, footprint_deg=0.02, mixed_share=0.1),
 }
 
 

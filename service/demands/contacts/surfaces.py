@@ -12,7 +12,7 @@ from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from service.demands.contacts.stances import Surface
 from service.errors import RequestError, would_do
-from service.request.contacts import SurfaceRequest
+from service.request.tasks.contacts import SurfaceRequest
 from service.start.standing import FLOOR_KIND
 
 FLOOR = "floor"

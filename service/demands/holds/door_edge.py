@@ -19,7 +19,7 @@ from service.demands.phase_spec import HandMotion
 from service.verify import HandLoad
 
 if TYPE_CHECKING:
-    from service.demands.door import Push
+    from service.demands.door.phases import Push
 
 EDGE_LEAN, EDGE_TILT = np.deg2rad(6.0), np.deg2rad(5.0)  # of the rod off the leaf's back, and from its place
 TILT_RESERVE = np.deg2rad(2.0)

@@ -208,6 +208,14 @@ class MovedObject:
             return UnheldJoint(joint.name, -pull, self._measure_rest(index, first), " and ".join(words))
         return None
 
+    def find_loose(self, values: Float[np.ndarray, "k"], among: Sequence[str]) -> str | None:
+        """Return a joint that a push could move one way or the other at rest, however small; None if there is none."""
+        still = self.bound_move(values, values).still
+        for index, joint in enumerate(self.joints):
+            if joint.name in among and min(self._keep_still(index, values, *still[:, index].tolist()).slack) <= 0.0:
+                return joint.name
+        return None
+
     def _keep_still(self, index: int, values: Float[np.ndarray, "k"], low: float, high: float) -> JointLoad:
         """Return the load of a joint that stays at its value and needs a force between two values to do so.
 

@@ -68,6 +68,12 @@ def check_rest(
             f"{FIELD}: {unheld.joint} does not rest where the hand lets go ({at}): {_explain(moved, unheld)}; expected "
             f"{FIELD}.stays: true, friction, a latch, or a last move to where it rests"
         )
+    loose = moved.find_loose(values, [joint for joint in carriers if joint != moves[-1][0]])
+    if loose is not None:
+        raise RequestError(
+            f"{FIELD}.joints.{loose}.friction: the hand presses on {loose} while it moves {moves[-1][0]}, and nothing "
+            f"brings {loose} to rest once the hand has gone; expected its friction, a latch, or {FIELD}.stays: true"
+        )
 
 
 def _explain(moved: MovedObject, unheld: UnheldJoint) -> str:

@@ -10,9 +10,9 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from service.demands.hands import HOLD_FRICTION
 from service.errors import ExecutionError
-from service.execution.shift import limit_length
+from service.execution.offset import OffsetFilter
+from service.request.fields import HAND_FRICTION
 from service.verify import HandLoad, Phase
 
 WORKING = 0.1  # cosine between a load and the way of its place from which on it moves the mechanism
@@ -26,20 +26,25 @@ class ReliefSettings:
         gain: speed of its target per newton beyond what is left to it [m/(N s)].
         dead_n: force beside the mechanism's way that is left to it, besides friction and the loads of the plan [N].
         most_m: largest displacement [m].
-        fade_speed: of the displacement back to none, once the hand carries no load [m/s].
+        fade_s: in which it goes back, once the hand carries no load [s].
     """
 
     gain: float = 5e-4
     dead_n: float = 15.0
     most_m: float = 0.03
-    fade_speed: float = 0.01
+    fade_s: float = 3.0
 
     def __post_init__(self) -> None:
-        if not (self.gain >= 0.0 and self.dead_n >= 0.0 and self.most_m >= 0.0 and self.fade_speed > 0.0):
+        if not (self.gain >= 0.0 and self.dead_n >= 0.0 and self.most_m >= 0.0 and self.fade_s > 0.0):
             raise ExecutionError(
-                f"relief: gain {self.gain:g}, dead_n {self.dead_n:g}, most_m {self.most_m:g}, fade_speed "
-                f"{self.fade_speed:g}; expected 0 or more, and a positive speed"
+                f"relief: gain {self.gain:g}, dead_n {self.dead_n:g}, most_m {self.most_m:g}, fade_s "
+                f"{self.fade_s:g}; expected 0 or more, and a positive time"
             )
+
+    @property
+    def offset(self) -> OffsetFilter:
+        """Limit of the displacements, and their way back."""
+        return OffsetFilter(self.most_m, self.fade_s)
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,8 @@ class HandRelief:
         moved = {load.link for phase in phases for load in phase.loads}
         self._columns = self._list_columns(moved)
         self._phases = [self._sort_loads(phase, hands) for phase in phases]
+        # A request has one interval for all hands. Plans that know no contact, as of assumed parts, state none.
+        self._friction = min((push.friction[0] for phase in phases for push in phase.pushes), default=HAND_FRICTION[0])
 
     def step(
         self,
@@ -94,7 +101,7 @@ class HandRelief:
             forces: measured force on each tool, world axes [N].
             period_s: of the step [s].
         """
-        made = {hand: _fade(offset, self.settings.fade_speed * period_s) for hand, offset in offsets.items()}
+        made = {hand: self.settings.offset.fade(offset, period_s) for hand, offset in offsets.items()}
         loads = self._phases[number]
         if not loads:
             return made
@@ -103,8 +110,8 @@ class HandRelief:
             own = [entry for entry in loads if entry.hand == hand and entry.load.tool in forces]
             if own:
                 excess = self._find_excess(own, forces[own[0].load.tool])
-                moved = offsets.get(hand, np.zeros(3)) + period_s * self.settings.gain * excess
-                made[hand] = limit_length(moved, self.settings.most_m)
+                before = offsets.get(hand, np.zeros(3))
+                made[hand] = self.settings.offset.move(before, self.settings.gain * excess, period_s)
         return made
 
     def _find_excess(self, loads: Sequence[_Load], force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -115,7 +122,7 @@ class HandRelief:
         if working:
             ways = np.linalg.svd(np.array(working), full_matrices=False)[2]
             beside = beside - ways.T @ (ways @ beside)
-            left += HOLD_FRICTION * float(np.linalg.norm(np.sum(working, axis=0)))
+            left += self._friction * float(np.linalg.norm(np.sum(working, axis=0)))
         for axis, entry in zip(acting, loads, strict=True):
             if not entry.is_working:  # of any size up to its largest
                 size = float(np.linalg.norm(axis))
@@ -158,9 +165,3 @@ class HandRelief:
         ways = jacobian[:3] - np.cross(load.place, jacobian[3:].T).T
         sizes = np.linalg.norm(ways, axis=0) * np.linalg.norm(load.force)
         return bool(np.any(np.abs(load.force @ ways) > WORKING * np.maximum(sizes, 1e-12)))
-
-
-def _fade(offset: Float[np.ndarray, "3"], step: float) -> Float[np.ndarray, "3"]:
-    """Return a displacement that is shorter by a step, at least none [m]."""
-    size = float(np.linalg.norm(offset))
-    return offset * (max(size - step, 0.0) / size) if size > 0.0 else offset

@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 
 from costs.robot import RobotModel
 from service.errors import ExecutionError
+from service.execution.offset import OffsetFilter
 from service.execution.reference import ReferenceState
 from service.verify import PlantedContact
 from service.verify.polygons import outside_polygon
@@ -59,6 +60,11 @@ class BalanceSettings:
                 f"{self.trim_m:g}, trim_fade_s {self.trim_fade_s:g}, least_m {self.least_m:g}; expected a gain above "
                 "1, a positive time, and 0 or more"
             )
+
+    @property
+    def trim(self) -> OffsetFilter:
+        """Limit of the body's displacement, and its way back."""
+        return OffsetFilter(self.trim_m, self.trim_fade_s)
 
 
 @dataclass(frozen=True)

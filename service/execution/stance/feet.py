@@ -12,7 +12,6 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from service.execution.driver import JointCommand, RobotReading
 from service.execution.reference import ReferencePhase, ReferenceState
-from service.execution.shift import limit_length
 from service.execution.stance.capture_point import WORLD_AXES, Balance, BalanceControl, BalanceSettings
 from service.execution.stance.touchdown import (
     FootReading,
@@ -63,6 +62,7 @@ class Sight:
         q, v: (n,) configuration and speeds as measured.
         command: (n,) configuration of the earlier command.
         forces: measured by link (3,), world axes [N].
+        is_blind: whether a sensor has failed, so that the ankles of planted feet follow the plan.
     """
 
     time_s: float
@@ -74,6 +74,7 @@ class Sight:
     v: Float[np.ndarray, "n"]
     command: Float[np.ndarray, "n"]
     forces: Mapping[str, Float[np.ndarray, "3"]]
+    is_blind: bool = False
 
 
 class Feet:
@@ -130,8 +131,11 @@ class Feet:
     def step(self, state: FeetState, sight: Sight) -> FeetState:
         """Return the feet one cycle later."""
         phase, remaining = self.phases[sight.phase], self._find_remaining(sight.phase)
-        balance = self._find_balance(sight, remaining or phase.contacts) if self._may_balance[sight.phase] else None
+        balances = self._may_balance[sight.phase] and not sight.is_blind
+        balance = self._find_balance(sight, remaining or phase.contacts) if balances else None
         landings = self._step_landings(state.landings, phase, sight, balance is not None)
+        if sight.is_blind:
+            return FeetState(landings, None, None, state.trim)
         held = {contact.link for contact in remaining or phase.contacts}
         if held == set(self.ankles) and self.load_gain and len(self.ankles) == 2:
             landings = self._share_weight(landings, sight)
@@ -176,9 +180,8 @@ class Feet:
             return trim
         settings = self._control.settings
         if balance is None or not remaining:
-            return max(1.0 - self.period_s / settings.trim_fade_s, 0.0) * trim if trim.any() else trim
-        trim = trim - self.period_s * settings.trim_gain * np.append(balance.error, 0.0)
-        return limit_length(trim, settings.trim_m)
+            return settings.trim.fade(trim, self.period_s)
+        return settings.trim.move(trim, -settings.trim_gain * np.append(balance.error, 0.0), self.period_s)
 
     def _step_landings(
         self, states: Mapping[str, TouchdownState], phase: ReferencePhase, sight: Sight, balances: bool

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from service.errors import RequestError, shown
-from service.replay.exchange.fields import Fields, note_rest, read_stamps, to_coordinate
+from service.replay.exchange.fields import TakenFields, note_rest, read_stamps, to_coordinate
 
 WORLDS = ("", "world", "map", "/world", "/map")
 SAME_TIME_S = 1e-6
@@ -55,14 +55,14 @@ def read_base_motion(body: object, source: str) -> BaseMotion | None:
         if body is None:
             return None
         raise RequestError(f"{source}: multi_dof_joint_trajectory must be a mapping, got {shown(body)}")
-    fields = Fields(body)
+    fields = TakenFields(body)
     points, header = fields.take("points"), fields.take("header")
     if points is None:
         return None
     name = _read_name(fields.take("joint_names"), source)
     if not isinstance(points, list | tuple) or not all(isinstance(point, Mapping) for point in points):
         raise RequestError(f"{source}: points of multi_dof_joint_trajectory must be a list of mappings")
-    rows = [Fields(point) for point in points]
+    rows = [TakenFields(point) for point in points]
     poses = np.array([_read_only(row.take("transforms"), k, source) for k, row in enumerate(rows)])
     times = read_stamps([row.take("time_from_start") for row in rows], f"{source}: multi_dof_joint_trajectory")
     times = times if times is not None and np.any(times) else None
@@ -79,7 +79,7 @@ def read_base_pose(body: object, source: str) -> tuple[str, Float[np.ndarray, "7
     """Read a ``MultiDOFJointState``: the joint and its pose; None where it has none."""
     if not isinstance(body, Mapping):
         return None
-    fields = Fields(body)
+    fields = TakenFields(body)
     transforms = fields.take("transforms")
     if transforms is None:
         return None

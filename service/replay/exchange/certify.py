@@ -12,7 +12,6 @@ import numpy as np
 from costs.robot import RobotModel
 from costs.stopping import never, poll, stops_when
 from service.demands import Demands, hold_to_request
-from service.demands.program import ProgramDemand, report_fixed_joints_that_move
 from service.errors import RequestError
 from service.replay.exchange.interpolation import (
     READ_AS,
@@ -127,7 +126,7 @@ def certify(
             certificate = verify(held, VerifySettings(rest_speed=REST_SPEED))
         except VerifyError as error:
             raise RequestError(f"{trajectory.source}: {error}") from None
-        certificate = _add_start(certificate, held, setup, demands.program, trajectory.start)
+        certificate = _add_start(certificate, held, demands, trajectory.start)
         timings["certificate"] = time.perf_counter() - started
     sentence = f"{SENTENCES[kind]}; all checks are of this curve"
     kept = [note for note in certificate.notes if not note.startswith("the curve itself is certified")]
@@ -162,11 +161,10 @@ def to_json(outcome: CertifiedTrajectory) -> dict[str, Any]:
 
 
 def _refuse_tasks(request: PlanRequest) -> None:
-    task = request.task
-    if task is not None and task.trajopt is None:
-        name = next(name for name, value in vars(task).items() if value is not None)
+    if not request.section.takes_trajectories:
         raise RequestError(
-            f"task.{name}: its phases are made by the planner; a trajectory is certified for a goal or task.trajopt"
+            f"{request.kind.field}: its phases are made by the planner; a trajectory is certified for a goal or "
+            "task.trajopt"
         )
     if request.resume is not None:
         raise RequestError("resume: a trajectory is certified as a whole; leave it out")
@@ -193,6 +191,7 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         law=make_even_law(s) if timed else None,
         phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
+        clearance_m=setup.request.options.clearance_m,
     )
 
 
@@ -221,30 +220,29 @@ def _hold(demands: Demands, motion: Motion) -> Motion:
 def _add_start(
     certificate: Certificate,
     motion: Motion,
-    setup: PlanSetup,
-    program: ProgramDemand | None,
+    demands: Demands,
     state: StartState | None,
 ) -> Certificate:
     """Return the certificate with checks of the first point and of the planner's own start against the request's start.
 
     A TrajOpt problem adds those of its fixed joints.
     """
-    q = motion.curve.positions
-    off = np.abs(q[0] - setup.start)
+    q, start, robot = motion.curve.positions, demands.world.start, demands.robot
+    off = np.abs(q[0] - start)
     worst = int(off.argmax())
-    name, s = setup.robot.joint_names[worst], float(motion.curve.knots[0])
+    name, s = robot.joint_names[worst], float(motion.curve.knots[0])
     value = float(off[worst])
     is_ok = value <= START_TOLERANCE
     text = f"the first point is within {value:.2g} rad of the request's start"
     if not is_ok:
-        text = f"{name} starts at {q[0, worst]:.4f}, the request's start has {setup.start[worst]:.4f}"
+        text = f"{name} starts at {q[0, worst]:.4f}, the request's start has {start[worst]:.4f}"
     where = Where(s, None if motion.law is None else s, None, (name,))
     checks = [Check("start", is_ok, value, START_TOLERANCE, "rad", text, where, Basis.PROOF)]
-    other = find_other_start(state, setup.robot, setup.start, START_TOLERANCE)
+    other = find_other_start(state, robot, start, START_TOLERANCE)
     if other is not None:
         checks.append(Check("start.state", False, other[1], START_TOLERANCE, "rad", other[0], where, Basis.PROOF))
-    lines = () if program is None else report_fixed_joints_that_move(program, setup.robot, setup.start, q)
-    checks += [Check("start.fixed", False, 1.0, 0.0, "1", line, where, Basis.PROOF) for line in lines]
+    strays = demands.task.find_strays(demands.world, q)
+    checks += [Check("start.fixed", False, 1.0, 0.0, "1", line, where, Basis.PROOF) for line in strays]
     is_violated = any(not check.ok for check in checks)
     status = Status.VIOLATED if is_violated else certificate.status
     return replace(certificate, status=status, checks=(*checks, *certificate.checks))

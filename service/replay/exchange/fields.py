@@ -14,7 +14,7 @@ MAX_DEPTH = 12
 LARGEST = 1e6  # of coordinates and their rates [m, rad; per s]
 
 
-class Fields:
+class TakenFields:
     """A mapping that remembers what was taken from it."""
 
     def __init__(self, body: Mapping[str, Any]) -> None:

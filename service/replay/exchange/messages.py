@@ -11,7 +11,15 @@ import numpy as np
 from costs.robot import BASE_NAMES
 from service.errors import RequestError, shown
 from service.replay.exchange.base_motion import BaseMotion, check_times, read_base_motion
-from service.replay.exchange.fields import MAX_DEPTH, Fields, is_blank, note_rest, read_stamps, stack_rows, to_number
+from service.replay.exchange.fields import (
+    MAX_DEPTH,
+    TakenFields,
+    is_blank,
+    note_rest,
+    read_stamps,
+    stack_rows,
+    to_number,
+)
 from service.replay.exchange.joint_trajectory import LONGEST_S, MAX_JOINTS, MAX_POINTS, JointTrajectory
 from service.replay.exchange.start_state import StartState, read_start_state
 from service.result.motion_json import BASE_COLUMNS
@@ -42,7 +50,7 @@ class _Around:
     notes: list[str] = field(default_factory=list)
     rest: list[str] = field(default_factory=list)
 
-    def read(self, fields: Fields) -> None:
+    def read(self, fields: TakenFields) -> None:
         """Take what belongs to the trajectory from a mapping around it."""
         base = read_base_motion(fields.take(*SEVERAL), self.source)
         start = read_start_state(fields.take("trajectory_start", "start_state"), self.source)
@@ -101,7 +109,7 @@ def _enter(body: Mapping[str, Any], around: _Around) -> object:
             f"{around.source}: holds no trajectory; expected joint_names with points, or with positions and times, "
             f"got the keys {shown(sorted(map(str, body)))}"
         )
-    fields = Fields(body)
+    fields = TakenFields(body)
     around.read(fields)
     fields.skip(*inner[:1])
     around.rest += fields.list_rest()
@@ -152,13 +160,13 @@ def _is_state(entry: object) -> bool:
     return (
         isinstance(entry, Mapping)
         and any(key in entry for key in FIELDS["positions"])
-        and Fields(entry).take(*NAMES) is not None
+        and TakenFields(entry).take(*NAMES) is not None
     )
 
 
 def _read_points(body: Mapping[str, Any], around: _Around) -> JointTrajectory:
     """Read a JointTrajectory message, as ``ros2 topic echo`` prints it."""
-    source, fields = around.source, Fields(body)
+    source, fields = around.source, TakenFields(body)
     points, names = body["points"], fields.take(*NAMES)
     fields.skip("points")
     if not isinstance(points, list | tuple) or not all(isinstance(point, Mapping) for point in points):
@@ -169,7 +177,7 @@ def _read_points(body: Mapping[str, Any], around: _Around) -> JointTrajectory:
     if around.base is not None and not points:
         return _make_base_alone(around.base, source)
     names = _check_names(names, source)
-    rows = [Fields(point) for point in points]
+    rows = [TakenFields(point) for point in points]
     columns = {
         kind: stack_rows([row.take(*keys) for row in rows], len(names), kind, source) for kind, keys in FIELDS.items()
     }
@@ -190,7 +198,7 @@ def _read_states(states: Sequence[Mapping[str, Any]], around: _Around) -> JointT
     source = around.source
     if len(states) > MAX_POINTS:
         raise RequestError(f"{source}: has {len(states)} points; expected 2 to {MAX_POINTS}")
-    rows = [Fields(state) for state in states]
+    rows = [TakenFields(state) for state in states]
     names = _check_names(rows[0].take(*NAMES), source)
     columns: dict[str, list[Any]] = {kind: [] for kind in FIELDS}
     for number, row in enumerate(rows):
@@ -213,7 +221,7 @@ def _read_states(states: Sequence[Mapping[str, Any]], around: _Around) -> JointT
 
 def _read_columns(body: Mapping[str, Any], around: _Around) -> JointTrajectory:
     """Read columns: joint_names, times (or a step ``dt``), positions, and perhaps velocities and accelerations."""
-    source, fields = around.source, Fields(body)
+    source, fields = around.source, TakenFields(body)
     around.read(fields)
     names = _check_names(fields.take(*NAMES), source)
     columns = {}
@@ -236,7 +244,7 @@ def _read_columns(body: Mapping[str, Any], around: _Around) -> JointTrajectory:
     return _build(names, stamps, columns, around)
 
 
-def _note_points(rows: Sequence[Fields], around: _Around) -> None:
+def _note_points(rows: Sequence[TakenFields], around: _Around) -> None:
     """Note fields of the points that are read past."""
     rest = list(dict.fromkeys(key for row in rows for key in row.list_rest()))
     if EFFORT in rest:
@@ -247,7 +255,7 @@ def _note_points(rows: Sequence[Fields], around: _Around) -> None:
 def _note_header(header: object, around: _Around) -> None:
     """Note a stamp; frame and sequence number have no meaning for positions of joints."""
     if isinstance(header, Mapping):
-        fields = Fields(header)
+        fields = TakenFields(header)
         fields.skip("frame_id", "seq")
         around.rest += [f"header.{key}" for key in fields.list_rest()]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel
+from costs.robot import BASE_NAMES, PLANAR_NAMES, RobotModel, turn_near
 from service.errors import RequestError, shown, would_do
 from service.replay.exchange.base_motion import compute_angles
 from service.replay.exchange.followers import take_followers
@@ -59,9 +59,18 @@ def place_points(
     columns = [robot.joint_names.index(name) for name in names]
     positions = np.tile(start, (len(values), 1))
     positions[:, columns] = values
+    positions = _take_turns(positions, robot, start)
     used = NEEDS.get(kind, ())
     rates = [_place_rates(trajectory, rate, robot, names) if rate in used else None for rate in KINDS]
     return Points(trajectory.times, positions, rates[0], rates[1]), (*_note_left_out(names, robot), *notes)
+
+
+def _take_turns(
+    positions: Float[np.ndarray, "K n"], robot: RobotModel, start: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "K n"]:
+    """Return the points with joints without limits moved by whole turns, so that the first is near the start."""
+    shift = turn_near(robot, positions[0], start) - positions[0]
+    return np.asarray(positions + shift)
 
 
 def _note_left_out(names: tuple[str, ...], robot: RobotModel) -> list[str]:

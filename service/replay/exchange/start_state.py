@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from service.errors import RequestError, shown
 from service.replay.exchange.base_motion import read_base_pose
-from service.replay.exchange.fields import Fields, note_rest, to_coordinate, to_list
+from service.replay.exchange.fields import TakenFields, note_rest, to_coordinate, to_list
 
 MOVING = 1e-3  # [rad/s, m/s]
 
@@ -40,8 +40,8 @@ def read_start_state(body: object, source: str) -> StartState | None:
     """
     if not isinstance(body, Mapping) or not body:
         return None
-    fields = Fields(body)
-    joints = Fields(_to_mapping(fields.take("joint_state")))
+    fields = TakenFields(body)
+    joints = TakenFields(_to_mapping(fields.take("joint_state")))
     names, positions = joints.take("name"), joints.take("position")
     names = to_list(names, "trajectory_start.joint_state.name", source)
     values = to_list(positions, "trajectory_start.joint_state.position", source)

@@ -137,7 +137,7 @@ def _make_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return members
 
 
-class _Loader(yaml.CSafeLoader):
+class _StrictLoader(yaml.CSafeLoader):
     """Reader of YAML that refuses a repeated key."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -160,7 +160,7 @@ def _parse_yaml(text: str, source: str) -> object:
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > MAX_DEPTH:
                 raise RequestError(f"{source}: nested deeper than {MAX_DEPTH} levels")
-        documents = [one for one in yaml.load_all(text, Loader=_Loader) if one is not None]
+        documents = [one for one in yaml.load_all(text, Loader=_StrictLoader) if one is not None]
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         raise RequestError(f"{source}: no valid YAML: {shown(str(error))}") from None
     if len(documents) != 1:

@@ -10,10 +10,9 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.body.task_plan import KeptCurve
-from service.request.contacts import ContactsRequest
-from service.request.resume import NominalRequest
+from service.request.tasks.contacts import ContactsRequest
 from service.start.configuration import make_posture
-from service.tasks.earlier_motion import read_earlier_motion
+from service.tasks.rest.earlier_motion import EarlierMotion
 
 LEAST_WAYPOINTS = 4  # of the rest of a way, so that something between its ends is left
 
@@ -35,9 +34,7 @@ class KnownMotion:
     curves: Mapping[str, KeptCurve] = field(default_factory=dict)
 
 
-def read_known_motion(
-    robot: RobotModel, request: ContactsRequest, earlier: NominalRequest | None
-) -> KnownMotion | None:
+def make_known_motion(robot: RobotModel, request: ContactsRequest, earlier: EarlierMotion) -> KnownMotion | None:
     """Return the postures that a request moves to and what the earlier motion did before them; None without any.
 
     An earlier motion of other joints, or without knots, says nothing.
@@ -45,8 +42,7 @@ def read_known_motion(
     Raises:
         RequestError: an unknown posture or joint.
     """
-    known = read_earlier_motion(robot, earlier, np.zeros(robot.n))
-    curves = {name: kept for name in known.curves if (kept := known.keep(name)) is not None}
+    curves = {name: kept for name in earlier.curves if (kept := earlier.keep(name)) is not None}
     there = {
         stance.name: make_posture(robot, stance.posture, f"task.contacts.stances[{k}].posture")
         for k, stance in enumerate(request.stances)

@@ -16,16 +16,16 @@ from service.tasks.egress.plan import (
     solve_poses,
 )
 from service.tasks.egress.poses import PoseSolver
-from service.tasks.egress.stages import Stage, make_stages
+from service.tasks.egress.stages import EgressStage, make_stages
 
 __all__ = [
     "BrokenChain",
     "Chain",
     "EgressSequence",
+    "EgressStage",
     "PosePlan",
     "PoseSet",
     "PoseSolver",
-    "Stage",
     "StageCount",
     "Transition",
     "explain_missing",

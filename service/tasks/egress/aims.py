@@ -14,8 +14,8 @@ from costs.state import MotionState
 from costs.terms import ContactPlace, FramePose
 from scopt import Constraint, Residual, Sense
 from service.body.facing import FLAT_POINTS, keep_facing
-from service.demands.contacts.egress_demand import MOST_TURN_RAD
 from service.demands.contacts.stances import StanceContact, Surface, find_link_pose
+from service.demands.egress.demand import MOST_TURN_RAD
 
 SIDE_RESERVE_M = 2e-3  # of the depth behind a surface, for the motions between the poses
 PLACE_TOLERANCE_M = 2e-5  # per row of a contact in its place

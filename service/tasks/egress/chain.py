@@ -12,7 +12,7 @@ from service.body.equilibrium_pose import EquilibriumPose
 from service.demands.contacts.stances import ContactStance, StanceContact, place_patch_as_it_is
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import PoseSolver
-from service.tasks.egress.stages import Stage, list_lasting
+from service.tasks.egress.stages import EgressStage, list_lasting
 
 COMPARED = 2  # poses of a limb in its new place, of which the cheaper is taken
 
@@ -76,7 +76,7 @@ class BrokenChain:
 
 
 def link_poses(
-    solver: PoseSolver, stages: Sequence[Stage], guesses: Mapping[int, EquilibriumPose] | None = None
+    solver: PoseSolver, stages: Sequence[EgressStage], guesses: Mapping[int, EquilibriumPose] | None = None
 ) -> Chain | BrokenChain:
     """Solve every pose again with the places of kept contacts fixed, and the poses between the stances.
 
@@ -121,7 +121,7 @@ class _Step:
 
 
 def _list_anchors(
-    stages: Sequence[Stage], k: int, known: Mapping[int, EquilibriumPose]
+    stages: Sequence[EgressStage], k: int, known: Mapping[int, EquilibriumPose]
 ) -> list[tuple[int, EquilibriumPose] | None]:
     """Return poses from which stage ``k`` may take the places of its new contacts: none, then the later ones' last."""
     new = [patch for patch in stages[k].patches if patch not in stages[k].kept]
@@ -135,7 +135,7 @@ class _Linker:
     """Solver of one stage of a chain and of the way there."""
 
     solver: PoseSolver
-    stages: Sequence[Stage]
+    stages: Sequence[EgressStage]
     k: int
     known: Mapping[int, EquilibriumPose]
 
@@ -199,7 +199,7 @@ class _Linker:
             for patch in patches
         }
 
-    def _aim(self, stage: Stage, fixed: Mapping[str, StanceContact]) -> list[ContactAim]:
+    def _aim(self, stage: EgressStage, fixed: Mapping[str, StanceContact]) -> list[ContactAim]:
         return [ContactAim.at(fixed[aim.patch]) if aim.patch in fixed else aim for aim in stage.aims]
 
     @staticmethod

@@ -20,16 +20,16 @@ from costs.stopping import poll
 from scopt import Status
 from service.body.equilibrium_pose import EquilibriumPose
 from service.body.phases import Map
-from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.stances import ContactStance
 from service.demands.contacts.surfaces import make_surfaces
-from service.request.egress import EgressRequest, PhaseRequest
+from service.demands.egress.demand import load_phases
+from service.request.tasks.egress import EgressRequest, PhaseRequest
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.chain import Chain, link_poses
 from service.tasks.egress.graph import PoseGraph, measure_connection
 from service.tasks.egress.poses import STRICT, PoseSolver, measure_cost
 from service.tasks.egress.samples import draw_places
-from service.tasks.egress.stages import Stage, list_lasting, make_stages
+from service.tasks.egress.stages import EgressStage, list_lasting, make_stages
 
 SAME_POSE = 1e-2  # largest difference of a coordinate between poses that count as one [rad, m]
 SAME_PLACE_M = 1e-6
@@ -89,7 +89,7 @@ class PoseSet:
         counts: of each stage that has poses.
     """
 
-    stages: tuple[tuple[Stage, ...], ...]
+    stages: tuple[tuple[EgressStage, ...], ...]
     nodes: tuple[Node, ...]
     counts: tuple[StageCount, ...]
 
@@ -174,11 +174,13 @@ def plan_poses(
     return PosePlan(search, sequence, poses.counts, reasons)
 
 
-def anchor_stages(stages: Sequence[tuple[Stage, ...]], start: ContactStance) -> tuple[tuple[Stage, ...], ...]:
+def anchor_stages(
+    stages: Sequence[tuple[EgressStage, ...]], start: ContactStance
+) -> tuple[tuple[EgressStage, ...], ...]:
     """Return stages whose first contacts are where a stance has them, for as long as they stay."""
     own = {contact.patch: ContactAim.at(contact) for contact in start.contacts}
 
-    def anchor(sequence: tuple[Stage, ...]) -> tuple[Stage, ...]:
+    def anchor(sequence: tuple[EgressStage, ...]) -> tuple[EgressStage, ...]:
         first = {id(aim) for aim in sequence[0].aims}
         return tuple(
             replace(stage, aims=tuple(own.get(aim.patch, aim) if id(aim) in first else aim for aim in stage.aims))
@@ -190,7 +192,7 @@ def anchor_stages(stages: Sequence[tuple[Stage, ...]], start: ContactStance) -> 
 
 def make_all_stages(
     robot: RobotModel, scene: Scene, request: EgressRequest, phases: Sequence[PhaseRequest], seed: int = 0
-) -> tuple[tuple[Stage, ...], ...]:
+) -> tuple[tuple[EgressStage, ...], ...]:
     """Return the stages of each drawn place.
 
     Raises:
@@ -202,7 +204,7 @@ def make_all_stages(
 
 
 def solve_poses(
-    solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], map: Map = map, on_pose: OnPose | None = None
+    solver: PoseSolver, stages: Sequence[tuple[EgressStage, ...]], map: Map = map, on_pose: OnPose | None = None
 ) -> PoseSet:
     """Solve a pose of each sampled stage for each drawn place and nominal pose; of the first and last stage once.
 
@@ -240,7 +242,9 @@ def solve_poses(
     return PoseSet(tuple(stages), tuple(nodes), tuple(counts))
 
 
-def _solve_task(solver: PoseSolver, stages: Sequence[tuple[Stage, ...]], task: tuple[int, int, int]) -> EquilibriumPose:
+def _solve_task(
+    solver: PoseSolver, stages: Sequence[tuple[EgressStage, ...]], task: tuple[int, int, int]
+) -> EquilibriumPose:
     k, sample, shape = task
     stage = stages[sample][k]
     pose = solver.solve(stage.aims, stage.shapes[shape])
@@ -403,7 +407,7 @@ def explain_missing(poses: PoseSet) -> tuple[str, ...]:
     )
 
 
-def measure_slip(solver: PoseSolver, stages: Sequence[Stage], nodes: Sequence[Node]) -> float:
+def measure_slip(solver: PoseSolver, stages: Sequence[EgressStage], nodes: Sequence[Node]) -> float:
     """Return the farthest that a contact point which should stay moves between poses of a sequence [m]."""
     slips = [0.0]
     for before, after in pairwise(nodes):
@@ -413,7 +417,7 @@ def measure_slip(solver: PoseSolver, stages: Sequence[Stage], nodes: Sequence[No
     return max(slips)
 
 
-def _choose_stages(stages: Sequence[tuple[Stage, ...]], nodes: Sequence[Node]) -> tuple[Stage, ...]:
+def _choose_stages(stages: Sequence[tuple[EgressStage, ...]], nodes: Sequence[Node]) -> tuple[EgressStage, ...]:
     """Return each stage with the place of the chosen pose that follows it first."""
     sampled = [node for node in nodes if stages[0][node.stage].is_sampled]
 
@@ -423,7 +427,7 @@ def _choose_stages(stages: Sequence[tuple[Stage, ...]], nodes: Sequence[Node]) -
     return tuple(stages[sample(k)][k] for k in range(len(stages[0])))
 
 
-def _choose_points(robot: RobotModel, stages: Sequence[Stage], k: int, later: int) -> MovedPoints:
+def _choose_points(robot: RobotModel, stages: Sequence[EgressStage], k: int, later: int) -> MovedPoints:
     """Return the points that should not move between two stages: of contacts that stay, or that turn on the spot."""
     links: list[str] = []
     points: list[Float[np.ndarray, "3"]] = []

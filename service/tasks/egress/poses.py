@@ -29,7 +29,7 @@ from service.body.loaded_regions import plan_contact_region
 from service.body.paths import straight_path
 from service.body.poses import PoseProblem, Poses
 from service.body.whole_body import RESERVE_M, Aims, WholeBody, keep_in_region, reserve_balance
-from service.request.egress import SideRequest, WeightsRequest
+from service.request.tasks.egress import SideRequest, WeightsRequest
 from service.tasks.egress.aims import ContactAim
 
 TOUCHING_DEPTH_M = 3.3e-3  # aimed at in poses; less than what is allowed, for the motions between them [m]

@@ -9,18 +9,18 @@ from itertools import pairwise
 import numpy as np
 
 from costs.robot import RobotModel
-from service.demands.contacts.egress_demand import BEYOND_M, find_toe
 from service.demands.contacts.stances import Surface
 from service.demands.contacts.surfaces import find_unknown
+from service.demands.egress.demand import BEYOND_M, find_toe
 from service.errors import RequestError
-from service.request.egress import ContactRequest, PhaseRequest
+from service.request.tasks.egress import ContactRequest, PhaseRequest
 from service.start.configuration import make_posture
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import Shape
 
 
 @dataclass(frozen=True)
-class Stage:
+class EgressStage:
     """A phase with its contacts in the world.
 
     Attributes:
@@ -49,7 +49,7 @@ def make_stages(
     phases: Sequence[PhaseRequest],
     drawn: Sequence[float] = (0.0, 0.0),
     path: str = "phases",
-) -> tuple[Stage, ...]:
+) -> tuple[EgressStage, ...]:
     """Return the stages for one drawn place.
 
     Args:
@@ -63,7 +63,7 @@ def make_stages(
         RequestError: an unknown patch, surface, link, joint or posture, two patches of one link in a phase, or two
             phases that share no contact.
     """
-    stages: list[Stage] = []
+    stages: list[EgressStage] = []
     before: dict[str, ContactAim] = {}
     shapes: tuple[Shape, ...] = ()
     for k, phase in enumerate(phases):
@@ -89,12 +89,12 @@ def make_stages(
         if not shapes:
             raise RequestError(f"{here}.postures: the first phase needs a nominal pose")
         own = tuple(Shape(shape.nominal, phase.weights, phase.sides) for shape in shapes)
-        stages.append(Stage(phase.name, tuple(aims), own, frozenset(kept), phase.sampled))
+        stages.append(EgressStage(phase.name, tuple(aims), own, frozenset(kept), phase.sampled))
         before = {aim.patch: aim for aim in aims}
     return tuple(stages)
 
 
-def list_lasting(stages: Sequence[Stage], k: int, patch: str) -> tuple[int, ...]:
+def list_lasting(stages: Sequence[EgressStage], k: int, patch: str) -> tuple[int, ...]:
     """Return the stages from ``k`` on in which a patch stays where stage ``k`` has it."""
     last = k
     while last + 1 < len(stages) and patch in stages[last + 1].kept:
@@ -102,7 +102,7 @@ def list_lasting(stages: Sequence[Stage], k: int, patch: str) -> tuple[int, ...]
     return tuple(range(k, last + 1))
 
 
-def find_changes(stages: Sequence[Stage]) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
+def find_changes(stages: Sequence[EgressStage]) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
     """Return the patches that leave and that arrive between each stage and the next."""
     return tuple(
         (

@@ -11,7 +11,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.demands.contacts.contact_task import face_pieces
 from service.demands.contacts.stances import ends_with_new_contacts
-from service.request.egress import EgressRequest
+from service.request.tasks.egress import EgressRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.contacts.known_motion import KnownMotion
 from service.tasks.contacts.motion import plan_contact_motion

@@ -12,9 +12,7 @@ from costs.scene import ConvexPiece, Scene
 from service.demands.hands import Hand
 from service.setup.prepare import PlanSetup
 from service.start.standing import FLOOR_KIND
-from service.tasks.stances.door_stance import DoorStance
 from service.tasks.stances.poses import StanceTask, find_shoulder, measure_arm
-from service.tasks.stances.valve_stance import ValveStance
 
 GRID_M, GRID_YAW = 0.12, np.deg2rad(20.0)  # of the coarse grid
 MOST_TURN = np.deg2rad(80.0)  # from facing what is held
@@ -22,7 +20,6 @@ IDEAL_REACH = 0.78  # share of the arm's length between shoulder and what is hel
 MOST_REACH = 1.12  # the same at most: the trunk leans
 LEAST_REACH_M = 0.25
 TURN_COST = 0.03  # per squared angle between facing and what is held [1/rad^2]
-ASIDE_COST, LEAST_SIDEWAYS = 0.15, 0.3  # of standing beside a wheel's axis [1/rad^2]; unless it points up
 BODY_RADIUS_M = 0.25  # about the base, clear of pieces and leaf before anything else is checked
 
 
@@ -73,19 +70,9 @@ class Grid:
         cost = np.full(len(poses), np.inf)
         for way in self.task.list_ways():
             cost = np.minimum(cost, sum(self._cost_of_hand(poses, hand, points) for hand, points in way))
-        if isinstance(self.task, ValveStance):
-            cost = cost + ASIDE_COST * self._aside(poses, self.task.wheel.centre, self.task.wheel.axis) ** 2
+        cost = cost + self.task.rate_places(poses)
         cost[self._is_in_the_way(poses)] = np.inf
-        return cost
-
-    def _aside(
-        self, poses: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "N"]:
-        """Return the angle, seen from above, between a wheel's axis and where the robot stands [rad]."""
-        if np.hypot(*axis[:2]) < LEAST_SIDEWAYS:
-            return np.zeros(len(poses))
-        away = np.arctan2(*(poses[:, :2] - centre[:2]).T[::-1]) - np.arctan2(axis[1], axis[0])
-        return np.asarray((away + np.pi) % (2.0 * np.pi) - np.pi)
+        return np.asarray(cost)
 
     def _cost_of_hand(
         self, poses: Float[np.ndarray, "N 3"], hand: Hand, points: Float[np.ndarray, "P 3"]
@@ -118,15 +105,12 @@ class Grid:
         return np.asarray((poses[:, 2] - towards + np.pi) % (2.0 * np.pi) - np.pi)
 
     def _is_in_the_way(self, poses: Float[np.ndarray, "N 3"]) -> np.ndarray:
-        """Return (N,) whether the robot stands in a piece, or where the leaf moves."""
+        """Return (N,) whether the robot stands in a piece, or where the mechanism moves."""
         start = self.setup.start
         blocked = np.zeros(len(poses), dtype=bool)
         for low, high in _list_boxes(self.setup.scene):
             gap = np.maximum(np.maximum(low - poses[:, :2], poses[:, :2] - high), 0.0)
             blocked |= np.hypot(*gap.T) < BODY_RADIUS_M - 0.1
-        if not isinstance(self.task, DoorStance):
-            return blocked
-        door = self.task.door.geometry
         soles = np.concatenate(list(self.setup.soles.values()))[:, :2] - start[:2]
         soles = soles @ make_rotation(-start[3]).T
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
@@ -137,16 +121,7 @@ class Grid:
             ],
             axis=2,
         )
-        offset = corners - door.hinge[:2]
-        out, along = offset @ door.normal[:2], offset @ door.along[:2]
-        base_out = (poses[:, :2] - door.hinge[:2]) @ door.normal[:2]
-        blocked |= base_out < door.face + BODY_RADIUS_M
-        blocked |= ((out < door.face + 0.02) & (np.abs(along) < door.width + 0.1)).any(axis=1)
-        if not self.task.door.is_push:
-            angle = np.arctan2(out, along)
-            swept = (np.hypot(out, along) < door.width + 0.03) & (angle > -0.1) & (angle < self.task.target + 0.1)
-            blocked |= swept.any(axis=1)
-        return blocked
+        return np.asarray(blocked | self.task.is_in_the_way(poses, corners, BODY_RADIUS_M))
 
 
 def is_near(pose: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], share: float) -> bool:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from costs.allowance import BodyRef
@@ -28,7 +28,7 @@ MOST_TORQUE = 0.95  # share of a joint's torque at rest
 
 
 @dataclass(frozen=True)
-class HeldPose:
+class StancePose:
     """A pose that exists from a stance.
 
     Attributes:
@@ -59,7 +59,7 @@ class Outcome:
     """
 
     reached: float
-    poses: tuple[HeldPose, ...]
+    poses: tuple[StancePose, ...]
     hold: str
     missing: str
 
@@ -105,6 +105,20 @@ class StanceTask(Protocol):
     def list_ways(self) -> tuple[tuple[tuple[Hand, Float[np.ndarray, "P 3"]], ...], ...]:
         """Return the ways to do the task: for each the hands, and the places in the world that each holds [m]."""
 
+    def rate_places(self, poses: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N"]:
+        """Return the cost of places to stand (x, y, yaw), besides that of the hands' reach."""
+
+    def is_in_the_way(
+        self, poses: Float[np.ndarray, "N 3"], soles: Float[np.ndarray, "N C 2"], body_m: float
+    ) -> Bool[np.ndarray, "N"]:
+        """Return whether the robot would stand where the mechanism moves.
+
+        Args:
+            poses: (x, y, yaw) of the base.
+            soles: corners of the soles, seen from above [m].
+            body_m: radius of the robot about its base [m].
+        """
+
     def place_parts(self, *, is_end: bool) -> list[Float[np.ndarray, "V 3"]]:
         """Return the vertices of the mechanism's bodies in the world, at the start or at the end [m]."""
 
@@ -116,13 +130,13 @@ class StanceTask(Protocol):
 
 
 @dataclass(frozen=True)
-class PoseFinder:
+class StancePoseFinder:
     """Finds single poses of a body, with little effort."""
 
     solver: PhaseSolver
     mechanism: Mechanism
 
-    def find(self, spec: PhaseSpec, before: Sequence[HeldPose], n_random: int = 0) -> HeldPose | None:
+    def find(self, spec: PhaseSpec, before: Sequence[StancePose], n_random: int = 0) -> StancePose | None:
         """Return the first pose of a phase, guessed from those before; None if none that is strong enough was found.
 
         Random configurations are guessed where that and the robot's postures lead to none.
@@ -137,7 +151,7 @@ class PoseFinder:
             torque = measure_torque(self.solver.body, spec, q)
             if torque > MOST_TORQUE:
                 return None
-            return HeldPose(spec.name, q, self._measure_balance(spec, q), self._measure_reach(spec, q), torque)
+            return StancePose(spec.name, q, self._measure_balance(spec, q), self._measure_reach(spec, q), torque)
         except StaticRegionError:
             return None
 

@@ -22,24 +22,19 @@ from scipy.spatial.transform import Rotation
 from costs.robot import RobotModel, with_mechanism
 from costs.scene import Scene
 from costs.stopping import Stopped, stops_when
-from scopt import Settings
+from scopt import Clock, EffortClock, Settings
 from service.body.monitor import Interrupted, Monitor, OnProgress
 from service.body.phases import PhaseSolver
 from service.body.whole_body import Aims, WholeBody
-from service.demands.given_mechanism import read_given_mechanism
-from service.demands.wheel import make_wheel
 from service.errors import RequestError
 from service.request.schema import PlanRequest
 from service.setup.checks import check_start, find_soles
 from service.setup.prepare import PlanSetup, prepare
 from service.start.standing import FLOOR_KIND, place_bodies
-from service.tasks import door_task, mechanism_task, valve_task
 from service.tasks.handling import FARTHER, find_collisions
-from service.tasks.stances.door_stance import DoorStance
+from service.tasks.kind import find_plan_part
 from service.tasks.stances.grid import Grid, is_near, make_rotation
-from service.tasks.stances.mechanism_stance import MechanismStance
 from service.tasks.stances.poses import Outcome, StanceTask
-from service.tasks.stances.valve_stance import ValveStance
 
 if TYPE_CHECKING:
     from perception import Perceived
@@ -119,7 +114,7 @@ class StanceSearch:
 
 def find_stance(
     request: PlanRequest,
-    limit_s: float = LIMIT_S,
+    limit_s: float | None = None,
     radius_m: float = RADIUS_M,
     on_progress: OnProgress | None = None,
     should_stop: Callable[[], bool] | None = None,
@@ -127,6 +122,7 @@ def find_stance(
     see: Callable[..., Perceived] | None = None,
     *,
     takes_first: bool = False,
+    clock: Clock | None = None,
 ) -> StanceSearch:
     """Search for places to stand from which a request's door, valve or mechanism can be moved farthest.
 
@@ -135,26 +131,30 @@ def find_stance(
 
     Args:
         request: with ``task.door``, ``task.valve`` or ``task.mechanism``; its start is where the search begins.
-        limit_s: wall time for the whole search, perception included.
+        limit_s: wall time for the whole search, perception included; by default ``LIMIT_S`` of processor time.
         radius_m: of the places searched about the start.
         on_progress: called with the name of the current step and the fraction that is done.
         should_stop: polled often; once it returns True the search ends with what it has.
         robot: the request's robot if it is loaded already.
         see: ``perception.perceive``, or a function that caches its results.
         takes_first: whether the first place that has all poses ends the search; the request's own place comes first.
+        clock: measures the time limit instead.
 
     Raises:
         RequestError: another task, a robot with a fixed base or without hands, or a problem of the request.
     """
-    task = request.task
-    if task is None or (task.door is None and task.valve is None and task.mechanism is None):
+    part = find_plan_part(request)
+    if not part.has_stances:
         raise RequestError(
-            "request: a place to stand is searched for tasks with a mechanism; expected task.door, task.valve or "
-            "task.mechanism"
+            f"{request.kind.field}: a place to stand is searched for tasks with a mechanism; expected task.door, "
+            "task.valve or task.mechanism"
         )
     if request.resume is not None:
         raise RequestError("resume: the robot stands where the motion was interrupted; leave it out")
-    monitor = Monitor(limit_s, should_stop, on_progress)
+    started = time.perf_counter()
+    if clock is None:
+        clock = EffortClock() if limit_s is None else time.monotonic
+    monitor = Monitor(LIMIT_S if limit_s is None else limit_s, should_stop, on_progress, clock=clock)
     setup = prepare(
         request,
         lambda step: monitor.report(step, 0.02),
@@ -172,9 +172,12 @@ def find_stance(
     n_ranked, is_complete = 0, False
     found: tuple[StanceTask, tuple[str, ...]] | str = "the scan was not read in time"
     if not setup.is_stopped:
-        found = _find_task(setup)
+        options = request.options
+        aims = Aims(options.margin_m, options.balance_margin_m)
+        body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
+        found = part.find_stance_task(setup.request.section, setup, body)  # with its files read
     if isinstance(found, str):
-        return StanceSearch(setup, None, (), (found,), 0, not setup.is_stopped, time.perf_counter() - monitor.started)
+        return StanceSearch(setup, None, (), (found,), 0, not setup.is_stopped, time.perf_counter() - started)
     sought, notes = found
     try:
         with stops_when(monitor.is_over):
@@ -188,46 +191,8 @@ def find_stance(
     if not n_ranked and is_complete:
         notes = (*notes, f"no place within {radius_m:g} m of the start has what is held within the arms' reach")
     ordered = sorted(candidates, key=lambda candidate: (bool(candidate.refused), -candidate.score))
-    seconds = time.perf_counter() - monitor.started
+    seconds = time.perf_counter() - started
     return StanceSearch(setup, sought, tuple(ordered), notes, n_ranked, is_complete, seconds)
-
-
-def _find_task(setup: PlanSetup) -> tuple[StanceTask, tuple[str, ...]] | str:
-    """Return what the request's task moves, with notes about it; a sentence where it is not found."""
-    task, options = setup.request.task, setup.request.options
-    aims = Aims(options.margin_m, options.balance_margin_m)
-    body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
-    if task is not None and task.door is not None:
-        found = door_task.find_door(setup, task.door)
-        if isinstance(found, str):
-            return found
-        door, note = found
-        hands = door_task.choose_hands(body, task.door, door)
-        target = float(np.deg2rad(task.door.open_deg))
-        shut = door_task.find_shut(task.door, door) or door_task.find_narrow_lever(body, door, hands)
-        if shut is not None:
-            return shut
-        near = door_task.list_clearances(hands, door)
-        return DoorStance.of(setup.robot, door, hands, target, near), (note,)
-    if task is not None and task.mechanism is not None:
-        given = read_given_mechanism(task.mechanism)
-        sides = mechanism_task.choose_hands(body, given)
-        near = mechanism_task.list_clearances(sides, given)
-        note = f"a mechanism of {len(given.mechanism.joints)} joint(s), held at {task.mechanism.handle.link}"
-        return MechanismStance(given, sides, near), (note,)
-    if task is None or task.valve is None:
-        raise RequestError("request: expected task.door, task.valve or task.mechanism")
-    valve = valve_task.find_valve(setup, task.valve)
-    if isinstance(valve, str):
-        return valve
-    refused = valve_task.refuse_lever(valve, task.valve)
-    if refused is not None:
-        return refused
-    hooks = valve_task.choose_hands(body, task.valve, valve)
-    wheel = make_wheel(valve, task.valve)
-    near = valve_task.list_clearances(hooks)
-    note = f"valve at {np.round(valve.centre, 3).tolist()}, rim radius {valve.rim_radius:.3f} m"
-    return ValveStance(wheel, hooks, task.valve, near), (note,)
 
 
 @dataclass(frozen=True)

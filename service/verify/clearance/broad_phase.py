@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from costs.stopping import poll
 from service.verify.clearance.pair_poses import ROUNDING_M, bound_chord_deviation
 from service.verify.clearance.pairs import PairIntervals, PairTable
-from service.verify.joint_chain import Chain
+from service.verify.joint_chain import JointChain
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import Placements, PreparedMotion
 
@@ -24,7 +24,7 @@ def refine_edges(
     """Insert edges where bodies leave their chords far; return them with the phase of each interval."""
     poll()
     interval, body = (index.ravel() for index in np.indices((len(edges) - 1, table.n_bodies)))
-    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), Chain.stack(table.world).take(body)
+    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), JointChain.stack(table.world).take(body)
     leaving = chains.deviation(over).reshape(len(edges) - 1, table.n_bodies).max(axis=1, initial=0.0)
     # Halving an interval leaves a quarter of what its bodies leave their chords by.
     halvings = np.ceil(np.log2(np.maximum(leaving / _LEAVES_M, 1.0)) / 2.0)
@@ -63,8 +63,9 @@ def find_open_intervals(
 ) -> PairIntervals:
     """Return pairs and intervals that the broad phase leaves open: nearer than the horizon, or touching if allowed."""
     may_touch = ~np.isnan(table.allowed[:, phase].T)
+    near = np.maximum(horizon, table.demanded + ROUNDING_M)
     # Negated, so that a floor that is NaN leaves its pair open.
-    interval, pair = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, horizon)))
+    interval, pair = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, near)))
     return PairIntervals.unknown(
         pair, edges[:-1][interval], edges[1:][interval], phase[interval], floors[interval, pair]
     )
@@ -82,7 +83,7 @@ def _leaving(
     poll()
     leaving = np.zeros((len(middles), len(table.solids)))
     interval, body = (index.ravel() for index in np.indices((len(middles), table.n_bodies)))
-    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), Chain.stack(table.world).take(body)
+    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), JointChain.stack(table.world).take(body)
     bounds = bound_chord_deviation(table, body, chains, over, placed, middles[interval], settings)
     leaving[interval, body] = np.where(table.joint[body] > 0, bounds, 0.0)
     return leaving

@@ -94,8 +94,10 @@ def _refuted_checks(prepared: PreparedMotion, examined: Examination) -> Iterator
     """Make one failed check per refuted pair and phase, the deepest first."""
     for sample in sorted(examined.proof.refuted.values(), key=lambda sample: sample.distance):
         names = examined.table.names(sample.pair)
-        limit = 0.0 if np.isnan(sample.allowed) else -sample.allowed
+        limit = sample.need
         text = f"{names[0]} penetrates {names[1]} by {-1e3 * sample.distance:.1f} mm"
+        if sample.distance >= 0.0:
+            text = f"{names[0]} is {1e3 * sample.distance:.1f} mm from {names[1]}, {1e3 * limit:g} mm are demanded"
         x, y, z = (float(value) for value in sample.position)
         where = Where(sample.s, find_time(prepared.motion.law, sample.s), (x, y, z), names)
         yield Check("clearance", False, sample.distance, limit, "m", text, where, Basis.SAMPLES)
@@ -113,7 +115,8 @@ def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterato
         reported.add(pair)
         names = table.names(pair)
         lower, middle = float(lowers[row]), float(0.5 * (unproven.first[row] + unproven.last[row]))
-        limit = -float(np.nan_to_num(table.allowed[pair, unproven.phase[row]]))
+        allowed = float(table.allowed[pair, unproven.phase[row]])
+        limit = float(table.demanded[pair]) if np.isnan(allowed) else -allowed
         text = f"clearance of {names[0]} and {names[1]} not shown: {round_down(1e3 * lower, 3)} mm at least"
         where = Where(middle, find_time(prepared.motion.law, middle), None, names)
         yield Check("clearance", True, lower, limit, "m", text, where, Basis.UNPROVEN)
@@ -129,6 +132,8 @@ def _summary_check(
         distance < 0.0 and not _rests_on_floor(prepared, examined.table, pair, prepared.phases[phase])
         for (pair, phase), distance in examined.proof.deepest.items()
     )
+    demanded = prepared.motion.clearance_m
+    text += f", {1e3 * demanded:g} mm from the world as demanded" if demanded else ""
     text += ", pairs that may touch aside" if is_touching else ""
     return Check("clearance", True, smallest, 0.0, "m", text, None, Basis.PROOF)
 

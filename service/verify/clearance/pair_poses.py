@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from costs.stopping import poll
 from service.verify.clearance.pairs import PairIntervals, PairTable
 from service.verify.curve_bounds import RateBounds
-from service.verify.joint_chain import Chain
+from service.verify.joint_chain import JointChain
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import Placements, PreparedMotion
 from service.verify.solids import DistanceQuery, supports
@@ -33,6 +33,7 @@ class PairPoses:
     Attributes:
         table: all pairs.
         allowed: (E,) greatest penetration allowed [m]; NaN where the pair may not touch.
+        need: (E,) least signed distance [m]: minus the depth where the pair may touch, else the demanded clearance.
         mover, holder: (E,) indices of their solids.
         s: (E, 3) path parameters of first, last and middle pose.
         rotation, translation: (E, 3, ...) the mover's joint in the frame of the holder's joint.
@@ -43,6 +44,7 @@ class PairPoses:
     table: PairTable
     intervals: PairIntervals
     allowed: Float[np.ndarray, "E"]
+    need: Float[np.ndarray, "E"]
     mover: Int[np.ndarray, "E"]
     holder: Int[np.ndarray, "E"]
     s: Float[np.ndarray, "E 3"]
@@ -68,10 +70,12 @@ class PairPoses:
         back = np.swapaxes(holder_rotation, -1, -2)
         offset = placed.translation[pose, moved] - holder_translation
         chains = table.chains.take(table.chain[intervals.pair])
+        allowed = table.allowed[intervals.pair, intervals.phase]
         return PairPoses(
             table,
             intervals,
-            table.allowed[intervals.pair, intervals.phase],
+            allowed,
+            np.where(np.isnan(allowed), table.demanded[intervals.pair], -allowed),
             mover,
             holder,
             s[where],
@@ -126,7 +130,7 @@ class PairPoses:
 def bound_chord_deviation(
     table: PairTable,
     mover: Int[np.ndarray, "E"],
-    chains: Chain,
+    chains: JointChain,
     over: RateBounds,
     placed: Placements,
     middle: Int[np.ndarray, "E"],
@@ -148,12 +152,13 @@ def bound_chord_deviation(
 
 @dataclass(frozen=True)
 class PairSample:
-    """Pair at one pose: signed distance [m] and the holder's closest point in the world."""
+    """Pair at one pose: signed distance, its least value [m], and the holder's closest point in the world."""
 
     pair: int
     s: float
     distance: float
     allowed: float
+    need: float
     position: Float[np.ndarray, "3"]
 
 
@@ -163,7 +168,7 @@ class PoseSamples:
     Attributes:
         nearest: smallest distance of a pair that may not touch, or the horizon [m].
         deepest: by pair and phase, the smallest distance of a pair allowed to touch [m].
-        refuted: by pair and phase, the deepest pose that penetrates deeper than allowed.
+        refuted: by pair and phase, the deepest pose that is nearer than demanded, or deeper than allowed.
     """
 
     def __init__(self, horizon: float, tolerance: float) -> None:
@@ -185,11 +190,12 @@ class PoseSamples:
         for k in np.flatnonzero(may_touch).tolist():
             key = poses.key(int(rows[k]))
             self.deepest[key] = min(self.deepest.get(key, np.inf), float(distance[k]))
-        for k in np.flatnonzero(distance < -np.nan_to_num(allowed) - self._tolerance).tolist():
+        need = poses.need[rows]
+        for k in np.flatnonzero(distance < need - self._tolerance).tolist():
             row, column = int(rows[k]), int(columns[k])
             key = poses.key(row)
             if key not in self.refuted or distance[k] < self.refuted[key].distance:
                 point = poses.nearest_point(row, column, self._query)
                 s = float(poses.s[row, column])
-                self.refuted[key] = PairSample(key[0], s, float(distance[k]), float(allowed[k]), point)
+                self.refuted[key] = PairSample(key[0], s, float(distance[k]), float(allowed[k]), float(need[k]), point)
         return distance, direction

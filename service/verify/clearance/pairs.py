@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance, BodyIndex
-from service.verify.joint_chain import Chain, JointTree
+from service.verify.joint_chain import JointChain, JointTree
 from service.verify.motion import Motion
 from service.verify.solids import CoalSolid
 
@@ -24,6 +24,7 @@ class PairTable:
         n_bodies: how many of them are bodies.
         mover, holder: (C,) indices into ``solids``.
         allowed: (C, phases) greatest penetration allowed [m]; NaN where the pair may not touch.
+        demanded: (C,) least distance of a pair that may not touch [m].
         world: per body, the joints that move it in the world.
         chain: (C,) row of ``chains`` of pairs near each other, else -1.
         chains: row by row, the joints that move a mover in its holder's frame.
@@ -34,9 +35,10 @@ class PairTable:
     mover: Int[np.ndarray, "C"]
     holder: Int[np.ndarray, "C"]
     allowed: Float[np.ndarray, "C F"]
-    world: tuple[Chain, ...]
+    demanded: Float[np.ndarray, "C"]
+    world: tuple[JointChain, ...]
     chain: Int[np.ndarray, "C"]
-    chains: Chain
+    chains: JointChain
 
     def names(self, pair: int) -> tuple[str, str]:
         """Return the names of mover and holder."""
@@ -78,7 +80,7 @@ class PairTable:
             rows[c] = forward
             if chains[backward].weight < chains[forward].weight:
                 mover[c], holder[c], rows[c] = b, a, backward
-        return replace(self, mover=mover, holder=holder, chain=rows, chains=Chain.stack(chains))
+        return replace(self, mover=mover, holder=holder, chain=rows, chains=JointChain.stack(chains))
 
 
 def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
@@ -98,8 +100,12 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     index = BodyIndex(motion.robot.bodies, motion.mechanism_links, motion.scene.pieces)
     phases = [_allowed(phase.allowances, index)[mover, holder] for phase in motion.phases]
     allowed = np.stack(phases, axis=1) if phases else np.full((len(mover), 1), np.nan)
+    is_own = np.array([solid.link not in motion.mechanism_links for solid in bodies], dtype=bool)
+    demanded = np.where(is_own[mover] & (holder >= len(bodies)), motion.clearance_m, 0.0)
     world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
-    return PairTable(solids, len(bodies), mover, holder, allowed, world, np.full(len(mover), -1), Chain.stack(()))
+    return PairTable(
+        solids, len(bodies), mover, holder, allowed, demanded, world, np.full(len(mover), -1), JointChain.stack(())
+    )
 
 
 def _are_ignored(bodies: Sequence[CoalSolid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:

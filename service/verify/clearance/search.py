@@ -124,7 +124,7 @@ def search_clearance(
     for chunk in _nearest_first(start):
         # A small distance among the nearest makes most of the others unnecessary to examine.
         may_touch = ~np.isnan(table.allowed[chunk.pair, chunk.phase])
-        enough = np.where(may_touch, ROUNDING_M, max(samples.nearest, ROUNDING_M))
+        enough = np.where(may_touch, ROUNDING_M, np.maximum(samples.nearest, table.demanded[chunk.pair] + ROUNDING_M))
         examined.append(chunk.take(~(chunk.floor >= enough)))  # a floor that is NaN is examined
         left = rounds.run(PairIntervals.join([examined[-1], left]))
     while len(left):
@@ -163,7 +163,7 @@ class _Rounds:
         is_spent = not np.any(is_new) and self._n_intervals + 3 * len(intervals) > settings.max_intervals
         self._n_intervals += len(intervals)
         poses = PairPoses.at(self._prepared, self._table, intervals, settings)
-        attempt = _Attempt(poses, self._samples, settings, is_spent)
+        attempt = _IntervalBounds(poses, self._samples, settings, is_spent)
         attempt.try_hints()
         attempt.measure(np.ones(len(intervals), dtype=bool), (MIDDLE,))
         attempt.measure(is_new, (FIRST, LAST))
@@ -183,13 +183,13 @@ class _Rounds:
         return refuted
 
 
-class _Attempt:
+class _IntervalBounds:
     """Lower bounds of intervals, raised by every direction that is tried."""
 
     def __init__(self, poses: PairPoses, samples: PoseSamples, settings: VerifySettings, is_spent: bool) -> None:
         self._poses, self._samples, self._settings = poses, samples, settings
         self._may_touch = ~np.isnan(poses.allowed)
-        self._need = np.where(self._may_touch, -poses.allowed, 0.0)
+        self._need = poses.need
         self._distance = np.full(len(poses.allowed), -np.inf)
         self._direction = poses.intervals.hint.copy()
         self._sampled = np.column_stack([poses.intervals.ends, np.full(len(poses.allowed), np.inf)])
@@ -201,20 +201,22 @@ class _Attempt:
         return np.asarray(self._distance - self._poses.bound)
 
     @property
-    def _wanted(self) -> float:
+    def _wanted(self) -> Float[np.ndarray, "E"]:
         """Bound below which the smallest clearance would be reported as smaller than it is known to be [m]."""
-        return max(self._samples.nearest - self._settings.resolution_m, 0.0)
+        known = self._samples.nearest - self._settings.resolution_m
+        return np.asarray(np.maximum(known, np.maximum(self._need, 0.0)))
 
     @property
     def _aim(self) -> Float[np.ndarray, "E"]:
         """Bound above which further samples are unnecessary [m]."""
-        wanted = np.where(self._sharpens, self._wanted, np.maximum(self._lower, 0.0))
+        wanted = np.where(self._sharpens, self._wanted, np.maximum(self._lower, self._need))
         return np.asarray(np.where(self._may_touch, self._need, wanted))
 
     @property
     def is_proven(self) -> Bool[np.ndarray, "E"]:
         """Intervals on which the pair keeps clear, or within its allowed depth."""
-        return np.asarray(np.where(self._may_touch, self._lower >= self._need, self._lower > 0.0))
+        is_enough = self._lower >= self._need
+        return np.asarray(np.where(self._may_touch, is_enough, is_enough & (self._lower > 0.0)))
 
     @property
     def is_blurred(self) -> Bool[np.ndarray, "E"]:

@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import coal
 import numpy as np
@@ -20,6 +20,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 
 from costs.robot import LinkBody
+from service.verify.forces.pads import find_patch
 from service.verify.forces.rounded import RoundedBody
 from service.verify.motion import HandContact, HandPush
 from service.verify.solids import make_coal_convex
@@ -32,7 +33,7 @@ NOTHING_HOLDS = float(np.pi)  # by which cones would have to be wider where none
 _SIDES = 8  # of the pyramids inside the cones
 _STEPS = 6  # of the search for how much wider cones would have to be
 _REST = 1e-6  # of balances that hold, relative to the force along the way
-_LEAST_FORCE_N = 1.0  # along the way of a joint that moves without resistance
+LEAST_FORCE_N = 1.0  # along the way of a joint that moves without resistance
 
 
 def find_jamming_angle(push: HandPush) -> float:
@@ -55,6 +56,9 @@ class Meeting:
         way: (3,) unit, along which the joint moves the contact point in the sense of the push.
         held: (h, 3) how each held joint would move the contact point, per unit of its coordinate [m/rad, 1].
         point: (3,) of the body's surface [m].
+        spot_ways: (P, 3) of a flat pad, how the joint moves its points in the sense of the push, relative to the
+            contact's own point; empty of a contact that is a point.
+        spot_held: (P, h, 3) the same of each held joint, as ``held``.
     """
 
     apart: float
@@ -63,6 +67,8 @@ class Meeting:
     way: Float[np.ndarray, "3"]
     held: Float[np.ndarray, "h 3"]
     point: Float[np.ndarray, "3"]
+    spot_ways: Float[np.ndarray, "P 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    spot_held: Float[np.ndarray, "P h 3"] = field(default_factory=lambda: np.zeros((0, 0, 3)))
 
     @property
     def angle(self) -> float:
@@ -73,6 +79,11 @@ class Meeting:
     def is_touching(self) -> bool:
         """Whether the surfaces touch, with a normal that is known."""
         return self.gap <= TOUCH_GAP_M and self.apart >= LEAST_APART_M
+
+
+def find_least_share(push: HandPush, meeting: Meeting) -> float:
+    """Return the least share of a single contact's pressure that is along the way, however it slides."""
+    return float(np.cos(meeting.angle) - push.friction[1] * np.sin(meeting.angle))
 
 
 def meet(
@@ -98,9 +109,23 @@ def meet(
     apart = float(coal.distance(core, coal.Transform3s(*pose), solid.core, solid.pose, request, result))
     normal = np.array(result.normal)
     point = np.array(result.getNearestPoint2()) - solid.radius * normal
-    moves = np.array([linear + np.cross(angular, point) for linear, angular in ways]).reshape(-1, 3)
-    way = sense * moves[0] / max(float(np.linalg.norm(moves[0])), 1e-12) if len(moves) else np.zeros(3)
-    return Meeting(apart, apart - contact.radius - solid.radius, normal, way, moves[1:], point)
+    moves = _move_points(ways, point[None])[0]
+    size = max(float(np.linalg.norm(moves[0])), 1e-12) if len(moves) else 1.0
+    way = sense * moves[0] / size if len(moves) else np.zeros(3)
+    met = Meeting(apart, apart - contact.radius - solid.radius, normal, way, moves[1:], point)
+    if len(contact.core) <= 2 or len(moves) < 2:  # torsion acts on joints that stay, besides the one that is pushed
+        return met
+    spots = find_patch(contact.core @ pose[0].T + pose[1], body.vertices, normal)
+    moved = _move_points(ways, spots + (point @ normal - spots @ normal)[:, None] * normal)
+    return replace(met, spot_ways=sense * moved[:, 0] / size, spot_held=moved[:, 1:])
+
+
+def _move_points(
+    ways: Sequence[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]], points: Float[np.ndarray, "P 3"]
+) -> Float[np.ndarray, "P j 3"]:
+    """Return how each joint moves each point per unit of its coordinate."""
+    moves = [linear + np.cross(angular, points) for linear, angular in ways]
+    return np.stack(moves, axis=1) if moves else np.zeros((len(points), 0, 3))
 
 
 def measure_excess(push: HandPush, met: Sequence[Meeting]) -> float:
@@ -146,22 +171,26 @@ def _bisect(low: float, high: float, holds: Callable[[float], bool]) -> float:
 class _Balance:
     """Forces of contacts that push a joint and leave the held ones where they are.
 
-    Several contacts do not press across the way, where they would hold against each other.
+    Several contacts do not press across the way, where they would hold against each other.  Each pad of them that lies
+    flat on the body presses at several spots, and so resists torsion.
     """
 
     def __init__(self, push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> None:
-        self._force = max(push.force_n, _LEAST_FORCE_N)
+        self._force = max(push.force_n, LEAST_FORCE_N)
         self._caps = np.array([contact.cap_n for contact, _ in touching])
-        self._normals = np.array([meeting.normal for _, meeting in touching])
-        self._ways = np.array([meeting.way for _, meeting in touching])
-        self._held = np.array([meeting.held for _, meeting in touching])
         self._low = np.array([held.low for held in push.held])
         self._high = np.array([held.high for held in push.held])
-        self._around = _list_tangents(self._normals, self._ways)
         several = len(touching) > 1
-        self._across = np.linalg.svd(self._ways.mean(axis=0)[None])[2][1:] if several else np.zeros((0, 3))
+        parts = [_list_spots(meeting, flat=several) for _, meeting in touching]
+        self._owners = np.repeat(np.arange(len(touching)), [len(ways) for ways, _ in parts])
+        self._normals = np.array([meeting.normal for _, meeting in touching])[self._owners]
+        self._ways = np.concatenate([ways for ways, _ in parts])
+        self._held = np.concatenate([held for _, held in parts])
+        self._around = _list_tangents(self._normals, self._ways)
+        middle = np.mean([meeting.way for _, meeting in touching], axis=0)
+        self._across = np.linalg.svd(middle[None])[2][1:] if several else np.zeros((0, 3))
 
-    def _list_edges(self, half: float) -> Float[np.ndarray, "C E 3"]:
+    def _list_edges(self, half: float) -> Float[np.ndarray, "S E 3"]:
         """Return the edges of pyramids inside cones of a half-angle, as unit vectors."""
         return np.asarray(np.cos(half) * self._normals[:, None] + np.sin(half) * self._around)
 
@@ -175,8 +204,9 @@ class _Balance:
         edges = self._list_edges(half)
         count = edges.shape[0] * edges.shape[1]
         equal = [(edges * self._ways[:, None]).sum(axis=2).reshape(1, count), self._across @ edges.reshape(count, 3).T]
-        parts = np.einsum("cek,chk->hce", edges, self._held).reshape(-1, count)
-        pressed = np.eye(len(edges))[:, :, None] * (edges * self._normals[:, None]).sum(axis=2)
+        parts = np.einsum("sek,shk->hse", edges, self._held).reshape(-1, count)
+        owned = np.arange(len(self._caps))[:, None] == self._owners
+        pressed = owned[:, :, None] * (edges * self._normals[:, None]).sum(axis=2)
         is_low, is_high = np.isfinite(self._low), np.isfinite(self._high)
         bounded = np.concatenate([parts[is_high], -parts[is_low], pressed.reshape(-1, count)])
         values = np.concatenate([self._high[is_high], -self._low[is_low], self._caps])
@@ -197,6 +227,13 @@ class _Balance:
         slack = _REST * pressure.max()
         is_held = (parts >= self._low - slack) & (parts <= self._high + slack)
         return bool(is_held.all()) and bool(pressure.max() <= self._caps[0])
+
+
+def _list_spots(meeting: Meeting, *, flat: bool) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "P h 3"]]:
+    """Return how the joint, and the held ones, move the spots at which a contact presses."""
+    if flat and len(meeting.spot_ways):
+        return meeting.spot_ways, meeting.spot_held
+    return meeting.way[None], meeting.held[None]
 
 
 def _list_tangents(normals: Float[np.ndarray, "C 3"], ways: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C E 3"]:

@@ -4,9 +4,7 @@ At a contact the force is inside the friction cone about the normal, which the s
 core of the hand's surface to the core of the body (``service.verify.forces.rounded``).  The rules of a pose are in
 ``service.verify.forces.hand_balance``.
 
-Between two poses the normal is bounded as well.  With the core's points at most ``e`` away from where they are at a
-pose, at which the cores are ``d`` apart, the vector between the cores changes by at most ``sqrt(e (2 d + e))``: both
-vectors are the shortest of convex sets that are within ``e`` of each other.
+Between two poses the normal is bounded as well (``service.verify.forces.turning``).
 """
 
 from __future__ import annotations
@@ -28,7 +26,8 @@ from service.verify.forces.hand_balance import (
     meet,
 )
 from service.verify.forces.hand_loads import bound_coordinate
-from service.verify.forces.rounded import measure_beyond_hull
+from service.verify.forces.rounded import RoundedBody, measure_beyond_hull
+from service.verify.forces.turning import bound_turn
 from service.verify.frame_paths import FramePath, find_mechanism_joints
 from service.verify.motion import HandContact, HandPush, Motion, Phase, VerifyError, VerifySettings
 from service.verify.phase_proof import PhaseProof, values_at_ends
@@ -157,20 +156,30 @@ class PushPath:
             ways.append((turned[0] @ axis[:3] - np.cross(angular, moved[0]), angular))
         return meet(contact, body, pose, self._push.sense, ways)
 
+    def place_cores(self, s: float) -> tuple[Float[np.ndarray, "K 3"], ...]:
+        """Return the points of each contact's core at a path parameter, as seen from what it presses [m]."""
+        return tuple(path.at(np.array([s]))[0][0] for path in self._paths)
+
     def bound_gap(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return bounds of the nearest contact's gap on intervals, and its values at their ends [m]."""
         ends = values_at_ends(self._list_gaps, first, last)
-        return np.maximum(*ends) + self._bound_travel(first, last).max(axis=0), *ends
+        return np.maximum(*ends) + self.bound_travel(first, last).max(axis=0), *ends
 
     def bound_excess(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return on intervals how much wider the cones would have to be at most, and the same at their ends [rad]."""
         ends = values_at_ends(self._list_excesses, first, last)
-        travel = self._bound_travel(first, last)
-        met = [(*self.meet(a), *self.meet(b)) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-        apart = np.array([max(min(meeting.apart for meeting in each), LEAST_APART_M) for each in met])
-        change = np.sqrt(travel * (2.0 * apart + travel)) / apart
-        turned = np.where(change < 1.0, np.arcsin(np.minimum(change, 1.0)), np.pi).max(axis=0)
-        return np.maximum(*ends) + turned, *ends
+        travel = self.bound_travel(first, last)
+        pairs = list(zip(first.tolist(), last.tolist(), strict=True))
+        turned = [max(self._bound_turns(s, travel[:, k]) for s in pair) for k, pair in enumerate(pairs)]
+        return np.maximum(*ends) + np.array(turned), *ends
+
+    def _bound_turns(self, s: float, travel: Float[np.ndarray, "C"]) -> float:
+        """Return by how much any contact's normal turns where its core moves by a travel from a pose [rad]."""
+        parts = zip(self._bodies, self.place_cores(s), self.meet(s), travel.tolist(), strict=True)
+        return max(
+            bound_turn(core, RoundedBody.of_body(body), meeting.normal, max(meeting.apart, LEAST_APART_M), e)
+            for body, core, meeting, e in parts
+        )
 
     def _list_gaps(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
         return np.array([min(meeting.gap for meeting in self.meet(at)) for at in s.tolist()])
@@ -178,7 +187,7 @@ class PushPath:
     def _list_excesses(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
         return np.array([measure_excess(self._push, self.meet(at)) for at in s.tolist()])
 
-    def _bound_travel(self, first: np.ndarray, last: np.ndarray) -> Float[np.ndarray, "C I"]:
+    def bound_travel(self, first: np.ndarray, last: np.ndarray) -> Float[np.ndarray, "C I"]:
         """Return per contact how far its core's points are at most from where they are at the nearer end [m].
 
         On the curve itself: exported samples, read linearly, leave it by less than any part is made exactly.

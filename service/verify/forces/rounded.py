@@ -17,6 +17,7 @@ MOST_ROUNDING_M = 5e-3  # of an edge of a polytope, which may stand for somethin
 ROUND_ROUNDING_M = 2e-3  # of an edge of a shape that is known to be round
 BOX_ROUNDING_M = 2e-3  # of an edge of a box, and of what has no more corners
 BOX_CORNERS = 8
+SAME_FACE = 1e-6  # sine of the angle between facets of one face
 ROUNDED_SHARE = 0.45  # of a body's least thickness
 
 
@@ -31,11 +32,13 @@ class RoundedBody:
         core: shape of coal.
         pose: of the core in the frame of the body's joint.
         radius: [m].
+        planes: of a core with flat faces, unit normals outwards and offsets, negative inside [m].
     """
 
     core: coal.ShapeBase
     pose: coal.Transform3s
     radius: float
+    planes: Float[np.ndarray, "F 4"]
 
     @staticmethod
     def of_body(body: LinkBody) -> RoundedBody:
@@ -45,6 +48,34 @@ class RoundedBody:
             known = _BODIES[body] = _round_body(body)
         return known
 
+    def list_faces(self) -> Float[np.ndarray, "F 4"]:
+        """Return the planes of the core's flat faces, in the frame of the body's joint [m]."""
+        if not isinstance(self.core, coal.Cylinder):
+            return self.planes
+        axis, middle = np.array(self.pose.getRotation())[:, 2], np.array(self.pose.getTranslation())
+        normals = np.array([axis, -axis])
+        return np.column_stack([normals, -normals @ middle - self.core.halfLength])
+
+    def measure_inside(self, points: Float[np.ndarray, "N 3"], face: Float[np.ndarray, "4"]) -> Float[np.ndarray, "N"]:
+        """Return how far points are from the border of a flat face, seen along its normal; negative outside [m]."""
+        if isinstance(self.core, coal.Cylinder):
+            beside = points - np.array(self.pose.getTranslation())
+            return np.asarray(self.core.radius - np.linalg.norm(np.cross(beside, face[:3]), axis=1))
+        normal = face[:3]
+        on_face = points - (points @ normal + face[3])[:, None] * normal
+        along = self.planes[:, :3] - (self.planes[:, :3] @ normal)[:, None] * normal
+        slope = np.linalg.norm(along, axis=1)
+        others = slope > SAME_FACE
+        inside = -(on_face @ self.planes[others, :3].T + self.planes[others, 3]) / slope[others]
+        return np.asarray(inside.min(axis=1))
+
+    def find_bar(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float] | None:
+        """Return middle, axis and half length of a core's round side; None where it has none [m]."""
+        if not isinstance(self.core, coal.Cylinder | coal.Capsule):
+            return None
+        axis, middle = np.array(self.pose.getRotation())[:, 2], np.array(self.pose.getTranslation())
+        return middle, axis, float(self.core.halfLength)
+
 
 _BODIES: WeakKeyDictionary[LinkBody, RoundedBody] = WeakKeyDictionary()
 
@@ -53,16 +84,24 @@ def _round_body(body: LinkBody) -> RoundedBody:
     exact = body.exact
     if exact is None:
         points, radius = shrink_hull(body.vertices)
-        return RoundedBody(make_coal_convex(points), coal.Transform3s(), radius)
+        return RoundedBody(make_coal_convex(points), coal.Transform3s(), radius, _list_planes(points))
     thickness = 2.0 * exact.radius if exact.kind != "cylinder" else min(2.0 * exact.radius, exact.length)
     radius = min(ROUND_ROUNDING_M, ROUNDED_SHARE * thickness)
     within = exact.radius - radius
+    none = np.zeros((0, 4))
     pose = coal.Transform3s(exact.pose[:3, :3], exact.pose[:3, 3])
     if exact.kind == "sphere":
-        return RoundedBody(coal.Sphere(within), pose, radius)
+        return RoundedBody(coal.Sphere(within), pose, radius, none)
     if exact.kind == "capsule":
-        return RoundedBody(coal.Capsule(within, exact.length), pose, radius)
-    return RoundedBody(coal.Cylinder(within, exact.length - 2.0 * radius), pose, radius)
+        return RoundedBody(coal.Capsule(within, exact.length), pose, radius, none)
+    return RoundedBody(coal.Cylinder(within, exact.length - 2.0 * radius), pose, radius, none)
+
+
+def _list_planes(points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
+    try:
+        return np.asarray(ConvexHull(points).equations)
+    except QhullError:  # flat: it has no inside
+        return np.zeros((0, 4))
 
 
 def shrink_hull(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], float]:

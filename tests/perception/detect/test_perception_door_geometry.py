@@ -21,8 +21,8 @@ from perception.detect.door.profile import Rays
 from perception.detect.door.upright import Upright
 from perception.simulate import Pose, Scanner, box, join_meshes, scan
 from perception.simulate.scenes.doors import Door, truth_geometry
-from service.demands.door_demand import SeenDoor, choose_door
-from service.request.door import DoorRequest
+from service.demands.door.demand import SeenDoor, choose_door
+from service.request.tasks.door import DoorRequest
 
 _AROUND = [box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0)), box((3.8, -4.0, 0.0), (3.9, 4.0, 2.6))]
 _LEFT = Door(hinge=(0.95, 0.42), along=-1.62, hinge_on="left", width=0.86)

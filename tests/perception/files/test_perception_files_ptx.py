@@ -196,7 +196,7 @@ def changed(line: int, words: str) -> bytes:
         (changed(1, "four"), "line 1: 'four' is not a number of columns or rows, as the header of scan 1 has there"),
         (changed(2, "-3"), "line 2: '-3' is not a number of columns or rows"),
         (changed(1, "5000"), "scan 1 announces 5000 columns of 3 cells, 12 lines follow its header"),
-        (changed(1, "100000000"), "its scans announce 300000000 cells; at most 20000000 are read"),
+        (changed(1, "100000000"), "its scans announce 300000000 cells; at most 50000000 are read"),
         (changed(1, "0"), f"line 11: '{GOOD[10]}' is not a number of columns or rows, as the header of scan 2 has"),
         (changed(4, "1 0"), "line 4: '1 0' is not 3 numbers"),
         (changed(5, "0 nan 0"), "line 5: '0 nan 0' is not 3 numbers"),

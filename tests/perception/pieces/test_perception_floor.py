@@ -330,3 +330,13 @@ def test_what_lies_under_the_border_of_a_sole_is_under_it() -> None:
     sole = np.array([[0.0, 0.0, 0.0], [0.25, 0.0, 0.0], [0.25, 0.125, 0.0], [0.0, 0.125, 0.0]])
     under = np.array([[0.0, 0.0625], [0.25, 0.0625], [0.125, 0.0], [0.125, 0.125], [0.125, 0.126]])
     assert on_floor(np.column_stack([under, np.full(5, 0.029)]), floor, [sole]).tolist() == [True] * 4 + [False]
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_a_slab_that_is_seen_from_both_sides_is_one_floor(share: float) -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-2.5, 2.5, (20_000, 2))
+    z = np.where(rng.random(len(xy)) < share, -0.05, 0.0) + rng.normal(0.0, 0.004, len(xy))
+    (floor,) = find_floors(np.column_stack([xy, z]))
+    assert abs(floor.offset) < 0.005
+    assert floor.slope_deg < 0.3

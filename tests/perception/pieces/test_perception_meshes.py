@@ -79,7 +79,7 @@ def test_every_format_gives_the_same_solid(tmp_path: Path, name: str, written: o
     ("name", "content", "problem"),
     [
         ("a.dae", b"<x/>", "a.dae: format '.dae' is not read; expected .stl, .obj, .ply"),
-        ("a.obj", b"rubbish\n", "a.obj: has 0 triangles; expected a solid with 4 to"),
+        ("a.obj", b"rubbish\n", "a.obj: has 0 triangles; expected 1 to"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n", "a.obj: is no readable OBJ file ("),
         ("a.stl", b"", "a.stl: "),
         ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "a.stl: "),

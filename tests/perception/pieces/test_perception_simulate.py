@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 
 from perception import PerceptionError
-from perception.simulate import Caster, DepthCamera, Pose, Scanner, Sensor, SolidState, box, join_meshes, scan
+from perception.simulate import (
+    Caster,
+    DepthCamera,
+    Pose,
+    Scanner,
+    Sensor,
+    SolidState,
+    TimeOfFlight,
+    box,
+    join_meshes,
+    scan,
+)
 from perception.simulate.scenes import SCENES, VARIANTS, SimulatedScene, make_scene
 from perception.simulate.scenes.doors import Door
 from perception.solids.primitives import capsule, lathe, pipe
@@ -276,7 +287,7 @@ def test_what_is_to_be_found_faces_the_sensor_and_is_in_view(name: str) -> None:
 
 
 def test_variants_hold_dense_and_sparse_of_three_sensors() -> None:
-    assert {type(sensor) for sensor in VARIANTS.values()} == {Scanner, SolidState, DepthCamera}
+    assert {type(sensor) for sensor in VARIANTS.values()} == {Scanner, SolidState, DepthCamera, TimeOfFlight}
     scene = make_scene("valve_small")
     count = {variant: len(scene.scan(variant).points) for variant in VARIANTS}
     for name in ("solid", "camera"):

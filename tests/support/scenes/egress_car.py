@@ -9,14 +9,14 @@ import numpy as np
 
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
-from service.demands.contacts.egress_demand import load_phases
 from service.demands.contacts.surfaces import make_surfaces
-from service.request.egress import EgressRequest, PhaseRequest
+from service.demands.egress.demand import load_phases
 from service.request.file import load_request
+from service.request.tasks.egress import EgressRequest, PhaseRequest
 from service.setup.world import build_obstacles
 from service.start.robot import load_requested_robot
 from service.tasks.egress.poses import PoseSolver
-from service.tasks.egress.stages import Stage, make_stages
+from service.tasks.egress.stages import EgressStage, make_stages
 
 REQUEST = Path(__file__).resolve().parents[3] / "examples" / "requests" / "egress_model.yaml"
 
@@ -46,7 +46,7 @@ def phases() -> tuple[PhaseRequest, ...]:
 
 
 @cache
-def stages() -> tuple[Stage, ...]:
+def stages() -> tuple[EgressStage, ...]:
     """The stages for the middle of the region."""
     robot, scene = car()
     return make_stages(robot, make_surfaces(task().surfaces, scene, "surfaces"), phases())

@@ -36,5 +36,5 @@ def door_request(
         "start": {"posture": "reach_ready"},
         "scene": {"obstacles": [*walls, *obstacles]},
         "task": {"door": task},
-        "options": {"time_limit_s": 60},
+        "options": {},
     }

@@ -53,7 +53,7 @@ def request_for(task: dict[str, Any]) -> dict[str, Any]:
         "robot": {"name": "atlas"},
         "start": {"posture": "reach_ready"},
         "task": {"mechanism": task},
-        "options": {"time_limit_s": 60},
+        "options": {},
     }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from given_mechanisms import bar, box, request_for
 
 from service import parse_request
-from service.demands.given_mechanism import GivenMechanism, read_given_mechanism
+from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
 
 
 def inertial(mass: float, at: tuple[float, float, float] = (0, 0, 0), moments: float = 0.0) -> str:

@@ -6,8 +6,8 @@ import numpy as np
 from given_doors import door_request
 
 from service.body.monitor import Monitor
-from service.demands.door import DoorChoice, make_door_phases
-from service.demands.door_demand import make_door, measure_peg, read_given_door
+from service.demands.door.demand import make_door, measure_peg, read_given_door
+from service.demands.door.phases import DoorChoice, make_door_phases
 from service.demands.hands import list_robot_hands
 from service.demands.phase_spec import PhaseSpec
 from service.planner import _make_solver

@@ -78,7 +78,7 @@ async def serving(
     server = grpc.aio.server(interceptors=list(interceptors))
     service = SmallService()
     planner_pb2_grpc.add_PlannerServiceServicer_to_server(service, server)
-    health_pb2_grpc.add_HealthServicer_to_server(health.aio.HealthServicer(), server)
+    health_pb2_grpc.add_HealthServicer_to_server(health.aio.HealthServicer(), server)  # type: ignore[attr-defined]
     address = "127.0.0.1:0"
     port = server.add_insecure_port(address) if credentials is None else server.add_secure_port(address, credentials)
     await server.start()

@@ -201,7 +201,7 @@ class UploadCloudResponse(_message.Message):
     def __init__(self, cloud_id: _Optional[str] = ..., size_bytes: _Optional[int] = ..., was_known: bool = ...) -> None: ...
 
 class CloudsSpec(_message.Message):
-    __slots__ = ("clouds", "unit", "apply_viewpoint", "sensor", "reach_m", "robot", "start", "seed", "topic", "message", "top_m", "bottom_m")
+    __slots__ = ("clouds", "unit", "apply_viewpoint", "sensor", "reach_m", "robot", "start", "seed", "topic", "message", "top_m", "bottom_m", "level", "sensor_model", "sensor_sigma")
     CLOUDS_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
     APPLY_VIEWPOINT_FIELD_NUMBER: _ClassVar[int]
@@ -214,6 +214,9 @@ class CloudsSpec(_message.Message):
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
     TOP_M_FIELD_NUMBER: _ClassVar[int]
     BOTTOM_M_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_FIELD_NUMBER: _ClassVar[int]
+    SENSOR_MODEL_FIELD_NUMBER: _ClassVar[int]
+    SENSOR_SIGMA_FIELD_NUMBER: _ClassVar[int]
     clouds: _containers.RepeatedCompositeFieldContainer[_request_pb2.CloudFile]
     unit: _request_pb2.LengthUnit
     apply_viewpoint: bool
@@ -226,7 +229,10 @@ class CloudsSpec(_message.Message):
     message: _request_pb2.MessageNumber
     top_m: float
     bottom_m: float
-    def __init__(self, clouds: _Optional[_Iterable[_Union[_request_pb2.CloudFile, _Mapping]]] = ..., unit: _Optional[_Union[_request_pb2.LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., reach_m: _Optional[float] = ..., robot: _Optional[str] = ..., start: _Optional[_Union[_request_pb2.Start, _Mapping]] = ..., seed: _Optional[int] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[_request_pb2.MessageNumber, _Mapping]] = ..., top_m: _Optional[float] = ..., bottom_m: _Optional[float] = ...) -> None: ...
+    level: bool
+    sensor_model: _request_pb2.SensorModel
+    sensor_sigma: float
+    def __init__(self, clouds: _Optional[_Iterable[_Union[_request_pb2.CloudFile, _Mapping]]] = ..., unit: _Optional[_Union[_request_pb2.LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., reach_m: _Optional[float] = ..., robot: _Optional[str] = ..., start: _Optional[_Union[_request_pb2.Start, _Mapping]] = ..., seed: _Optional[int] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[_request_pb2.MessageNumber, _Mapping]] = ..., top_m: _Optional[float] = ..., bottom_m: _Optional[float] = ..., level: bool = ..., sensor_model: _Optional[_Union[_request_pb2.SensorModel, str]] = ..., sensor_sigma: _Optional[float] = ...) -> None: ...
 
 class BuildSceneRequest(_message.Message):
     __slots__ = ("clouds", "detect", "hint", "unknown", "method", "meshes", "update")

@@ -96,6 +96,16 @@ class UnknownSpace(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     UNKNOWN_SPACE_FREE: _ClassVar[UnknownSpace]
     UNKNOWN_SPACE_OCCUPIED: _ClassVar[UnknownSpace]
 
+class SensorModel(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SENSOR_MODEL_UNSPECIFIED: _ClassVar[SensorModel]
+    SENSOR_MODEL_AUTO: _ClassVar[SensorModel]
+    SENSOR_MODEL_SPINNING: _ClassVar[SensorModel]
+    SENSOR_MODEL_DEPTH: _ClassVar[SensorModel]
+    SENSOR_MODEL_TOF: _ClassVar[SensorModel]
+    SENSOR_MODEL_SOLID: _ClassVar[SensorModel]
+    SENSOR_MODEL_SURVEY: _ClassVar[SensorModel]
+
 class PieceMethod(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     PIECE_METHOD_UNSPECIFIED: _ClassVar[PieceMethod]
@@ -177,6 +187,13 @@ SIDE_RIGHT: Side
 UNKNOWN_SPACE_UNSPECIFIED: UnknownSpace
 UNKNOWN_SPACE_FREE: UnknownSpace
 UNKNOWN_SPACE_OCCUPIED: UnknownSpace
+SENSOR_MODEL_UNSPECIFIED: SensorModel
+SENSOR_MODEL_AUTO: SensorModel
+SENSOR_MODEL_SPINNING: SensorModel
+SENSOR_MODEL_DEPTH: SensorModel
+SENSOR_MODEL_TOF: SensorModel
+SENSOR_MODEL_SOLID: SensorModel
+SENSOR_MODEL_SURVEY: SensorModel
 PIECE_METHOD_UNSPECIFIED: PieceMethod
 PIECE_METHOD_PLANES: PieceMethod
 PIECE_METHOD_COACD: PieceMethod
@@ -790,7 +807,7 @@ class PlaneSide(_message.Message):
     def __init__(self, link: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., limit: _Optional[float] = ..., point: _Optional[_Iterable[float]] = ..., weight: _Optional[float] = ...) -> None: ...
 
 class SceneSpec(_message.Message):
-    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file", "cuts")
+    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file", "cuts", "level", "sensor_model", "sensor_sigma")
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
     APPLY_VIEWPOINT_FIELD_NUMBER: _ClassVar[int]
@@ -804,6 +821,9 @@ class SceneSpec(_message.Message):
     UNKNOWN_FIELD_NUMBER: _ClassVar[int]
     FILE_FIELD_NUMBER: _ClassVar[int]
     CUTS_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_FIELD_NUMBER: _ClassVar[int]
+    SENSOR_MODEL_FIELD_NUMBER: _ClassVar[int]
+    SENSOR_SIGMA_FIELD_NUMBER: _ClassVar[int]
     cloud: Cloud
     unit: LengthUnit
     apply_viewpoint: bool
@@ -817,7 +837,10 @@ class SceneSpec(_message.Message):
     unknown: UnknownSpace
     file: str
     cuts: _containers.RepeatedCompositeFieldContainer[Cut]
-    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ..., cuts: _Optional[_Iterable[_Union[Cut, _Mapping]]] = ...) -> None: ...
+    level: bool
+    sensor_model: SensorModel
+    sensor_sigma: float
+    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ..., cuts: _Optional[_Iterable[_Union[Cut, _Mapping]]] = ..., level: bool = ..., sensor_model: _Optional[_Union[SensorModel, str]] = ..., sensor_sigma: _Optional[float] = ...) -> None: ...
 
 class Cloud(_message.Message):
     __slots__ = ("file", "files")
@@ -958,7 +981,7 @@ class Keep(_message.Message):
     def __init__(self, link: _Optional[str] = ..., relative_to: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction")
+    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m")
     WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
     TIME_LIMIT_S_FIELD_NUMBER: _ClassVar[int]
     MARGIN_M_FIELD_NUMBER: _ClassVar[int]
@@ -972,6 +995,7 @@ class Options(_message.Message):
     TIMED_FIELD_NUMBER: _ClassVar[int]
     ESCAPE_FIELD_NUMBER: _ClassVar[int]
     HAND_FRICTION_FIELD_NUMBER: _ClassVar[int]
+    CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
     waypoints: int
     time_limit_s: float
     margin_m: float
@@ -985,7 +1009,8 @@ class Options(_message.Message):
     timed: bool
     escape: bool
     hand_friction: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ...) -> None: ...
+    clearance_m: float
+    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ..., clearance_m: _Optional[float] = ...) -> None: ...
 
 class Resume(_message.Message):
     __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf", "hold", "nominal", "is_compliant")

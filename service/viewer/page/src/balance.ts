@@ -116,13 +116,13 @@ export class Balance implements Layer {
   recolour(colours: Colours): void {
     for (const material of [this.fill, this.border, this.inner]) material.color.set(colours.support);
     this.zmp.color.set(colours.zmp);
-    (this.dot.material as MeshBasicMaterial).color.set(colours.zmp);
-    (this.plumb.material as MeshBasicMaterial).color.set(colours.com);
+    this.dot.material.color.set(colours.zmp);
+    this.plumb.material.color.set(colours.com);
   }
 
   // Seen through the robot in x-ray and from straight above.
   xray(on: boolean): void {
-    const materials = [this.fill, this.border, this.inner, this.zmp, this.traces, this.dot.material as MeshBasicMaterial];
+    const materials = [this.fill, this.border, this.inner, this.zmp, this.traces, this.dot.material];
     for (const material of materials) material.depthTest = !on;
     // From above the ball would cover the traces under it.
     this.ball.scale.setScalar(on ? 0.4 : 1);

@@ -84,7 +84,7 @@ export interface Result extends Omit<
 const namedHull = (piece: PackedNamedHull): NamedHull => ({ ...piece, hull: hullOf(piece.hull) });
 
 export function readPayload(): Result {
-  const payload = JSON.parse(document.getElementById("payload")!.textContent!) as Payload;
+  const payload = JSON.parse(document.getElementById("payload")!.textContent) as Payload;
   return {
     ...payload,
     times: floats(payload.times),

@@ -1,6 +1,6 @@
 // Every waypoint as a ghost: coloured by its time, fading with its distance in time from now.
 import {
-  Color, Group, InstancedBufferAttribute, InstancedMesh, Matrix4, NotEqualStencilFunc, ShaderMaterial, Vector3,
+  Group, InstancedBufferAttribute, InstancedMesh, Matrix4, NotEqualStencilFunc, ShaderMaterial, Vector3,
 } from "three";
 import { Body } from "./data";
 import { smoothHullGeometry } from "./geometry";
@@ -75,7 +75,7 @@ export class Ghosts implements Layer {
     this.share = Math.min(1, Math.max(14 / Math.max(this.times.length, 1), 0.2));
     if (this.times.length === 0) return;
     const span = Math.max(motion.end - motion.start, 1e-9);
-    const tints = new Float32Array(this.times.flatMap((t) => (timeColour((t - motion.start) / span) as Color).toArray()));
+    const tints = new Float32Array(this.times.flatMap((t) => timeColour((t - motion.start) / span).toArray()));
     for (const body of bodies) {
       const link = motion.links.indexOf(body.link);
       const geometry = smoothHullGeometry(body.hull);

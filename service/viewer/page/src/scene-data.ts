@@ -32,7 +32,7 @@ export const FLOORS = 65534;
 export const LEFT_OUT = 65533;
 
 export function readScan(): Scan {
-  const payload = JSON.parse(document.getElementById("payload")!.textContent!) as Payload;
+  const payload = JSON.parse(document.getElementById("payload")!.textContent) as Payload;
   return {
     ...payload,
     pieces: payload.pieces.map((piece) => ({ ...piece, hull: hullOf(piece.hull) })),

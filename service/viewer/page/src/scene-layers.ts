@@ -350,7 +350,7 @@ export class Slice implements Layer {
     texture.magFilter = NearestFilter;
     texture.colorSpace = "srgb";
     texture.needsUpdate = true;
-    const material = this.mesh.material as MeshBasicMaterial;
+    const material = this.mesh.material;
     material.map?.dispose();
     material.map = texture;
     material.needsUpdate = true;

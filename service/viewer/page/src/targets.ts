@@ -81,8 +81,8 @@ export class Targets implements Layer {
     const centre = new Vector3().fromArray(target.centre!);
     const axis = new Vector3().fromArray(target.axis!).normalize();
     const upright = new Quaternion().setFromUnitVectors(new Vector3(0, 0, 1), axis);
-    const rings: [BufferGeometry, Material][] = [[new TorusGeometry(target.radius!, 0.0035, 8, 96), this.ring]];
-    if (target.tolerance_m) rings.push([new TorusGeometry(target.radius!, target.tolerance_m, 10, 96), this.tolerance]);
+    const rings: [BufferGeometry, Material][] = [[new TorusGeometry(target.radius, 0.0035, 8, 96), this.ring]];
+    if (target.tolerance_m) rings.push([new TorusGeometry(target.radius, target.tolerance_m, 10, 96), this.tolerance]);
     for (const [geometry, material] of rings) {
       const ring = new Mesh(geometry, material);
       ring.position.copy(centre);

@@ -1,0 +1,1 @@
+"""Demands of opening a door."""

@@ -1,0 +1,469 @@
+"""Demands of a door task: the door as a mechanism, how a hand holds each kind of handle, and the phases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.allowance import Allowance, BodyRef
+from costs.robot import Mechanism, MechanismJoint, Release
+from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
+from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
+from perception.detect.door.seen_parts import HANDLE_NAMES
+from service.demands.hands import Hand
+from service.demands.holds.door_edge import hold_edge, make_edge_load
+from service.demands.holds.pressed import add_pressed, find_pressed
+from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.request.tasks.door import DOOR, HANDLE_JOINT, LEAF_JOINT
+from service.verify import HandLoad
+
+if TYPE_CHECKING:
+    from perception import SeenPart
+
+TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
+LARGEST_OPENING = np.deg2rad(170.0)
+LEAF_ACCELERATION = 1.0  # slow enough for the mass of a leaf to add little to what opens it [rad/s^2]
+STOP_ROUNDING = 1e-3  # by which a joint may pass its stop at 0 [rad, m]
+LEVER_STOP = np.deg2rad(60.0)
+BEYOND_RELEASE = np.deg2rad(5.0)  # by which the lever is turned further than it needs
+PRESS_BEYOND = 3e-3  # the same of a push bar [m]
+FREE_BEYOND = np.deg2rad(5.0)  # opening from which on the latch no longer holds the leaf
+LEAST_GRIP = 0.1  # of a lever from its spindle: 20 N for 2 N m [m]
+GRIP_FROM_END = 0.02  # [m]
+LINE_OUT, LINE_UP = 0.09, 0.04  # of the lines that lead to a handle and away from it [m]
+TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
+HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(20.0), np.deg2rad(20.0)
+TILT_RESERVE = np.deg2rad(2.0)
+PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
+ABOVE_LEVER = 1.5e-3  # of the hand's front, which leans [m]
+PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg leans [m]
+PEG_ACROSS = np.deg2rad(30.0)  # between the peg behind a pull handle and the leaf
+PLACE_TOLERANCE = 5e-3  # [m]
+TORQUE_SHARE = 0.9  # of the joints before the hand; the rest is for the motion [-]
+LEAF, LEAF_NEAR = "leaf", 0.15  # name of the leaf, and distance from a hold within which it is counted [m]
+PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
+GIVES_WAY = 0.2  # share of the force that releases a handle, for which one at rest hardly moves [-]
+
+
+@dataclass(frozen=True)
+class Door:
+    """A door to open.
+
+    Attributes:
+        geometry: leaf and handle; ``opens`` is known.
+        release: angle of the lever, or travel of the push bar, from which on the leaf is free [rad, m].
+        lever_nm, hinge_nm, push_bar_n: what turns the lever, opens the leaf, and presses the bar.
+        seen: parts of it that the scan shows, with their counts; None where the request gives the door.
+    """
+
+    geometry: DoorGeometry
+    release: float
+    lever_nm: float
+    hinge_nm: float
+    push_bar_n: float
+    seen: tuple[SeenPart, ...] | None = None
+
+    @property
+    def handle(self) -> HandleGeometry | None:
+        """The handle."""
+        return self.geometry.handle
+
+    @property
+    def handle_name(self) -> str:
+        """What a hand holds: ``lever``, ``pull handle``, ``push bar``."""
+        return "handle" if self.handle is None else HANDLE_NAMES.get(self.handle.kind, self.handle.kind)
+
+    @property
+    def has_push_bar(self) -> bool:
+        """Whether the handle is a push bar."""
+        return self.handle is not None and self.handle.kind == "push_bar"
+
+    @property
+    def is_push(self) -> bool:
+        """Whether the leaf moves away from the robot."""
+        return self.geometry.opens == "push"
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether the leaf has to be released before it opens."""
+        has_latch = self.handle is not None and self.handle.kind in ("lever", "push_bar")
+        return bool(has_latch and self.geometry.ajar < FREE_BEYOND)
+
+    @property
+    def pressed(self) -> float:
+        """Value of the handle's joint at which the leaf is opened [rad, m]."""
+        is_bar = self.has_push_bar
+        return self.release + (PRESS_BEYOND if is_bar else float(BEYOND_RELEASE))
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """Leaf and handle as a tree of joints, described with the leaf shut and the lever at rest."""
+        geometry, handle = self.geometry, self.handle
+        bodies = {
+            link: {f"{link}/{name}": vertices for name, vertices in parts.items()}
+            for link, parts in door_bodies(geometry).items()
+        }
+        joints = [
+            MechanismJoint(
+                LEAF_JOINT,
+                LEAF_LINK,
+                geometry.hinge,
+                geometry.hinge_axis,
+                bodies[LEAF_LINK],
+                lower=-STOP_ROUNDING,
+                upper=LARGEST_OPENING,
+                start=max(geometry.ajar, 0.0),  # seen with noise
+                acceleration=LEAF_ACCELERATION,
+            )
+        ]
+        if handle is None or HANDLE_LINK not in bodies:
+            return Mechanism(DOOR, tuple(joints))
+        is_bar = self.has_push_bar
+        joints.append(
+            MechanismJoint(
+                HANDLE_JOINT,
+                HANDLE_LINK,
+                handle.centre,
+                -geometry.normal if is_bar else self.spindle_axis,
+                bodies[HANDLE_LINK],
+                kind="prismatic" if is_bar else "revolute",
+                parent=LEAF_LINK,
+                lower=-STOP_ROUNDING,
+                upper=self.pressed + 0.01 if is_bar else LEVER_STOP,
+                start=0.0 if is_bar else max(geometry.handle_turn, 0.0),  # seen with noise
+                velocity=0.2 if is_bar else 1.0,
+                acceleration=1.0 if is_bar else 2.0,
+            )
+        )
+        return Mechanism(DOOR, tuple(joints), (Release(LEAF_JOINT, HANDLE_JOINT, self.release, float(FREE_BEYOND)),))
+
+    @property
+    def spindle_axis(self) -> Float[np.ndarray, "3"]:
+        """(3,) unit: about which a positive angle turns the lever down."""
+        if self.handle is None:
+            raise ValueError("a door without a handle has no spindle")
+        normal = self.geometry.normal
+        return np.asarray(normal * (-1.0 if np.cross(normal, self.handle.direction) @ UP > 0.0 else 1.0))
+
+
+@dataclass(frozen=True)
+class Push:
+    """Where a hand pushes the leaf: the tip of its peg on the face, or the peg's side behind the free edge.
+
+    Attributes:
+        hand: the hand.
+        along, up: place on the leaf from the hinge axis and from its lower edge [m].
+        last: opening angle at the end [rad].
+        slant: of a peg behind the free edge: angle by which it points up; None of one whose tip is on the face [rad].
+    """
+
+    hand: Hand
+    along: float
+    up: float
+    last: float
+    slant: float | None = None
+
+
+@dataclass(frozen=True)
+class DoorChoice:
+    """Choices of a plan, among those the task permits.
+
+    Attributes:
+        hand: the hand at the handle.
+        peg_m: length of its free peg [m].
+        grip: place of the hand along the bar, from the spindle or the bar's middle [m].
+        sense: of a pull handle: 1 if the peg points to the hinge, -1 if away from it.
+        first: opening angle that the hand reaches at the handle; the start's if the leaf is only pushed [rad].
+        push: regrasp on the leaf, or None.
+        stays: whether the hand stays on the leaf at the end.
+    """
+
+    hand: Hand
+    peg_m: float
+    grip: float
+    sense: float
+    first: float
+    push: Push | None = None
+    stays: bool = False
+
+
+def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = REACH_WAYPOINTS) -> tuple[PhaseSpec, ...]:
+    """Return the phases of a plan: at the handle, and on the leaf after a regrasp."""
+    phases: list[PhaseSpec] = []
+    start = door.mechanism.start
+    if choice.first > start[0]:
+        specs = _open_at_handle(door, choice, start, reach_waypoints)
+        phases += add_pressed(specs, find_pressed(door.seen, door.handle_name, (choice.grip, 0.0)))
+    if choice.push is not None:
+        at = phases[-1].last if phases else start
+        specs = _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
+        place = choice.push.along, choice.push.up
+        phases += add_pressed(specs, find_pressed(door.seen, LEAF, place, LEAF_NEAR))
+    bears = _list_resistances(door)
+    return tuple(replace(phase, bears=bears) for phase in phases)
+
+
+def _list_resistances(door: Door) -> dict[str, tuple[float, float]]:
+    """Return by joint the forces of a hand that it bears by itself: the hinge's friction, little of a handle's spring.
+
+    A handle at rest gives way as its spring does, and stays in the hand for a small share of what releases it.  A leaf
+    that opens early, while its handle is pressed, goes the way that it is to go.
+    """
+    gives_way = np.inf if door.has_push_bar else GIVES_WAY * door.lever_nm  # a bar may be pressed further
+    return {LEAF_JOINT: (-door.hinge_nm, np.inf), HANDLE_JOINT: (0.0, gives_way)}
+
+
+def _open_at_handle(
+    door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"], reach_waypoints: int
+) -> list[PhaseSpec]:
+    """Return reach, approach, press, open, let go and retract."""
+    held = hold_handle(door, choice)
+    pressed, opened, released = start.copy(), start.copy(), start.copy()
+    presses = door.is_latched
+    if presses:
+        pressed[1] = opened[1] = max(door.pressed, start[1])
+    opened[0] = released[0] = choice.first
+    on_leaf = held.on_leaf(float(pressed[1]) if len(pressed) > 1 else 0.0)
+    step = "pose at the handle"
+    phases = [
+        PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
+        PhaseSpec("approach", start, start, held.line(held.at_rest(start)), held.touches, n_waypoints=LINE_WAYPOINTS),
+    ]
+    if presses:
+        name = "turn the handle" if door.handle is not None and door.handle.kind == "lever" else "press the bar"
+        count = max(int(np.ceil(abs(pressed[1] - start[1]) / TURN_STEP)) + 1, 4)
+        phases.append(
+            PhaseSpec(
+                name,
+                start,
+                pressed,
+                held.at_rest(start),
+                held.touches,
+                held.press_loads(),
+                n_waypoints=count,
+                torque_share=TORQUE_SHARE,
+            )
+        )
+    count = max(int(np.ceil((choice.first - start[0]) / OPEN_STEP)) + 1, 3)
+    loads = held.open_loads(on_leaf, presses=presses)
+    phases.append(
+        PhaseSpec(
+            "open", pressed, opened, on_leaf, held.touches, loads,
+            is_anchor=True, aims_at_end=True, step=step, n_waypoints=count, torque_share=TORQUE_SHARE,
+        )
+    )  # fmt: skip
+    if choice.stays and choice.push is None:
+        return phases
+    if presses:
+        count = max(int(np.ceil(abs(opened[1] - released[1]) / TURN_STEP)) + 1, 4)
+        name = "let the handle go"
+        phases.append(
+            PhaseSpec(
+                name,
+                opened,
+                released,
+                held.at_rest(start),
+                held.touches,
+                held.press_loads(),
+                n_waypoints=count,
+                torque_share=TORQUE_SHARE,
+            )
+        )
+    away = replace(held.line(held.at_rest(start)), leaves=True)
+    phases.append(PhaseSpec("retract", released, released, away, held.touches, n_waypoints=LINE_WAYPOINTS))
+    return phases
+
+
+def _push_leaf(
+    door: Door, choice: DoorChoice, push: Push, at: Float[np.ndarray, "k"], reach_waypoints: int, *, is_second: bool
+) -> list[PhaseSpec]:
+    """Return reach, touch, push and retract of a hand that pushes the leaf open."""
+    geometry = door.geometry
+    suffix = " 2" if is_second else ""
+    side = -1.0 if door.is_push else 1.0  # a leaf that opens towards the robot is pushed on its back
+    face = geometry.face if door.is_push else geometry.face - geometry.thickness
+    place = push.along * geometry.along + face * geometry.normal + push.up * UP
+    tip = HandMotion(
+        push.hand.tool, LEAF_LINK, place, side * geometry.normal, slide=PUSH_SLIDE * geometry.along,
+        tolerance_m=PLACE_TOLERANCE, tilt_rad=float(PUSH_TILT), aim_rad=float(PUSH_TILT - TILT_RESERVE),
+    )  # fmt: skip
+    touches = (_allow(push.hand.hook, LEAF_LINK, "leaf"),)
+    line = replace(tip, offset=-side * LINE_OUT * geometry.normal)
+    load = HandLoad(push.hand.tool, LEAF_LINK, place, side * _find_force(door, push) * geometry.normal, tip.slide)
+    if push.slant is not None:
+        tip, offset, normal = hold_edge(geometry, push)
+        line, load = replace(tip, offset=offset), make_edge_load(geometry, tip, normal, door.hinge_nm)
+    last = at.copy()
+    last[0] = push.last
+    count = max(int(np.ceil((push.last - at[0]) / OPEN_STEP)) + 1, 3)
+    phases = [
+        PhaseSpec(f"reach{suffix}", at, at, n_waypoints=reach_waypoints),
+        PhaseSpec(f"touch{suffix}", at, at, line, touches, n_waypoints=LINE_WAYPOINTS),
+        PhaseSpec(
+            f"push{suffix}",
+            at,
+            last,
+            tip,
+            touches,
+            (load,),
+            is_anchor=True,
+            step="pose on the leaf",
+            n_waypoints=count,
+            aims_at_end=True,
+            torque_share=TORQUE_SHARE,
+        ),
+    ]
+    if not choice.stays:
+        away = replace(line, leaves=True)
+        phases.append(PhaseSpec(f"retract{suffix}", last, last, away, touches, n_waypoints=LINE_WAYPOINTS))
+    return phases
+
+
+def _find_force(door: Door, push: Push) -> float:
+    """Return the force of a tip that opens the leaf wherever it slides [N]."""
+    return door.hinge_nm / max(push.along - PUSH_SLIDE, 0.05)
+
+
+@dataclass(frozen=True)
+class HandleHold:
+    """How a hand holds a handle; places are in the link of the handle, with the leaf shut and the lever at rest.
+
+    Attributes:
+        door: the door.
+        tool: frame at the contact.
+        place: (3,) of the tool from the handle's centre [m].
+        contact: (3,) where the hand presses, from the handle's centre [m].
+        axis: (3,) unit, of the hand, in the leaf.
+        offset: (3,) from which a line leads to the handle [m].
+        tilt: largest lean of the hand from ``axis`` [rad].
+        touches: pairs that may touch.
+        lean: largest angle between the leaf and a peg behind a bar, which draws the hand along the leaf [rad].
+    """
+
+    door: Door
+    tool: str
+    place: Float[np.ndarray, "3"]
+    contact: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    offset: Float[np.ndarray, "3"]
+    tilt: float
+    touches: tuple[Allowance, ...]
+    lean: float = 0.0
+
+    def at_rest(self, start: Float[np.ndarray, "k"]) -> HandMotion:
+        """Return the hold that moves with the handle; with the leaf where the handle has no joint of its own."""
+        if len(start) == 1:
+            return self.on_leaf(0.0)
+        return self._motion(HANDLE_LINK, self.place)
+
+    def on_leaf(self, value: float) -> HandMotion:
+        """Return the hold that moves with the leaf, given the value of the handle's joint."""
+        return self._motion(LEAF_LINK, self._in_leaf(self.place, value))
+
+    def line(self, motion: HandMotion) -> HandMotion:
+        """Return the straight line that ends at a hold."""
+        return replace(motion, offset=self.offset)
+
+    def press_loads(self) -> tuple[HandLoad, ...]:
+        """Return what turns the lever or presses the bar."""
+        door, handle = self.door, self.door.handle
+        if handle is None or handle.kind not in ("lever", "push_bar"):
+            return ()
+        if handle.kind == "push_bar":
+            return (HandLoad(self.tool, HANDLE_LINK, self.contact, -door.push_bar_n * door.geometry.normal),)
+        arm = float(np.linalg.norm(self.contact))
+        moves = np.cross(door.spindle_axis, self.contact) / arm
+        return (HandLoad(self.tool, HANDLE_LINK, self.contact, door.lever_nm / arm * moves),)
+
+    def open_loads(self, on_leaf: HandMotion, *, presses: bool) -> tuple[HandLoad, ...]:
+        """Return what moves the leaf, and keeps the handle where it releases if ``presses``.
+
+        What presses a bar pushes the leaf as well: the larger force does both.
+        """
+        door, place = self.door, on_leaf.place
+        flat = place - (place @ UP) * UP
+        arm = float(np.linalg.norm(flat))
+        moves = np.cross(door.geometry.hinge_axis, flat) / arm
+        force = door.hinge_nm / arm
+        if presses and door.has_push_bar:
+            return (HandLoad(self.tool, LEAF_LINK, place, max(force, door.push_bar_n) * moves),)
+        load = HandLoad(self.tool, LEAF_LINK, place, force * moves)
+        if not self.lean:
+            return (load, *(self.press_loads() if presses else ()))
+        # A bar presses square to a peg that leans: what turns the leaf is only a part of the force.
+        along = np.cross(moves, door.geometry.hinge_axis)
+        along = along * np.sign(along @ self.axis)
+        return (load, HandLoad(self.tool, LEAF_LINK, place, force * np.tan(self.lean) * along))
+
+    def _motion(self, link: str, place: Float[np.ndarray, "3"]) -> HandMotion:
+        return HandMotion(
+            self.tool, link, place, self.axis, tolerance_m=PLACE_TOLERANCE, tilt_rad=self.tilt,
+            aim_rad=self.tilt - float(TILT_RESERVE), axis_link=LEAF_LINK,
+        )  # fmt: skip
+
+    def _in_leaf(self, offset: Float[np.ndarray, "3"], value: float) -> Float[np.ndarray, "3"]:
+        """Return a place of the handle in the leaf's frame, given the value of the handle's joint."""
+        handle = self.door.handle
+        if handle is None:
+            raise ValueError("a door without a handle cannot be held at it")
+        moved = offset
+        if handle.kind == "lever":
+            moved = Rotation.from_rotvec(value * self.door.spindle_axis).apply(offset)
+        elif handle.kind == "push_bar":
+            moved = offset - value * self.door.geometry.normal
+        return np.asarray(handle.centre - self.door.geometry.hinge + moved)
+
+
+def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
+    """Return how the chosen hand holds the door's handle.
+
+    Raises:
+        ValueError: the door has no handle, or a knob.
+    """
+    handle, geometry, hand = door.handle, door.geometry, choice.hand
+    if handle is None or handle.kind == "knob":
+        raise ValueError("no hand of this robot holds a knob")
+    normal, radius = geometry.normal, handle.radius
+    peg = radius + hand.peg_radius + PEG_SPACE
+    stands_out = float((handle.centre - geometry.hinge) @ normal) - geometry.face
+    at_grip = choice.grip * handle.direction
+    kind = handle.kind
+    if kind == "push_bar":
+        up = 0.0
+        place = at_grip + radius * normal + up * UP
+        pressed = (_allow(hand.hook, HANDLE_LINK, "bar"),)
+        return HandleHold(door, hand.tool, place, place, -normal, LINE_OUT * normal, float(PUSH_TILT), pressed)
+    if kind == "pull":
+        towards = -choice.sense * geometry.along
+        axis = np.cos(PEG_ACROSS) * towards - np.sin(PEG_ACROSS) * normal
+        behind = -np.cos(PEG_ACROSS) * normal - np.sin(PEG_ACROSS) * towards
+        place = at_grip + peg * behind
+        hooked = (_allow(hand.hook, LEAF_LINK, "bar"),)
+        lean = float(PEG_ACROSS + PULL_TILT)
+        return HandleHold(door, hand.peg, place, place, axis, -LINE_OUT * axis, float(PULL_TILT), hooked, lean)
+    touches: tuple[Allowance, ...] = (
+        _allow(hand.hook, HANDLE_LINK, "lever"),
+        _allow(hand.link, HANDLE_LINK, "lever"),
+        _allow(hand.hook, LEAF_LINK, "leaf"),
+    )
+    if door.is_push:  # the peg lies on the lever, the hand's front or the peg's tip pushes
+        front = max(radius, choice.peg_m - stands_out)
+        place = at_grip + peg * UP + front * normal
+        offset = LINE_OUT * normal + LINE_UP * UP
+        return HandleHold(door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches)
+    # The peg hangs behind the lever, leaning so that the hand keeps off the leaf; its front rests on the lever.
+    axis = -np.cos(PEG_LEAN) * UP - np.sin(PEG_LEAN) * normal
+    above = (radius + ABOVE_LEVER) * np.cos(PEG_LEAN) + peg * np.sin(PEG_LEAN)
+    place = at_grip - (peg / np.cos(PEG_LEAN) - above * np.tan(PEG_LEAN)) * normal + above * UP
+    offset = -(LINE_OUT + choice.peg_m) * axis
+    return HandleHold(door, hand.stub, place, at_grip, axis, offset, float(LEAN_TILT), touches)
+
+
+def _allow(link: str, mechanism_link: str, body: str) -> Allowance:
+    other = BodyRef("mechanism", mechanism_link, f"{mechanism_link}/{body}")
+    return Allowance(BodyRef.of_link(link), other, TOUCH_DEPTH)

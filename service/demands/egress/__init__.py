@@ -1,0 +1,1 @@
+"""Demands of getting out of a vehicle."""

@@ -1,0 +1,1 @@
+"""Figures of a result, measured on its motion by the code of the verifier."""

@@ -1,0 +1,1 @@
+"""Demands of moving a mechanism that the request gives."""

@@ -1,0 +1,63 @@
+"""The demand part of moving a mechanism that the request gives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import RobotModel
+from costs.scene import ConvexPiece
+from service.demands.kind import DemandPart, Shown
+from service.demands.mechanism.demand import GivenMechanismDemand, make_mechanism_rest
+from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
+from service.demands.plausible import list_mechanism_problems
+from service.demands.recorded_task import MechanismDemand
+from service.demands.resistance import MechanismPhysics, Resistance
+from service.demands.task_demand import World
+from service.request.tasks.mechanism import MechanismRequest
+
+
+class MechanismDemandPart(DemandPart[MechanismRequest]):
+    """Moving a mechanism of a URDF."""
+
+    def make_demand(self, section: MechanismRequest, world: World, shown: Shown, program: object) -> MechanismDemand:
+        """Return the demands on the mechanism."""
+        request = world.request
+        moving = GivenMechanismDemand(read_given_mechanism(section), world.robot, request.options.hand_friction)
+        return MechanismDemand(moving if request.resume is None else make_mechanism_rest(moving, request.resume))
+
+    def list_given_problems(
+        self,
+        section: MechanismRequest,
+        robot: RobotModel,
+        start: Float[np.ndarray, "n"],
+        obstacles: Sequence[ConvexPiece],
+    ) -> Iterator[str]:
+        """Yield a line for each moving part that is inside what stands still."""
+        yield from list_mechanism_problems(read_given_mechanism(section), obstacles)
+
+    def read_mechanism(self, section: MechanismRequest) -> GivenMechanism:
+        """Return the mechanism of the URDF."""
+        return read_given_mechanism(section)
+
+    def read_physics(self, section: MechanismRequest) -> MechanismPhysics:
+        """Return masses and damping of the URDF, and everything else as the plan's loads have it."""
+        moved = read_given_mechanism(section).moved
+        joints = {
+            joint.name: Resistance(friction=joint.friction, damping=joint.damping, rest=joint.start)
+            for joint in moved.joints
+        }
+        for name, spring in moved.springs.items():
+            joints[name] = replace(joints[name], preload=spring.preload, stiffness=spring.stiffness)
+        inertias = {
+            joint.name: replace(joint.inertia, centre=joint.inertia.centre - joint.origin)
+            for joint in moved.joints
+            if joint.inertia is not None
+        }
+        return MechanismPhysics(joints, inertias=inertias)
+
+
+PART = MechanismDemandPart()

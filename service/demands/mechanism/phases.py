@@ -1,0 +1,183 @@
+"""Phases of a hand that moves a given mechanism: its place at the handle, its loads, and what stays still."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance, BodyRef
+from service.demands.hands import Hand
+from service.demands.holds.pressed import add_pressed, find_pressed
+from service.demands.mechanism.given import GivenMechanism
+from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
+from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.errors import RequestError
+from service.request.tasks.mechanism import MechanismRequest
+from service.verify import HandLoad
+
+TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
+TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad, m]
+TILT_RESERVE = float(np.deg2rad(2.0))
+PLACE_TOLERANCE = 5e-3  # [m]
+STAYS_SHARE = 0.7  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
+LET_GO = "let go"  # name of the phase in which a hand leaves the face that it presses, before it goes away
+MOST_LOADS = 4  # at a time: the robot is held under every combination of them
+LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
+
+
+def make_mechanism_phases(
+    given: GivenMechanism, hand: Hand, reach_waypoints: int = REACH_WAYPOINTS
+) -> tuple[PhaseSpec, ...]:
+    """Return the phases: reach, approach, one per move, retract unless the hand stays.
+
+    Raises:
+        RequestError: a hand at the handle does not move a joint.
+    """
+    handle, start = given.handle, given.mechanism.start
+    tool = select_tool(given, hand)
+    held = HandMotion(
+        tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
+        tilt_rad=handle.tilt, aim_rad=handle.tilt - TILT_RESERVE,
+    )  # fmt: skip
+    line = replace(held, offset=handle.approach)
+    links = (hand.hook, hand.link) if given.request.handle.tool == "stub" else (hand.hook,)
+    touches = tuple(
+        Allowance(BodyRef.of_link(link), BodyRef("mechanism", handle.link, body), TOUCH_DEPTH)
+        for link in links
+        for body in handle.bodies
+    )
+    phases = [
+        PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
+        PhaseSpec("approach", start, start, line, touches, n_waypoints=LINE_WAYPOINTS),
+    ]
+    ends = given.list_moves()
+    values = ends[-1][1]
+    joint_loads = given.list_joint_loads()
+    loads = [tuple(_make_loads(given, tool, first, each)) for (first, _), each in zip(ends, joint_loads, strict=True)]
+    crowded = next((k for k, carried in enumerate(loads) if len(carried) > MOST_LOADS), None)
+    if crowded is not None:
+        raise RequestError(
+            f"task.mechanism.joints: the hand would carry {len(loads[crowded])} loads, one per joint and direction, in "
+            f"moves[{crowded}]; expected at most {MOST_LOADS}"
+        )
+    travels = [measure_travel(given, first, last) for first, last in ends]
+    for k, (move, (first, last)) in enumerate(zip(given.request.moves, ends, strict=True)):
+        joint = given.mechanism.joint(move.joint)
+        step = SLIDE_STEP if joint.kind == "prismatic" else TURN_STEP
+        count = max(int(np.ceil(np.abs(last - first).max() / step)) + 1, 4)
+        bears = {
+            load.joint: (load.low - STAYS_SHARE * load.slack[0], load.high + STAYS_SHARE * load.slack[1])
+            for load in joint_loads[k]
+            if load.sense == 0.0
+        }
+        phases.append(
+            PhaseSpec(
+                _name_phase(given.request, k),
+                first, last, held, touches, loads[k], bears=bears,
+                is_anchor=k == int(np.argmax(travels)), aims_at_end=True, step="pose at the handle", n_waypoints=count,
+            )
+        )  # fmt: skip
+    if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
+        away = replace(line, leaves=True)
+        if drags_along(given, joint_loads[-1], loads[-1], values):
+            phases.append(PhaseSpec(LET_GO, values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
+        phases.append(PhaseSpec("retract", values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
+    return add_pressed(phases, find_pressed(None, given.request.handle.link, (0.0, 0.0)))
+
+
+def drags_along(
+    given: GivenMechanism, loads: tuple[JointLoad, ...], forces: tuple[HandLoad, ...], values: Float[np.ndarray, "k"]
+) -> bool:
+    """Return whether a hand that slides off the handle could drag a joint along that it did not move."""
+    force = max((float(np.linalg.norm(load.force)) for load in forces), default=0.0)
+    for load in loads:
+        if load.sense == 0.0:
+            joint = given.mechanism.joint(load.joint)
+            place, _ = _locate_handle(given, load.joint, values)
+            turning = np.cross(joint.axis / np.linalg.norm(joint.axis), place)
+            arm = 1.0 if joint.kind == "prismatic" else float(np.linalg.norm(turning))
+            if STAYS_SHARE * min(load.slack) <= force * arm:
+                return True
+    return False
+
+
+def select_tool(given: GivenMechanism, hand: Hand) -> str:
+    """Return the frame of a hand that is at the handle's place."""
+    return {"peg": hand.peg, "tip": hand.tool, "stub": hand.stub}[given.request.handle.tool]
+
+
+def _make_loads(
+    given: GivenMechanism, tool: str, values: Float[np.ndarray, "k"], loads: tuple[JointLoad, ...]
+) -> Iterator[HandLoad]:
+    """Yield the forces at the handle of a move's loads, one per joint and direction."""
+    for load in loads:
+        for size in (max(load.high, 0.0), min(load.low, 0.0)):
+            if abs(size) > LEAST_LOAD:
+                yield _make_load(given, tool, load.joint, values, size)
+
+
+def _make_load(given: GivenMechanism, tool: str, name: str, values: Float[np.ndarray, "k"], size: float) -> HandLoad:
+    """Return the force at the handle that exerts a signed torque or force along a joint [N m, N]."""
+    handle, joint = given.handle, given.mechanism.joint(name)
+    place, turned = _locate_handle(given, name, values)
+    axis = joint.axis / np.linalg.norm(joint.axis)
+    slide = None if handle.slide is None else turned @ handle.slide
+    force = size * axis
+    if joint.kind == "revolute":
+        ends = [place] if slide is None else [place - slide, place, place + slide]
+        arm = min(float(np.linalg.norm(np.cross(axis, end))) for end in ends)
+        if arm < LEAST_ARM:
+            raise RequestError(
+                f"task.mechanism.handle.place: {1e3 * arm:.1f} mm from the axis of {name}; expected at least "
+                f"{1e3 * LEAST_ARM:g} mm, so that the hand can turn it"
+            )
+        tangent = np.cross(axis, place)
+        force = size / arm * tangent / np.linalg.norm(tangent)
+    return HandLoad(tool, joint.link, place, force, slide)
+
+
+def _locate_handle(
+    given: GivenMechanism, name: str, values: Float[np.ndarray, "k"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Return the handle's place in the link of a joint that carries it, and the rotation of its link in that link."""
+    pose = np.linalg.inv(given.locate(name, values)) @ given.locate(given.handle.joint, values)
+    return pose[:3, :3] @ given.handle.place + pose[:3, 3], pose[:3, :3]
+
+
+def measure_travel(given: GivenMechanism, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> float:
+    """Return how far a move of one joint carries the handle [m]."""
+    column = int(np.abs(last - first).argmax())
+    joint = given.mechanism.joints[column]
+    moved = float(abs(last[column] - first[column]))
+    if joint.kind == "prismatic":
+        return moved
+    place, _ = _locate_handle(given, joint.name, first)
+    return moved * float(np.linalg.norm(np.cross(joint.axis / np.linalg.norm(joint.axis), place)))
+
+
+def list_opposite_places(given: GivenMechanism) -> list[Float[np.ndarray, "3"]]:
+    """Return the places on the other side of each body that the hand may touch, along the way of each move [m]."""
+    handle, places = given.handle, []
+    bodies = {name: points for joint in given.mechanism.joints for name, points in joint.bodies.items()}
+    own = given.mechanism.joint(handle.joint)
+    for move in given.request.moves:
+        start = given.mechanism.start
+        carrier = given.mechanism.joint(move.joint)
+        place, _ = _locate_handle(given, move.joint, start)
+        axis = carrier.axis / np.linalg.norm(carrier.axis)
+        way = axis if carrier.kind == "prismatic" else np.cross(axis, place)
+        way = way / max(float(np.linalg.norm(way)), 1e-12)
+        for name in handle.bodies:
+            middle = bodies[name].mean(axis=0) - own.origin
+            places.append(handle.place - 2.0 * float((handle.place - middle) @ way) * way)
+    return places
+
+
+def _name_phase(request: MechanismRequest, index: int) -> str:
+    """Return the name of a move's phase, numbered from a joint's second move on."""
+    joint = request.moves[index].joint
+    count = sum(move.joint == joint for move in request.moves[: index + 1])
+    return f"move {joint}" + (f" {count}" if count > 1 else "")

@@ -1,0 +1,185 @@
+"""The rest of a task from one of its phases on: its phases, and what they demand of a recorded motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import Mechanism
+from service.demands.phase_spec import AXIS, PhaseSpec
+from service.demands.stance import UNSETTLED
+from service.errors import RequestError, shown, would_do
+from service.verify import Motion, Phase, RelativePoseTarget
+
+TAKE_HOLD = "take hold"
+TAKE_WAYPOINTS = 4
+VALUE_ROUNDING = 2e-3  # by which a measured joint of the mechanism may be outside its travel [rad, m]
+SAME_AXIS = 1e-6
+
+
+class Beginning(Enum):
+    """How the rest of a task begins."""
+
+    AT_ONCE = "at once"  # with the phase itself: the hand is free, or at its place
+    TAKE_HOLD = "take hold"  # the hand is near its place: a short phase brings it there
+    REACH = "reach"  # with the phase that carries the hand to the contact
+
+
+def find_index(specs: Sequence[PhaseSpec], phase: str) -> int:
+    """Return the index of a phase.
+
+    Raises:
+        RequestError: there is none of that name.
+    """
+    names = [spec.name for spec in specs]
+    if phase not in names:
+        raise RequestError(f"resume.phase: unknown phase {shown(phase)}; the task has {', '.join(names)}")
+    return names.index(phase)
+
+
+def find_group(specs: Sequence[PhaseSpec], index: int) -> range:
+    """Return the indices of the phases of one contact around ``index``: from a free phase to before the next one."""
+    first, last = index, index + 1
+    while first > 0 and specs[first].hand is not None:
+        first -= 1
+    while last < len(specs) and specs[last].hand is not None:
+        last += 1
+    return range(first, last)
+
+
+def can_reach(specs: Sequence[PhaseSpec], index: int) -> bool:
+    """Return whether the rest from a phase on may reach for its contact first: nothing has been done at it before."""
+    group = find_group(specs, index)
+    return specs[group.start].hand is None and any(specs[k].is_anchor for k in group if k >= index)
+
+
+def start_mechanism(mechanism: Mechanism, values: Mapping[str, float]) -> Mechanism:
+    """Return the mechanism with its joints at the values of ``resume.mechanism``.
+
+    Raises:
+        RequestError: a joint is missing or unknown.
+    """
+    names = [joint.name for joint in mechanism.joints]
+    unknown, missing = sorted(values.keys() - set(names)), [name for name in names if name not in values]
+    if unknown:
+        raise RequestError(
+            f"resume.mechanism: unknown joint {shown(unknown[0])}; expected {would_do(unknown[0], names)}"
+        )
+    if missing:
+        raise RequestError(f"resume.mechanism: {', '.join(missing)} missing; expected a value for {', '.join(names)}")
+    return replace(mechanism, joints=tuple(replace(joint, start=values[joint.name]) for joint in mechanism.joints))
+
+
+def check_travel(mechanism: Mechanism, specs: Sequence[PhaseSpec], phase: str) -> None:
+    """Refuse a mechanism that is not where the rest of the task can move it from.
+
+    Raises:
+        RequestError: one line per joint outside the travel of the phase, or of the rest of the task.
+    """
+    index = find_index(specs, phase)
+    rest = specs[find_group(specs, index).start :]
+    problems = []
+    for k, (joint, value) in enumerate(zip(mechanism.joints, mechanism.start.tolist(), strict=True)):
+        own = k in specs[index].moving
+        ends = np.array([(spec.first[k], spec.last[k]) for spec in ([specs[index]] if own else rest)])
+        low, high = float(ends.min()), float(ends.max())
+        if not low - VALUE_ROUNDING <= value <= high + VALUE_ROUNDING:
+            of = f"phase '{phase}'" if own else "the rest of the task"
+            problems.append(
+                f"resume.mechanism.{joint.name}: {_show(joint.kind, value)} is outside the travel of {of}; expected "
+                f"{_show(joint.kind, low)} to {_show(joint.kind, high)}"
+            )
+    if problems:
+        raise RequestError(problems)
+
+
+def _show(kind: str, value: float) -> str:
+    return f"{value:.4g} m" if kind == "prismatic" else f"{value:.4g} rad ({np.rad2deg(value):.1f} deg)"
+
+
+def list_rest_phases(
+    specs: Sequence[PhaseSpec], phase: str, start: Float[np.ndarray, "k"], beginning: Beginning
+) -> tuple[PhaseSpec, ...]:
+    """Return the rest of a task, with the mechanism at ``start`` [rad, m].
+
+    A joint of the mechanism that a phase moves ends where the task has it; the others stay where they are.
+
+    Raises:
+        RequestError: there is no such phase.
+    """
+    index = find_index(specs, phase)
+    rest = list(specs[find_group(specs, index).start if beginning is Beginning.REACH else index :])
+    if beginning is Beginning.TAKE_HOLD:
+        rest.insert(0, PhaseSpec(TAKE_HOLD, start, start, touches=rest[0].touches, n_waypoints=TAKE_WAYPOINTS))
+    resumed, at = [], start
+    for spec in rest:
+        last = at.copy()
+        moving = list(spec.moving)
+        last[moving] = spec.last[moving]
+        resumed.append(replace(spec, first=at, last=last, n_waypoints=_count_waypoints(spec, at)))
+        at = last
+    return tuple(resumed)
+
+
+def _count_waypoints(spec: PhaseSpec, at: Float[np.ndarray, "k"]) -> int:
+    """Return the number of waypoints of a phase whose mechanism moves only a part of the way."""
+    moving = list(spec.moving)
+    if not moving:
+        return spec.n_waypoints
+    share = float(np.max(np.abs(spec.last - at)[moving] / np.abs(spec.last - spec.first)[moving]))
+    return max(int(np.ceil(share * (spec.n_waypoints - 1))) + 1, 3)
+
+
+@dataclass(frozen=True)
+class RestTask:
+    """What the rest of a task demands of any motion.
+
+    Attributes:
+        mechanism: with its joints at the start.
+        specs: phases of the whole task, with the choices that the request keeps.
+        phase: the phase that the rest begins with.
+        measure: measures the figures of the rest on a motion.
+    """
+
+    mechanism: Mechanism
+    specs: tuple[PhaseSpec, ...]
+    phase: str
+    measure: Callable[[Motion], Mapping[str, float]]
+
+    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+        """Return the phases as the record begins them; a rigid hand keeps the turn that it has in the record."""
+        phases = {phase.name: phase for phase in recorded.phases}
+        names = [phase.name for phase in recorded.phases if phase.name not in UNSETTLED]
+        index = find_index(self.specs, self.phase)
+        for beginning in Beginning:
+            if beginning is Beginning.REACH and not can_reach(self.specs, index):
+                continue
+            specs = list_rest_phases(self.specs, self.phase, self.mechanism.start, beginning)
+            if [spec.name for spec in specs] == names:
+                break
+        return tuple(_take_rotation(spec, phases.get(spec.name)) for spec in specs), ()
+
+    def keep_choices(self, recorded: Motion) -> dict[str, Any]:
+        """Return nothing: the request keeps the choices of the first plan."""
+        return {}
+
+
+def _take_rotation(spec: PhaseSpec, phase: Phase | None) -> PhaseSpec:
+    """Return a rigid hand's phase with the turn about its axis that a record promises."""
+    hand = spec.hand
+    if phase is None or hand is None or not hand.is_rigid:
+        return spec
+    for target in phase.targets:
+        if (
+            isinstance(target, RelativePoseTarget)
+            and (target.frame, target.reference) == (hand.tool, hand.link)
+            and target.free_axis is None
+            and np.linalg.norm(target.rotation @ AXIS - hand.axis) <= SAME_AXIS
+        ):
+            return spec.with_rotation(target.rotation)
+    return spec

@@ -1,0 +1,1 @@
+"""Demands of turning a valve."""

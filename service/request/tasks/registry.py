@@ -1,0 +1,111 @@
+"""The registry of task kinds. No other module knows them all: every stage asks the kind of its request."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator, Mapping
+from importlib.metadata import entry_points
+from typing import TypeVar
+
+from pydantic.dataclasses import dataclass
+
+from service.errors import ServiceError
+from service.request.fields import SECTION, PlainData, Section, require_exactly_one
+from service.request.tasks.contacts import ContactsRequest
+from service.request.tasks.door import DoorRequest
+from service.request.tasks.egress import EgressRequest
+from service.request.tasks.kind import ENTRY_POINTS, TaskKind, TaskSection
+from service.request.tasks.mechanism import MechanismRequest
+from service.request.tasks.reach import GoalRequest
+from service.request.tasks.trajopt import ProblemSection
+from service.request.tasks.valve import ValveRequest
+
+T = TypeVar("T")
+
+SHIPPED = (
+    TaskKind("valve", ValveRequest, "service.demands.valve.kind:PART", "service.tasks.valve.kind:PART"),
+    TaskKind("door", DoorRequest, "service.demands.door.kind:PART", "service.tasks.door.kind:PART"),
+    TaskKind("mechanism", MechanismRequest, "service.demands.mechanism.kind:PART", "service.tasks.mechanism.kind:PART"),
+    TaskKind("contacts", ContactsRequest, "service.demands.contacts.kind:PART", "service.tasks.contacts.kind:PART"),
+    TaskKind("egress", EgressRequest, "service.demands.egress.kind:PART", "service.tasks.egress.kind:PART"),
+    TaskKind("trajopt", ProblemSection, "service.trajopt.kind:PART", "service.tasks.trajopt.kind:PART"),
+)
+REACH = TaskKind(
+    "reach",
+    GoalRequest,
+    "service.demands.reach:PART",
+    "service.tasks.reach.kind:PART",
+    field="goal",
+    variants=("joint_goal", "pose_goal", "posture"),
+)
+
+
+class TaskKindError(ServiceError):
+    """A kind of another package cannot be used."""
+
+
+def _find_added() -> Iterator[TaskKind]:
+    """Yield the kinds that other packages add.
+
+    Raises:
+        TaskKindError: a package fails, gives something else, or takes a name that is taken.
+    """
+    taken = {kind.name for kind in (*SHIPPED, REACH)}
+    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda entry: entry.name):
+        where = f"entry point {entry.name!r} of {ENTRY_POINTS} ({entry.value})"
+        try:
+            kind = entry.load()
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            words = f"{where}: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
+            raise TaskKindError(words) from error
+        if not isinstance(kind, TaskKind) or kind.name != entry.name or not kind.name.isidentifier():
+            raise TaskKindError(f"{where}: {kind!r}; expected a TaskKind named {entry.name!r}")
+        if kind.name in taken:
+            raise TaskKindError(f"{where}: a kind {kind.name!r} exists already; expected another name")
+        taken.add(kind.name)
+        yield kind
+
+
+ADDED = tuple(_find_added())
+"""Kinds of other packages."""
+
+TASKS: Mapping[str, TaskKind] = {kind.name: kind for kind in (*SHIPPED, *ADDED)}
+"""Kinds by their field of ``task``."""
+
+KINDS = (*TASKS.values(), REACH)
+
+
+def _with_added_fields(section: type[T]) -> type[T]:
+    """Add a field to ``TaskRequest`` for every kind of another package."""
+    for kind in ADDED:
+        section.__annotations__[kind.name] = kind.section | None
+        setattr(section, kind.name, None)
+    return section
+
+
+@dataclass(config=SECTION)
+@_with_added_fields
+class TaskRequest(Section):
+    """The task, in the field of its kind; ``trajopt`` is a problem as in its files (docs/trajopt.md)."""
+
+    valve: ValveRequest | None = None
+    door: DoorRequest | None = None
+    contacts: ContactsRequest | None = None
+    egress: EgressRequest | None = None
+    trajopt: PlainData | None = None
+    mechanism: MechanismRequest | None = None
+
+    def __post_init__(self) -> None:
+        require_exactly_one(self, tuple(TASKS))
+
+    @property
+    def kind(self) -> TaskKind:
+        """The kind of the task."""
+        return next(kind for kind in TASKS.values() if getattr(self, kind.name) is not None)
+
+    @property
+    def section(self) -> TaskSection:
+        """The section of its kind."""
+        section = getattr(self, self.kind.name)
+        return section if isinstance(section, TaskSection) else ProblemSection(section)

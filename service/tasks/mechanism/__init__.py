@@ -1,0 +1,1 @@
+"""Plans that move a mechanism that the request gives."""

@@ -1,0 +1,154 @@
+"""The goal of a reach: joints and link poses as constraints, as holds along straight lines, and as targets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation, Slerp
+
+from costs.kinematics import locate_links
+from costs.state import MotionState
+from costs.terms import AxisDirection, FramePose, Joined, NormWithin, WithinTolerance
+from scopt import Constraint
+from service.body.holds import POSITION, ROTATION, Hold, project_within_limits
+from service.body.whole_body import WholeBody
+from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
+from service.request.tasks.reach import GoalRequest, PoseGoalRequest
+from service.verify import Target
+
+# Part of a pose's tolerance that the optimiser leaves to its own inaccuracy: a share of it, and no more than is needed.
+RESERVE_SHARE, MOST_RESERVE = 0.5, {"m": 2.5e-3, "rad": 0.02}
+
+
+@dataclass(frozen=True)
+class Goal:
+    """The goal of a reach.
+
+    Attributes:
+        body: the robot in its scene.
+        request: the goal's section of the request.
+        joints: value by coordinate index.
+    """
+
+    body: WholeBody
+    request: GoalRequest
+    joints: Mapping[int, float]
+
+    @staticmethod
+    def of(body: WholeBody, request: GoalRequest) -> Goal:
+        """Return a request's goal; a posture's base stays free, since the feet are planted."""
+        return Goal(body, request, find_goal_joints(body.robot, request, body.nominal))
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it fixes every coordinate."""
+        return len(self.joints) == self.body.robot.n
+
+    def apply_joints(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return a configuration with the goal's joint positions."""
+        out = q.copy()
+        out[list(self.joints)] = list(self.joints.values())
+        return out
+
+    def constraints(self, waypoint: int) -> list[Constraint[MotionState]]:
+        """Return the constraints of the goal's poses at a waypoint."""
+        return [
+            constraint for pose in self.request.poses for constraint in _pose_constraints(self.body, pose, waypoint)
+        ]
+
+    def fix_joints(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        """Fix the goal's joints at the last waypoint, in place."""
+        for index, value in self.joints.items():
+            lower[-1, index] = upper[-1, index] = value
+
+    def targets(self, s_last: float) -> tuple[Target, ...]:
+        """Return the verifier's targets of the reach's end."""
+        return make_goal_targets(self.body.robot, self.request, s_last, self.body.nominal)
+
+
+def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
+    """Return constraints of a link's position and orientation; of the latter perhaps only one axis."""
+    rotation = _find_limited_rotation(pose)
+    target = np.eye(4)
+    target[:3, 3] = pose.position
+    if rotation is not None:
+        target[:3, :3] = rotation
+    robot, at = body.robot, [waypoint]
+    position = FramePose(robot, pose.link, at, target, POSITION)
+    constraints = [_keep_within(f"position of {pose.link}", position, 3, pose.position_tolerance_m, "m")]
+    tolerance = np.deg2rad(pose.rotation_tolerance_deg)
+    if rotation is not None and pose.free_axis == "none":
+        orientation = FramePose(robot, pose.link, at, target, ROTATION)
+        constraints.append(_keep_within(f"orientation of {pose.link}", orientation, 3, tolerance, "rad"))
+    elif rotation is not None:
+        axis = np.eye(3)[AXES[pose.free_axis]]
+        direction = AxisDirection(robot, pose.link, at, axis, rotation @ axis)
+        constraints.append(_keep_within(f"axis of {pose.link}", direction, 2, tolerance, "rad"))
+    return constraints
+
+
+def _find_limited_rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
+    """Return the requested orientation; None where any is within its tolerance."""
+    return None if pose.rotation_tolerance_deg >= 180.0 else make_goal_rotation(pose)
+
+
+def _keep_within(
+    name: str, residual: FramePose | AxisDirection, k: int, tolerance: float, unit: str
+) -> Constraint[MotionState]:
+    """Return a constraint on the norm of ``k`` rows.
+
+    A small ball counts as the cube in it: limits of single rows are met in half of the steps, since a norm has one
+    direction at a time.  In a large ball the optimiser needs the room, and the norm is smooth where it binds.
+    """
+    reserve = min(RESERVE_SHARE * tolerance, MOST_RESERVE[unit])
+    aim = tolerance - reserve
+    limits: WithinTolerance[MotionState] | Joined[MotionState]
+    if reserve < MOST_RESERVE[unit]:
+        side = 1.0 / np.sqrt(k)
+        limits, reserve = WithinTolerance(residual, side * aim), side * reserve
+    else:
+        limits = Joined([WithinTolerance(residual, aim), NormWithin(residual, k, aim)])
+    return Constraint(name, limits, tolerance=max(reserve, 1e-5), unit=unit)
+
+
+def lead_path(goal: Goal, n_waypoints: int) -> Float[np.ndarray, "T n"] | None:
+    """Return waypoints that lead the goal's links along straight lines; None where no link has a goal.
+
+    Each is the nearest to the one before that keeps the holds, so that arms do not change branch between them.
+    Obstacles are left to the optimiser.
+    """
+    if not goal.request.poses:
+        return None
+    body = goal.body
+    q, reserved = [body.nominal], body.bounds(1, {})
+    for share in np.linspace(0.0, 1.0, n_waypoints)[1:]:
+        holds = (*body.holds(), *make_line_holds(goal, share))
+        q.append(project_within_limits(body.engine, q[-1][None], holds, *reserved)[0])
+    return np.stack(q)
+
+
+def make_line_holds(goal: Goal, share: float) -> tuple[Hold, ...]:
+    """Return holds of the goal's links at a share of their straight lines."""
+    first = locate_links(goal.body.engine, goal.body.nominal, [pose.link for pose in goal.request.poses])
+    return tuple(
+        hold for pose in goal.request.poses for hold in _make_link_holds(goal.body, pose, first[pose.link], share)
+    )
+
+
+def _make_link_holds(
+    body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float
+) -> tuple[Hold, ...]:
+    """Return holds of a link's position, and of its orientation as far as its goal gives it."""
+    robot, rotation, target = body.robot, _find_limited_rotation(pose), np.eye(4)
+    target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.position)
+    position: Hold = lambda waypoints: FramePose(robot, pose.link, waypoints, target, POSITION)  # noqa: E731
+    if rotation is None:
+        return (position,)
+    target[:3, :3] = Slerp([0.0, 1.0], Rotation.from_matrix([first[:3, :3], rotation]))(share).as_matrix()
+    if pose.free_axis == "none":
+        return position, lambda waypoints: FramePose(robot, pose.link, waypoints, target, ROTATION)
+    axis = np.eye(3)[AXES[pose.free_axis]]
+    return position, lambda waypoints: AxisDirection(robot, pose.link, waypoints, axis, target[:3, :3] @ axis)

@@ -1,0 +1,156 @@
+"""Reach for a goal from starts that take different ways around the obstacles, until one is certified."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import chain, islice
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from costs.kinematics import locate_frame
+from service.body.ladder import LEAST_WAYPOINTS, GivenEnd, MotionSearch, Path, find_motion, list_motions
+from service.body.phases import PhaseSolver, report_solutions
+from service.body.starts import DIRECT, Way, choose_policy
+from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.explain.goal import find_goal_reasons
+from service.request.tasks.reach import GoalRequest
+from service.tasks.nearby import find_clear_pose
+from service.tasks.reach.goal import Goal, lead_path
+from service.tasks.reach.goal_poses import STEP, GoalEnds
+
+REACH = "reach"
+RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
+TIGHT = 4.5e-3  # clearance of a start or a goal below which a straight phase leads off it [m]
+OFF_M = 12e-3  # clearance at the end of that phase [m]
+
+
+def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | None) -> Iterator[TaskPlan]:
+    """Yield a plan of one phase for every start that leads to the goal; the best attempt if none does."""
+    body = solver.body
+    goal = Goal.of(body, request)
+    reasons = find_goal_reasons(body, goal.targets(0.0))
+    if reasons.impossible or reasons.unresolved:
+        yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
+        return
+    reach = _Reach(solver, goal, n_waypoints, reasons.notes)
+    solutions: Iterator[tuple[str, Solved]] = islice(reach.list_solutions(), solver.most_starts)
+    first = next(solutions)
+    if first[1].is_feasible:  # most requests end here
+        yield reach.make_plan(*first)
+        solutions = (other for other in solutions if other[1].is_feasible or other[1].may_hold)
+    else:
+        solutions = chain([first], solutions)
+    around = reach.leave_tight_ends() if solver.most_starts > 1 else None
+    if around is None:
+        yield from report_solutions(solutions, reach.make_plan)
+        return
+    if not first[1].is_feasible:
+        yield reach.make_plan(*first)
+    yield from report_solutions(islice(around.list_solutions(), solver.most_starts - 1), around.make_plan)
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """A reach, perhaps between short straight phases that lead off a start and to a goal that nearly touch something.
+
+    Attributes:
+        notes: on the goal.
+        retreat: from the start to where the reach begins.
+        approach: from where the reach ends to the goal, with its targets.
+    """
+
+    solver: PhaseSolver
+    goal: Goal
+    n_waypoints: int | None
+    notes: tuple[str, ...] = ()
+    retreat: PlannedPhase | None = None
+    approach: PlannedPhase | None = None
+
+    def list_solutions(self) -> Iterator[tuple[str, Solved]]:
+        """Yield solved starts by name, feasible or not."""
+        ends = GoalEnds(self.solver, self.goal)
+        if ends.miss is not None:
+            yield STEP, ends.miss
+        yield from list_motions(
+            MotionSearch(
+                REACH,
+                self.solver,
+                self._solve,
+                self.solver.body.nominal,
+                ends,
+                choose_policy(self.solver.body.robot),
+                {Way.LED: self._lead_links},
+                self.n_waypoints,
+                drawn=self._reaching,
+                restorable=0.0 if self.goal.is_complete else RESTORABLE,
+            )
+        )
+
+    def leave_tight_ends(self) -> _Reach | None:
+        """Return the reach between configurations off a start and a goal that nearly touch; None where neither does."""
+        body, goal = self.solver.body, self.goal
+        if body.robot.is_floating or body.kept:
+            return None
+        retreat = self._lead_off("retreat", body.nominal)
+        approach = self._lead_off("approach", goal.apply_joints(body.nominal)) if goal.is_complete else None
+        if retreat is None and approach is None:
+            return None
+        moved = body if retreat is None else replace(body, nominal=retreat.q[-1])
+        inner = replace(goal, body=moved)
+        if approach is not None:
+            back = replace(approach, q=approach.q[::-1], targets=goal.targets)
+            approach, inner = back, replace(inner, joints=dict(enumerate(back.q[0].tolist())))
+        return replace(self, solver=replace(self.solver, body=moved), goal=inner, retreat=retreat, approach=approach)
+
+    def _lead_off(self, name: str, q: Float[np.ndarray, "n"]) -> PlannedPhase | None:
+        """Return a straight phase to a configuration with more clearance; None where none is needed or found."""
+        if self.solver.body.measure_nearest(q) >= TIGHT:
+            return None
+        off = find_clear_pose(self.solver, name, q, OFF_M)
+        if off is None:
+            return None
+        solve = partial(_solve_between, name)
+        solved = find_motion(MotionSearch(name, self.solver, solve, q, GivenEnd(off), DIRECT, n_waypoints=2))
+        is_usable = solved.is_feasible or solved.may_hold
+        return PlannedPhase(name, solved.x, True, is_tight=True) if is_usable else None
+
+    def make_plan(self, name: str, solved: Solved) -> TaskPlan:
+        """Return a solution as the task's plan."""
+        is_pose = len(solved.x) == 1
+        body = self.solver.body
+        q = np.concatenate([body.nominal[None], solved.x]) if is_pose else solved.x
+        stuck = Stuck.at(STEP if is_pose else REACH, solved)
+        phase = PlannedPhase(REACH, q, solved.is_feasible, resolve=partial(_solve_between, REACH, self.solver))
+        if self.approach is None:
+            phase = replace(phase, targets=self.goal.targets)
+        if self.retreat is not None:
+            body = replace(body, nominal=self.retreat.q[0])
+        phases = tuple(own for own in (self.retreat, phase, self.approach) if own is not None)
+        return TaskPlan(body, phases, stuck=stuck, found_from=name, notes=self.notes)
+
+    @cached_property
+    def _reaching(self) -> Int[np.ndarray, "k"] | None:
+        """Coordinates that lead to the goal's links; None where the goal is not given by poses alone."""
+        body, request = self.solver.body, self.goal.request
+        if not body.robot.is_floating or self.goal.joints or not request.poses:
+            return None
+        joints = [locate_frame(body.robot, pose.link)[0] for pose in request.poses]
+        return np.flatnonzero(body.engine.topology.supports[joints].any(axis=0))
+
+    def _lead_links(self) -> Iterable[tuple[str, Path]]:
+        """Yield the path along straight lines of the goal's links."""
+        q = lead_path(self.goal, LEAST_WAYPOINTS if self.n_waypoints is None else self.n_waypoints)
+        return () if q is None else (("straight lines of the goal's links", q),)
+
+    def _solve(self, solver: PhaseSolver, path: Path) -> Solved:
+        goal, last = self.goal, len(path) - 1
+        fixed = {0: path[0], last: path[-1]} if goal.is_complete else {0: path[0]}
+        return solver.solve_trajectory(REACH, path, fixed, constraints=goal.constraints(last), bounds=goal.fix_joints)
+
+
+def _solve_between(step: str, solver: PhaseSolver, q: Path) -> Solved:
+    """Solve a trajectory between the ends of a path."""
+    return solver.solve_trajectory(step, q, {0: q[0], len(q) - 1: q[-1]})

@@ -1,0 +1,1 @@
+"""Plans that turn a valve."""

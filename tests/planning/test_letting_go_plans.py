@@ -1,0 +1,56 @@
+"""A ring turned on a carrier that slides easily: the hand leaves the ring's bar before it goes away along the slide."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from given_mechanisms import request_for
+
+from service.errors import RequestError
+from service.planner import plan
+from service.request.file import parse_request
+from service.result.result import Verdict
+
+URDF = """<robot name="hose"><link name="base"/>
+  <link name="carrier"><collision><origin xyz="0.05 0 0" rpy="0 1.570796 0"/><geometry>
+    <cylinder radius="0.03" length="0.02"/></geometry></collision></link>
+  <link name="ring"><collision><origin xyz="0 0 0.085"/><geometry>
+    <cylinder radius="0.01" length="0.09"/></geometry></collision></link>
+  <joint name="push" type="prismatic"><parent link="base"/><child link="carrier"/><axis xyz="1 0 0"/>
+    <limit lower="-1" upper="1" velocity="1" effort="500"/></joint>
+  <joint name="turn" type="revolute"><parent link="carrier"/><child link="ring"/><axis xyz="1 0 0"/>
+    <limit lower="-1.5" upper="1.5" velocity="1" effort="500"/></joint>
+</robot>"""
+
+
+def hose_request(slide_n: float, **more: Any) -> dict[str, Any]:
+    handle = {"link": "ring", "place": [0.0, 0.019, 0.1], "axis": [1, 0, 0], "tool": "peg", "tilt_deg": 20}
+    return request_for({
+        "urdf": URDF, "position": [0.62, -0.2, 1.0], "handle": {**handle, "approach": [-0.12, 0, 0]},
+        "joints": {"turn": {"friction": 2.0}, "push": {"friction": slide_n}},
+        "moves": [{"joint": "turn", "to": 0.6}], **more,
+    })  # fmt: skip
+
+
+def test_a_hand_leaves_a_bar_on_an_easy_slide_straight_before_it_goes_away() -> None:
+    result = plan(parse_request(hose_request(3.0)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert [phase.name for phase in result.motion.phases][-3:] == ["move turn", "let go", "retract"]
+    checks = {check.name: check for check in result.certificate.checks}
+    for phase in ("let go", "retract"):
+        assert checks[f"let_go.{phase}.push"].basis.value == "proof"
+
+
+def test_a_slide_that_bears_the_drag_needs_no_phase_of_its_own() -> None:
+    result = plan(parse_request(hose_request(60.0)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert [phase.name for phase in result.motion.phases][-2:] == ["move turn", "retract"]
+    assert not any(check.name.startswith("let_go") for check in result.certificate.checks)
+
+
+def test_a_slide_without_friction_is_refused_unless_the_hand_stays() -> None:
+    words = r"joints\.push\.friction: the hand presses on push while it moves turn, and nothing brings push to rest"
+    with pytest.raises(RequestError, match=words):
+        plan(parse_request(hose_request(0.0)))
+    assert plan(parse_request(hose_request(0.0, stays=True))).verdict is Verdict.CERTIFIED

@@ -1,0 +1,57 @@
+"""The folders of ``service`` import what the table of the architecture says, and nothing else."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SERVICE = ROOT / "service"
+EVERYWHERE = {"errors", "json_data", "proto"}  # modules without imports of their own, and generated ones
+
+
+def read_table() -> dict[str, set[str]]:
+    """What each part of ``service`` may import, as ARCHITECTURE.md has it."""
+    _, _, section = (ROOT / "ARCHITECTURE.md").read_text().partition("## What may import what\n")
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \|$", section.partition("\n## ")[0], flags=re.MULTILINE)
+    return {name: set(re.findall(r"`(\w+)`", text)) for name, text in rows}
+
+
+def list_parts() -> set[str]:
+    found = {file.relative_to(SERVICE).parts[0].removesuffix(".py") for file in SERVICE.rglob("*.py")}
+    return found - EVERYWHERE - {"__init__"}
+
+
+def list_imports(file: Path) -> Iterator[str]:
+    """Parts of ``service`` that a file imports, anywhere in it."""
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        yield from (name.split(".")[1] for name in names if name.startswith("service."))
+
+
+def test_each_folder_imports_what_the_table_allows() -> None:
+    allowed, parts = read_table(), list_parts()
+    assert set(allowed) == parts
+    beyond = {
+        f"{file.relative_to(ROOT)} imports {name}"
+        for file in SERVICE.rglob("*.py")
+        if (own := file.relative_to(SERVICE).parts[0].removesuffix(".py")) in parts
+        for name in set(list_imports(file)) & parts
+        if name != own and name not in allowed[own]
+    }
+    assert beyond == set(), "ask whether it should, then add it to the table of ARCHITECTURE.md"
+
+
+def test_the_table_allows_nothing_that_nobody_imports() -> None:
+    used: dict[str, set[str]] = {}
+    for file in SERVICE.rglob("*.py"):
+        used.setdefault(file.relative_to(SERVICE).parts[0].removesuffix(".py"), set()).update(list_imports(file))
+    unused = {name: rest for name, allowed in read_table().items() if (rest := allowed - used[name])}
+    assert unused == {}
