@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import combinations, islice
+from itertools import chain, combinations, islice, tee
 from types import MappingProxyType
 
 import numpy as np
@@ -213,15 +213,16 @@ class PhaseCompiler:
         pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
         nominal = self.resample_nominal(spec, fixed or {0: q})
         held = _HeldPhase(self, spec, fixed, values, pinned)
-        paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {
-            Way.LED: lambda: self._lead_hand(held, q, is_anchor=is_anchor, is_backwards=is_backwards)
-        }
+        led = self._lead_hand(held, q, is_anchor=is_anchor, is_backwards=is_backwards)
+        paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {Way.LED: lambda: islice(led, 1)}
         if nominal is not None:
             paths[Way.KNOWN] = lambda: ((Way.KNOWN.value, nominal),)
+
+        def solve(solver: PhaseSolver, path: Path) -> Solved:
+            return held.solve(solver, chain([path], (other for _, other in led)))
+
         return find_motion(
-            MotionSearch(
-                spec.name, self.solver, held.solve, q, NoEnd(), paths=paths, fraction=fraction, repair=held.repair
-            )
+            MotionSearch(spec.name, self.solver, solve, q, NoEnd(), paths=paths, fraction=fraction, repair=held.repair)
         )
 
     def _lead_hand(
@@ -307,7 +308,7 @@ class PhaseCompiler:
     def solve(
         self,
         spec: PhaseSpec,
-        paths: Sequence[Path],
+        paths: Iterable[Path],
         fixed: Mapping[int, Float[np.ndarray, "n"]],
         values: Float[np.ndarray, "T k"],
         regions: tuple[PlannedRegion, ...],
@@ -316,12 +317,14 @@ class PhaseCompiler:
         """Solve a phase with the mechanism's joints prescribed, and some coordinates pinned at the first waypoint."""
         count = len(values)
         free = np.setdiff1d(np.arange(count), list(fixed))
+        paths = iter(paths)
+        first = next(paths)
 
         def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, self.columns] = upper[:, self.columns] = values
             for name in spec.joints:
                 column = self.robot.joint_names.index(name)
-                lower[:, column] = upper[:, column] = paths[0][:, column]
+                lower[:, column] = upper[:, column] = first[:, column]
             for column, value in pinned.items():
                 lower[0, column] = upper[0, column] = value
 
@@ -337,7 +340,8 @@ class PhaseCompiler:
             )
 
         # A path without a cost is the last resort: a solution from another path is the better motion.
-        solved = find_pose(PoseProblem(spec.name, solve_from), (("path", path) for path in paths))
+        problem = PoseProblem(spec.name, solve_from, most=self.solver.most_seeds)
+        solved = find_pose(problem, (("path", path) for path in chain([first], paths)))
         if solved.is_feasible or solved.shortfall >= RESTORABLE:
             return solved
         return self.solver.restore_feasibility(spec.name, solved)
@@ -442,31 +446,34 @@ class _HeldPhase:
     values: Float[np.ndarray, "T k"]
     pinned: Mapping[int, float]
 
-    def solve(self, solver: PhaseSolver, path: Path) -> Solved:
-        """Solve the phase from a path.
+    def solve(self, solver: PhaseSolver, paths: Iterable[Path]) -> Solved:
+        """Solve the phase from the first of some paths that leads to a solution.
 
-        What the hand passes between would push it to the wrong side of a poor path: one that may be in it comes first.
-        Where loads ask for balance here and there, that is found more easily on a path that exists.
+        Every stage tries all paths before it restores the best attempt: what is restored has lost its costs, and a
+        solution from another path is the better motion.  What the hand passes between would push it to the wrong side
+        of a poor path: one that may be in it comes first.  Where loads ask for balance here and there, that is found
+        more easily on a path that exists.
         """
         staged = replace(self, compiler=replace(self.compiler, solver=solver))
         spec, compiler = self.spec, staged.compiler
         light = replace(spec, torque_share=None)
         if spec.guess_touches:
-            loose = staged._solve(replace(light, touches=(*spec.touches, *spec.guess_touches)), [path], ())
+            loose = staged._solve(replace(light, touches=(*spec.touches, *spec.guess_touches)), paths, ())
             if not loose.is_feasible:
                 return loose
-            path = loose.x
-        paths, regions = [path], self._regions
+            paths = [loose.x]
+        regions = self._regions
         if len(regions) > 1:
-            unloaded = staged._solve(light, [path], ())
+            own, paths = tee(paths)
+            unloaded = staged._solve(light, own, ())
             if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
                 return unloaded
-            paths = [unloaded.x, path]
+            paths = chain([unloaded.x], paths)
             if spec.hand is not None:
                 is_fixed = np.isin(np.arange(len(unloaded.x)), list(self.fixed))
                 prescribed = compiler.find_prescribed(spec)
                 inside = follow_in_balance(solver.body, spec.hand, unloaded.x, regions, is_fixed, prescribed)
-                paths = [inside, *paths]
+                paths = chain([inside], paths)
         solved = staged._solve(light, paths, regions)
         if not solved.is_feasible or compiler.is_strong_enough(spec, solved.x):
             return solved
@@ -482,7 +489,7 @@ class _HeldPhase:
         """Where the feet hold the robot under the phase's loads."""
         return self.compiler.find_regions(self.spec, self.values)
 
-    def _solve(self, spec: PhaseSpec, paths: Sequence[Path], regions: tuple[PlannedRegion, ...]) -> Solved:
+    def _solve(self, spec: PhaseSpec, paths: Iterable[Path], regions: tuple[PlannedRegion, ...]) -> Solved:
         return self.compiler.solve(spec, paths, self.fixed, self.values, regions, self.pinned)
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import chain, islice, pairwise, repeat
 from types import SimpleNamespace
 from typing import Any
 
@@ -107,7 +106,8 @@ def test_rounds_end_when_the_time_for_the_explanation_begins(tmp_path):
     rows = tuple(Start(Way.STRAIGHT, Effort.NONE) for _ in range(3))
     search = replace(make_search(solver), policy=Policy(rows[:1], rows))
     assert len(list(islice(list_motions(search), 7))) == 7  # there is time for two rounds
-    late = replace(solver, monitor=Monitor(100.0, started=time.perf_counter() - 95.0))
+    times = chain([0.0], repeat(95.0))
+    late = replace(solver, monitor=Monitor(100.0, clock=lambda: next(times)))
     assert len(list(islice(list_motions(replace(search, solver=late)), 7))) == 2  # the start of a round is the last
 
 
