@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-egress | bench-physics | bench-faults | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-starts | bench-egress | bench-physics | bench-faults | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -18,7 +18,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-egress bench-physics bench-faults attack mutants gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-starts bench-egress bench-physics bench-faults attack mutants gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -32,6 +32,7 @@ help:
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
 	@echo "make bench-tasks    doors and valves, given and from simulated scans, certified or not, as tables; an hour"
+	@echo "make bench-starts   which starts of the search lead to motions, and what each costs, as tables; some minutes"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
 	@echo "make bench-faults   faults of sensors, servos and surroundings in physics, as a table; an hour"
@@ -106,6 +107,9 @@ bench-service: $(READY)
 bench-tasks: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.given $(BENCH_ARGS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.scanned $(SCAN_ARGS)
+
+bench-starts: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.planning.starts $(BENCH_ARGS)
 
 bench-egress: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.egress $(BENCH_ARGS)

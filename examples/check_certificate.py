@@ -194,7 +194,8 @@ def kept(replay: Replay, phase: dict[str, Any], target: dict[str, Any]) -> tuple
         leaves = lambda a, b: size * replay.bound(a, b, turning, joint, points)  # noqa: E731
         lean = replay.highest(phase, turned, leaves, most_turn)
     angle = float(np.rad2deg(2.0 * np.arcsin(min(lean / (0.2 * size), 1.0))))
-    return off <= most and lean <= most_turn, f"off by at most {1e3 * off:.2f} mm, turned by at most {angle:.2f} deg"
+    text = f"off by at most {1e3 * off:.2f} mm, turned by at most {angle:.2f} deg"
+    return bool(off <= most and lean <= most_turn), text
 
 
 def has_regions(phase: dict[str, Any]) -> bool:

@@ -108,7 +108,7 @@ def plan(
             status = interruption.status if isinstance(interruption, Interrupted) else monitor.stop_reason()
             _record_interruption(attempt, status, request, monitor)
         result = _expect_sag(attempt.to_result(setup, monitor.timings))
-        return replace(result, planning_time_s=time.perf_counter() - started)
+        return replace(result, planning_time_s=time.perf_counter() - started, tried=tuple(monitor.tried))
 
 
 def _expect_sag(result: PlanResult) -> PlanResult:

@@ -32,8 +32,10 @@ from benchmarks.tables import print_table
 from perception import KINDS, Cloud, Reach, detect_each, make_view, read_cloud
 from perception.detect.engine.kinds import name_of
 from perception.detect.engine.score import FEATURES
-from perception.detect.engine.verdict import INPUTS, PREFIX, inputs_of
+from perception.detect.engine.verdict import INPUTS, PREFIX, inputs_of, rate
+from perception.sightlines import sight_index
 from perception.simulate.scenes import Truth
+from perception.view import widen
 
 _WEIGHTS = Path(__file__).parents[2] / "perception" / "detect" / "engine" / "weights.csv"
 _VARIANTS = ("dense/solid/camera", "sparse/solid_sparse")
@@ -142,8 +144,10 @@ def read_truth(document: dict[str, object]) -> Iterator[Truth]:
 def _gather(case: Case, source: str, kinds: Sequence[str], table: Path) -> None:
     """Append the hits of a scan to the table."""
     view = make_view(case.load(), reach=case.reach)
+    index = sight_index(widen(view).cloud)
     lines = []
-    for kind, hits in detect_each(kinds, view, on_failure=lambda kind, error: print(case.name, kind, error)):
+    for kind, found in detect_each(kinds, view, on_failure=lambda kind, error: print(case.name, kind, error)):
+        hits = [rate(hit, index, is_hinted=False) for hit in found]
         outcome = matched(kind, hits, case.truth, case.lookalikes)
         of_hit = {id(hit): truth for truth, hit in outcome.pairs if hit is not None}
         for hit in hits:

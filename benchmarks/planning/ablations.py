@@ -40,7 +40,9 @@ from costs.state import MotionState
 from scopt import Problem, Settings, TrustRegionSQP
 from service.bench.problem_set import BenchRobot, read_problems
 from service.body.monitor import Monitor
-from service.body.phases import PhaseSolver, straight_path
+from service.body.paths import straight_path
+from service.body.phases import PhaseSolver
+from service.body.poses import find_pose
 from service.body.task_plan import Solved
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import PlanRequest
@@ -142,7 +144,7 @@ def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> 
     goal = Goal.of(body, request.goal)
     end = goal.apply_joints(body.nominal)
     if not goal.is_complete:
-        pose = solver.solve_pose("goal pose", [end], goal.constraints(0), fixed=goal.joints)
+        pose = find_pose(solver.pose_problem("goal pose", goal.constraints(0), fixed=goal.joints), [("start", end)])
         if not pose.is_feasible:
             return
         end = pose.x[0]
@@ -151,7 +153,7 @@ def cases_of(request: PlanRequest, robot: RobotModel, counts: Sequence[int]) -> 
         at_ends = {0: start[0], count - 1: end} if goal.is_complete else {0: start[0]}
         as_it_is = replace(solver, settings=Settings(max_iterations=0))
         posed = as_it_is.solve_trajectory(
-            "reach", [start], at_ends, constraints=goal.constraints(count - 1), bounds=goal.fix_joints
+            "reach", start, at_ends, constraints=goal.constraints(count - 1), bounds=goal.fix_joints
         )
         yield Case(body, posed.problem, start)
 

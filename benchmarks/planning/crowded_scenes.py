@@ -22,7 +22,7 @@ from costs.robot import RobotModel
 from costs.robot.shapes import box
 from costs.scene import ConvexPiece, Scene
 from scopt import TrustRegionSQP
-from service.body.phases import straight_path
+from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.motion.execute import make_motion

@@ -30,7 +30,7 @@ from benchmarks.tables import print_table
 from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from scopt import EffortClock
-from service.body.phases import straight_path
+from service.body.paths import straight_path
 from service.body.sampling import free_coordinates
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan

@@ -43,7 +43,7 @@ from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
 from service.body.holds import KeptPose, relative_pose
-from service.body.phases import straight_path
+from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError

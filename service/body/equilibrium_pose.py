@@ -24,6 +24,7 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Problem, Result, Sense, Settings, TrustRegionSQP
 from service.body.contact_forces import ForceRows
+from service.body.effort import FORCE_SETTINGS
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody
 
@@ -32,7 +33,6 @@ FORCE_RESERVE = 1e-4  # inside pyramids and caps [weight]: room for the exact ba
 TORQUE_RESERVE = 2e-3  # of the joint limits, for the same
 FORCE_WEIGHT = 0.01  # of the sum of squares of all forces [cost/weight^2]: without it they are not unique
 FORCE_STEP = 2.0  # of a force [weight] relative to the trust radius
-EFFORT = Settings(max_iterations=80, max_penalty_raises=3)
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,11 @@ class EquilibriumPose:
     result: Result
     rows: ForceRows
     allowed_torque: float | None
+
+    @property
+    def shortfall(self) -> float:
+        """Number of constraints that it violates."""
+        return float(len(self.violations))
 
     @cached_property
     def least_torque_share(self) -> float:
@@ -132,7 +137,7 @@ def solve_equilibrium_pose(
     allowances: Sequence[Allowance] = (),
     ends: Sequence[Float[np.ndarray, "n"]] = (),
     fixed: Mapping[int, float] | None = None,
-    settings: Settings = EFFORT,
+    settings: Settings = FORCE_SETTINGS,
     should_stop: Callable[[], bool] | None = None,
 ) -> EquilibriumPose:
     """Solve for a configuration near the nominal posture and forces at the contacts that hold it.

@@ -29,6 +29,25 @@ class Interrupted(Exception):  # noqa: N818 - a way to end a plan early, not an 
         self.status = status
 
 
+@dataclass(frozen=True)
+class TriedStart:
+    """One start that the search tried.
+
+    Attributes:
+        step: pose or phase that was searched.
+        start: what the search began from, in words.
+        cpu_s: processor time of this process, from making the start to its outcome [s].
+        n_steps: of the optimiser.
+        is_feasible: whether it led to a solution.
+    """
+
+    step: str
+    start: str
+    cpu_s: float
+    n_steps: int
+    is_feasible: bool
+
+
 @dataclass
 class Monitor:
     """Time limit, cancellation, progress and record of one plan.
@@ -40,6 +59,7 @@ class Monitor:
         clock: measures the time limit, by default as effort.
         timings: seconds of wall time by step, in the order of the steps.
         history: (step, iterations) of every solve.
+        tried: every start of the search, in the order in which they were tried.
         started: of the clock.
     """
 
@@ -50,6 +70,7 @@ class Monitor:
     clock: Clock = field(default_factory=EffortClock)
     timings: dict[str, float] = field(default_factory=dict)
     history: list[tuple[str, tuple[Iteration, ...]]] = field(default_factory=list)
+    tried: list[TriedStart] = field(default_factory=list)
     started: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -118,6 +139,18 @@ class Monitor:
     def count_attempts(self, step: str) -> int:
         """Return the number of solves of a step; ``turn`` counts for ``turn 2`` as well."""
         return sum(step == name or step.startswith(f"{name} ") for name, _ in self.history)
+
+    def mark(self) -> tuple[float, int]:
+        """Return where the costs of a start begin."""
+        return time.process_time(), len(self.history)
+
+    def log_start(
+        self, step: str, start: str, mark: tuple[float, int], is_feasible: bool, n_steps: int | None = None
+    ) -> None:
+        """Record a start that was tried since a mark; steps of the optimiser are counted if they are not given."""
+        began, n_solved = mark
+        steps = sum(len(history) for _, history in self.history[n_solved:]) if n_steps is None else n_steps
+        self.tried.append(TriedStart(step, start, time.process_time() - began, steps, bool(is_feasible)))
 
     def make_optimiser(self, settings: Settings) -> TrustRegionSQP:
         """Return the optimiser with the plan's clock and remaining time."""

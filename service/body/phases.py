@@ -1,4 +1,4 @@
-"""Solver of single phases: poses and trajectories of a whole body, and first guesses for them."""
+"""Solver of single phases: poses and trajectories of a whole body, and sampled paths."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from jaxtyping import Float, Int
 
 from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts
-from costs.robot import BASE_NAMES, RobotModel
+from costs.robot import RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Settings
+from service.body.effort import Effort
 from service.body.holds import project_onto_holds
 from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
+from service.body.paths import straight_path
+from service.body.poses import PoseProblem
 from service.body.sampling import (
     HeldProblem,
     SamplingProblem,
@@ -30,21 +33,8 @@ from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.request.fields import HAND_FRICTION
 
 CARRIER_POINTS = 17  # of the way of the limbs that carry the robot
-MOST_GUESSES = 4  # of a step without further starts, as of a pose
-JOINT_SPREAD, BASE_SPREAD = 0.5, 0.1  # of random guesses, standard deviations [rad, m]
-# A reachable pose takes some ten steps.
-POSE_EFFORT: dict[str, Any] = {"max_iterations": 40, "max_penalty_raises": 3}
-# Steps from a local minimum: a constraint that can be met then gives way at once.
-RESTORE_EFFORT: dict[str, Any] = {"penalty": 100.0, "max_penalty_raises": 1, "max_iterations": 30}
-# From a motion that was good before something moved: the first iterate that holds is as good.
-REPAIR_EFFORT: dict[str, Any] = {
-    "penalty": 100.0,
-    "max_penalty_raises": 2,
-    "max_iterations": 15,
-    "acceptable_steps": 1,
-    "trust_radius": 0.1,
-}
-
+MOST_SEEDS = 4  # of a pose, unless its problem says otherwise
+MOST_STARTS = 1000  # of a step, unless the request limits them
 Terms = Callable[[str, RobotModel, int], Sequence[Cost[MotionState] | Constraint[MotionState]]]
 """The caller's own terms, given a phase's name, the robot and the number of waypoints."""
 
@@ -64,7 +54,7 @@ class PhaseSolver:
         monitor: of the plan.
         settings: of the optimiser.
         overrides: ``(body, other body, margin)`` for pairs with another required clearance [m].
-        most_starts: limit of starts per step, at most ``MOST_GUESSES`` in one solve.
+        most_starts: limit of starts per step.
         seed: of random draws.
         terms: the caller's own, added to every pose and trajectory.
         map: calls a function for every one of many independent poses, in order; an executor's does so side by side.
@@ -75,45 +65,55 @@ class PhaseSolver:
     monitor: Monitor
     settings: Settings
     overrides: tuple[tuple[BodyRef, BodyRef, float], ...] = ()
-    most_starts: int = MOST_GUESSES
+    most_starts: int = MOST_STARTS
     seed: int = 0
     terms: Terms = lambda phase, robot, n_waypoints: ()
     map: Map = map
     hand_friction: tuple[float, float] = HAND_FRICTION
 
-    def solve_pose(
+    @property
+    def most_seeds(self) -> int:
+        """Largest number of seeds of a pose, unless its problem says otherwise."""
+        return min(MOST_SEEDS, self.most_starts)
+
+    def pose_problem(
         self,
         name: str,
-        guesses: Sequence[Float[np.ndarray, "n"]],
-        constraints: Sequence[Constraint[MotionState]],
+        constraints: Sequence[Constraint[MotionState]] = (),
         allowances: Sequence[Allowance] = (),
         fixed: Mapping[int, float] | None = None,
         regions: Sequence[PlannedRegion] = (),
-        effort: Mapping[str, Any] = POSE_EFFORT,
-    ) -> Solved:
-        """Solve for a configuration near the nominal posture; the first guess that leads to a feasible one wins.
+        effort: Effort = Effort.POSE,
+        fraction: float | None = None,
+        ends: Sequence[Float[np.ndarray, "n"]] | None = None,
+    ) -> PoseProblem[Solved]:
+        """Return the problem of a configuration near the nominal posture.
 
         Args:
             name: of the step.
-            guesses: (n,) each.
             constraints: of the task, at waypoint 0.
             allowances: pairs that may touch.
             fixed: value by coordinate index.
             regions: where the loaded feet hold the robot, instead of their hull.
-            effort: settings of the optimiser.
+            effort: of the optimiser.
+            fraction: of the plan that is done, for its progress.
+            ends: configurations whose distances limit the required clearance; by default the nominal one.
         """
         lower, upper = self.body.bounds(1, {})
         for index, value in (fixed or {}).items():
             lower[0, index] = upper[0, index] = value
-        checker = self.body.make_checker(allowances, [self.body.nominal], self.overrides)
+        ends = [self.body.nominal] if ends is None else ends
+        checker = self.body.make_checker(allowances, ends, self.overrides)
         terms = self._add_own_terms(name, 1, (), constraints)
         problem = self.body.make_problem(lower, upper, checker, *terms, regions=regions)
-        return self.with_settings(**effort)._solve_in_turn(name, problem, [guess[None] for guess in guesses])
+        solver = self.with_effort(effort)
+        solve = lambda guess: solver._solve(name, problem, guess[None])  # noqa: E731
+        return PoseProblem(name, solve, self.monitor, fraction, self.most_seeds)
 
     def solve_trajectory(
         self,
         name: str,
-        starts: Sequence[Float[np.ndarray, "T n"]],
+        start: Float[np.ndarray, "T n"],
         fixed: Mapping[int, Float[np.ndarray, "n"]],
         costs: Sequence[Cost[MotionState]] = (),
         constraints: Sequence[Constraint[MotionState]] = (),
@@ -122,11 +122,11 @@ class PhaseSolver:
         balanced: Sequence[int] | None = None,
         regions: Sequence[PlannedRegion] = (),
     ) -> Solved:
-        """Solve for a trajectory; the first start that leads to a feasible one wins, else the best is returned.
+        """Solve for a trajectory.
 
         Args:
             name: of the phase.
-            starts: (T, n) each.
+            start: path to start from.
             fixed: configuration by waypoint.
             costs, constraints: of the task.
             allowances: pairs that may touch.
@@ -134,13 +134,13 @@ class PhaseSolver:
             balanced: waypoints with a balance constraint; all if not given.
             regions: where the loaded feet hold the robot, instead of their hull.
         """
-        lower, upper = self.body.bounds(len(starts[0]), fixed)
+        lower, upper = self.body.bounds(len(start), fixed)
         if bounds is not None:
             bounds(lower, upper)
         checker = self.body.make_checker(allowances, list(fixed.values()), self.overrides)
         terms = self._add_own_terms(name, len(lower), costs, constraints)
         problem = self.body.make_problem(lower, upper, checker, *terms, balanced, regions)
-        return self._solve_in_turn(name, problem, starts)
+        return self._solve(name, problem, start)
 
     def is_feasible(self, q: Float[np.ndarray, "T n"], constraints: Sequence[Constraint[MotionState]] = ()) -> bool:
         """Return whether a trajectory keeps all constraints between its ends as it is."""
@@ -148,50 +148,49 @@ class PhaseSolver:
         problem = self.body.make_problem(lower, upper, self.body.make_checker((), [q[0], q[-1]]), (), constraints)
         return keeps_constraints(problem, q)
 
-    def move_clear(self, name: str, q: Float[np.ndarray, "n"], margin: float) -> Float[np.ndarray, "n"] | None:
-        """Return a configuration near ``q`` with more clearance; None where none is found.
-
-        Args:
-            name: of the step.
-            q: where links are nearer to each other, or to pieces, than ``margin``.
-            margin: clearance that is aimed at [m].
-        """
-        body = replace(self.body, aims=replace(self.body.aims, margin=margin), nominal=q)
-        lower, upper = body.bounds(1, {})
-        problem = body.make_problem(lower, upper, body.make_checker())
-        solved = self.with_settings(**POSE_EFFORT)._solve_in_turn(name, problem, [q[None]])
-        moved = np.asarray(solved.x[0])
-        return moved if body.measure_nearest(moved) > body.measure_nearest(q) + 0.25 * margin else None
-
     def restore_feasibility(self, step: str, solved: Solved) -> Solved:
         """Solve an infeasible step on for required constraints only; return it as it is if that fails."""
         problem = keep_required(solved.problem)
-        optimiser = self.monitor.make_optimiser(replace(self.settings, **RESTORE_EFFORT))
+        optimiser = self.monitor.make_optimiser(Effort.RESTORE.apply(self.settings))
         result = optimiser.solve(problem, solved.x, should_stop=self.monitor.should_stop)
         self.monitor.record(step, result)
         restored = Solved(result, problem, solved.body)
         return restored if restored.is_feasible else solved
 
-    def sample_corners(
+    def sample(
         self,
         start: Float[np.ndarray, "n"],
         end: Float[np.ndarray, "n"],
         tree: Tree,
         movable: Int[np.ndarray, "k"] | None = None,
     ) -> Float[np.ndarray, "K n"] | None:
-        """Sample a path around the obstacles; None where others than the movable coordinates would have to move."""
+        """Sample a path around the obstacles; None where there is none, or where nothing may be drawn.
+
+        On planted links the limbs that carry nothing are drawn while the others go straight on their contacts; with
+        ``tree.keeps_holds`` the base is drawn as well, and what carries follows.
+
+        Args:
+            start, end: configurations.
+            tree: seed and effort.
+            movable: coordinates that may leave the straight way, of those that carry nothing; all of them by default.
+        """
+        body = self.body
         if tree.keeps_holds:
-            checker = self.body.make_search_checker([start, end])
-            return self._sample(HeldProblem.between(self.body, checker, start, end), tree)
-        free = free_coordinates(self.body)
+            checker = body.make_search_checker([start, end])
+            return self._sample(HeldProblem.between(body, checker, start, end), tree)
+        free = free_coordinates(body)
         if movable is not None:
             free = np.intersect1d(movable, free)
-        others = np.setdiff1d(np.arange(len(start)), free)
-        if not len(free) or np.abs(end - start)[others].max(initial=0.0) > 1e-6:
+        if not len(free) or (body.robot.is_floating and body.kept):
             return None
-        return self._sample(
-            SamplingProblem(self.body, self.body.make_search_checker([start, end]), start, end, free), tree
-        )
+        carrier = None
+        if body.robot.is_floating:
+            carrier = straight_path(start, end, CARRIER_POINTS)
+            carrier[1:-1] = project_onto_holds(body.engine, carrier[1:-1], body.holds())
+        elif np.abs(np.delete(end - start, free)).max(initial=0.0) > 1e-6:
+            return None
+        checker = body.make_search_checker([start, end])
+        return self._sample(SamplingProblem(body, checker, start, end, free, carrier), tree)
 
     def _sample(self, problem: SamplingProblem, tree: Tree) -> Float[np.ndarray, "K n"] | None:
         path = sample_path(problem, replace(tree, seed=tree.seed + self.seed), self.monitor.is_over)
@@ -222,30 +221,9 @@ class PhaseSolver:
         self.monitor.check()
         return problem.place(corners)
 
-    def sample_carried(
-        self,
-        start: Float[np.ndarray, "n"],
-        end: Float[np.ndarray, "n"],
-        tree: Tree,
-        movable: Int[np.ndarray, "k"] | None = None,
-    ) -> Float[np.ndarray, "K n"] | None:
-        """Sample a path of the limbs that carry nothing, while the others go straight on the contacts that stay.
-
-        Args:
-            start, end: configurations on the contacts.
-            tree: seed and effort.
-            movable: coordinates that may leave the straight way, of those that carry nothing; all of them by default.
-        """
-        free = free_coordinates(self.body)
-        if movable is not None:
-            free = np.intersect1d(movable, free)
-        if not len(free):
-            return None
-        holds = self.body.holds()
-        carrier = straight_path(start, end, CARRIER_POINTS)
-        carrier[1:-1] = project_onto_holds(self.body.engine, carrier[1:-1], holds)
-        checker = self.body.make_search_checker([start, end])
-        return self._sample(SamplingProblem(self.body, checker, start, end, free, carrier), tree)
+    def with_effort(self, effort: Effort) -> PhaseSolver:
+        """Return the solver with another effort of the optimiser."""
+        return replace(self, settings=effort.apply(self.settings))
 
     def with_settings(self, **changes: Any) -> PhaseSolver:
         """Return the solver with other settings of the optimiser."""
@@ -271,25 +249,14 @@ class PhaseSolver:
         own_constraints = [term for term in own if isinstance(term, Constraint)]
         return (*costs, *own_costs), (*constraints, *own_constraints)
 
-    def _solve_in_turn(
-        self, name: str, problem: Problem[MotionState], starts: Sequence[Float[np.ndarray, "T n"]]
-    ) -> Solved:
-        """Solve a problem from several starts until one is feasible."""
-        best: Solved | None = None
-        for start in starts[: min(MOST_GUESSES, self.most_starts)]:
-            self.monitor.check()
-            callback = self.monitor.make_callback(name, self.body.robot.joint_names)
-            optimiser = self.monitor.make_optimiser(self.settings)
-            result = optimiser.solve(problem, start, callback, self.monitor.should_stop)
-            self.monitor.record(name, result)
-            solved = Solved(result, problem, self.body)
-            if solved.is_feasible:
-                return solved
-            if best is None or solved.shortfall < best.shortfall:
-                best = solved
-        if best is None:
-            raise ValueError("at least one start is needed")
-        return best
+    def _solve(self, name: str, problem: Problem[MotionState], start: Float[np.ndarray, "T n"]) -> Solved:
+        """Solve a problem from a start."""
+        self.monitor.check()
+        callback = self.monitor.make_callback(name, self.body.robot.joint_names)
+        optimiser = self.monitor.make_optimiser(self.settings)
+        result = optimiser.solve(problem, start, callback, self.monitor.should_stop)
+        self.monitor.record(name, result)
+        return Solved(result, problem, self.body)
 
 
 def report_solutions(
@@ -342,45 +309,3 @@ def change_contacts(problem: Problem[MotionState], change: Callable[[Contacts], 
         return replace(full, contacts=change(full.contacts))
 
     return replace(problem, state=state)
-
-
-def posture_guesses(body: WholeBody) -> list[tuple[str, Float[np.ndarray, "n"]]]:
-    """Return configurations to start from by name: the nominal one, then the robot's postures where it stands."""
-    guesses = [("nominal", body.nominal.copy())]
-    for name, posture in sorted(body.robot.postures.items()):
-        guess = posture.copy()
-        if body.robot.is_floating:
-            guess[: len(BASE_NAMES)] = body.nominal[: len(BASE_NAMES)]
-        if not np.array_equal(guess, body.nominal):
-            guesses.append((name, guess))
-    return guesses
-
-
-def random_guesses(body: WholeBody, count: int, seed: int) -> list[Float[np.ndarray, "n"]]:
-    """Return random configurations about the nominal one, within the limits."""
-    robot, rng = body.robot, np.random.default_rng(seed)
-    spread = np.full(robot.n, JOINT_SPREAD)
-    if robot.is_floating:
-        spread[: len(BASE_NAMES)] = BASE_SPREAD
-    steps = spread * rng.normal(size=(count, robot.n))
-    return list(np.clip(body.nominal + steps, robot.lower, robot.upper))
-
-
-def straight_path(
-    first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
-) -> Float[np.ndarray, "T n"]:
-    """Return waypoints on the straight line between two configurations."""
-    return np.asarray(first + (last - first) * np.linspace(0.0, 1.0, n_waypoints)[:, None])
-
-
-def path_via(
-    first: Float[np.ndarray, "n"],
-    middle: Float[np.ndarray, "n"],
-    last: Float[np.ndarray, "n"],
-    n_waypoints: int,
-) -> Float[np.ndarray, "T n"]:
-    """Return waypoints on two straight lines through a configuration between."""
-    half = n_waypoints // 2
-    return np.concatenate(
-        [straight_path(first, middle, half + 1)[:-1], straight_path(middle, last, n_waypoints - half)]
-    )

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from costs.collision import SearchChecker
 from costs.robot import BASE_NAMES
 from service.body.holds import find_prescribed, largest_hold_error, project_within_limits
+from service.body.paths import resample_path
 from service.body.whole_body import SAMPLING_CLEARANCE, WholeBody
 
 EDGE_STEP = 0.15  # by default; see ``Tree.edge_step`` [rad, m]
@@ -342,19 +343,3 @@ def shorten_polyline(
         if saved > LEAST_SAVING * ends[-1] and problem.is_clear(problem.interpolate_edge(joined[0], joined[1])):
             corners = np.concatenate([corners[: edges[0] + 1], joined, corners[edges[1] + 1 :]])
     return corners
-
-
-def measure_length(corners: Float[np.ndarray, "K n"]) -> float:
-    """Return the length of a polyline in joint space [rad, m]."""
-    return float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
-
-
-def resample_path(corners: Float[np.ndarray, "K n"], n_waypoints: int) -> Float[np.ndarray, "T n"]:
-    """Return evenly spread waypoints on a polyline, with every corner among them if there are enough."""
-    lengths = np.abs(np.diff(corners, axis=0)).max(axis=1)
-    ends = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, 1e-9))])
-    at = np.linspace(0.0, ends[-1], n_waypoints)
-    for end in ends[1:-1]:
-        at[1 + int(np.argmin(np.abs(at[1:-1] - end)))] = end
-    at.sort()
-    return np.stack([np.interp(at, ends, corners[:, i]) for i in range(corners.shape[1])], axis=1)

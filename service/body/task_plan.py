@@ -177,6 +177,11 @@ class Solved:
         """The best waypoints."""
         return self.result.x
 
+    @property
+    def q(self) -> Float[np.ndarray, "n"]:
+        """The first of them; of a pose the only one."""
+        return np.asarray(self.result.x[0])
+
     @cached_property
     def is_feasible(self) -> bool:
         """Whether every constraint is kept; of the clearance margin only ``LEAST_CLEARANCE`` is required."""

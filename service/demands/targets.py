@@ -35,8 +35,10 @@ def find_goal_joints(robot: RobotModel, goal: GoalRequest, near: Float[np.ndarra
         first = len(BASE_NAMES) if robot.is_floating else 0
         wanted = {index: float(posture[index]) for index in range(first, len(posture))}
     q[list(wanted)] = list(wanted.values())
-    turned = np.clip(turn_near(robot, q, near), robot.lower, robot.upper)
-    return {index: float(turned[index]) for index in wanted}
+    turned = turn_near(robot, q, near)
+    inside = np.clip(turned, robot.lower, robot.upper)
+    value = np.where(np.abs(inside - turned) <= JOINT_TOLERANCE, inside, turned)
+    return {index: float(value[index]) for index in wanted}
 
 
 def make_goal_targets(

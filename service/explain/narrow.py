@@ -16,7 +16,9 @@ from jaxtyping import Float
 from costs.state import MotionState
 from scopt import Clock, EffortClock, Problem, Settings, SolverError, Status, TrustRegionSQP
 from scopt.multipliers import compute_multipliers
-from service.body.phases import RESTORE_EFFORT, keep_required, straight_path
+from service.body.effort import Effort
+from service.body.paths import straight_path
+from service.body.phases import keep_required
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody
 from service.explain.conflict import Conflict, DemandKind, FilterOutcome
@@ -96,7 +98,7 @@ def explain(
         should_stop: polled often; True ends it early.
         clock: measures the time limit, by default as effort.
     """
-    brief = replace(settings, **RESTORE_EFFORT)
+    brief = Effort.RESTORE.apply(settings)
     clock = EffortClock() if clock is None else clock
     began = clock()
     run = _TrialSolver(brief, solved.body, should_stop, began + time_limit_s, clock)

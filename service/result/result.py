@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.scene import Scene
+from service.body.monitor import TriedStart
 from service.explain.conflict import Conflict
 from service.request.schema import PlanRequest
 from service.result.motion_json import sample_rates, sample_times, samples_of
@@ -50,6 +51,7 @@ class PlanResult:
         explanation: what prevents a certified motion; empty when certified.
         conflict: demands that contradict each other at a step without a solution.
         found_from: start of the optimiser that led to the motion; empty if there was only one.
+        tried: every start that the search tried, with its cost and outcome.
         notes: what was adjusted, assumed or detected.
         planning_time_s: wall time of the plan; ``timings`` maps its steps to seconds.
         pose_graph: poses from which a sequence of stances was chosen (JSON-ready), or None.
@@ -71,6 +73,7 @@ class PlanResult:
     explanation: tuple[str, ...] = ()
     conflict: Conflict | None = None
     found_from: str = ""
+    tried: tuple[TriedStart, ...] = ()
     notes: tuple[str, ...] = ()
     planning_time_s: float = 0.0
     timings: Mapping[str, float] = field(default_factory=dict)

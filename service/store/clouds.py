@@ -23,8 +23,8 @@ from service.store.seals import hash_file
 
 # Formats of single files (perception.files reads folders too), listed here because the server loads no readers.
 CLOUD_SUFFIXES = (
-    ".pcd", ".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb", ".ptx", ".npz", ".npy", ".las",
-    ".laz", ".e57", ".mcap", ".db3", ".bag",
+    ".pcd", ".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".xyzn", ".xyzi", ".xyzrgb", ".ptx", ".npz", ".npy",
+    ".las", ".laz", ".e57", ".vtk", ".vtp", ".vtu", ".vts", ".png", ".mcap", ".db3", ".bag",
 )  # fmt: skip
 # Clouds, scene files and meshes; a .ply may be a cloud or a mesh.
 UPLOAD_SUFFIXES = (*CLOUD_SUFFIXES, ".json", *(suffix for suffix in MESH_SUFFIXES if suffix not in CLOUD_SUFFIXES))

@@ -11,16 +11,17 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
-from service.body.phases import PhaseSolver, straight_path
-from service.body.sampling import free_coordinates
+from service.body.ladder import GivenEnd, MotionSearch, NoEnd, find_motion
+from service.body.phases import PhaseSolver
+from service.body.starts import DIRECT, Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, make_escape_allowances
 from service.start.overlaps import Overlap
+from service.tasks.nearby import find_free_pose
 
 ESCAPE = "escape"
 ESCAPE_WAYPOINTS, SETTLE_WAYPOINTS = 10, 6
-SPREADS = (0.2, 0.2, 0.4, 0.4, 0.8, 0.8)  # of random guesses about the start [rad, m]
 
 
 def leave_start(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
@@ -98,10 +99,8 @@ def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
     body = solver.body
     leaving = replace(solver, body=LeavingBody.of(body, overlaps))
     with solver.monitor.step(ESCAPE, 0.05):
-        out = _find_free_pose(leaving)
-        if out.is_feasible:
-            line = straight_path(body.nominal, out.x[0], ESCAPE_WAYPOINTS - 1)
-            out = _solve_escape(leaving, np.concatenate([line, line[-1:]]))
+        pose = find_free_pose(leaving, ESCAPE)
+    out = _find_escape(leaving, pose.q) if pose.is_feasible else pose
     phase = PlannedPhase(
         ESCAPE,
         out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),
@@ -113,20 +112,21 @@ def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
     return TaskPlan(replace(body, nominal=out.x[-1]), (phase,), stuck=Stuck.at(ESCAPE, out))
 
 
-def _find_free_pose(leaving: PhaseSolver) -> Solved:
-    """Solve for a configuration without collision, from the start, then from random guesses ever farther away."""
-    body = leaving.body
-    rng = np.random.default_rng(leaving.seed)
-    joints = free_coordinates(body)
-    best = leaving.solve_pose(ESCAPE, [body.nominal], ())
-    for reach in SPREADS:
-        if best.is_feasible:
-            break
-        guess = body.nominal.copy()
-        guess[joints] += rng.uniform(-reach, reach, len(joints))
-        solved = leaving.solve_pose(ESCAPE, [np.clip(guess, body.robot.lower, body.robot.upper)], ())
-        best = solved if solved.is_feasible or solved.shortfall < best.shortfall else best
-    return best
+def _find_escape(leaving: PhaseSolver, end: Float[np.ndarray, "n"]) -> Solved:
+    """Return the motion out of collision; its last interval is clear of everything."""
+    search = MotionSearch(
+        ESCAPE,
+        leaving,
+        _solve_escape,
+        leaving.body.nominal,
+        GivenEnd(end),
+        DIRECT,
+        n_waypoints=ESCAPE_WAYPOINTS - 1,
+        fit=lambda path: np.concatenate([path, path[-1:]]),
+        restorable=np.inf,
+        fraction=0.05,
+    )
+    return find_motion(search)
 
 
 def _solve_escape(leaving: PhaseSolver, q: Float[np.ndarray, "T n"], is_end_fixed: bool = False) -> Solved:
@@ -134,8 +134,7 @@ def _solve_escape(leaving: PhaseSolver, q: Float[np.ndarray, "T n"], is_end_fixe
     last = len(q) - 1
     fixed = {0: q[0], last: q[-1]} if is_end_fixed else {0: q[0]}
     balanced = [last] if _needs_settling(leaving.body) else None
-    solved = leaving.solve_trajectory(ESCAPE, [q], fixed, balanced=balanced)
-    return solved if solved.is_feasible else leaving.restore_feasibility(ESCAPE, solved)
+    return leaving.solve_trajectory(ESCAPE, q, fixed, balanced=balanced)
 
 
 def _needs_settling(body: WholeBody) -> bool:
@@ -149,8 +148,18 @@ def _needs_settling(body: WholeBody) -> bool:
 def _settle(solver: PhaseSolver) -> TaskPlan:
     """Plan a phase from the start to a nearby configuration inside the balance margin."""
     body = solver.body
-    start = np.tile(body.nominal, (SETTLE_WAYPOINTS, 1))
-    with solver.monitor.step("settle", 0.05):
-        solved = solver.solve_trajectory("settle", [start], {0: body.nominal}, balanced=[SETTLE_WAYPOINTS - 1])
+    still = np.tile(body.nominal, (SETTLE_WAYPOINTS, 1))
+    last = SETTLE_WAYPOINTS - 1
+    search = MotionSearch(
+        "settle",
+        solver,
+        lambda own, path: own.solve_trajectory("settle", path, {0: body.nominal}, balanced=[last]),
+        body.nominal,
+        NoEnd(),
+        DIRECT,
+        {Way.GIVEN: lambda: [("standing still", still)]},
+        fraction=0.05,
+    )
+    solved = find_motion(search)
     phase = PlannedPhase("settle", solved.x, solved.is_feasible, is_settling=True)
     return TaskPlan(replace(body, nominal=solved.x[-1]), (phase,), stuck=Stuck.at("settle", solved))

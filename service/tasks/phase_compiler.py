@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from functools import cache, cached_property
+from itertools import chain, combinations, islice, tee
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,17 +18,15 @@ from costs.robot import Mechanism, RobotModel
 from costs.state import MotionState
 from costs.terms import HeldTorque, NormWithin, WithinTolerance
 from scopt import Constraint, Sense
+from service.body.effort import Effort
 from service.body.holds import Hold
+from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_regions
-from service.body.phases import (
-    POSE_EFFORT,
-    REPAIR_EFFORT,
-    PhaseSolver,
-    path_via,
-    posture_guesses,
-    random_guesses,
-    straight_path,
-)
+from service.body.paths import straight_path
+from service.body.phases import PhaseSolver
+from service.body.poses import PoseProblem, Poses, find_pose
+from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
+from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved
 from service.demands.phase_spec import DEPTH_RESERVE, PhaseSpec
 from service.tasks.held_tool import (
@@ -43,9 +41,8 @@ from service.tasks.held_tool import (
 )
 from service.verify import HandLoad
 
+MOST_VIAS = 4  # postures of a free phase, the nominal one among them
 RESTORABLE = 20.0  # largest violation, relative to its tolerance, of a phase that is then solved for constraints alone
-QUICK_GUESSES = 2
-QUICK_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
 OTHER_POSE = 0.3  # least difference of a joint between two poses that are tried [rad]
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
 TORQUE_TOLERANCE = 0.01  # share of a joint's limit
@@ -75,43 +72,25 @@ class PhaseCompiler:
         """(k,) coordinates of the mechanism."""
         return np.arange(self.robot.n - len(self.mechanism.joints), self.robot.n)
 
-    @property
-    def _repairer(self) -> PhaseCompiler:
-        """Solves with the effort that a nominal motion needs."""
-        return replace(self, solver=self.solver.with_settings(**REPAIR_EFFORT))
-
-    def solve_anchor(self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> Solved:
-        """Solve for the first pose of an anchor: from the nominal one if there is one, from ``at``, from postures."""
-        nominal = self.resample_nominal(spec)
-        if nominal is not None:
-            repaired = self.solve_pose(step, replace(spec, guess_touches=()), [nominal[0]])
-            if repaired.is_feasible:
-                return repaired
-        return self.solve_pose(step, spec, self.list_guesses(at))
-
     def list_anchor_poses(
         self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"], n_random: int
     ) -> Iterator[Solved]:
-        """Yield poses to begin an anchor with: that of :meth:`solve_anchor`, then different ones from random guesses.
+        """Yield different poses to begin an anchor with; where none is found, the one that missed least.
 
-        Where none is found, the one that missed least is yielded.
+        Seeds are the nominal pose if there is one, ``at``, postures, and random configurations.
         """
-        monitor, found = self.solver.monitor, list[Float[np.ndarray, "n"]]()
-        best: Solved | None = None
-        for guess in (None, *random_guesses(self.solver.body, n_random, self.solver.seed)):
-            with monitor.step(step, 0.1):
-                pose = self.solve_anchor(step, spec, at) if guess is None else self.solve_pose(step, spec, [guess])
-            if not pose.is_feasible:
-                best = pose if best is None or pose.shortfall < best.shortfall else best
-            elif all(np.abs(pose.x[0] - other).max() > OTHER_POSE for other in found):
-                found.append(pose.x[0])
-                yield pose
-        if not found and best is not None:
-            yield best
+        poses = Poses(self.pose_problem(step, spec, fraction=0.1), OTHER_POSE)
+        nominal = self.resample_nominal(spec)
+        first = self.list_seeds(at) if nominal is None else [(Way.KNOWN.value, nominal[0]), *self.list_seeds(at)]
+        yield from islice(poses.find(first), 1)
+        guesses = random_guesses(self.solver.body, n_random, self.solver.seed)
+        yield from poses.find(name_seeds("random", guesses))
+        if not poses.found and poses.best is not None:
+            yield poses.best
 
-    def list_guesses(self, at: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "n"]]:
+    def list_seeds(self, at: Float[np.ndarray, "n"]) -> list[Seed]:
         """Return configurations from which a pose is solved: ``at``, then the robot's postures."""
-        return [at, *(guess for _, guess in posture_guesses(self.solver.body)[1:])]
+        return [("at hand", at), *posture_guesses(self.solver.body)[1:]]
 
     def resample_nominal(
         self, spec: PhaseSpec, ends: Mapping[int, Float[np.ndarray, "n"]] = MappingProxyType({})
@@ -141,42 +120,57 @@ class PhaseCompiler:
             first, last = first + last, first + last
         return np.asarray(q + (1.0 - shares)[:, None] * first + shares[:, None] * last)
 
-    def solve_pose(
-        self,
-        step: str,
-        spec: PhaseSpec,
-        guesses: Sequence[Float[np.ndarray, "n"]],
-        effort: Mapping[str, Any] = POSE_EFFORT,
-    ) -> Solved:
-        """Solve for the first pose of an anchor."""
-        names = self.robot.joint_names
-        fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
-        fixed |= {names.index(name): value for name, value in spec.fixed.items()}
-        fixed |= {names.index(name): ends[0] for name, ends in spec.joints.items()}
+    def pose_problem(
+        self, step: str, spec: PhaseSpec, effort: Effort = Effort.POSE, fraction: float | None = None
+    ) -> PoseProblem[Solved]:
+        """Return the problem of the first pose of a phase.
+
+        What the hand passes between would push it to the wrong side of a poor seed: a pose that may be in it is first.
+        """
+        fixed = self._find_fixed(spec)
+        loose: PoseProblem[Solved] | None = None
+        if spec.guess_touches:
+            wider = replace(spec, touches=(*spec.touches, *spec.guess_touches), guess_touches=(), torque_share=None)
+            loose = self.pose_problem(step, wider, effort)
+        # Made once it is needed: where the feet hold the loads takes as long as some steps of the optimiser.
+        make = cache(lambda: self._make_pose_problem(step, spec, fixed, effort))
+
+        def solve(seed: Float[np.ndarray, "n"]) -> Solved:
+            if loose is None:
+                return make().solve(self._bring_hand(spec, seed, fixed))
+            guess = loose.solve(seed)
+            return make().solve(self._bring_hand(spec, guess.q, fixed)) if guess.is_feasible else guess
+
+        return PoseProblem(step, solve, self.solver.monitor, fraction, self.solver.most_seeds)
+
+    def _make_pose_problem(
+        self, step: str, spec: PhaseSpec, fixed: Mapping[int, float], effort: Effort
+    ) -> PoseProblem[Solved]:
+        """Return the problem of the first pose of a phase from a seed with the hand at its place."""
         first = np.zeros(1, dtype=int)
         constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
         regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
-        if spec.guess_touches:
-            loose = replace(spec, touches=(*spec.touches, *spec.guess_touches), guess_touches=(), torque_share=None)
-            guess = self.solve_pose(step, loose, guesses, effort)
-            if not guess.is_feasible:
-                return guess
-            guesses = [guess.x[0], *guesses]
         touches = shrink(spec.touches, spec.depth_reserve_m)
-        guesses = self._bring_hand(spec, guesses, fixed)
-        return self.solver.solve_pose(step, guesses, constraints, touches, fixed, regions, effort)
+        return self.solver.pose_problem(step, constraints, touches, fixed, regions, effort)
+
+    def _find_fixed(self, spec: PhaseSpec) -> dict[int, float]:
+        """Return values by coordinate index of a phase's first pose."""
+        names = self.robot.joint_names
+        fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
+        fixed |= {names.index(name): value for name, value in spec.fixed.items()}
+        return fixed | {names.index(name): ends[0] for name, ends in spec.joints.items()}
 
     def _bring_hand(
-        self, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]], fixed: Mapping[int, float]
-    ) -> Sequence[Float[np.ndarray, "n"]]:
-        """Return guesses for the first pose with the hand at its place, as far as they come near it."""
+        self, spec: PhaseSpec, guess: Float[np.ndarray, "n"], fixed: Mapping[int, float]
+    ) -> Float[np.ndarray, "n"]:
+        """Return a guess for the first pose with the hand at its place, as far as it comes near it."""
         if spec.hand is None:
-            return guesses
+            return guess
         prescribed = np.zeros(self.robot.n, dtype=bool)
         prescribed[list(fixed)] = True
-        placed = np.array(guesses)
-        placed[:, list(fixed)] = list(fixed.values())
-        return list(bring_tool(self.solver.body, spec.hand, placed, prescribed))
+        placed = guess.copy()
+        placed[list(fixed)] = list(fixed.values())
+        return np.asarray(bring_tool(self.solver.body, spec.hand, placed[None], prescribed)[0])
 
     def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
@@ -201,7 +195,13 @@ class PhaseCompiler:
         return np.asarray(link.T @ np.stack([x, np.cross(z, x), z], axis=1))
 
     def solve_held(
-        self, spec: PhaseSpec, q: Float[np.ndarray, "n"], *, is_anchor: bool = False, is_backwards: bool = False
+        self,
+        spec: PhaseSpec,
+        q: Float[np.ndarray, "n"],
+        fraction: float,
+        *,
+        is_anchor: bool = False,
+        is_backwards: bool = False,
     ) -> Solved:
         """Solve a phase with a held hand from its first configuration, or backwards from its last.
 
@@ -212,10 +212,36 @@ class PhaseCompiler:
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
         pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
         nominal = self.resample_nominal(spec, fixed or {0: q})
+        held = _HeldPhase(self, spec, fixed, values, pinned)
+        led = self._lead_hand(held, q, is_anchor=is_anchor, is_backwards=is_backwards)
+        paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {Way.LED: lambda: islice(led, 1)}
         if nominal is not None:
-            repaired = self._repairer._solve(spec, [nominal], fixed, values, self.find_regions(spec, values), pinned)
-            if repaired.is_feasible:
-                return repaired
+            paths[Way.KNOWN] = lambda: ((Way.KNOWN.value, nominal),)
+
+        def solve(solver: PhaseSolver, path: Path) -> Solved:
+            return held.solve(solver, chain([path], (other for _, other in led)))
+
+        return find_motion(
+            MotionSearch(spec.name, self.solver, solve, q, NoEnd(), paths=paths, fraction=fraction, repair=held.repair)
+        )
+
+    def _lead_hand(
+        self, held: _HeldPhase, q: Float[np.ndarray, "n"], *, is_anchor: bool, is_backwards: bool
+    ) -> Iterator[tuple[str, Path]]:
+        """Yield paths of a phase with a held hand.
+
+        The straight line to a pose at its end comes first where the phase aims at one, then the path on which the hand
+        is at its place, then the first configuration with what is prescribed.
+        """
+        spec, count, values = held.spec, len(held.values), held.values
+        if spec.aims_at_end and not is_backwards:
+            end_spec = replace(spec, first=spec.last)
+            guess = np.concatenate([q[: self.columns[0]], spec.last])
+            end = find_pose(self.pose_problem(spec.name, end_spec, Effort.QUICK_POSE), [("at hand", guess)])
+            if end.is_feasible:
+                straight = straight_path(q, end.q, count)
+                straight[:, self.columns] = values
+                yield "straight line to a pose at its end", straight
         start = np.tile(q, (count, 1))
         start[:, self.columns] = values
         for name, rate in spec.guess_rates.items():
@@ -224,48 +250,14 @@ class PhaseCompiler:
         for name, (first, last) in spec.joints.items():
             column = self.robot.joint_names.index(name)
             start[:, column] = np.linspace(first if is_anchor or is_backwards else q[column], last, count)
-        starts = self._follow_hand(spec, start, is_backwards=is_backwards)
-        if spec.aims_at_end and not is_backwards:
-            guesses = [np.concatenate([q[: self.columns[0]], spec.last])]
-            end = self.solve_pose(spec.name, replace(spec, first=spec.last), guesses, QUICK_EFFORT)
-            if end.is_feasible:
-                straight = straight_path(q, end.x[0], count)
-                straight[:, self.columns] = values
-                starts = [straight, *starts]
-        light = replace(spec, torque_share=None)
-        if spec.guess_touches:  # what the hand passes between would push it to the wrong side of a poor guess
-            loose = replace(light, touches=(*spec.touches, *spec.guess_touches))
-            guess = self._solve(loose, starts, fixed, values, (), pinned)
-            if not guess.is_feasible:
-                return guess
-            starts = [guess.x]
-        regions = self.find_regions(spec, values)
-        if len(regions) > 1:  # the loads ask for balance here and there: it is found more easily on a path that exists
-            unloaded = self._solve(light, starts, fixed, values, (), pinned)
-            if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
-                return unloaded
-            starts = [unloaded.x, *starts]
-            if spec.hand is not None:
-                is_fixed = np.isin(np.arange(count), list(fixed))
-                prescribed = self._find_prescribed(spec)
-                inside = follow_in_balance(self.solver.body, spec.hand, unloaded.x, regions, is_fixed, prescribed)
-                starts = [inside, *starts]
-        solved = self._solve(light, starts, fixed, values, regions, pinned)
-        if not solved.is_feasible or self.is_strong_enough(spec, solved.x):
-            return solved
-        return self._solve(spec, [solved.x], fixed, values, regions, pinned)
+        if spec.hand is not None:
+            prescribed = self.find_prescribed(spec)
+            followed = follow_tool(self.solver.body, spec.hand, start, prescribed, is_backwards=is_backwards)
+            if followed is not None:
+                yield "led by the hand", followed
+        yield "standing still", start
 
-    def _follow_hand(
-        self, spec: PhaseSpec, start: Float[np.ndarray, "T n"], *, is_backwards: bool
-    ) -> list[Float[np.ndarray, "T n"]]:
-        """Return paths to start from: one on which the hand is at its place, where there is one, then the given one."""
-        if spec.hand is None:
-            return [start]
-        prescribed = self._find_prescribed(spec)
-        followed = follow_tool(self.solver.body, spec.hand, start, prescribed, is_backwards=is_backwards)
-        return [start] if followed is None else [followed, start]
-
-    def _find_prescribed(self, spec: PhaseSpec) -> Bool[np.ndarray, "n"]:
+    def find_prescribed(self, spec: PhaseSpec) -> Bool[np.ndarray, "n"]:
         """Return the mask of coordinates whose way a phase prescribes: the mechanism's and its own joints."""
         prescribed = np.zeros(self.robot.n, dtype=bool)
         prescribed[self.columns] = True
@@ -278,30 +270,45 @@ class PhaseCompiler:
         limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
         return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
 
-    def solve_free(self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Solved:
+    def solve_free(
+        self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], fraction: float
+    ) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""
         count = spec.n_waypoints
         nominal = self.resample_nominal(spec, {0: first, count - 1: last})
-        if nominal is not None:
-            repaired = self._repairer.solve_between(spec, [nominal])
-            if repaired.is_feasible:
-                return repaired
-        starts = [straight_path(first, last, count)]
-        for _, guess in posture_guesses(self.solver.body)[1:]:
-            guess[self.columns] = first[self.columns]
-            starts.append(path_via(first, guess, last, count))
-        return self.solve_between(spec, starts)
+        known = () if nominal is None else ((Way.KNOWN.value, nominal),)
+        postures = posture_guesses(self.solver.body)[1:MOST_VIAS]
+        return find_motion(
+            MotionSearch(
+                spec.name,
+                self.solver,
+                lambda solver, path: replace(self, solver=solver).solve_between(spec, path),
+                first,
+                GivenEnd(last),
+                paths={Way.KNOWN: lambda: known},
+                n_waypoints=count,
+                vias=lambda: [(name, self._keep_mechanism(q, first)) for name, q in postures],
+                is_sampled=False,
+                fraction=fraction,
+            )
+        )
 
-    def solve_between(self, spec: PhaseSpec, starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
-        """Solve a phase between the ends of its starting trajectories, which may be denser than its specification."""
-        values, last = starts[0][:, self.columns], len(starts[0]) - 1
-        fixed = {0: starts[0][0], last: starts[0][last]}
-        return self._solve(spec, starts, fixed, values, self.find_regions(spec, values))
+    def _keep_mechanism(self, q: Float[np.ndarray, "n"], at: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return a configuration with the mechanism as in another."""
+        out = q.copy()
+        out[self.columns] = at[self.columns]
+        return out
 
-    def _solve(
+    def solve_between(self, spec: PhaseSpec, path: Path) -> Solved:
+        """Solve a phase between the ends of a path, which may be denser than its specification."""
+        values, last = path[:, self.columns], len(path) - 1
+        fixed = {0: path[0], last: path[last]}
+        return self.solve(spec, [path], fixed, values, self.find_regions(spec, values))
+
+    def solve(
         self,
         spec: PhaseSpec,
-        starts: Sequence[Float[np.ndarray, "T n"]],
+        paths: Iterable[Path],
         fixed: Mapping[int, Float[np.ndarray, "n"]],
         values: Float[np.ndarray, "T k"],
         regions: tuple[PlannedRegion, ...],
@@ -310,24 +317,31 @@ class PhaseCompiler:
         """Solve a phase with the mechanism's joints prescribed, and some coordinates pinned at the first waypoint."""
         count = len(values)
         free = np.setdiff1d(np.arange(count), list(fixed))
+        paths = iter(paths)
+        first = next(paths)
 
         def narrow(lower: np.ndarray, upper: np.ndarray) -> None:
             lower[:, self.columns] = upper[:, self.columns] = values
             for name in spec.joints:
                 column = self.robot.joint_names.index(name)
-                lower[:, column] = upper[:, column] = starts[0][:, column]
+                lower[:, column] = upper[:, column] = first[:, column]
             for column, value in pinned.items():
                 lower[0, column] = upper[0, column] = value
 
-        solved = self.solver.solve_trajectory(
-            spec.name,
-            starts,
-            fixed,
-            constraints=(*self._constraints(spec, free, count), *self._limit_torques(spec, free, values)),
-            allowances=shrink(spec.touches, spec.depth_reserve_m),
-            bounds=narrow,
-            regions=regions,
-        )
+        def solve_from(path: Path) -> Solved:
+            return self.solver.solve_trajectory(
+                spec.name,
+                path,
+                fixed,
+                constraints=(*self._constraints(spec, free, count), *self._limit_torques(spec, free, values)),
+                allowances=shrink(spec.touches, spec.depth_reserve_m),
+                bounds=narrow,
+                regions=regions,
+            )
+
+        # A path without a cost is the last resort: a solution from another path is the better motion.
+        problem = PoseProblem(spec.name, solve_from, most=self.solver.most_seeds)
+        solved = find_pose(problem, (("path", path) for path in chain([first], paths)))
         if solved.is_feasible or solved.shortfall >= RESTORABLE:
             return solved
         return self.solver.restore_feasibility(spec.name, solved)
@@ -335,7 +349,7 @@ class PhaseCompiler:
     def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
         phase = self.promise(spec, solved.x, spec.values(spec.n_waypoints))
-        resolve = lambda q: self.solve_between(self._keep_shares(spec, q), [q])  # noqa: E731
+        resolve = lambda q: self.solve_between(self._keep_shares(spec, q), q)  # noqa: E731
         return replace(phase, is_feasible=solved.is_feasible, resolve=resolve)
 
     def _keep_shares(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> PhaseSpec:
@@ -412,6 +426,71 @@ class PhaseCompiler:
                 forces -= kinematics.rotation[waypoints, joint] @ load.force
             torque = HeldTorque(self.robot, loads[0].tool, waypoints, forces, spec.torque_share)
             yield Constraint(name, torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
+
+
+@dataclass(frozen=True)
+class _HeldPhase:
+    """A phase with a held hand, solved in stages.
+
+    Attributes:
+        compiler: of its problems.
+        spec: the phase.
+        fixed: configuration by waypoint.
+        values: of the mechanism's joints at the waypoints.
+        pinned: value by coordinate at the first waypoint.
+    """
+
+    compiler: PhaseCompiler
+    spec: PhaseSpec
+    fixed: Mapping[int, Float[np.ndarray, "n"]]
+    values: Float[np.ndarray, "T k"]
+    pinned: Mapping[int, float]
+
+    def solve(self, solver: PhaseSolver, paths: Iterable[Path]) -> Solved:
+        """Solve the phase from the first of some paths that leads to a solution.
+
+        Every stage tries all paths before it restores the best attempt: what is restored has lost its costs, and a
+        solution from another path is the better motion.  What the hand passes between would push it to the wrong side
+        of a poor path: one that may be in it comes first.  Where loads ask for balance here and there, that is found
+        more easily on a path that exists.
+        """
+        staged = replace(self, compiler=replace(self.compiler, solver=solver))
+        spec, compiler = self.spec, staged.compiler
+        light = replace(spec, torque_share=None)
+        if spec.guess_touches:
+            loose = staged._solve(replace(light, touches=(*spec.touches, *spec.guess_touches)), paths, ())
+            if not loose.is_feasible:
+                return loose
+            paths = [loose.x]
+        regions = self._regions
+        if len(regions) > 1:
+            own, paths = tee(paths)
+            unloaded = staged._solve(light, own, ())
+            if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
+                return unloaded
+            paths = chain([unloaded.x], paths)
+            if spec.hand is not None:
+                is_fixed = np.isin(np.arange(len(unloaded.x)), list(self.fixed))
+                prescribed = compiler.find_prescribed(spec)
+                inside = follow_in_balance(solver.body, spec.hand, unloaded.x, regions, is_fixed, prescribed)
+                paths = chain([inside], paths)
+        solved = staged._solve(light, paths, regions)
+        if not solved.is_feasible or compiler.is_strong_enough(spec, solved.x):
+            return solved
+        return staged._solve(spec, [solved.x], regions)
+
+    def repair(self, solver: PhaseSolver, path: Path) -> Solved:
+        """Solve the phase from an earlier motion, whose waypoints keep nearly everything, in one stage."""
+        staged = replace(self, compiler=replace(self.compiler, solver=solver))
+        return staged._solve(self.spec, [path], self._regions)
+
+    @cached_property
+    def _regions(self) -> tuple[PlannedRegion, ...]:
+        """Where the feet hold the robot under the phase's loads."""
+        return self.compiler.find_regions(self.spec, self.values)
+
+    def _solve(self, spec: PhaseSpec, paths: Iterable[Path], regions: tuple[PlannedRegion, ...]) -> Solved:
+        return self.compiler.solve(spec, paths, self.fixed, self.values, regions, self.pinned)
 
 
 def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:

@@ -22,7 +22,7 @@ from service.errors import RequestError, would_do
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.start.configuration import STANDING_POSTURE
 from service.tasks.reach.goal import Goal
-from service.tasks.reach.goal_poses import find_goal_configurations
+from service.tasks.reach.goal_poses import GoalEnds
 from service.verify import Basis, Motion, VerifySettings, verify
 from service.verify.clearance.pairs import collect_pairs
 from service.verify.prepared_motion import PreparedMotion
@@ -190,7 +190,7 @@ def solve_ik(
     solver = PhaseSolver(body, monitor, Settings(), seed=seed)
     found: list[np.ndarray] = []
     try:
-        for solved in find_goal_configurations(solver, Goal.of(body, goal_request)):
+        for solved in GoalEnds(solver, Goal.of(body, goal_request)).find_all():
             if clearance(robot, solved, scene).distance_m > 0.0 or feet:
                 found.append(solved)
             if len(found) >= count:

@@ -16,11 +16,16 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import Mechanism, with_mechanism
+from service.body.effort import Effort
 from service.body.phases import PhaseSolver
+from service.body.poses import find_pose
+from service.body.seeds import Seed, name_seeds, random_guesses
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.holds.pushes import add_pushes
 from service.demands.phase_spec import PhaseSpec, check_moves
-from service.tasks.phase_compiler import QUICK_EFFORT, QUICK_GUESSES, PhaseCompiler
+from service.tasks.phase_compiler import PhaseCompiler
+
+QUICK_SEEDS = 2  # of a pose that is tried with little effort, besides random ones
 
 
 def add_mechanism(solver: PhaseSolver, mechanism: Mechanism) -> PhaseSolver:
@@ -106,19 +111,28 @@ class PhaseSequence:
         turned = [spec.with_rotation(compiler.find_rotation(spec, q)) for spec, q in zip(self.specs, at, strict=True)]
         return replace(self, specs=tuple(turned))
 
-    def try_pose(
-        self, step: str, spec: PhaseSpec, guesses: Sequence[Float[np.ndarray, "n"]] = (), most: int = QUICK_GUESSES
-    ) -> Solved:
+    def try_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Seed] = (), n_random: int = 0) -> Solved:
         """Try with little effort whether a phase's first pose exists, whatever comes before it.
 
-        The given guesses come first, then the robot's postures; ``most`` guesses are tried.
+        Args:
+            step: name of the pose.
+            spec: the phase.
+            guesses: seeds before the robot's postures.
+            n_random: random configurations after them.
         """
-        compiler = self._compiler
-        guesses = [*guesses, *compiler.list_guesses(self.solver.body.nominal)][:most]
-        light = compiler.solve_pose(step, replace(spec, torque_share=None), guesses, QUICK_EFFORT)
-        if not light.is_feasible or compiler.is_strong_enough(spec, light.x):
-            return light
-        return compiler.solve_pose(step, spec, [light.x[0]], QUICK_EFFORT)
+        compiler, body = self._compiler, self.solver.body
+        light = compiler.pose_problem(step, replace(spec, torque_share=None), Effort.QUICK_POSE)
+        strong = compiler.pose_problem(step, spec, Effort.QUICK_POSE)
+
+        def solve(seed: Float[np.ndarray, "n"]) -> Solved:
+            solved = light.solve(seed)
+            if not solved.is_feasible or compiler.is_strong_enough(spec, solved.x):
+                return solved
+            return strong.solve(solved.q)
+
+        seeds = [*guesses, *compiler.list_seeds(body.nominal)][:QUICK_SEEDS]
+        seeds += name_seeds("random", random_guesses(body, n_random, self.solver.seed))
+        return find_pose(replace(light, solve=solve, most=None), seeds)
 
     def _plan_forwards(
         self, specs: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
@@ -127,26 +141,23 @@ class PhaseSequence:
 
         A rigid hand keeps the turn about its axis that it has when it begins.
         """
-        compiler, monitor = self._compiler, self.solver.monitor
+        compiler = self._compiler
         phases: list[PlannedPhase] = []
         if specs[0].hand is None:
             free, *specs = specs
             step = f"pose for '{specs[0].name}'"
             first = specs[0].with_rotation(compiler.find_rotation(specs[0], at))
-            with monitor.step(step, 0.1):
-                pose = compiler.solve_pose(step, replace(first, fixed={}), [at])
+            pose = find_pose(compiler.pose_problem(step, replace(first, fixed={}), fraction=0.1), [("at hand", at)])
             if not pose.is_feasible:
                 return _stop_at(free.name, step, pose, np.stack([at, pose.x[0]]))
-            with monitor.step(free.name, 0.3):
-                taken = compiler.solve_free(free, at, pose.x[0])
+            taken = compiler.solve_free(free, at, pose.q, 0.3)
             phases.append(compiler.finish(free, taken))
             if not taken.is_feasible:
                 return tuple(phases), Stuck(free.name, taken)
             at = pose.x[0]
         for spec in specs:
             held = spec.with_rotation(compiler.find_rotation(spec, at))
-            with monitor.step(spec.name, 0.5):
-                solved = compiler.solve_held(held, at)
+            solved = compiler.solve_held(held, at, 0.5)
             phases.append(compiler.finish(held, solved))
             if not solved.is_feasible:
                 return tuple(phases), Stuck(spec.name, solved)
@@ -158,7 +169,6 @@ class PhaseSequence:
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan a free phase and the held ones after it."""
         compiler = self._compiler
-        monitor = self.solver.monitor
         free = [spec for spec in group if spec.hand is None]
         held = [spec for spec in group if spec.hand is not None]
         anchor_at = next(index for index, spec in enumerate(held) if spec.is_anchor)
@@ -179,15 +189,13 @@ class PhaseSequence:
         held = turned
         phases: list[PlannedPhase] = []
         for spec in free:
-            with monitor.step(spec.name, 0.55):
-                reach = compiler.solve_free(spec, at, solved[0].x[0])
+            reach = compiler.solve_free(spec, at, solved[0].x[0], 0.55)
             phases.append(compiler.finish(spec, reach))
             if not reach.is_feasible:
                 return tuple(phases), Stuck(spec.name, reach)
         phases += [compiler.finish(held[index], solved[index]) for index in range(anchor_at + 1)]
         for spec in held[anchor_at + 1 :]:
-            with monitor.step(spec.name, 0.65):
-                after = compiler.solve_held(spec, phases[-1].q[-1])
+            after = compiler.solve_held(spec, phases[-1].q[-1], 0.65)
             phases.append(compiler.finish(spec, after))
             if not after.is_feasible:
                 return tuple(phases), Stuck(spec.name, after)
@@ -199,11 +207,11 @@ class PhaseSequence:
         """Return the solved anchor and phases before it by index, and the index of the one that failed."""
         solved: dict[int, Solved] = {}
         for index in range(anchor_at, -1, -1):
-            with self.solver.monitor.step(held[index].name, 0.3):
-                if index == anchor_at:
-                    solved[index] = self._compiler.solve_held(held[index], pose, is_anchor=True)
-                else:
-                    solved[index] = self._compiler.solve_held(held[index], solved[index + 1].x[0], is_backwards=True)
+            if index == anchor_at:
+                solved[index] = self._compiler.solve_held(held[index], pose, 0.3, is_anchor=True)
+            else:
+                last = solved[index + 1].x[0]
+                solved[index] = self._compiler.solve_held(held[index], last, 0.3, is_backwards=True)
             if not solved[index].is_feasible:
                 return solved, index
         return solved, None

@@ -139,7 +139,10 @@ def test_a_mesh_is_asked_for_anywhere_near_a_place_or_at_a_pose(
         ("gone.obj", "--mesh: {}/gone.obj is not there; expected FILE, 'FILE near X Y Z'"),
         ("gone.obj at 1 2 3", "--mesh: {}/gone.obj is not there"),
         ("", "--mesh: {} is a folder; expected FILE, "),
-        ("scan.pcd", "--mesh: {}/scan.pcd: format '.pcd' is not read; expected .stl, .obj, .ply, .urdf"),
+        (
+            "scan.pcd",
+            "--mesh: {}/scan.pcd: format '.pcd' is not read; expected .stl, .obj, .ply, .dae, .glb, .gltf, .urdf",
+        ),
         (
             "crate.obj at",
             "--mesh: {}/crate.obj at: expected 'X Y Z', 'X Y Z YAW PITCH ROLL', 'X Y Z QW QX QY QZ', '16 numbers'",

@@ -102,7 +102,7 @@ def test_a_massless_door_needs_other_forces() -> None:
 
     A lever without a spring stays down, and a hand that lets it go cannot lift it.
     """
-    free = _plan(open_deg=20.0, x=0.75, hinge_nm=0.1, lever_nm=0.1)
+    free = _plan(open_deg=20.0, x=0.75, hinge_nm=0.5, lever_nm=0.1)
     heavy = _plan(open_deg=20.0, x=0.75, hinge_nm=60.0)
     assert free.verdict is heavy.verdict is Verdict.CERTIFIED
     sideways = []

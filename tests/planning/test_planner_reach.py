@@ -10,6 +10,7 @@ from costs.kinematics import locate_links
 from service import planner
 from service import verify as verifier
 from service.body.monitor import Monitor
+from service.body.poses import find_pose
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
@@ -319,8 +320,8 @@ def test_options_starts_limits_the_guesses_of_a_pose(tmp_path, starts, tried):
     monitor = Monitor(60.0)
     solver = planner._make_solver(prepare(parse_request(data)), monitor, None)
     goal = Goal.of(solver.body, GoalRequest(poses=(PoseGoalRequest("l2", (9.0, 0.0, 0.0)),)))
-    guesses = [solver.body.nominal + 0.1 * k for k in range(6)]
-    assert not solver.solve_pose("goal pose", guesses, goal.constraints(0)).is_feasible
+    seeds = [(str(k), solver.body.nominal + 0.1 * k) for k in range(6)]
+    assert not find_pose(solver.pose_problem("goal pose", goal.constraints(0)), seeds).is_feasible
     assert monitor.count_attempts("goal pose") == tried
 
 
@@ -333,7 +334,7 @@ def _body_and_goal(position: list[float]) -> tuple[WholeBody, Goal]:
 
 def test_a_posture_brought_to_the_goal_has_its_feet_and_tool_in_place_and_is_balanced():
     body, goal = _body_and_goal([0.55, 0.3, 1.2])
-    (q,) = bring_to_goal(body, goal)
+    ((_, q),) = bring_to_goal(body, goal)
     placed = locate_links(body.engine, q, ["l_tool", *(foot.link for foot in body.planted)])
     np.testing.assert_allclose(placed["l_tool"][:3, 3], [0.55, 0.3, 1.2], atol=1e-3)
     for foot in body.planted:

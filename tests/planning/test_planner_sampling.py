@@ -10,18 +10,12 @@ from planar_arm import write_planar_arm
 from costs.kinematics import locate_links
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
-from scopt import Settings
-from service.body.monitor import Monitor
-from service.body.phases import PhaseSolver
-from service.body.sampling import HeldProblem, SamplingProblem, Tree, free_coordinates, resample_path, sample_path
-from service.body.trees import ARM_TREES, MOST_ARM_JOINTS, TREES
+from service.body.paths import resample_path
+from service.body.sampling import HeldProblem, SamplingProblem, Tree, free_coordinates, sample_path
 from service.body.whole_body import Aims, WholeBody
 from service.planner import plan
 from service.request.file import parse_request
-from service.request.tasks.reach import GoalRequest
 from service.result.result import Verdict
-from service.tasks.reach.goal import Goal
-from service.tasks.reach.search import _ReachSearch
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
@@ -237,29 +231,3 @@ def test_links_that_an_srdf_leaves_out_keep_apart_where_they_would_meet(tmp_path
     pair = next(item for item in result.certificate.coverage.left_out if item.pair == ("l0", "l2"))
     assert pair.reason == "srdf (Never)"
     assert pair.s is None  # proven apart
-
-
-def test_an_arm_of_few_joints_tries_all_trees_before_ways_that_seldom_lead_to_given_joints(tmp_path, monkeypatch):
-    def list_attempts(n_joints: int) -> list[str]:
-        tried: list[str] = []
-        robot = load_robot(urdf=write_planar_arm(tmp_path, n_joints, 0.3, 0.03, limit=2.9))
-        start = np.full(n_joints, 0.1)
-        start[0] = -0.9
-        post = ConvexPiece("post", 0.1 * CORNERS + [0.5, 0.0, 0.0])
-        body = WholeBody.standing(robot, Scene((post,)), start, (), Aims())
-        solver = PhaseSolver(body, Monitor(60.0), Settings())
-        goal = Goal.of(
-            body, GoalRequest(joints={robot.joint_names[0]: 0.9} | dict.fromkeys(robot.joint_names[1:], 0.1))
-        )
-        search = _ReachSearch(solver, goal, None)
-        monkeypatch.setattr(_ReachSearch, "_around", lambda self, end, tree: iter([(str(tree.seed), None)]))
-        monkeypatch.setattr(_ReachSearch, "_search_on", lambda self, ends: iter([("end", None)]))
-        for name, _ in search._attempts():
-            tried.append(name)
-        return tried
-
-    few = [name for name in list_attempts(2) if name != "straight lines of the goal's links"]
-    assert few[: len(TREES) + 1] == ["straight line", *(str(tree.seed) for tree in ARM_TREES)]
-    many = [name for name in list_attempts(MOST_ARM_JOINTS + 1) if name.isdigit() or name == "straight line"]
-    assert many[5] == "straight line"
-    assert [int(name) for name in many if name.isdigit()] == [tree.seed for tree in TREES]

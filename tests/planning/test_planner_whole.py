@@ -67,7 +67,7 @@ def test_the_first_motion_that_may_hold_is_verified_before_the_search_goes_on(tm
     def search_on(*args, **kwargs):
         raise AssertionError("the straight line is certified")
 
-    monkeypatch.setattr(PhaseSolver, "sample_corners", search_on)
+    monkeypatch.setattr(PhaseSolver, "sample", search_on)
     result = plan(slider(tmp_path, 3e-3))
     assert result.verdict is Verdict.CERTIFIED
     assert result.found_from == "straight line"

@@ -83,7 +83,7 @@ PART = WavePart()
     "wave_plan.py": """
 from functools import partial
 
-from service.body.phases import straight_path
+from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.tasks.kind import PlanPart
 from wave_demand import SIDES, make_target
@@ -96,7 +96,7 @@ class WavePart(PlanPart):
             target = partial(make_target, section, robot, setup.start, name)
             end = q.copy()
             end[robot.joint_names.index(section.joint)] = target(0.0).value
-            solved = solver.solve_trajectory(name, [straight_path(q, end, 8)], {0: q, 7: end})
+            solved = solver.solve_trajectory(name, straight_path(q, end, 8), {0: q, 7: end})
             targets = lambda s, target=target: (target(s),)
             phases.append(PlannedPhase(name, solved.x, solved.is_feasible, targets=targets))
             if not solved.is_feasible:

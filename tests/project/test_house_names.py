@@ -5,7 +5,6 @@ from collections import defaultdict
 from pathlib import Path
 
 SERVICE = Path(__file__).parents[2] / "service"
-OF_POSE_SEARCHES = {"HeldPose", "PoseFinder"}  # of the search for stances and of that for contacts
 
 
 def test_no_class_name_has_two_meanings() -> None:
@@ -15,5 +14,5 @@ def test_no_class_name_has_two_meanings() -> None:
             for node in ast.parse(path.read_text()).body:
                 if isinstance(node, ast.ClassDef):
                     places[node.name].append(path.relative_to(SERVICE).as_posix())
-    twice = {name: paths for name, paths in places.items() if len(paths) > 1 and name not in OF_POSE_SEARCHES}
+    twice = {name: paths for name, paths in places.items() if len(paths) > 1}
     assert twice == {}

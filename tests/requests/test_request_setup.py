@@ -231,7 +231,8 @@ def test_several_clouds_are_read_with_their_poses_and_unit(monkeypatch: pytest.M
     (line,) = _problems(scene={"cloud": cloud, **options})
     assert line == "scene.cloud: enough"
     files = [(Path("a.pcd"), None), (Path("/scans/b.e57"), (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))]
-    assert asked == {"files": files, **options}
+    sensor = {"level": False, "sensor_model": "auto", "sensor_sigma": 0.0}
+    assert asked == {"files": files, **options, **sensor}
 
 
 def test_round_obstacles_are_contained_in_their_pieces() -> None:

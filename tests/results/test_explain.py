@@ -18,7 +18,9 @@ from costs.scene import Scene
 from costs.terms import JointTarget
 from scopt import Constraint, Sense, Settings
 from service.body.monitor import Monitor
-from service.body.phases import PhaseSolver, straight_path
+from service.body.paths import straight_path
+from service.body.phases import PhaseSolver
+from service.body.poses import find_pose
 from service.body.task_plan import LEAST_CLEARANCE
 from service.body.whole_body import CLEARANCE_TERMS, Aims, WholeBody
 from service.explain.conflict import Conflict, Demand, DemandKind, FilterOutcome
@@ -42,7 +44,8 @@ def stuck(body, link, position, guess=None):
     """The best attempt to bring a link to a place, which must have failed."""
     goal = Goal.of(body, GoalRequest(poses=(PoseGoalRequest(link, position),)))
     start = body.nominal if guess is None else guess
-    solved = PhaseSolver(body, Monitor(60.0), Settings()).solve_pose("goal pose", [start], goal.constraints(0))
+    solver = PhaseSolver(body, Monitor(60.0), Settings())
+    solved = find_pose(solver.pose_problem("goal pose", goal.constraints(0)), [("start", start)])
     assert not solved.is_feasible
     return solved
 
@@ -89,7 +92,7 @@ def test_what_pulls_the_robot_where_it_is_stuck_is_named_even_if_it_is_not_loade
     nowhere = Constraint("nowhere", JointTarget(8, 3, [3], np.arange(3), np.full(3, 9.0)), Sense.EQUAL_ZERO)
     solver = PhaseSolver(body, Monitor(60.0), Settings())
     line = straight_path(body.nominal, end, 8)
-    solved = solver.solve_trajectory("reach", [line], {0: body.nominal, 7: end}, constraints=[nowhere])
+    solved = solver.solve_trajectory("reach", line, {0: body.nominal, 7: end}, constraints=[nowhere])
     assert not solved.is_feasible
     found = by_name(explain("reach", solved, 1, Settings(), time_limit_s=60.0))
     assert found["nowhere"].is_decisive
@@ -127,7 +130,7 @@ def test_a_pillar_between_fixed_ends_is_named_with_waypoints(tmp_path):
     body = arm_behind(tmp_path, pillar, fence, n_links=3, start=(-1.0, 0.0, 0.0))
     end = np.array([1.0, 0.0, 0.0])
     solver = PhaseSolver(body, Monitor(60.0), Settings())
-    solved = solver.solve_trajectory("reach", [straight_path(body.nominal, end, 8)], {0: body.nominal, 7: end})
+    solved = solver.solve_trajectory("reach", straight_path(body.nominal, end, 8), {0: body.nominal, 7: end})
     assert not solved.is_feasible
     conflict = explain("reach", solved, 1, Settings(), time_limit_s=60.0)
     (demand,) = conflict.demands
@@ -154,7 +157,8 @@ def test_demands_given_up_one_at_a_time_leave_a_problem_that_is_solved(tmp_path)
         body = arm_behind(tmp_path, WALLS[left])
         goal = Goal.of(body, GoalRequest(poses=(PoseGoalRequest("l3", (0.36, 0.0, 0.0)),)))
         solver = PhaseSolver(body, Monitor(60.0), Settings())
-        assert solver.solve_pose("goal pose", [STRETCHED], goal.constraints(0)).is_feasible
+        problem = solver.pose_problem("goal pose", goal.constraints(0))
+        assert find_pose(problem, [("stretched", STRETCHED)]).is_feasible
 
 
 def test_without_time_demands_are_ranked_and_it_is_said(tmp_path):

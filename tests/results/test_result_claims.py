@@ -85,7 +85,7 @@ def test_a_support_polygon_may_begin_with_any_corner_and_have_corners_on_its_edg
     between = np.insert(corners, 1, 0.5 * (corners[0] + corners[1]), axis=0)
     for polygon in (np.roll(corners, 2, axis=0), between):
         recorded = replace(own, support=replace(own.support, polygon=polygon))
-        assert not list(compare_phase(recorded, own, is_program=False))
+        assert not list(compare_phase(recorded, own, has_own_targets=False))
     for polygon in (corners[::-1], 1.01 * corners, np.concatenate([corners, corners[-1:]]), corners[:2]):
         recorded = replace(own, support=replace(own.support, polygon=polygon))
-        assert any("support" in line for line in compare_phase(recorded, own, is_program=False))
+        assert any("support" in line for line in compare_phase(recorded, own, has_own_targets=False))

@@ -114,7 +114,7 @@ def test_a_margin_below_the_sag_is_named_with_its_phase() -> None:
 
 
 def test_a_margin_that_the_sag_uses_up_and_no_more_is_not_named() -> None:
-    sag = ServoSag({}, 0.02, 1.0, margin_m=0.02, margin_after_m=0.0, tight_phase="reach")
+    sag = ServoSag({}, 0.02, 1.0, margin_m=0.02, margin_after_m=0.0, tight_phase="reach", led_m=0.0)
     assert sag.list_notes() == ()
     assert len(replace(sag, margin_after_m=-1e-9).list_notes()) == 1
 

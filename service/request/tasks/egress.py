@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import field
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, StrictInt
 from pydantic.dataclasses import dataclass
@@ -157,7 +157,7 @@ class EgressRequest(TaskSection):
             hard [N].
     """
 
-    effort_s: ClassVar[float] = 300.0
+    effort_s = 300.0
 
     side: Literal["left", "right"] = "left"
     hint: Point | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from service.request.fields import Point, Section
 
@@ -35,7 +35,7 @@ class TaskSection(Section):
         effort_s: processor time of a plan, where the request states no time limit [s].
     """
 
-    effort_s: ClassVar[float] = 60.0
+    effort_s = 60.0
 
     @property
     def can_resume(self) -> bool:

@@ -13,10 +13,13 @@ from costs.contact import Contact
 from costs.state import MotionState
 from costs.terms import ContactPlace, JointTarget, WithinTolerance
 from scopt import Constraint, Cost, Sense, Settings
-from service.body.equilibrium_pose import EFFORT, EquilibriumPose, ForceLimits, solve_equilibrium_pose
+from service.body.effort import Effort
+from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import keep_facing
 from service.body.holds import project_onto_holds
 from service.body.phases import PhaseSolver
+from service.body.poses import PoseProblem, find_pose
+from service.body.seeds import name_seeds
 from service.body.whole_body import FOOT_TOLERANCE, WholeBody
 from service.demands.contacts.stances import StanceContact
 from service.verify.forces.loaded_balance import find_normals
@@ -53,7 +56,7 @@ class HeldPose:
         near: Float[np.ndarray, "n"],
         costs: Sequence[Cost[MotionState]] = (),
         ends: Sequence[Float[np.ndarray, "n"]] = (),
-        effort: Settings = EFFORT,
+        effort: Effort = Effort.FORCES,
     ) -> EquilibriumPose:
         """Solve from a guess for a pose near a configuration; ``ends`` limit the clearance that is required."""
         normals = {k: find_normals((contact.planted,)).mean(axis=0) for k, contact in enumerate(self.kept)}
@@ -66,13 +69,13 @@ class HeldPose:
             self._place(),
             ends=ends,
             fixed=self.fixed,
-            settings=effort,
+            settings=effort.apply(Settings()),
             should_stop=self.solver.monitor.should_stop,
         )
 
     def holds_at(self, q: Float[np.ndarray, "n"]) -> bool:
         """Return whether a configuration is such a pose."""
-        pose = self.solve(q, q, ends=(q,), effort=replace(EFFORT, max_iterations=0))
+        pose = self.solve(q, q, ends=(q,), effort=Effort.NONE)
         return pose.is_feasible and bool(np.abs(self.project(q) - q).max() <= SAME_STATE)
 
     def project(self, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -124,12 +127,13 @@ class HeldPose:
         )
         robot = self.body.robot
         known = JointTarget(1, robot.n, np.zeros(1, dtype=int), np.arange(robot.n), near)
-        for guess in guesses:
-            pose = free.solve(guess, near, [Cost("known pose", known, KNOWN_WEIGHT)])
-            if pose.is_feasible:
-                state = MotionState(self.body.engine(pose.q[None]), Contacts.none())
-                return {patch: float(_slide(self.body, contact).value(state)[0]) for patch, contact in loose.items()}
-        return None
+        wanted = [Cost("known pose", known, KNOWN_WEIGHT)]
+        problem = PoseProblem("pose elsewhere", lambda q: free.solve(q, near, wanted), self.solver.monitor)
+        pose = find_pose(problem, name_seeds("near", guesses))
+        if not pose.is_feasible:
+            return None
+        state = MotionState(self.body.engine(pose.q[None]), Contacts.none())
+        return {patch: float(_slide(self.body, contact).value(state)[0]) for patch, contact in loose.items()}
 
 
 def keep_sides(

@@ -12,10 +12,11 @@ from costs.state import MotionState
 from costs.static_region import StaticRegionError
 from costs.terms import JointTarget
 from scopt import Cost
-from service.body.equilibrium_pose import EquilibriumPose
 from service.body.loaded_regions import plan_contact_region
-from service.body.phases import PhaseSolver, posture_guesses
+from service.body.phases import PhaseSolver
+from service.body.poses import PoseProblem, find_pose
 from service.body.sampling import free_coordinates
+from service.body.seeds import posture_guesses
 from service.body.task_plan import Stuck
 from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import ContactChange, ContactPhase, StanceContact
@@ -25,6 +26,11 @@ from service.tasks.phase_compiler import shrink
 
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
 POSE_RESERVE = 2.5e-3  # of an allowance in poses, for the motion between them [m]
+
+MOST_SEEDS = 4  # of a pose
+
+_Try = tuple[Float[np.ndarray, "n"], list[Cost[MotionState]], tuple[Float[np.ndarray, "n"], ...]]
+"""Where a pose begins, costs of it, and configurations whose distances limit the clearance that is required."""
 
 
 class StuckError(Exception):
@@ -162,27 +168,23 @@ class PoseFinder:
             raise StuckError(step, (f"{step}: no contact stays where it is",), at)
         robot, one = self.start.robot, np.zeros(1, dtype=int)
         held = HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed, fixed)
-        guesses = [guess for _, guess in posture_guesses(replace(self.start, nominal=at))[1:]]
-        guesses = [np.clip(at + self.noise, robot.lower, robot.upper), *guesses]
+        seeds = [("at hand", np.clip(at + self.noise, robot.lower, robot.upper))]
+        seeds += posture_guesses(replace(self.start, nominal=at))[1:]
+        near = at if known is None else known
         costs: list[Cost[MotionState]] = []
         if known is not None:
-            guesses = [np.clip(known + self.noise, robot.lower, robot.upper), *guesses]
+            seeds = [("known", np.clip(known + self.noise, robot.lower, robot.upper)), *seeds]
             costs.append(Cost("known pose", JointTarget(1, robot.n, one, np.arange(robot.n), known), KNOWN_WEIGHT))
-        near = at if known is None else known
-        best: EquilibriumPose | None = None
-        tries: list[tuple[Float[np.ndarray, "n"], list[Cost[MotionState]], tuple[Float[np.ndarray, "n"], ...]]]
-        tries = [(guess, costs, ()) for guess in guesses[:4]]
+        seeds = seeds[:MOST_SEEDS]
+        tries: list[tuple[str, _Try]] = [(name, (q, costs, ())) for name, q in seeds]
         if costs:  # the cost may hold the pose where it is not feasible
-            tries += [(guess, [], ()) for guess in guesses[:4]]
-        tries += [(guess, [], (at,)) for guess in guesses[:2]]  # what is near at the start may stay as near
-        for guess, wanted, ends in tries:
-            self.solver.monitor.check()
-            pose = held.solve(guess, near, wanted, ends)
-            if pose.is_feasible:
-                return held.project(pose.q)
-            if best is None or len(pose.violations) < len(best.violations):
-                best = pose
-        assert best is not None
+            tries += [(f"{name}, free", (q, [], ())) for name, q in seeds]
+        # What is near at the start may stay as near.
+        tries += [(f"{name}, as near as now", (q, [], (at,))) for name, q in seeds[:2]]
+        solve = lambda one_try: held.solve(one_try[0], near, *one_try[1:])  # noqa: E731
+        best = find_pose(PoseProblem(step, solve, self.solver.monitor), tries)
+        if best.is_feasible:
+            return held.project(best.q)
         reasons = tuple(f"{step}: {line}" for line in best.violations)
         raise StuckError(step, reasons, best.q, missing=MissingPose(held, near))
 

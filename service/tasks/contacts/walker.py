@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +14,13 @@ from costs.state import MotionState
 from costs.terms import FramePose, Joined, WithinTolerance
 from scopt import Constraint, Residual
 from service.body.holds import project_onto_holds
-from service.body.phases import PhaseSolver, path_via, posture_guesses, straight_path
-from service.body.sampling import Tree, free_coordinates
+from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
+from service.body.paths import path_via
+from service.body.phases import PhaseSolver
+from service.body.poses import find_pose
+from service.body.sampling import free_coordinates
+from service.body.seeds import Seed, posture_guesses
+from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import (
@@ -34,7 +40,7 @@ SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
 # [m, rad].  Tilted about all three axes at once it stays within ``LINE_TILT_RAD``, with room between the waypoints.
 LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, LINE_TILT_RAD / np.sqrt(3.0) - float(np.deg2rad(0.3)))])
 LINE_TOLERANCE = 2e-4
-TREES = (Tree(0, 3000, "LBKPIECE1"), Tree(1, 6000, "LBKPIECE1"), Tree(2, 3000))  # of sampled starts of a swing
+MOST_VIAS = 3  # postures of a swing, the nominal one among them
 LEAST_JOINTS = 3  # of a limb that goes around something
 LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
 PLAIN_TRIES = 2  # of a change of contacts, without random guesses
@@ -145,8 +151,8 @@ class Walker:
         body = replace(self.finder.stand_on(spec.contacts), nominal=finish)
         guess = finish.copy()
         guess[: len(BASE_NAMES)] = at[: len(BASE_NAMES)]
-        with self.solver.monitor.step(spec.name, 0.6):
-            end = replace(self.solver, body=body).solve_pose(spec.name, [guess, at], ())
+        problem = replace(self.solver, body=body).pose_problem(spec.name, fraction=0.6)
+        end = find_pose(problem, [("finish", guess), ("at hand", at)])
         if not end.is_feasible:
             raise StuckError(spec.name, (), end.x[0], Stuck(spec.name, end))
         last = project_onto_holds(body.engine, end.x, body.holds())[0]
@@ -173,9 +179,9 @@ class Walker:
         sides = keep_sides(body, spec.contacts, np.arange(1, len(q) - 1))
         if not replace(self.solver, body=body).is_feasible(q, sides):
             return None
-        solve = self._solve_between(spec, body)
         kept = replace(known, curve=replace(known.curve, positions=q))
-        return replace(_promise(spec, body, q, lambda q: solve([q])), kept=kept)
+        resolve = partial(_solve_between, spec, replace(self.solver, body=body))
+        return replace(_promise(spec, body, q, resolve), kept=kept)
 
     def _line(
         self,
@@ -202,17 +208,24 @@ class Walker:
         ]
         start = np.tile(pose, (LINE_WAYPOINTS, 1))
         solver = replace(self.solver, body=body)
-        with solver.monitor.step(spec.name, 0.4):
-            inner = np.array(sorted(shares))
-            constraints += keep_sides(body, spec.contacts, inner)
-            solved = solver.solve_trajectory(spec.name, [start], {at: pose}, constraints=constraints)
+        constraints += keep_sides(body, spec.contacts, np.array(sorted(shares)))
+        solved = find_motion(
+            MotionSearch(
+                spec.name,
+                solver,
+                lambda own, path: own.solve_trajectory(spec.name, path, {at: pose}, constraints=constraints),
+                pose,
+                NoEnd(),
+                paths={Way.GIVEN: lambda: (("standing still", start),)},
+            )
+        )
         if not solved.is_feasible:
             away = tuple(contact.move(LINE_M * contact.surface.normal) for contact in spec.moving)
             held = HeldPose(
                 self.solver, self.finder.stand_on(spec.contacts, spec.moving, POSE_RESERVE), spec.contacts, away
             )
             raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved), MissingPose(held, pose))
-        return _finish(spec, body, solved)
+        return _promise(spec, body, solved.x, None)
 
     def _swing(
         self,
@@ -225,47 +238,40 @@ class Walker:
         taken = self._take_phase(spec, body, {0: first, -1: last})
         if taken is not None:
             return taken
-        solve = self._solve_between(spec, body)
         known = self.finder.guesses.curves.get(spec.name)
         led = None if known is None else lead_way(known.curve.positions, first, last)
-        if led is not None:
-            with self.solver.monitor.step(spec.name, 0.5):
-                solved = solve([_keep_contacts(body, led)])
-            if solved.is_feasible:
-                return _finish(spec, body, solved, lambda q: solve([q]))
         guide = replace(body, nominal=first)
-        starts = [straight_path(first, last, SWING_WAYPOINTS)]
-        starts += [path_via(first, guess, last, SWING_WAYPOINTS) for _, guess in posture_guesses(guide)[1:3]]
-        with self.solver.monitor.step(spec.name, 0.5):
-            solved = solve([_keep_contacts(body, start) for start in starts])
-            for corner in () if solved.is_feasible else self._find_corners(spec, first, last):
-                around = solve([_keep_contacts(body, path_via(first, corner, last, SWING_WAYPOINTS))])
-                if around.is_feasible:
-                    solved = around
-                    break
-            for tree in TREES if self._has_free_limb(body) else ():
-                if solved.is_feasible:
-                    break
-                path = replace(self.solver, body=body).sample_carried(first, last, tree)
-                if path is not None:
-                    around = solve([_keep_contacts(body, path)])
-                    solved = around if around.is_feasible else solved
-        return _finish(spec, body, solved, lambda q: solve([q]))
+        search = replace(
+            self._search(spec, body, first, last, SWING_WAYPOINTS),
+            vias=lambda: posture_guesses(guide)[1:MOST_VIAS],
+            is_sampled=self._has_free_limb(body),
+            fraction=0.5,
+        )
+        corners = (
+            (name, path_via(first, q, last, SWING_WAYPOINTS)) for name, q in self._find_corners(spec, first, last)
+        )
+        paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {
+            Way.CORNERS: lambda: ((name, search.fit(path)) for name, path in corners)
+        }
+        if led is not None:
+            paths[Way.LED] = lambda: ((Way.KNOWN.value, search.fit(led)),)
+        return self._finish(spec, body, find_motion(replace(search, paths=paths)))
 
     def _find_corners(
         self, spec: ContactPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
-    ) -> Iterator[Float[np.ndarray, "n"]]:
+    ) -> Iterator[Seed]:
         """Yield poses in which the body has risen but not yet moved on, and has moved on but not yet risen."""
         if not self.start.robot.is_floating or np.abs(last[:3] - first[:3]).max() < LEAST_CORNER_M:
             return
-        for across, up in ((first, last), (last, first)):
+        for name, across, up in (("via corner 1", first, last), ("via corner 2", last, first)):
             corner = 0.5 * (first + last)
             corner[:2], corner[2] = across[:2], up[2]
             fixed = {0: float(corner[0]), 1: float(corner[1]), 2: float(corner[2])}
             try:
-                yield self.finder.find(f"{spec.name}: corner", spec.contacts, (), first, corner, fixed)
+                pose = self.finder.find(f"{spec.name}: corner", spec.contacts, (), first, corner, fixed)
             except StuckError:
                 continue
+            yield name, pose
 
     def _move(
         self, spec: ContactPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
@@ -275,23 +281,45 @@ class Walker:
         taken = self._take_phase(spec, body, {0: first, -1: last})
         if taken is not None:
             return taken
-        solve = self._solve_between(spec, body)
-        with self.solver.monitor.step(spec.name, 0.4):
-            solved = solve([_keep_contacts(body, straight_path(first, last, n_waypoints))])
-        return _finish(spec, body, solved, lambda q: solve([q]))
+        search = replace(self._search(spec, body, first, last, n_waypoints), vias=lambda: (), is_sampled=False)
+        return self._finish(spec, body, find_motion(search))
 
-    def _solve_between(
-        self, spec: ContactPhase, body: WholeBody
-    ) -> Callable[[Sequence[Float[np.ndarray, "T n"]]], Solved]:
-        """Return a function that solves a phase between the ends of trajectories to start from."""
-        solver = replace(self.solver, body=body)
+    def _search(
+        self,
+        spec: ContactPhase,
+        body: WholeBody,
+        first: Float[np.ndarray, "n"],
+        last: Float[np.ndarray, "n"],
+        n_waypoints: int,
+    ) -> MotionSearch:
+        """Return the search for the motion of a phase between two configurations on its contacts."""
+        return MotionSearch(
+            spec.name,
+            replace(self.solver, body=body),
+            partial(_solve_between, spec),
+            first,
+            GivenEnd(last),
+            n_waypoints=n_waypoints,
+            fit=partial(_keep_contacts, body),
+            is_shortened=False,
+        )
 
-        def solve(starts: Sequence[Float[np.ndarray, "T n"]]) -> Solved:
-            last = len(starts[0]) - 1
-            sides = keep_sides(body, spec.contacts, np.arange(1, last))
-            return solver.solve_trajectory(spec.name, starts, {0: starts[0][0], last: starts[0][-1]}, constraints=sides)
+    def _finish(self, spec: ContactPhase, body: WholeBody, solved: Solved) -> PlannedPhase:
+        """Return a solved phase with its promises, which is solved again between its ends.
 
-        return solve
+        Raises:
+            StuckError: it is not solved.
+        """
+        if not solved.is_feasible:
+            raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved))
+        return _promise(spec, body, solved.x, partial(_solve_between, spec, replace(self.solver, body=body)))
+
+
+def _solve_between(spec: ContactPhase, solver: PhaseSolver, path: Path) -> Solved:
+    """Solve a phase between the ends of a path."""
+    last = len(path) - 1
+    sides = keep_sides(solver.body, spec.contacts, np.arange(1, last))
+    return solver.solve_trajectory(spec.name, path, {0: path[0], last: path[-1]}, constraints=sides)
 
 
 def _keep_on_line(body: WholeBody, contact: StanceContact, waypoint: int, height_m: float) -> Residual[MotionState]:
@@ -310,22 +338,6 @@ def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.
     inner = project_onto_holds(body.engine, path[1:-1], body.holds())
     inner = np.clip(inner, body.robot.lower, body.robot.upper)
     return np.concatenate([path[:1], inner, path[-1:]])
-
-
-def _finish(
-    spec: ContactPhase,
-    body: WholeBody,
-    solved: Solved,
-    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None,
-) -> PlannedPhase:
-    """Return a solved phase with its promises.
-
-    Raises:
-        StuckError: it is not solved.
-    """
-    if not solved.is_feasible:
-        raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved))
-    return _promise(spec, body, solved.x, resolve)
 
 
 def _promise(

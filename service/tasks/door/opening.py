@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
+from service.body.seeds import Seed
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door.demand import measure_peg
 from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
@@ -315,19 +316,19 @@ class DoorOpening:
                 (k for k, angle in enumerate(angles) if self._solve_last_pose(choose(angle), ()).is_feasible), None
             )
         low, high = 0, len(angles)
-        guess: tuple[Float[np.ndarray, "n"], ...] = ()
+        guess: tuple[Seed, ...] = ()
         middle = high - 1
         while low < high:
             solved = self._solve_last_pose(choose(angles[middle]), guess)
             if solved.is_feasible:
-                guess = (solved.x[0],)
+                guess = (("at a larger angle", solved.q),)
                 high = middle
             else:
                 low = middle + 1
             middle = (low + high) // 2
         return low if low < len(angles) else None
 
-    def _solve_last_pose(self, choice: DoorChoice, guesses: tuple[Float[np.ndarray, "n"], ...]) -> Solved:
+    def _solve_last_pose(self, choice: DoorChoice, guesses: tuple[Seed, ...]) -> Solved:
         """Solve for the pose at the end of the choice's last opening."""
         sequence = self._sequence(choice)
         spec = next(spec for spec in reversed(sequence.specs) if spec.is_anchor)

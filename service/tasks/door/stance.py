@@ -20,9 +20,9 @@ from service.tasks.door.opening import LEAST_FIRST, list_choices
 from service.tasks.door.places import HAND_ROOM, PUSH_ALONG, PUSH_UP
 from service.tasks.door.sweep import find_blocked_opening
 from service.tasks.stances.poses import (
-    HeldPose,
     Outcome,
-    PoseFinder,
+    StancePose,
+    StancePoseFinder,
     find_shoulder,
     place_on_joint,
     place_turned,
@@ -131,15 +131,15 @@ class DoorStance:
         """Return the largest angle to which the leaf opens at the handle, or pushed on from there."""
         best = Outcome(0.0, (), "", "pose at the handle")
         for hand, choice in self._list_choices():
-            outcome = self._try_choice(PoseFinder(solver, self.mechanism), hand, choice)
+            outcome = self._try_choice(StancePoseFinder(solver, self.mechanism), hand, choice)
             if outcome.reached > best.reached or not best.hold:
                 best = outcome
             if not outcome.missing:
                 break
         return best
 
-    def _try_choice(self, finder: PoseFinder, hand: Hand, choice: DoorChoice) -> Outcome:
-        poses: list[HeldPose] = []
+    def _try_choice(self, finder: StancePoseFinder, hand: Hand, choice: DoorChoice) -> Outcome:
+        poses: list[StancePose] = []
         reached, hold = self.start, f"{hand.side} hand"
         if choice.first > self.start:
             hold += " at the handle"

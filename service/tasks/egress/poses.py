@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -21,17 +22,18 @@ from costs.static_region import StaticRegionError
 from costs.stopping import poll
 from costs.terms import AxisDirection, ContactForce, FramePose, FrictionPyramid, JointTarget, PointHalfSpace, Positive
 from scopt import Cost, Residual, Settings, Status
+from service.body.effort import FORCE_SETTINGS
 from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import FLAT_POINTS
 from service.body.loaded_regions import plan_contact_region
-from service.body.phases import straight_path
+from service.body.paths import straight_path
+from service.body.poses import PoseProblem, Poses
 from service.body.whole_body import RESERVE_M, Aims, WholeBody, keep_in_region, reserve_balance
 from service.request.tasks.egress import SideRequest, WeightsRequest
 from service.tasks.egress.aims import ContactAim
 
 TOUCHING_DEPTH_M = 3.3e-3  # aimed at in poses; less than what is allowed, for the motions between them [m]
 MARGIN_M = 0.01  # clearance from the world; half of it between the robot's own links
-EFFORT = Settings(max_iterations=60, max_penalty_raises=3, patience=25)
 STRICT = 100.0  # factor of the first penalty where a solve ended with violations that are merely acceptable
 TURNS = (False,) * 3 + (True,) * 3  # rows of a frame's pose that are its orientation
 UPRIGHT_GROUP, FEET_GROUP, ARM_GROUPS = "upright", "feet", ("left_arm", "right_arm")
@@ -94,7 +96,7 @@ class PoseSolver:
     body: WholeBody
     torque_share: float | None = 1.0
     margin_n: float = 0.0
-    settings: Settings = EFFORT
+    settings: Settings = FORCE_SETTINGS
     seed: int = 0
     should_stop: Callable[[], bool] | None = None
 
@@ -196,20 +198,22 @@ class PoseSolver:
         """
         given, nominal = [(shapes[0], guess) for guess in guesses], [(shape, shape.nominal) for shape in shapes]
         starts = [*given, *nominal] if n_compared == 1 else [*given[:1], *nominal, *given[1:]]
-        best: EquilibriumPose | None = None
-        found: list[EquilibriumPose] = []
-        for shape, guess in self._vary(starts, tries):
-            pose = self.solve(aims, shape, guess, loaded)
-            if pose.is_feasible and (since is None or self.measure_way(since, pose.q, aims, swinging) <= THROUGH_M):
-                found.append(pose)
-                if len(found) == n_compared:
-                    break
-            if best is None or (pose.is_feasible, pose.reserve_n) > (best.is_feasible, best.reserve_n):
-                best = pose
+
+        def leads_there(pose: EquilibriumPose) -> bool:
+            return pose.is_feasible and (since is None or self.measure_way(since, pose.q, aims, swinging) <= THROUGH_M)
+
+        problem = PoseProblem(
+            "pose",
+            lambda start: self.solve(aims, start[0], start[1], loaded),
+            accepts=leads_there,
+            miss=lambda pose: (not pose.is_feasible, -pose.reserve_n),
+        )
+        poses = Poses(problem)
+        found = list(islice(poses.find(self._vary(starts, tries)), n_compared))
         if found:
             return min(found, key=measure_cost)
-        assert best is not None
-        return best
+        assert poses.best is not None
+        return poses.best
 
     def measure_way(
         self,
@@ -231,8 +235,8 @@ class PoseSolver:
 
     def _vary(
         self, starts: Sequence[tuple[Shape, Float[np.ndarray, "n"]]], count: int
-    ) -> Iterator[tuple[Shape, Float[np.ndarray, "n"]]]:
-        """Yield the starts, then the same moved at random."""
+    ) -> Iterator[tuple[str, tuple[Shape, Float[np.ndarray, "n"]]]]:
+        """Yield the starts by name, then the same moved at random."""
         robot, rng = self.body.robot, np.random.default_rng(self.seed)
         spread = np.full(robot.n, JOINT_SPREAD)
         spread[:3] = BASE_SPREAD_M
@@ -240,7 +244,7 @@ class PoseSolver:
             shape, guess = starts[k % len(starts)]
             if k >= len(starts):
                 guess = np.clip(guess + spread * rng.normal(size=robot.n), robot.lower, robot.upper)
-            yield shape, guess
+            yield f"start {k + 1}", (shape, guess)
 
 
 def _restore_solver(

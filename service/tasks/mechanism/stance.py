@@ -19,7 +19,7 @@ from service.tasks.mechanism.plan import check_hold, find_blocked_move
 from service.tasks.stances.poses import (
     N_RANDOM,
     Outcome,
-    PoseFinder,
+    StancePoseFinder,
 )
 
 MOVE_SHARES = (0.5, 1.0)  # of each move of a given mechanism at which a pose is tried
@@ -92,12 +92,12 @@ class MechanismStance:
         check_hold(solver, self.hands, self.given)
         outcomes = []
         for hand in self.hands:
-            outcomes.append(self._try_hand(PoseFinder(solver, self.mechanism), hand))
+            outcomes.append(self._try_hand(StancePoseFinder(solver, self.mechanism), hand))
             if not outcomes[-1].missing:
                 break
         return max(outcomes, key=lambda outcome: outcome.reached)
 
-    def _try_hand(self, finder: PoseFinder, hand: Hand) -> Outcome:
+    def _try_hand(self, finder: StancePoseFinder, hand: Hand) -> Outcome:
         hold = f"{hand.side} hand at {self.given.request.handle.link}"
         specs = make_mechanism_phases(self.given, hand)
         moves = [spec for spec in specs if spec.moving]

@@ -2,82 +2,141 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain, count, islice
 
 import numpy as np
 from jaxtyping import Float
 
+from service.body.effort import Effort
 from service.body.holds import find_prescribed
 from service.body.inverse_kinematics import REACHED, draw_configurations, solve_holds
-from service.body.phases import PhaseSolver, posture_guesses
+from service.body.phases import PhaseSolver
+from service.body.poses import Poses
+from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
+from service.body.starts import End
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody
 from service.tasks.reach.goal import Goal, make_line_holds
 
-POSE: dict[str, float] = {"patience": 12, "min_improvement_feasible": 0.3}
+STEP = "goal pose"
 IK_DRAWS = 16  # batches of random configurations after which a goal counts as out of reach
+FIRST_DRAWS, FIRST_ENDS = 2, 3  # of random ends where no posture leads to the goal
 BATCH = 48  # random configurations that are led to the goal at once
 OVERLAPPING_TRIED = 6  # of those in collision, by batch
+RANDOM_GUESSES = 8  # about the nominal posture; about half of them lead to a pose
 BRING_STEPS = 12  # of the nominal posture to the goal
 BROUGHT = 1e-3  # largest residual of a posture that was brought to the goal [m, rad]
 SAME_END = 0.05  # largest difference of equal ends [rad, m]
 
 
-def find_goal_configurations(solver: PhaseSolver, goal: Goal) -> Iterator[Float[np.ndarray, "n"]]:
-    """Yield different feasible configurations at a goal, those from the robot's postures first.
+@dataclass
+class GoalEnds:
+    """Configurations at the goal of a reach, found on demand.
 
-    Raises:
-        Interrupted: the time is up, or the plan was cancelled.
+    Attributes:
+        solver: of the robot.
+        goal: the goal.
     """
-    ends: list[np.ndarray] = []
-    for _, guess in posture_guesses(solver.body):
-        solved = solve_at_goal(solver, goal, guess)
-        if solved.is_feasible and is_new_end(solved.x[0], ends):
-            ends.append(solved.x[0])
-            yield solved.x[0]
-    yield from find_random_ends(solver, goal, ends, IK_DRAWS)
+
+    solver: PhaseSolver
+    goal: Goal
+    _open: Iterator[Float[np.ndarray, "n"]] = field(init=False, repr=False)
+    _first: Float[np.ndarray, "n"] | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._open = self._find_near()
+        self._first = next(self._open, None)
+
+    @cached_property
+    def _poses(self) -> Poses[Solved]:
+        problem = self.solver.pose_problem(
+            STEP, self.goal.constraints(0), fixed=self.goal.joints, effort=Effort.GOAL_POSE, fraction=0.1
+        )
+        return Poses(replace(problem, most=None), SAME_END)
+
+    @cached_property
+    def miss(self) -> Solved | None:
+        """The best attempt where no configuration at the goal was found."""
+        return None if self._first is not None else self._poses.best
+
+    def find(self, end: End, number: int) -> Iterator[Float[np.ndarray, "n"]]:
+        """Yield configurations at the goal, those of a kind."""
+        if end is End.FIRST and self._first is not None:
+            found = self._poses.found if number and not self.goal.is_complete else [self._first]
+            yield found[number % len(found)]
+        elif end is End.OTHERS:
+            yield from self._open
+        elif end is End.NEAR and not self.goal.is_complete:
+            body = self.solver.body
+            guesses = random_guesses(body, RANDOM_GUESSES, self.solver.seed)
+            yield from self._solve(name_seeds("random about the start", guesses))
+        elif end is End.DRAWN and not self.goal.is_complete:
+            yield from self._solve(self._draw(1, number))
+
+    def _find_near(self) -> Iterator[Float[np.ndarray, "n"]]:
+        """Yield configurations from the robot's postures; random ones where these lead to none."""
+        body, goal = self.solver.body, self.goal
+        if goal.is_complete:
+            yield goal.apply_joints(body.nominal)
+            return
+        yield from self._solve(chain(bring_to_goal(body, goal), posture_guesses(body)))
+        if not self._poses.found:
+            yield from islice(self._solve(self._draw(FIRST_DRAWS, 0)), FIRST_ENDS)
+        best = self._poses.best
+        if not self._poses.found and best is not None:
+            with self.solver.monitor.step(STEP, 0.1):
+                restored = self.solver.restore_feasibility(STEP, best)
+            self._poses.best = restored
+            if restored.is_feasible:
+                self._poses.found.append(restored.q)
+                yield restored.q
+
+    def find_all(self) -> Iterator[Float[np.ndarray, "n"]]:
+        """Yield different configurations at the goal, those from the robot's postures first.
+
+        Raises:
+            Interrupted: the time is up, or the plan was cancelled.
+        """
+        if self._first is not None:
+            yield self._first
+        yield from self._open
+        yield from self._solve(self._draw(IK_DRAWS, 0))
+
+    def _solve(self, seeds: Iterator[Seed]) -> Iterator[Float[np.ndarray, "n"]]:
+        placed = ((name, self.goal.apply_joints(q)) for name, q in seeds)
+        for pose in self._poses.find(placed):
+            yield pose.q
+
+    def _draw(self, draws: int, seed: int) -> Iterator[Seed]:
+        """Yield random configurations that damped least squares lead to the goal, all of a batch at once.
+
+        Clear ones come first, then the nearest to the nominal posture; those near a known one are left out.
+        """
+        body, goal = self.solver.body, self.goal
+        fixed = find_prescribed(body.robot)
+        fixed[list(goal.joints)] = True
+        holds = (*body.holds(), *make_line_holds(goal, 1.0))
+        rng = np.random.default_rng([self.solver.seed, seed])
+        checker = body.make_pose_checker([])
+        for _ in range(draws):
+            with self.solver.monitor.step(STEP, 0.1):
+                guesses = np.stack([goal.apply_joints(q) for q in draw_configurations(body, BATCH, rng)])
+                error = np.zeros(BATCH)
+                if holds:
+                    guesses, error = solve_holds(body, guesses, holds, fixed)
+                arrived = guesses[error < REACHED]
+                is_clear = np.array([checker.are_clear(q[None]) for q in arrived], dtype=bool)
+            far = np.abs(arrived - body.nominal).max(axis=1, initial=0.0)
+            tried = count()
+            for row in np.lexsort((far, ~is_clear)).tolist():
+                if self._poses.is_new(arrived[row]) and (is_clear[row] or next(tried) < OVERLAPPING_TRIED):
+                    yield "random within the limits", arrived[row]
 
 
-def find_random_ends(
-    solver: PhaseSolver, goal: Goal, ends: list[Float[np.ndarray, "n"]], draws: int, seed: int = 0
-) -> Iterator[Float[np.ndarray, "n"]]:
-    """Yield feasible configurations at a goal other than ``ends``, to which they are appended.
-
-    Random configurations are led to the goal by damped least squares, all at once; those that arrive go through the
-    optimiser, clear ones first, then the nearest to the nominal posture.
-
-    Args:
-        draws: number of batches.
-        seed: of the draws, beside the solver's.
-    """
-    body = solver.body
-    fixed = find_prescribed(body.robot)
-    fixed[list(goal.joints)] = True
-    holds = (*body.holds(), *make_line_holds(goal, 1.0))
-    rng = np.random.default_rng([solver.seed, seed])
-    checker = body.make_pose_checker([])
-    for _ in range(draws):
-        with solver.monitor.step("goal pose", 0.1):
-            guesses = np.stack([goal.apply_joints(q) for q in draw_configurations(body, BATCH, rng)])
-            error = np.zeros(BATCH)
-            if holds:
-                guesses, error = solve_holds(body, guesses, holds, fixed)
-            arrived = guesses[error < REACHED]
-            is_clear = np.array([checker.are_clear(q[None]) for q in arrived], dtype=bool)
-        far = np.abs(arrived - body.nominal).max(axis=1, initial=0.0)
-        order = np.lexsort((far, ~is_clear))
-        n_tried = 0
-        for row in order.tolist():
-            if not is_new_end(arrived[row], ends) or (not is_clear[row] and n_tried >= OVERLAPPING_TRIED):
-                continue
-            n_tried += not is_clear[row]
-            solved = solve_at_goal(solver, goal, arrived[row])
-            if solved.is_feasible and is_new_end(solved.x[0], ends):
-                ends.append(solved.x[0])
-                yield solved.x[0]
-
-
-def bring_to_goal(body: WholeBody, goal: Goal) -> Iterator[Float[np.ndarray, "n"]]:
+def bring_to_goal(body: WholeBody, goal: Goal) -> Iterator[Seed]:
     """Yield the nominal posture with the goal's links at their goals and the robot balanced, if that is reached.
 
     Obstacles are left to the optimiser, which then needs half of the steps.
@@ -89,15 +148,4 @@ def bring_to_goal(body: WholeBody, goal: Goal) -> Iterator[Float[np.ndarray, "n"
         return
     guess, error = solve_holds(body, goal.apply_joints(body.nominal)[None], holds, fixed, BRING_STEPS)
     if error[0] < BROUGHT:
-        yield guess[0]
-
-
-def solve_at_goal(solver: PhaseSolver, goal: Goal, guess: Float[np.ndarray, "n"]) -> Solved:
-    """Solve for a configuration at a goal from a guess."""
-    brief = solver.with_settings(**POSE)
-    with solver.monitor.step("goal pose", 0.1):
-        return brief.solve_pose("goal pose", [goal.apply_joints(guess)], goal.constraints(0), fixed=goal.joints)
-
-
-def is_new_end(q: Float[np.ndarray, "n"], ends: Sequence[Float[np.ndarray, "n"]]) -> bool:
-    return all(np.abs(q - other).max() > SAME_END for other in ends)
+        yield "brought to the goal", guess[0]

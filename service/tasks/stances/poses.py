@@ -16,7 +16,7 @@ from costs.kinematics import locate_frame, locate_links
 from costs.robot import Mechanism, RobotModel
 from costs.static_region import StaticRegionError
 from service.body.loaded_regions import plan_regions
-from service.body.phases import PhaseSolver, random_guesses
+from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase_spec import PhaseSpec
@@ -28,7 +28,7 @@ MOST_TORQUE = 0.95  # share of a joint's torque at rest
 
 
 @dataclass(frozen=True)
-class HeldPose:
+class StancePose:
     """A pose that exists from a stance.
 
     Attributes:
@@ -59,7 +59,7 @@ class Outcome:
     """
 
     reached: float
-    poses: tuple[HeldPose, ...]
+    poses: tuple[StancePose, ...]
     hold: str
     missing: str
 
@@ -130,31 +130,28 @@ class StanceTask(Protocol):
 
 
 @dataclass(frozen=True)
-class PoseFinder:
+class StancePoseFinder:
     """Finds single poses of a body, with little effort."""
 
     solver: PhaseSolver
     mechanism: Mechanism
 
-    def find(self, spec: PhaseSpec, before: Sequence[HeldPose], n_random: int = 0) -> HeldPose | None:
+    def find(self, spec: PhaseSpec, before: Sequence[StancePose], n_random: int = 0) -> StancePose | None:
         """Return the first pose of a phase, guessed from those before; None if none that is strong enough was found.
 
         Random configurations are guessed where that and the robot's postures lead to none.
         """
         sequence = PhaseSequence.of(self.solver, self.mechanism, (spec,))
-        guesses = [pose.q for pose in before[-1:]]
+        guesses = [(pose.name, pose.q) for pose in before[-1:]]
         try:
-            solved = sequence.try_pose(spec.name, spec, guesses)
-            if not solved.is_feasible and n_random:
-                guesses = random_guesses(self.solver.body, n_random, self.solver.seed)
-                solved = sequence.try_pose(spec.name, spec, guesses, n_random)
+            solved = sequence.try_pose(spec.name, spec, guesses, n_random)
             if not solved.is_feasible:
                 return None
             q = solved.x[0]
             torque = measure_torque(self.solver.body, spec, q)
             if torque > MOST_TORQUE:
                 return None
-            return HeldPose(spec.name, q, self._measure_balance(spec, q), self._measure_reach(spec, q), torque)
+            return StancePose(spec.name, q, self._measure_balance(spec, q), self._measure_reach(spec, q), torque)
         except StaticRegionError:
             return None
 

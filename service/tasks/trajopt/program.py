@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Float
 
-from service.body.phases import PhaseSolver, path_via, posture_guesses, report_solutions, straight_path
-from service.body.sampling import Tree, resample_path
+from service.body.ladder import GivenEnd, MotionSearch, NoEnd, list_motions
+from service.body.phases import PhaseSolver, report_solutions
+from service.body.poses import find_pose
+from service.body.seeds import posture_guesses
+from service.body.starts import Way
 from service.body.task_plan import LEAST_CLEARANCE, PlannedPhase, Solved, Stuck, TaskPlan
-from service.body.trees import TREES
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError, would_do
 from service.explain.distance import find_out_of_reach
@@ -21,7 +23,7 @@ from service.start.overlaps import describe_collisions, find_overlaps_and_unreso
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.trajopt.problem import CollisionTerm, PoseTerm
 
-PHASE = "trajopt"
+PHASE, INIT = "trajopt", "init_info"
 APART = LEAST_CLEARANCE + CLEARANCE_TOLERANCE  # clearance of all pairs, besides the file's own collision terms [m]
 SIGHT = 0.03  # beyond the largest distance of a collision term [m]
 # As in TrajOpt, the optimiser goes on until its costs are low; elsewhere the first feasible motion is enough.
@@ -47,7 +49,7 @@ def plan_program(solver: PhaseSolver, program: Program) -> Iterator[TaskPlan]:
     settings = {"min_improvement_feasible": LEAST_GAIN, **program.problem.opt.settings}
     solver = replace(solver, body=body).with_settings(**settings)
     search = _ProgramSearch(solver, program, Promises.of(program, body.robot))
-    yield from report_solutions(islice(search.solutions(), solver.most_starts), search.make_plan)
+    yield from report_solutions(search.list_solutions(), search.make_plan)
 
 
 def fit_body(body: WholeBody, program: Program) -> WholeBody:
@@ -119,22 +121,23 @@ class _ProgramSearch:
     program: Program
     promises: Promises
 
-    def solutions(self) -> Iterator[tuple[str, Solved]]:
+    def list_solutions(self) -> Iterator[tuple[str, Solved]]:
         """Yield solved starts by name, feasible or not."""
         program = self.program
-        yield "init_info", self.solve(program.init)
         end = self._find_end()
-        if end is None:
-            return
-        start, count = program.init[0], program.n_steps
-        yield from self._around(start, end, TREES[0])
-        if np.abs(straight_path(start, end, count) - program.init).max() > 1e-6:
-            yield "straight line", self.solve(straight_path(start, end, count))
-        yield from self._around(start, end, TREES[1])
-        for name, posture in posture_guesses(self.solver.body)[1:]:
-            yield f"via posture '{name}'", self.solve(path_via(start, self._move_free(posture), end, count))
-        for tree in TREES[2:5]:
-            yield from self._around(start, end, tree)
+        search = MotionSearch(
+            PHASE,
+            self.solver,
+            lambda solver, path: replace(self, solver=solver).solve(path),
+            program.init[0],
+            NoEnd() if end is None else GivenEnd(end),
+            paths={Way.GIVEN: lambda: ((INIT, program.init),)},
+            n_waypoints=program.n_steps,
+            vias=lambda: ((name, self._move_free(q)) for name, q in posture_guesses(self.solver.body)[1:]),
+            drawn=program.free,
+            is_shortened=False,
+        )
+        return list_motions(search)
 
     def make_plan(self, name: str, solved: Solved) -> TaskPlan:
         """Return a solution as the task's plan."""
@@ -158,10 +161,9 @@ class _ProgramSearch:
         timeline = Timeline.of_steps(program.n_steps) if timeline is None else timeline
         fixed = {int(timeline.rows[step]): at for step, at in program.fixed.items()}
         builder = Builder(program, timeline, body, body.make_checker())
-        with self.solver.monitor.step(PHASE, 0.4):
-            return self.solver.solve_trajectory(
-                PHASE, [q], fixed, builder.make_costs(), builder.make_constraints(), bounds=builder.narrow_bounds
-            )
+        return self.solver.solve_trajectory(
+            PHASE, q, fixed, builder.make_costs(), builder.make_constraints(), bounds=builder.narrow_bounds
+        )
 
     def _find_end(self) -> Float[np.ndarray, "n"] | None:
         """Return a configuration for the last waypoint: the fixed one, or one that keeps its constraints; else None."""
@@ -177,34 +179,18 @@ class _ProgramSearch:
         lower, upper = solver.body.bounds(1, {})
         builder.narrow_bounds(lower, upper)
         fixed = {i: float(lower[0, i]) for i in np.flatnonzero(lower[0] == upper[0]).tolist()}
-        for guess in (program.init[last], *(self._move_free(posture) for _, posture in posture_guesses(solver.body))):
-            with solver.monitor.step("goal pose", 0.1):
-                solved = solver.solve_pose("goal pose", [guess], constraints, fixed=fixed)
-            if solved.is_feasible:
-                return np.asarray(solved.x[0])
-        return None
+        postures = ((name, self._move_free(q)) for name, q in posture_guesses(solver.body))
+        pose = find_pose(
+            replace(solver.pose_problem("goal pose", constraints, fixed=fixed, fraction=0.1), most=None),
+            chain([(INIT, program.init[last])], postures),
+        )
+        return pose.q if pose.is_feasible else None
 
     def _move_free(self, posture: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the start with the posture's values of the coordinates that may move."""
         q = self.program.start.copy()
         q[self.program.free] = posture[self.program.free]
         return q
-
-    def _around(
-        self, start: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"], tree: Tree
-    ) -> Iterator[tuple[str, Solved]]:
-        """Yield the solve from a sampled path; the path itself where the solve fails and the path does not."""
-        solver = self.solver
-        with solver.monitor.step("sampling", 0.5):
-            corners = solver.sample_corners(start, end, tree, self.program.free)
-        if corners is None:
-            return
-        path = resample_path(corners, self.program.n_steps)
-        solved = self.solve(path)
-        if not solved.is_feasible:
-            unchanged = replace(self, solver=solver.with_settings(max_iterations=0)).solve(path)
-            solved = unchanged if unchanged.is_feasible else solved
-        yield f"path of {tree.planner}, tree {tree.seed + 1}", solved
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +16,7 @@ from costs.scene import Scene
 from costs.terms import AxisDirection, FramePose, WithinTolerance
 from perception import LeverDetection, ValveDetection, has_clear_spokes
 from scopt import Constraint, Sense
+from service.body.effort import Effort
 from service.body.holds import POSITION
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
@@ -59,7 +59,6 @@ N_RANDOM = 4  # configurations from which the first pose at a wheel is searched 
 SHIFTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # of the pelvis [m]
 ANGLES = np.deg2rad([0.0, 120.0, 240.0])  # of the rim that must be in reach after a shift
 # A solvable shift takes few steps.
-ADVICE_EFFORT: dict[str, Any] = {"max_iterations": 20, "max_penalty_raises": 2}
 ADVICE_AXIS_AIM = np.deg2rad(1.5)
 
 
@@ -317,7 +316,7 @@ def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:
 
     Obstacles are left out: a plan from the new stance shows whether it is free.
     """
-    quick = replace(solver, body=replace(solver.body, scene=Scene())).with_settings(**ADVICE_EFFORT)
+    quick = replace(solver, body=replace(solver.body, scene=Scene())).with_effort(Effort.QUICK_POSE)
     yaw = solver.body.nominal[3]
     forward, left = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     signed = [-shift for shift in SHIFTS[1:4]] + list(SHIFTS)
@@ -342,7 +341,7 @@ def _is_reachable(solver: PhaseSolver, wheel: Wheel, hand: Hand, shift: Float[np
     aim = ADVICE_AXIS_AIM
     result = solver.solve_trajectory(
         "stance",
-        [np.tile(body.nominal, (len(ANGLES), 1))],
+        np.tile(body.nominal, (len(ANGLES), 1)),
         {},
         constraints=(
             Constraint("tool on the rim", position, Sense.EQUAL_ZERO, 2e-3),

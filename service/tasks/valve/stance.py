@@ -20,9 +20,9 @@ from service.demands.valve.wheel import Wheel, make_wheel_mechanism
 from service.request.tasks.valve import ValveRequest
 from service.tasks.stances.poses import (
     N_RANDOM,
-    HeldPose,
     Outcome,
-    PoseFinder,
+    StancePose,
+    StancePoseFinder,
     place_turned,
 )
 from service.tasks.valve.turn import ValveTurn
@@ -99,7 +99,7 @@ class ValveStance:
     def try_stance(self, solver: PhaseSolver) -> Outcome:
         """Return the largest part of the turn along which poses exist, with the better hand and entry."""
         best = Outcome(0.0, (), "", "pose at the wheel")
-        finder = PoseFinder(solver, self.mechanism)
+        finder = StancePoseFinder(solver, self.mechanism)
         for hand in self.hands:
             tool = locate_links(solver.body.engine, solver.body.nominal, [hand.tool])[hand.tool][:3, 3]
 
@@ -116,11 +116,11 @@ class ValveStance:
                     return outcome
         return best
 
-    def _try_entry(self, finder: PoseFinder, hand: Hand, entry: float) -> Outcome:
+    def _try_entry(self, finder: StancePoseFinder, hand: Hand, entry: float) -> Outcome:
         hold = f"{hand.side} hand in {self.request.mode} mode"
         choice = TurnChoice(hand, entry, find_least_count(self.request))
         turn = ValveTurn(finder.solver, self.wheel, self.request, choice)
-        poses: list[HeldPose] = []
+        poses: list[StancePose] = []
         missing: list[str] = []
         done = total = 0.0
         for stroke in _split_strokes(turn.list_phases()):
@@ -154,13 +154,13 @@ class ValveStance:
         return Outcome(abs(self.target) * (done / total), tuple(poses), hold, words)
 
     def _follow(
-        self, finder: PoseFinder, specs: Sequence[PhaseSpec], before: Sequence[HeldPose]
-    ) -> list[HeldPose | None]:
+        self, finder: StancePoseFinder, specs: Sequence[PhaseSpec], before: Sequence[StancePose]
+    ) -> list[StancePose | None]:
         """Return poses along a stroke, each guessed from its neighbour; None where there is none.
 
         Where the first is not found from the poses before, random configurations are guessed as well.
         """
-        held: list[HeldPose | None] = []
+        held: list[StancePose | None] = []
         known = list(before)
         for spec in specs:
             pose = finder.find(spec, known, 0 if any(held) else N_RANDOM)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from perception import Cloud, View, detect, make_view
+from perception import Cloud, detect, make_view
 from perception.detect.engine.primitives import Box, Capsule, Cylinder, Torus
 from perception.detect.engine.refine import Hypotheses, _jacobian, refine
 from perception.detect.engine.region import Mounting, gather
@@ -17,10 +17,12 @@ from perception.detect.engine.search import Site, search
 from perception.detect.engine.template import Looseness, Part, Size, Template, columns
 from perception.detect.engine.templates.drill import DRILL
 from perception.detect.engine.templates.wheel import WHEEL
-from perception.detect.engine.verdict import confidence_of
+from perception.detect.engine.verdict import confidence_of, rate
+from perception.detect.shared.detection import Detection
 from perception.sightlines import sight_index
 from perception.simulate import Pose, Scanner, box, cylinder, scan, torus
 from perception.simulate.scenes.loose import Drill
+from perception.view import widen
 
 TOP = 0.8
 SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.7)
@@ -133,23 +135,25 @@ def test_a_rim_is_fitted_to_two_millimetres_from_two_centimetres_off() -> None:
     assert fitted.hypotheses.sizes[0] == pytest.approx([0.15, 0.012], abs=0.002)
 
 
-def view_of(cloud: Cloud) -> View:
-    return make_view(cloud)
+def rate_best(cloud: Cloud) -> Detection:
+    """The best drill of a cloud, rated by the engine."""
+    view = make_view(cloud)
+    return rate(detect("drill", view)[0], sight_index(widen(view).cloud), is_hinted=False)
 
 
 def test_last_digits_and_order_do_not_change_a_confidence() -> None:
     cloud = scan_of_drill()
     rng = np.random.default_rng(0)
     order = rng.permutation(len(cloud.points))
-    (first, *_) = detect("drill", view_of(cloud))
+    first = rate_best(cloud)
     for points in (cloud.points + rng.normal(0.0, 1e-9, cloud.points.shape), cloud.points[order]):
-        (other, *_) = detect("drill", view_of(Cloud(points, cloud.origin)))
+        other = rate_best(Cloud(points, cloud.origin))
         assert other.confidence == pytest.approx(first.confidence, abs=0.02)
 
 
 def test_rays_that_pass_an_object_lower_its_confidence() -> None:
     cloud = scan_of_drill()
-    (hit, *_) = detect("drill", view_of(cloud))
+    hit = rate_best(cloud)
     features = np.array([hit.residuals[f"ray_{name}"] for name in FEATURES])
     passed = features.copy()
     passed[FEATURES.index("solid_share")] -= 0.5

@@ -95,7 +95,7 @@ def patched(content: bytes, at: int, kind: str, value: int) -> bytes:
         (las_bytes(POINTS)[:150], "is damaged, or no las file"),
         (las_bytes(POINTS)[:-500], "300 points of 34 bytes are announced, but only 9700 bytes"),
         (patched(las_bytes(POINTS), 107, "<I", 0), "announces no points"),
-        (patched(las_bytes(POINTS), 107, "<I", 4_000_000_000), "announces 4000000000 points; at most 2000000"),
+        (patched(las_bytes(POINTS), 107, "<I", 4_000_000_000), "announces 4000000000 points; at most 50000000"),
         (patched(las_bytes(POINTS, is_compressed=True), 107, "<I", 1_900_000), "is damaged, or no las file"),
         (las_bytes(POINTS, is_compressed=True)[:-200], "is damaged, or no las file"),
         (patched(las_bytes(POINTS), 100, "<I", 2**31), "2147483648 records of 54 bytes are announced"),
