@@ -1,0 +1,278 @@
+"""Fits the curve from the engine's features to a confidence, and says how well it holds on scenes not used for it.
+
+``gather`` searches scans and appends one line per hit to a table: its scan, source, template, features, and whether it
+is right.  ``fit`` fits one logistic curve per template with common weights for what all kinds share, writes
+``perception/detect/engine/weights.csv``, and prints errors of scenes held out by source.
+
+From the checkout's root: ``python -m benchmarks.clouds.confidence gather TABLE.csv [--seeds 100 101] [--real FOLDER]``
+and ``... fit TABLE.csv``.  A real folder has clouds with a JSON file of the truth beside each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from benchmarks.clouds.cases import Case, simulated_cases
+from benchmarks.clouds.errors import errors, is_lookalike, is_right, matched
+from benchmarks.clouds.others import other_cases
+from benchmarks.tables import print_table
+from perception import KINDS, Cloud, Reach, detect_each, make_view, read_cloud
+from perception.detect.engine.kinds import name_of
+from perception.detect.engine.score import FEATURES
+from perception.detect.engine.verdict import INPUTS, PREFIX, inputs_of, rate
+from perception.sightlines import sight_index
+from perception.simulate.scenes import Truth
+from perception.view import widen
+
+_WEIGHTS = Path(__file__).parents[2] / "perception" / "detect" / "engine" / "weights.csv"
+_VARIANTS = ("dense/solid/camera", "sparse/solid_sparse")
+# Signs that a weight may have, so that few examples cannot turn evidence for an object into evidence against it.
+_SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1), strict=True))
+# Templates whose shape says little (a leaf is a flat face) keep their detector's rating as an input.
+_RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam"})
+_SEARCHED = frozenset({"drill"})  # templates of the engine's own search, which are not flat and have a front
+_RIDGE, _RIDGE_OWN = 0.1, 0.1
+_FOLDS = 5
+_FEWEST = 4, 2  # right and wrong hits
+
+
+@dataclass(frozen=True)
+class Table:
+    """Hits of all scans.
+
+    Attributes:
+        inputs: (N, I) inputs of the curve.
+        right: (N,) whether a person would call it the object.
+        template, source: (N,) names.
+    """
+
+    inputs: Float[np.ndarray, "N I"]
+    right: Bool[np.ndarray, "N"]
+    template: np.ndarray
+    source: np.ndarray
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Gather hits, or fit the curve."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=("gather", "fit"))
+    parser.add_argument("table", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="*", default=(100, 101))
+    parser.add_argument("--real", type=Path, help="folder of recorded clouds with their truth")
+    parser.add_argument("--only", default="")
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
+    chosen = parser.parse_args(arguments)
+    if chosen.what == "fit":
+        _fit_all(_read(chosen.table))
+        return
+    for case, source, kinds in chain(_simulated(chosen.seeds), _recorded(chosen.real) if chosen.real else ()):
+        if chosen.only in case.name:
+            _gather(case, source, [kind for kind in kinds if kind in chosen.kinds], chosen.table)
+
+
+def _simulated(seeds: Sequence[int]) -> Iterator[tuple[Case, str, Sequence[str]]]:
+    for seed in seeds:
+        for case in (*simulated_cases(_VARIANTS, seed), *other_cases(_VARIANTS, seed)):
+            shown = sorted({truth.kind for truth in case.truth})
+            yield case, f"{case.name.split(':')[0]}/{seed}", shown or KINDS
+
+
+def _recorded(folder: Path) -> Iterator[tuple[Case, str, Sequence[str]]]:
+    """Yield recorded clouds, each also turned by a degree and lifted by 3 cm."""
+    for path in sorted(folder.glob("*.json")):
+        document = json.loads(path.read_text())
+        truth = tuple(read_truth(document))
+        for degrees, lift in ((0.0, 0.0), (1.0, 0.03), (-1.0, -0.03)):
+            move = np.eye(4)
+            move[:3, :3] = Rotation.from_euler("xy", [degrees, -degrees], degrees=True).as_matrix()
+            move[2, 3] = lift
+            load = partial(_read_moved, path.with_suffix(".ply"), move)
+            moved = tuple(replace(one, pose_world_object=move @ one.pose_world_object) for one in truth)
+            reach = Reach(radius=float(document.get("reach") or 4.0), top=4.0)
+            unknown = frozenset({"door lever": ("lever", "door")}.get(document["kind"], ())) | set(
+                document.get("excuse", ())
+            )
+            case = Case(f"{path.stem}:{degrees:+.0f}", "dense", load, moved, reach=reach)
+            yield case, document["source"], [kind for kind in KINDS if kind not in unknown or truth]
+
+
+def _read_moved(path: Path, move: Float[np.ndarray, "4 4"]) -> Cloud:
+    cloud, turn, shift = read_cloud(path), move[:3, :3], move[:3, 3]
+    return Cloud(cloud.points @ turn.T + shift, cloud.origin @ turn.T + shift)
+
+
+def read_truth(document: dict[str, object]) -> Iterator[Truth]:
+    """Yield the objects of a recorded cloud's JSON in the detectors' frames."""
+    truth = document["truth"]
+    if not isinstance(truth, dict):
+        return
+    pose = np.eye(4)
+    if truth["kind"] == "drill":
+        x, z = np.array(truth["chuck"]), np.array(truth["grip_up"])
+        pose[:3, :3], pose[:3, 3] = np.column_stack([x, np.cross(z, x), z]), truth["grip_middle"]
+        yield Truth("drill", pose)
+    elif "lever_pivot" in truth:
+        pivot = np.array(truth["lever_pivot"])
+        x, z = (
+            np.array(truth["lever_tip"]) - pivot,
+            np.array(truth.get("normal_to_robot") or truth["leaf_normal_to_robot"]),
+        )
+        length = float(np.linalg.norm(x))
+        pose[:3, :3], pose[:3, 3] = np.column_stack([x / length, np.cross(z, x / length), z]), pivot
+        yield Truth("lever", pose, {"length": length})
+    elif truth["kind"] == "valve":
+        x, z = np.array(truth["tip"]) - truth["hub"], -np.array(truth["spindle_axis"])
+        x -= (x @ z) * z
+        length = float(np.linalg.norm(x))
+        pose[:3, :3], pose[:3, 3] = np.column_stack([x / length, np.cross(z, x / length), z]), truth["hub"]
+        yield Truth("valve", pose, {"lever_length": length})
+
+
+def _gather(case: Case, source: str, kinds: Sequence[str], table: Path) -> None:
+    """Append the hits of a scan to the table."""
+    view = make_view(case.load(), reach=case.reach)
+    index = sight_index(widen(view).cloud)
+    lines = []
+    for kind, found in detect_each(kinds, view, on_failure=lambda kind, error: print(case.name, kind, error)):
+        hits = [rate(hit, index, is_hinted=False) for hit in found]
+        outcome = matched(kind, hits, case.truth, case.lookalikes)
+        of_hit = {id(hit): truth for truth, hit in outcome.pairs if hit is not None}
+        for hit in hits:
+            truth = of_hit.get(id(hit))
+            right = truth is not None and is_right(kind, errors(kind, hit, truth))
+            if PREFIX + FEATURES[0] not in hit.residuals or (truth is None and is_lookalike(hit, case.lookalikes)):
+                continue
+            shown = [f"{hit.residuals[PREFIX + name]:.4f}" for name in FEATURES]
+            lines.append([case.name, source, name_of(hit), *shown, f"{hit.residuals['rating_score']:.4f}", int(right)])
+    is_new = not table.exists()
+    with table.open("a", newline="") as file:
+        writer = csv.writer(file)
+        if is_new:
+            writer.writerow(["scan", "source", "template", *FEATURES, "rating", "right"])
+        writer.writerows(lines)
+    print(case.name, [(line[2], line[-1]) for line in lines], flush=True)
+
+
+def _read(path: Path) -> Table:
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    inputs = [
+        list(inputs_of(np.array([float(row[name]) for name in FEATURES]), float(row["rating"])).values())
+        for row in rows
+    ]
+    return Table(
+        np.array(inputs),
+        np.array([row["right"] == "1" for row in rows]),
+        np.array([row["template"] for row in rows]),
+        np.array([row["source"] for row in rows]),
+    )
+
+
+def _fit_all(table: Table) -> None:
+    """Fit on all sources and write the weights; print what fits without each fold say about that fold."""
+    fold = np.array([zlib.crc32(source.encode()) % _FOLDS for source in table.source])
+    held = np.zeros(len(fold))
+    for k in range(_FOLDS):
+        _, weights = fit(table, fold != k)
+        held[fold == k] = predict(table, weights)[fold == k]
+    print_calibration(table, held)
+    names, weights = fit(table, np.ones(len(fold), dtype=bool))
+    with _WEIGHTS.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["template", "bias", *INPUTS])
+        for name in names:
+            writer.writerow([name, *(f"{value:.4f}" for value in weights[name])])
+
+
+def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str, Float[np.ndarray, "I1"]]]:
+    """Return the templates and their weights, bias first: weights of all, and a bias and rating of each's own."""
+    names = [
+        str(name) for name in np.unique(table.template) if _is_enough(table.right[used & (table.template == name)])
+    ]
+    used = used & np.isin(table.template, names)
+    n, k = len(INPUTS), len(names)
+    x, y = table.inputs[used], table.right[used].astype(float)
+    of = np.array([names.index(name) for name in table.template[used]])
+    own = np.eye(k)[of]
+    rated = own * np.array([name in _RATED for name in names])
+    searched = np.isin(table.template[used], list(_SEARCHED)).astype(float)[:, None]
+    design = np.concatenate([x[:, :10], x[:, 10:13] * searched, rated * x[:, 13:14], own, np.ones((len(x), 1))], axis=1)
+    size = design.shape[1]
+    ridge = np.full(size, _RIDGE)
+    ridge[13 : 13 + k] = _RIDGE_OWN
+    ridge[-1] = 1e-3
+    bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:13]]
+    bounds += [(0.0, None)] * k + [(None, None)] * (k + 1)
+
+    def loss(w: Float[np.ndarray, "W"]) -> tuple[float, Float[np.ndarray, "W"]]:
+        score = design @ w
+        value = np.logaddexp(0.0, score) - y * score
+        slope = design.T @ (1.0 / (1.0 + np.exp(-score)) - y)
+        return float(value.sum() + 0.5 * (ridge * w * w).sum()), slope + ridge * w
+
+    w = minimize(loss, np.zeros(size), jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 2000}).x
+    weights = {}
+    for i, name in enumerate(names):
+        row = np.zeros(n + 1)
+        row[0] = w[13 + k + i] + w[-1]
+        row[1:11] = w[:10]
+        row[11:14] = w[10:13] if name in _SEARCHED else 0.0
+        row[14] = w[13 + i]
+        weights[name] = row
+    return names, weights
+
+
+def _is_enough(right: Bool[np.ndarray, "K"]) -> bool:
+    """Return whether hits of a template are enough to fit its curve; without, its detector's rating stays."""
+    return bool(right.sum() >= _FEWEST[0] and (~right).sum() >= _FEWEST[1])
+
+
+def predict(table: Table, weights: dict[str, Float[np.ndarray, "I1"]]) -> Float[np.ndarray, "N"]:
+    """Return the confidence of each hit."""
+    # A template without a row keeps its rating, which enters as the logarithm of the odds.
+    as_rated = np.append(np.zeros(len(INPUTS)), 1.0)
+    rows = np.array([weights.get(name, as_rated) for name in table.template])
+    return np.asarray(1.0 / (1.0 + np.exp(-(rows[:, 0] + (rows[:, 1:] * table.inputs).sum(axis=1)))))
+
+
+def print_calibration(table: Table, held: Float[np.ndarray, "N"]) -> None:
+    """Print, by confidence of scenes held out, how many hits are right, and the expected error in ten bins."""
+    rows, error = [], 0.0
+    for low in np.arange(0.0, 1.0, 0.1):
+        mine = (held >= low) & (held < low + 0.1 + 1e-9 * (low > 0.85))
+        if mine.any():
+            gap = abs(held[mine].mean() - table.right[mine].mean())
+            error += gap * mine.mean()
+            rows.append((f"{low:.1f}", str(mine.sum()), f"{held[mine].mean():.2f}", f"{table.right[mine].mean():.2f}"))
+    print_table(f"held out; expected error {error:.3f}", ("confidence from", "hits", "mean", "right"), rows)
+    rows = []
+    for name in np.unique(table.template):
+        mine = table.template == name
+        sure = mine & (held >= 0.5)
+        rows.append(
+            (
+                name,
+                str(mine.sum()),
+                str(table.right[mine].sum()),
+                str(sure.sum()),
+                str((sure & table.right).sum()),
+                str((mine & ~sure & table.right).sum()),
+            )
+        )
+    print_table("by template", ("template", "hits", "right", "confident", "right of these", "right but unsure"), rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,219 @@
+"""Search for the objects of one template: rough scores of many proposals, refinement of the best, their evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from costs.stopping import poll
+from perception.detect.engine.refine import Hypotheses, join, rate_roughly, refine
+from perception.detect.engine.region import Mounting, Region, gather
+from perception.detect.engine.rivals import flat_shares
+from perception.detect.engine.score import FEATURES, Evidence, weigh
+from perception.detect.engine.template import Template
+from perception.sightlines import SightIndex
+
+_ROUGH_RAYS, _MIDDLE_RAYS, _FINE_RAYS, _AVERAGE_RAYS = 100, 400, 600, 300
+_KEPT_HERE, _KEPT_MIDDLE = 4, 5
+# Rays, hypotheses and gates [m] of each pass, and whether it fits sizes.
+_PASSES = ((100, 48, (0.03, 0.025, 0.02), True), (200, 14, (0.02, 0.015, 0.012, 0.01), True))
+_FEWEST = 8
+_FINE_GATES = (0.012, 0.01, 0.01, 0.008, 0.008)
+_MOST_TURN, _MOST_SHIFT, _SOFT = 0.1, 0.01, 10.0  # of the poses averaged over: [rad], [m], units of gain
+# Where a fit that points the other way begins, along the object [m], and the gates of its refinement [m].
+_AHEAD, _TURNED_GATES = np.array([-0.03, 0.0, 0.03]), (0.025, 0.02, 0.015, 0.01)
+_SAME_PLACE, _SAME_TURN = 0.03, 0.4  # [m], [rad]
+
+
+@dataclass(frozen=True)
+class Site:
+    """Place with what an object there hangs on or stands on, and the hypotheses to try.
+
+    Attributes:
+        place: (3,) centre of the region [m].
+        begun: hypotheses.
+    """
+
+    place: Float[np.ndarray, "3"]
+    mounting: Mounting | None
+    begun: Hypotheses
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted object.
+
+    Attributes:
+        hypotheses: the one fit.
+        features: (F,) evidence.
+        gain: log-likelihood ratio against clutter.
+        covariance: (D, D) of turn, shift (both of the world) and sizes.
+        points: (K, 3) ends of rays on it [m].
+        region: its rays.
+    """
+
+    template: Template
+    hypotheses: Hypotheses
+    features: Float[np.ndarray, "F"]
+    gain: float
+    covariance: Float[np.ndarray, "D D"]
+    points: Float[np.ndarray, "K 3"]
+    region: Region
+    site: Site
+
+    @property
+    def middle(self) -> Float[np.ndarray, "3"]:
+        """(3,) centre in the world [m]."""
+        fit, template = self.hypotheses, self.template
+        return np.asarray(fit.place[0] + fit.rotation[0] @ template.middle(template.named(fit.sizes))[0])
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """Predicted standard deviations of place [m], orientation [rad] and sizes [m]."""
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        named = {
+            f"{size.name}_sigma": float(value) for size, value in zip(self.template.sizes, spread[6:], strict=True)
+        }
+        return {
+            "place_sigma": float(np.linalg.norm(spread[3:6]) / np.sqrt(3.0)),
+            "turn_sigma_rad": float(np.linalg.norm(spread[:3]) / np.sqrt(3.0)),
+            **named,
+        }
+
+
+def search(template: Template, sites: Sequence[Site], index: SightIndex, most: int = 6) -> list[Fit]:
+    """Return the fits that the rays support best, at most ``most``, best first."""
+    regions = {i: region for i, site in enumerate(sites) if (region := _gather(template, site, index)) is not None}
+    scored: list[tuple[float, int, Hypotheses]] = []
+    for i, region in regions.items():
+        poll()
+        scores = rate_roughly(template, sites[i].begun, region.balance(_ROUGH_RAYS))
+        best = np.argsort(-scores, kind="stable")[:_KEPT_HERE]
+        scored += [(float(scores[k]), i, sites[i].begun.select([k])) for k in best]
+    for settings in _PASSES:
+        scored = _refine_best(template, scored, regions, *settings)
+    fine: list[Fit] = []
+    kept: list[Hypotheses] = []
+    for _, i, one in scored:
+        if any(_is_same(one, other) for other in kept):
+            continue
+        kept.append(one)
+        fine += finish(template, one, sites[i], index)
+        if len(kept) == _KEPT_MIDDLE:
+            break
+    return drop_same(sorted(fine, key=lambda fit: -fit.gain))[:most]
+
+
+def drop_same(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the fits without those that an earlier one repeats."""
+    apart: list[Fit] = []
+    for fit in fits:
+        if not any(_is_same(fit.hypotheses, other.hypotheses) for other in apart):
+            apart.append(fit)
+    return apart
+
+
+def _gather(template: Template, site: Site, index: SightIndex) -> Region | None:
+    """Return the rays about a site; None if few ended on anything but what holds the object."""
+    region = gather(index, site.place, 1.3 * float(template.radii(site.begun.sizes).max()), site.mounting, _MIDDLE_RAYS)
+    return region if (~region.is_other).sum() >= _FEWEST else None
+
+
+def _refine_best(
+    template: Template,
+    scored: list[tuple[float, int, Hypotheses]],
+    regions: dict[int, Region],
+    n_rays: int,
+    n_kept: int,
+    gates: Sequence[float],
+    with_sizes: bool,
+) -> list[tuple[float, int, Hypotheses]]:
+    """Return the best hypotheses of each site refined, with their gains, best first."""
+    scored = sorted(scored, key=lambda one: -one[0])[:n_kept]
+    better: list[tuple[float, int, Hypotheses]] = []
+    for i in dict.fromkeys(i for _, i, _ in scored):
+        region = regions[i].balance(n_rays)
+        begun = join([one for _, j, one in scored if j == i])
+        fits = refine(template, begun, region, gates, with_sizes=with_sizes).hypotheses
+        # Near objects are thinned more than far ones: count all their rays.
+        gains = weigh(template, fits, region).gain * regions[i].loose_share(region)
+        better += [(float(gain), i, fits.select([k])) for k, gain in enumerate(gains)]
+    return sorted(better, key=lambda one: -one[0])
+
+
+def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -> list[Fit]:
+    """Return the fit of a hypothesis on the rays about it, with covariance and evidence; none without rays."""
+    middle = one.place[0] + one.rotation[0] @ template.middle(template.named(one.sizes))[0]
+    region = gather(index, middle, 1.2 * float(template.radii(one.sizes)[0]), site.mounting, _FINE_RAYS)
+    if len(region) < 12:
+        return []
+    refined = refine(template, one, region, _FINE_GATES)
+    evidence = weigh(template, refined.hypotheses, region)
+    hits = evidence.hit[0] & ~region.is_other
+    covariance = np.linalg.inv(refined.information[0] + 1e-6 * np.eye(refined.information.shape[1]))
+    return [
+        Fit(
+            template,
+            refined.hypotheses,
+            np.append(
+                average_features(template, refined.hypotheses, covariance, region, evidence),
+                (
+                    *flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma))),
+                    margin(template, refined.hypotheses, region),
+                ),
+            ),
+            float(evidence.gain[0]),
+            covariance,
+            region.ends[hits],
+            region,
+            site,
+        )
+    ]
+
+
+def margin(template: Template, fit: Hypotheses, region: Region) -> float:
+    """Return by how much a fit explains the rays better than the best fit that points the other way, as a logarithm."""
+    few = region.thin(_AVERAGE_RAYS)
+    middle = fit.rotation[0] @ template.middle(template.named(fit.sizes))[0]
+    back = fit.rotation @ np.diag([-1.0, -1.0, 1.0])
+    ahead = fit.rotation[0][:, 0] * _AHEAD[:, None]
+    place = fit.place + middle - back[0] @ fit.rotation[0].T @ middle + ahead
+    n = len(place)
+    begun = Hypotheses.of(np.repeat(back, n, axis=0), place, np.repeat(fit.sizes, n, axis=0), fit.normal[0])
+    others = refine(template, begun, few, _TURNED_GATES).hypotheses
+    gains = weigh(template, join([fit, others]), few).gain
+    return float(np.log1p(max(float(gains[0] - gains[1:].max()), 0.0)))
+
+
+def average_features(
+    template: Template, fit: Hypotheses, covariance: Float[np.ndarray, "D D"], region: Region, evidence: Evidence
+) -> Float[np.ndarray, "F"]:
+    """Return the features averaged over poses and sizes about a fit, each by its likelihood.
+
+    The best pose alone makes a confidence depend on the last digits of the points.
+    """
+    spread = np.sqrt(np.maximum(np.diag(covariance)[:6], 0.0))
+    steps = 0.5 * np.minimum(spread, [*[_MOST_TURN] * 3, *[_MOST_SHIFT] * 3])
+    steps = np.concatenate([np.diag(steps), -np.diag(steps)])
+    some = join([fit] * len(steps))
+    turned = Rotation.from_rotvec(steps[:, :3]).as_matrix() @ some.rotation
+    near = Hypotheses(turned, some.place + steps[:, 3:], some.sizes, some.start, some.normal)
+    others = weigh(template, near, region.thin(_AVERAGE_RAYS))
+    weight = np.exp(np.clip((others.gain - others.gain.max()) / _SOFT, -30.0, 0.0))
+    share = 0.5 * weight.sum() / len(weight)
+    mean = weight @ others.features / weight.sum()
+    # The count of hits is that of all rays.
+    mean[FEATURES.index("n_hits")] = evidence.features[0, FEATURES.index("n_hits")]
+    mean[FEATURES.index("n_open")] = evidence.features[0, FEATURES.index("n_open")]
+    return np.asarray((1.0 - share) * evidence.features[0] + share * mean)
+
+
+def _is_same(one: Hypotheses, other: Hypotheses) -> bool:
+    if np.linalg.norm(one.place[0] - other.place[0]) > _SAME_PLACE:
+        return False
+    turn = Rotation.from_matrix(one.rotation[0].T @ other.rotation[0]).magnitude()
+    return bool(turn < _SAME_TURN)

@@ -1,0 +1,1 @@
+"""Templates, one module of data per kind of object."""
