@@ -15,7 +15,7 @@ from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.work_space import borrow_data
-from service.start.standing import list_carrying_pieces, sole_corners
+from service.start.standing import find_sole, list_carrying_pieces
 from service.verify.ground import GROUND_TOLERANCE_M
 from service.verify.solids import make_coal_convex
 
@@ -110,12 +110,14 @@ def _find_hull_overlaps(
     poses = [data.oMi[thing.joint].homogeneous if isinstance(thing, LinkBody) else here for thing in things]
     vertices = [thing.vertices @ pose[:3, :3].T + pose[:3, 3] for thing, pose in zip(things, poses, strict=True)]
     overlaps: list[tuple[Overlap, bool]] = []
-    with_shape = {body.link for body in robot.bodies}
+    of_link: dict[str, list[Float[np.ndarray, "V 3"]]] = {}
+    for body, points in zip(robot.bodies, vertices, strict=False):  # pieces follow
+        of_link.setdefault(body.link, []).append(points)
     resting = {
         (link, name)
         for link in planted
-        if link in with_shape
-        for name in list_carrying_pieces(sole_corners(robot, q, link), scene.pieces)
+        if link in of_link
+        for name in list_carrying_pieces(find_sole(of_link[link]), scene.pieces)
     }
     for k, j in _find_box_pairs(vertices, len(robot.bodies)):
         body, other = robot.bodies[k], things[j]

@@ -25,7 +25,12 @@ LARGEST_SHIFT_M = 0.03  # uncertainty of a scanned floor's height
 
 def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
     """Return the corners of a foot's sole in the world [m]: the vertices within 2 mm of its lowest at ``q``."""
-    vertices = np.vstack([v for _, v in place_bodies(robot, q, link)])
+    return find_sole([vertices for _, vertices in place_bodies(robot, q, link)])
+
+
+def find_sole(placed: Sequence[Float[np.ndarray, "V 3"]]) -> Float[np.ndarray, "C 3"]:
+    """Return the vertices of a link's bodies, placed in the world, that are within 2 mm of the lowest [m]."""
+    vertices = np.vstack(placed)
     return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
 
 
