@@ -47,9 +47,7 @@ _UNSEEN = 0.05  # confidence of a hit that few rays pass
 
 def rate(hit: Detection, index: SightIndex, *, is_hinted: bool) -> Detection:
     """Return a hit with its calibrated confidence and its features among the residuals."""
-    found = _features_of(hit)
-    if found is None:
-        found = judge(template_of(hit), hit, index)
+    found = judge(template_of(hit), hit, index)
     if found is None:
         confidence, shown = min(_UNSEEN, hit.confidence), {}
     else:
@@ -95,13 +93,6 @@ def inputs_of(features: Float[np.ndarray, "F"], rating: float) -> dict[str, floa
         "margin": by_name["margin"],
         "rating": float(np.clip(np.log(odds / (1.0 - odds)), -_MOST_RATING, _MOST_RATING)),
     }
-
-
-def _features_of(hit: Detection) -> Float[np.ndarray, "F"] | None:
-    """Return the features that a hit of the engine's own search carries; None for others."""
-    if PREFIX + FEATURES[0] not in hit.residuals:
-        return None
-    return np.array([hit.residuals[PREFIX + name] for name in FEATURES])
 
 
 @cache
