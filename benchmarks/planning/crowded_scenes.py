@@ -25,6 +25,7 @@ from scopt import TrustRegionSQP
 from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import Aims, WholeBody
+from service.demands.phase import TaskPhase
 from service.motion.execute import make_motion
 from service.motion.timing import TimingSettings
 from service.request.file import parse_request
@@ -183,11 +184,8 @@ def _motion(
     """Return the timed curve through the waypoints as a reach of the goal, for the verifier."""
     rotation = place[:3, :3] if is_pose else None
     turn = np.full(3, np.deg2rad(ROTATION_TOLERANCE_DEG))
-
-    def targets(s_last: float) -> tuple[PoseTarget, ...]:
-        return (PoseTarget(palm, place[:3, 3], rotation, np.full(3, POSITION_TOLERANCE), turn, s_last),)
-
-    return make_motion(TaskPlan(body, (PlannedPhase("reach", path, True, targets=targets),)), TIMING)
+    goal = (PoseTarget(palm, place[:3, 3], rotation, np.full(3, POSITION_TOLERANCE), turn),)
+    return make_motion(TaskPlan(body, (PlannedPhase(TaskPhase("reach", goal=goal), path, True),)), TIMING)
 
 
 def _boxes(

@@ -46,6 +46,7 @@ from service.body.holds import KeptPose, relative_pose
 from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import Aims, WholeBody
+from service.demands.phase import TaskPhase
 from service.errors import RequestError
 from service.motion.execute import make_motion
 from service.request.file import parse_request
@@ -275,5 +276,5 @@ def _boxes(
 
 def _motion(body: WholeBody, path: Float[np.ndarray, "T n"], targets: tuple[PoseTarget, ...]) -> Motion:
     """Return the timed curve through the waypoints as a reach of the goals, for the verifier."""
-    phase = PlannedPhase("reach", path, True, targets=lambda s_last: tuple(replace(t, at=s_last) for t in targets))
+    phase = PlannedPhase(TaskPhase("reach", goal=targets), path, True)
     return make_motion(TaskPlan(body, (phase,)), TIMING)

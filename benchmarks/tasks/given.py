@@ -27,7 +27,7 @@ from benchmarks.tables import print_table
 from benchmarks.tasks.given_cases import N_DOORS, N_VALVES, Case, make_doors, make_valves
 from costs.robot import RobotModel, load_robot
 from service.demands.door.phases import TILT_RESERVE
-from service.demands.phase_spec import ANYWHERE
+from service.demands.phase import ANYWHERE
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest, PoseRequest

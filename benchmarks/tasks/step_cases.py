@@ -181,7 +181,7 @@ def sit_down(
     ]
     own = [robot.contacts[contact.patch] for contact in contacts]
     limits = ForceLimits(world_normals={k: contact.surface.normal for k, contact in enumerate(contacts)})
-    touches = make_contact_allowances(robot, contacts)
+    touches = make_contact_allowances(contacts)
     pose = solve_equilibrium_pose(body, own, guess, limits, (), constraints, allowances=touches)
     if not pose.is_feasible:
         raise ValueError("; ".join(pose.violations))

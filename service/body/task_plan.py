@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
 from costs.collision import Contacts
 from costs.curve import Curve, TimeLaw
 from costs.state import MotionState
@@ -18,15 +17,13 @@ from scopt import Problem, Result
 from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
-from service.verify import HandLoad, HandPush, Motion, PressedPart, Target
+from service.demands.phase import TaskPhase
+from service.verify import Motion, Target
 
 MOST_REASONS = 5
 FORGIVEN = 5.0  # times its tolerance: rows of a foot are kept to a fifth of what the verifier allows its corners
 WAY_POSES = 4  # looked at per step of a motion that the optimiser calls infeasible
 LEAST_CLEARANCE = 3e-3  # of swept hulls between waypoints: room for the curve that leaves them [m]
-
-Targets = Callable[[float], tuple[Target, ...]]
-"""A phase's targets, given the path parameter of its end."""
 
 WaypointTargets = Callable[[Float[np.ndarray, "T"]], tuple[Target, ...]]
 """A phase's targets at its waypoints, given the path parameter of each."""
@@ -49,45 +46,40 @@ class KeptCurve:
 
 @dataclass(frozen=True)
 class PlannedPhase:
-    """A solved phase of the motion, with the verifier's targets.
+    """A phase of a task with its motion.
 
     Attributes:
-        name: as the user sees it.
+        phase: what the task demands of it.
         q: (T, n) waypoints.
         is_feasible: whether every constraint is kept.
         holds: residuals kept at zero between the waypoints besides the planted links'.
-        allowances: pairs that may touch besides planted links and floor.
-        targets: made from the path parameter of the phase's end.
         at_waypoints: targets made from the path parameters of all its waypoints, or None.
         is_settling: whether it begins outside the balance margin.
         is_tight: whether the robot nearly touches at one of its ends, so that the samples are close together.
         resolve: solves the phase anew from a denser trajectory between the same ends; None if it cannot.
-        loads: forces that hands exert on the mechanism.
-        pushes: the contacts by which they exert them.
-        pressed: parts of the mechanism that hands press.
         regions: where the loaded feet hold the robot, by stretches of the waypoints that it was solved with.
         values: (T, k) of the mechanism's joints at those waypoints, its last coordinates.
         body: the robot on this phase's contacts, where they are not those of the whole motion.
         kept: its curve, if that is known already: its knots are the waypoints.
     """
 
-    name: str
+    phase: TaskPhase
     q: Float[np.ndarray, "T n"]
     is_feasible: bool
     holds: tuple[Hold, ...] = ()
-    allowances: tuple[Allowance, ...] = ()
-    targets: Targets = lambda s_last: ()
     at_waypoints: WaypointTargets | None = None
     is_settling: bool = False
     is_tight: bool = False
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None = None
-    loads: tuple[HandLoad, ...] = ()
-    pushes: tuple[HandPush, ...] = ()
-    pressed: tuple[PressedPart, ...] = ()
     regions: tuple[PlannedRegion, ...] = ()
     values: Float[np.ndarray, "T k"] | None = None
     body: WholeBody | None = None
     kept: KeptCurve | None = None
+
+    @property
+    def name(self) -> str:
+        """As the user sees it."""
+        return self.phase.name
 
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """Solve the phase from a denser trajectory between the same ends; None if it cannot be solved again."""

@@ -14,9 +14,11 @@ import numpy as np
 from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis
 from costs.scene import Scene
+from service.demands.neighbours import make_neighbour_allowances
+from service.demands.phase import TaskPhase
 from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
 from service.demands.targets import make_kept_target
-from service.demands.task_demand import PhaseDemand, TaskDemand, World
+from service.demands.task_demand import TaskDemand, World
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
 from service.verify import Certificate, Motion, Phase, SupportPolygon, Target
@@ -86,7 +88,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         return HeldMotion(recorded, tuple(differences))
     differences += compare_path(demands, recorded)
     demanded = task.demand_phases(demands.world, robot, recorded)
-    standing = _Standing.of(demands)
+    standing = _Standing.of(demands, robot)
     phases = tuple(standing.rebuild(recorded, *one) for one in enumerate(demanded.phases))
     differences += demanded.problems
     for phase, own in zip(recorded.phases, phases, strict=True):
@@ -121,23 +123,29 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
 
 @dataclass(frozen=True)
 class _Standing:
-    """What every phase promises besides its task: feet, balance, the way out of overlaps, and what is kept.
+    """What every phase promises besides its own: feet, balance, the way out of overlaps, and what is kept.
 
     Attributes:
         stance: planted feet and support polygon.
         floors: allowances of planted links on floors.
         escape: allowances of the overlaps at the start.
+        neighbours: allowances of what the mechanism is near at the start.
         kept: targets of all phases.
+        joint_names: of the robot, the mechanism's last.
+        margin_m: how far the centre of mass stays inside the region of a phase's own contacts.
     """
 
     stance: Stance
     floors: tuple[Allowance, ...]
     escape: tuple[Allowance, ...]
+    neighbours: tuple[Allowance, ...]
     kept: tuple[Target, ...]
+    joint_names: tuple[str, ...]
+    margin_m: float
 
     @staticmethod
-    def of(demands: Demands) -> _Standing:
-        """Make the promises from the request."""
+    def of(demands: Demands, augmented: RobotModel) -> _Standing:
+        """Make the promises from the request, with the robot augmented by what the task moves."""
         request, robot, feet, task = demands.request, demands.robot, demands.feet, demands.task
         start, scene = demands.world.start, demands.world.scene
         is_balanced = task.is_balanced and robot.can_balance and not task.changes_contacts
@@ -145,30 +153,42 @@ class _Standing:
         leaves = request.options.escape and task.can_escape
         inside = find_hull_overlaps(robot, start, scene, feet) if leaves else []
         kept = tuple(make_kept_target(robot, start, keep) for keep in request.keep)
-        return _Standing(stance, make_standing_allowances(stance.contacts, scene), make_escape_allowances(inside), kept)
+        neighbours: tuple[Allowance, ...] = ()
+        if task.moved is not None:
+            neighbours = make_neighbour_allowances(augmented, scene, np.concatenate([start, task.moved.start]))
+        return _Standing(
+            stance,
+            make_standing_allowances(stance.contacts, scene),
+            make_escape_allowances(inside),
+            neighbours,
+            kept,
+            augmented.joint_names,
+            request.options.balance_margin_m,
+        )
 
-    def rebuild(self, recorded: Motion, index: int, demand: PhaseDemand) -> Phase:
+    def rebuild(self, recorded: Motion, index: int, demand: TaskPhase) -> Phase:
         """Return one phase of a record with the promises of the request."""
         phase = recorded.phases[index]
         own = Phase(
             name=phase.name,
             first=phase.first,
             last=phase.last,
-            allowances=demand.allowances,
-            targets=(*demand.targets, *self.kept),
+            allowances=(*demand.touches, *self.neighbours),
+            targets=(*demand.list_targets(self.joint_names, phase.last), *self.kept),
             loads=demand.loads,
             pushes=demand.pushes,
             pressed=demand.pressed,
             regions=phase.regions,  # evidence, which the verifier proves
         )
         if demand.contacts is not None:
-            return replace(own, contacts=demand.contacts, region_margin_m=demand.region_margin_m)
+            planted = tuple(contact.planted for contact in demand.contacts)
+            return replace(own, contacts=planted, region_margin_m=self.margin_m)
         first = recorded.curve(np.array([phase.first]))[0, : self.stance.robot.n]
         escape = self.escape if phase.name == ESCAPE and index == 0 else ()
         return replace(
             own,
             contacts=self.stance.contacts,
-            allowances=(*self.floors, *escape, *demand.allowances),
+            allowances=(*self.floors, *escape, *own.allowances),
             support=self.stance.support(phase.name, first),
         )
 

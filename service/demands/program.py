@@ -10,7 +10,8 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 
 from costs.robot import RobotModel
-from service.demands.task_demand import PhaseDemand, RecordDemand, TaskDemand, World
+from service.demands.phase import TaskPhase
+from service.demands.task_demand import RecordDemand, TaskDemand, World
 from service.verify import AxisTarget, JointTarget, Motion, PoseTarget, Target
 from service.verify.targets.pose_errors import (
     limits_rotation,
@@ -73,10 +74,12 @@ class ProgramDemand(TaskDemand):
         """Demand the targets of the steps at the waypoints that meet them, and what the record promises all along."""
         q = recorded.curve.positions[:, : world.robot.n]
         targets, problems = make_program_targets(self, world.robot, recorded.curve.knots, q)
-        own = [tuple(t for t in phase.targets if getattr(t, "at", None) is None) for phase in recorded.phases]
-        demands = [PhaseDemand(kept) for kept in own]
-        demands[-1:] = [PhaseDemand((*own[-1], *targets))]
-        return RecordDemand(tuple(demands), problems)
+        phases = [
+            TaskPhase(phase.name, targets=tuple(t for t in phase.targets if getattr(t, "at", None) is None))
+            for phase in recorded.phases
+        ]
+        phases[-1] = replace(phases[-1], targets=(*phases[-1].targets, *targets))
+        return RecordDemand(tuple(phases), problems)
 
     def find_strays(self, world: World, q: Float[np.ndarray, "K n"]) -> Iterator[str]:
         """Yield a sentence for each coordinate that moves although the problem keeps it fixed."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from costs.robot import RobotModel
 from service.demands.kind import DemandPart, Shown
+from service.demands.phase import TaskPhase
 from service.demands.targets import make_goal_targets
-from service.demands.task_demand import PhaseDemand, RecordDemand, TaskDemand, World
+from service.demands.task_demand import RecordDemand, TaskDemand, World
 from service.errors import RequestError, would_do
 from service.request.schema import PlanRequest
 from service.request.tasks.reach import GoalRequest
@@ -37,9 +38,9 @@ class ReachDemand(TaskDemand):
         """Demand the goal of the last phase."""
         # A joint without limits may arrive after any number of turns: its goal is the one near the recorded end.
         reached = recorded.curve.positions[-1, : world.robot.n]
-        last = make_goal_targets(world.robot, self.goal, float(recorded.curve.knots[-1]), reached)
-        before = (PhaseDemand(),) * (len(recorded.phases) - 1)
-        return RecordDemand((*before, PhaseDemand(last)))
+        *before, last = (phase.name for phase in recorded.phases)
+        goal = make_goal_targets(world.robot, self.goal, reached)
+        return RecordDemand((*(TaskPhase(name) for name in before), TaskPhase(last, goal=goal)))
 
 
 class ReachDemandPart(DemandPart[GoalRequest]):

@@ -11,10 +11,9 @@ import numpy as np
 from costs.robot import Mechanism, RobotModel
 from service.demands.figures.displacement import measure_displacement
 from service.demands.holds.pushes import add_pushes
-from service.demands.neighbours import make_neighbour_allowances
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.demands.stance import UNSETTLED
-from service.demands.task_demand import IncompletePlanError, PhaseDemand, RecordDemand, TaskDemand, World
+from service.demands.task_demand import IncompletePlanError, RecordDemand, TaskDemand, World
 from service.request.resume import NominalRequest
 from service.verify import Motion
 from service.verify.forces.hand_loads import bound_coordinate
@@ -31,7 +30,7 @@ class MovingTask(Protocol):
         """The mechanism that the task moves."""
         ...
 
-    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+    def read_choices(self, recorded: Motion) -> tuple[tuple[TaskPhase, ...], tuple[str, ...]]:
         """Return the task's phases with the choices of a record, and a sentence for each choice that it forbids."""
         ...
 
@@ -53,7 +52,7 @@ class RecordedTask:
         problems: one sentence for each violation of the task.
     """
 
-    specs: tuple[PhaseSpec | None, ...]
+    specs: tuple[TaskPhase | None, ...]
     problems: tuple[str, ...]
 
     @staticmethod
@@ -64,7 +63,7 @@ class RecordedTask:
         n_before = 0
         while n_before < len(names) and names[n_before] in UNSETTLED:
             n_before += 1
-        specs: list[PhaseSpec | None] = [None] * n_before
+        specs: list[TaskPhase | None] = [None] * n_before
         problems = list(forbidden)
         if not forbidden and names[n_before:] != [spec.name for spec in chosen]:
             wanted = ", ".join(spec.name for spec in chosen)
@@ -74,7 +73,7 @@ class RecordedTask:
         problems += _find_moved_joints(task.mechanism, recorded, specs)
         return RecordedTask(tuple(specs), tuple(problems))
 
-    def map_specs(self, change: Callable[[Sequence[PhaseSpec]], Sequence[PhaseSpec]]) -> RecordedTask:
+    def map_specs(self, change: Callable[[Sequence[TaskPhase]], Sequence[TaskPhase]]) -> RecordedTask:
         """Return the same with phases changed, those that are None left out."""
         changed = iter(change([spec for spec in self.specs if spec is not None]))
         return replace(self, specs=tuple(None if spec is None else next(changed) for spec in self.specs))
@@ -97,21 +96,9 @@ class MechanismDemand(TaskDemand):
         task = RecordedTask.of(self.task, recorded).map_specs(
             lambda specs: add_pushes(specs, robot, mechanism, friction)
         )
-        at_start = np.concatenate([world.start, mechanism.start])
-        neighbours = make_neighbour_allowances(robot, world.scene, at_start)
-        demands = [
-            PhaseDemand(allowances=neighbours)
-            if spec is None
-            else PhaseDemand(
-                spec.targets(mechanism, phase.last),
-                (*spec.touches, *neighbours),
-                spec.loads,
-                spec.pushes,
-                spec.pressed,
-            )
-            for spec, phase in zip(task.specs, recorded.phases, strict=True)
-        ]
-        return RecordDemand(tuple(demands), task.problems)
+        names = [phase.name for phase in recorded.phases]
+        phases = [TaskPhase(name) if spec is None else spec for name, spec in zip(names, task.specs, strict=True)]
+        return RecordDemand(tuple(phases), task.problems)
 
     def measure(self, motion: Motion) -> Mapping[str, float]:
         """Measure the task's figures on a motion."""
@@ -129,7 +116,7 @@ class MechanismDemand(TaskDemand):
         return kept
 
 
-def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[PhaseSpec | None]) -> Iterator[str]:
+def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[TaskPhase | None]) -> Iterator[str]:
     """Yield a sentence where the mechanism does not start as demanded, or moves in a phase that leaves it still."""
     curve, k = motion.curve, len(mechanism.joints)
     start = mechanism.start

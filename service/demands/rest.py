@@ -11,13 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import Mechanism
-from service.demands.phase_spec import AXIS, PhaseSpec
+from service.demands.phase import AXIS, TaskPhase, list_work
 from service.demands.stance import UNSETTLED
 from service.errors import RequestError, shown, would_do
 from service.verify import Motion, Phase, RelativePoseTarget
 
 TAKE_HOLD = "take hold"
-TAKE_WAYPOINTS = 4
 VALUE_ROUNDING = 2e-3  # by which a measured joint of the mechanism may be outside its travel [rad, m]
 SAME_AXIS = 1e-6
 
@@ -30,7 +29,7 @@ class Beginning(Enum):
     REACH = "reach"  # with the phase that carries the hand to the contact
 
 
-def find_index(specs: Sequence[PhaseSpec], phase: str) -> int:
+def find_index(specs: Sequence[TaskPhase], phase: str) -> int:
     """Return the index of a phase.
 
     Raises:
@@ -42,7 +41,7 @@ def find_index(specs: Sequence[PhaseSpec], phase: str) -> int:
     return names.index(phase)
 
 
-def find_group(specs: Sequence[PhaseSpec], index: int) -> range:
+def find_group(specs: Sequence[TaskPhase], index: int) -> range:
     """Return the indices of the phases of one contact around ``index``: from a free phase to before the next one."""
     first, last = index, index + 1
     while first > 0 and specs[first].hand is not None:
@@ -52,10 +51,11 @@ def find_group(specs: Sequence[PhaseSpec], index: int) -> range:
     return range(first, last)
 
 
-def can_reach(specs: Sequence[PhaseSpec], index: int) -> bool:
+def can_reach(specs: Sequence[TaskPhase], index: int) -> bool:
     """Return whether the rest from a phase on may reach for its contact first: nothing has been done at it before."""
     group = find_group(specs, index)
-    return specs[group.start].hand is None and any(specs[k].is_anchor for k in group if k >= index)
+    work = list_work(specs[group.start : group.stop])
+    return specs[group.start].hand is None and any(group.start + k >= index for k in work)
 
 
 def start_mechanism(mechanism: Mechanism, values: Mapping[str, float]) -> Mechanism:
@@ -75,7 +75,7 @@ def start_mechanism(mechanism: Mechanism, values: Mapping[str, float]) -> Mechan
     return replace(mechanism, joints=tuple(replace(joint, start=values[joint.name]) for joint in mechanism.joints))
 
 
-def check_travel(mechanism: Mechanism, specs: Sequence[PhaseSpec], phase: str) -> None:
+def check_travel(mechanism: Mechanism, specs: Sequence[TaskPhase], phase: str) -> None:
     """Refuse a mechanism that is not where the rest of the task can move it from.
 
     Raises:
@@ -103,8 +103,8 @@ def _show(kind: str, value: float) -> str:
 
 
 def list_rest_phases(
-    specs: Sequence[PhaseSpec], phase: str, start: Float[np.ndarray, "k"], beginning: Beginning
-) -> tuple[PhaseSpec, ...]:
+    specs: Sequence[TaskPhase], phase: str, start: Float[np.ndarray, "k"], beginning: Beginning
+) -> tuple[TaskPhase, ...]:
     """Return the rest of a task, with the mechanism at ``start`` [rad, m].
 
     A joint of the mechanism that a phase moves ends where the task has it; the others stay where they are.
@@ -115,24 +115,15 @@ def list_rest_phases(
     index = find_index(specs, phase)
     rest = list(specs[find_group(specs, index).start if beginning is Beginning.REACH else index :])
     if beginning is Beginning.TAKE_HOLD:
-        rest.insert(0, PhaseSpec(TAKE_HOLD, start, start, touches=rest[0].touches, n_waypoints=TAKE_WAYPOINTS))
+        rest.insert(0, TaskPhase(TAKE_HOLD, start, start, touches=rest[0].touches))
     resumed, at = [], start
     for spec in rest:
         last = at.copy()
         moving = list(spec.moving)
         last[moving] = spec.last[moving]
-        resumed.append(replace(spec, first=at, last=last, n_waypoints=_count_waypoints(spec, at)))
+        resumed.append(replace(spec, first=at, last=last))
         at = last
     return tuple(resumed)
-
-
-def _count_waypoints(spec: PhaseSpec, at: Float[np.ndarray, "k"]) -> int:
-    """Return the number of waypoints of a phase whose mechanism moves only a part of the way."""
-    moving = list(spec.moving)
-    if not moving:
-        return spec.n_waypoints
-    share = float(np.max(np.abs(spec.last - at)[moving] / np.abs(spec.last - spec.first)[moving]))
-    return max(int(np.ceil(share * (spec.n_waypoints - 1))) + 1, 3)
 
 
 @dataclass(frozen=True)
@@ -147,11 +138,11 @@ class RestTask:
     """
 
     mechanism: Mechanism
-    specs: tuple[PhaseSpec, ...]
+    specs: tuple[TaskPhase, ...]
     phase: str
     measure: Callable[[Motion], Mapping[str, float]]
 
-    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+    def read_choices(self, recorded: Motion) -> tuple[tuple[TaskPhase, ...], tuple[str, ...]]:
         """Return the phases as the record begins them; a rigid hand keeps the turn that it has in the record."""
         phases = {phase.name: phase for phase in recorded.phases}
         names = [phase.name for phase in recorded.phases if phase.name not in UNSETTLED]
@@ -169,7 +160,7 @@ class RestTask:
         return {}
 
 
-def _take_rotation(spec: PhaseSpec, phase: Phase | None) -> PhaseSpec:
+def _take_rotation(spec: TaskPhase, phase: Phase | None) -> TaskPhase:
     """Return a rigid hand's phase with the turn about its axis that a record promises."""
     hand = spec.hand
     if phase is None or hand is None or not hand.is_rigid:

@@ -13,7 +13,7 @@ from costs.robot import BASE_NAMES, RobotModel, turn_near
 from costs.work_space import borrow_data
 from service.request.schema import KeepRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
-from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget, Target
+from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget
 
 JOINT_TOLERANCE = 1e-3  # [rad, m]
 SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond the optimiser's [m, rad]
@@ -42,15 +42,15 @@ def find_goal_joints(robot: RobotModel, goal: GoalRequest, near: Float[np.ndarra
 
 
 def make_goal_targets(
-    robot: RobotModel, goal: GoalRequest, at: float, near: Float[np.ndarray, "n"]
-) -> tuple[Target, ...]:
-    """Return the targets of a goal that the motion must reach at path parameter ``at``, joints by turns to ``near``."""
+    robot: RobotModel, goal: GoalRequest, near: Float[np.ndarray, "n"]
+) -> tuple[JointTarget | PoseTarget | AxisTarget, ...]:
+    """Return the targets of a phase's goal, whose path parameter the phase sets; joints by turns to ``near``."""
     return (
         *(
-            JointTarget(robot.joint_names[i], value, JOINT_TOLERANCE, at)
+            JointTarget(robot.joint_names[i], value, JOINT_TOLERANCE, 0.0)
             for i, value in find_goal_joints(robot, goal, near).items()
         ),
-        *(target for pose in goal.poses for target in _pose_targets(pose, at)),
+        *(target for pose in goal.poses for target in _pose_targets(pose)),
     )
 
 
@@ -61,18 +61,18 @@ def make_goal_rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None
     return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
 
 
-def _pose_targets(pose: PoseGoalRequest, at: float) -> tuple[Target, ...]:
+def _pose_targets(pose: PoseGoalRequest) -> tuple[PoseTarget | AxisTarget, ...]:
     """Return a pose target, or a position and the direction of the free axis."""
     rotation = make_goal_rotation(pose)
     turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
     place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
     position = np.asarray(pose.position, dtype=float)
     if rotation is None or pose.free_axis == "none":
-        return (PoseTarget(pose.link, position, rotation, place, np.full(3, turn), at),)
+        return (PoseTarget(pose.link, position, rotation, place, np.full(3, turn)),)
     axis = np.eye(3)[AXES[pose.free_axis]]
     return (
-        PoseTarget(pose.link, position, None, place, np.full(3, np.inf), at),
-        AxisTarget(pose.link, axis, rotation @ axis, turn, at),
+        PoseTarget(pose.link, position, None, place, np.full(3, np.inf)),
+        AxisTarget(pose.link, axis, rotation @ axis, turn),
     )
 
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from costs.allowance import Allowance
 from costs.robot import Mechanism, RobotModel, with_mechanism
 from costs.scene import Scene
+from service.demands.phase import TaskPhase
 from service.request.resume import NominalRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.registry import TaskRequest
-from service.verify import HandLoad, HandPush, Motion, PlantedContact, PressedPart, Target
+from service.verify import Motion
 
 
 class IncompletePlanError(ValueError):
@@ -41,38 +41,15 @@ class World:
 
 
 @dataclass(frozen=True)
-class PhaseDemand:
-    """What a task demands of one phase of a recorded motion.
-
-    Attributes:
-        targets: of the phase.
-        allowances: pairs that may touch besides planted feet and floors.
-        loads: forces that hands exert on what the task moves.
-        pushes: the contacts by which they exert them.
-        pressed: parts that hands press.
-        contacts: what the robot stands on; None for its feet as they stand at the start, inside their polygon.
-        region_margin_m: distance of the centre of mass from the edge of the region of such contacts [m].
-    """
-
-    targets: tuple[Target, ...] = ()
-    allowances: tuple[Allowance, ...] = ()
-    loads: tuple[HandLoad, ...] = ()
-    pushes: tuple[HandPush, ...] = ()
-    pressed: tuple[PressedPart, ...] = ()
-    contacts: tuple[PlantedContact, ...] | None = None
-    region_margin_m: float | None = None
-
-
-@dataclass(frozen=True)
 class RecordDemand:
     """What a task demands of a recorded motion, with the choices that the record made.
 
     Attributes:
-        phases: per recorded phase.
+        phases: one per recorded phase.
         problems: one sentence for each violation of the task.
     """
 
-    phases: tuple[PhaseDemand, ...]
+    phases: tuple[TaskPhase, ...]
     problems: tuple[str, ...] = ()
 
 
@@ -81,7 +58,7 @@ class TaskDemand(ABC):
 
     @abstractmethod
     def demand_phases(self, world: World, robot: RobotModel, recorded: Motion) -> RecordDemand:
-        """Return what the phases of a record have to promise.
+        """Return the phases of the task, with the choices of a record, one for each phase of the record.
 
         Args:
             world: the request in its world.

@@ -105,27 +105,29 @@ def _place_laws(plan: TaskPlan, borders: Sequence[float]) -> Iterator[TimeLaw]:
 
 
 def _make_phase(
-    body: WholeBody, phase: PlannedPhase, neighbours: tuple[Allowance, ...], s: Float[np.ndarray, "T"]
+    body: WholeBody, planned: PlannedPhase, neighbours: tuple[Allowance, ...], s: Float[np.ndarray, "T"]
 ) -> Phase:
     """Return the verifier's phase, given the allowances of the mechanism and the path parameters of its waypoints."""
-    first, last = float(s[0]), float(s[-1])
-    margin = 0.0 if phase.is_settling else body.aims.balance_margin
+    first, last, phase = float(s[0]), float(s[-1]), planned.phase
+    margin = 0.0 if planned.is_settling else body.aims.balance_margin
     support = None
     if body.polygon is not None:
         height = float(np.mean([foot.points[:, 2].mean() for foot in body.planted]))
         support = SupportPolygon(body.polygon.vertices, margin, height)
-    at_waypoints = () if phase.at_waypoints is None else phase.at_waypoints(s)
+    standing = body.standing_allowances() if phase.contacts is None else ()
+    at_waypoints = () if planned.at_waypoints is None else planned.at_waypoints(s)
+    targets = phase.list_targets(body.robot.joint_names, last)
     return Phase(
         name=phase.name,
         first=first,
         last=last,
         contacts=body.planted,
-        allowances=(*body.standing_allowances(), *phase.allowances, *neighbours),
-        targets=(*phase.targets(last), *at_waypoints, *(kept.target() for kept in body.kept)),
+        allowances=(*standing, *phase.touches, *neighbours),
+        targets=(*targets, *at_waypoints, *(kept.target() for kept in body.kept)),
         support=support,
         loads=phase.loads,
         pushes=phase.pushes,
-        regions=_place_regions(phase, body, s),
+        regions=_place_regions(planned, body, s),
         region_margin_m=None if body.region is None else margin,
         pressed=phase.pressed,
     )

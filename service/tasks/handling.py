@@ -12,7 +12,7 @@ from costs.kinematics import locate_frame, locate_links
 from costs.robot import RobotModel
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.phase_spec import AXIS
+from service.demands.phase import AXIS
 
 FARTHER = "; start farther away"  # what helps against a collision with the mechanism
 

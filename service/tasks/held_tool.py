@@ -16,7 +16,7 @@ from service.body.holds import Hold, project_within_limits
 from service.body.inverse_kinematics import solve_holds
 from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import RESERVE_M, WholeBody
-from service.demands.phase_spec import AXIS, HandMotion, find_rotation_onto
+from service.demands.phase import AXIS, FrameMotion, find_rotation_onto
 from service.demands.stance import BALANCE_RESERVE
 
 FOLLOW_STEPS = 12  # of Newton's method from one waypoint to the next
@@ -27,14 +27,14 @@ INSIDE_RESERVE = 3e-3  # beyond the margin, for what moves the centre of mass la
 INSIDE_SHARE = 0.75  # of a small region's depth that the centre of mass is brought to, where all of it is less
 
 
-def make_hold(robot: RobotModel, hand: HandMotion) -> Hold:
+def make_hold(robot: RobotModel, hand: FrameMotion) -> Hold:
     """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
     return lambda waypoints: place_tool(robot, hand, waypoints, hand.place[None])
 
 
 def place_tool(
     robot: RobotModel,
-    hand: HandMotion,
+    hand: FrameMotion,
     waypoints: Int[np.ndarray, "S"] | Sequence[int],
     places: Float[np.ndarray, "#S 3"],
 ) -> Residual[MotionState]:
@@ -48,7 +48,7 @@ def place_tool(
 
 def slide_tool(
     robot: RobotModel,
-    hand: HandMotion,
+    hand: FrameMotion,
     waypoints: Int[np.ndarray, "S"] | Sequence[int],
     places: Float[np.ndarray, "#S 3"],
 ) -> Residual[MotionState]:
@@ -57,14 +57,14 @@ def slide_tool(
     return _measure_off(robot, hand, waypoints, places, _find_slide_axes(hand), axes)
 
 
-def _find_slide_axes(hand: HandMotion) -> Float[np.ndarray, "3 3"]:
+def _find_slide_axes(hand: FrameMotion) -> Float[np.ndarray, "3 3"]:
     """Return axes of the place's link whose third is along the slide; the link's own without a slide."""
     return np.eye(3) if hand.slide is None else find_rotation_onto(AXIS, hand.slide / np.linalg.norm(hand.slide))
 
 
 def _measure_off(
     robot: RobotModel,
-    hand: HandMotion,
+    hand: FrameMotion,
     waypoints: Int[np.ndarray, "S"] | Sequence[int],
     places: Float[np.ndarray, "#S 3"],
     rotation: Float[np.ndarray, "3 3"],
@@ -76,13 +76,13 @@ def _measure_off(
     return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
 
 
-def aim_tool(robot: RobotModel, hand: HandMotion, waypoints: Int[np.ndarray, "S"]) -> AxisDirection:
+def aim_tool(robot: RobotModel, hand: FrameMotion, waypoints: Int[np.ndarray, "S"]) -> AxisDirection:
     """Return how far a tool's axis leans from the direction that it should have."""
     return AxisDirection(robot, hand.tool, waypoints, AXIS, hand.axis, hand.turns_with)
 
 
 def lean_tool(
-    robot: RobotModel, hand: HandMotion, way: Float[np.ndarray, "3"], waypoints: Int[np.ndarray, "S"]
+    robot: RobotModel, hand: FrameMotion, way: Float[np.ndarray, "3"], waypoints: Int[np.ndarray, "S"]
 ) -> Residual[MotionState]:
     """Return how far a rod that pushes by its side leans too far along its way, and against it [rad]."""
     most = 0.5 * np.pi + hand.way_lean_rad
@@ -91,51 +91,50 @@ def lean_tool(
 
 
 def bring_tool(
-    body: WholeBody, hand: HandMotion, guesses: Float[np.ndarray, "B n"], prescribed: Bool[np.ndarray, "n"]
+    body: WholeBody, frames: Sequence[FrameMotion], guesses: Float[np.ndarray, "B n"], prescribed: Bool[np.ndarray, "n"]
 ) -> Float[np.ndarray, "B n"]:
-    """Return the guesses with the tool where its motion begins, as far as they come near it; the others as they were.
+    """Return the guesses with the tools where their motions begin, as far as they come near; others as they were.
 
     Planted links are at their places and joints within their limits; obstacles and balance are left to the optimiser.
 
     Args:
         body: the robot, with the mechanism that the tool may move with.
-        hand: where the tool should be.
+        frames: where the tools should be.
         guesses: configurations.
         prescribed: coordinates that keep their values.
     """
-    holds = (*body.holds(), *_hold_at(body.robot, hand, hand.places(2)[:1]))
+    holds = (*body.holds(), *_hold_all(body.robot, frames, 2, [0]))
     found, error = solve_holds(body, guesses, holds, prescribed)
     return np.where((error < NEAR)[:, None], found, guesses)
 
 
 def follow_tool(
     body: WholeBody,
-    hand: HandMotion,
+    frames: Sequence[FrameMotion],
     guess: Float[np.ndarray, "T n"],
     prescribed: Bool[np.ndarray, "n"],
     *,
     is_backwards: bool = False,
 ) -> Float[np.ndarray, "T n"] | None:
-    """Return a path on which the tool is where it should be, one waypoint after the other; None where it cannot be.
+    """Return a path on which the tools are where they should be, one waypoint after the other; None where it cannot be.
 
     Each waypoint continues the two before it and is then brought to its place, with the planted links at theirs and the
     joints within their limits.  Nothing else is kept: obstacles and balance are left to the optimiser.
 
     Args:
         body: the robot, with the mechanism that the tool may move with.
-        hand: where the tool should be.
+        frames: where the tools should be.
         guess: the path begins at its first waypoint and steps as it does while there is nothing to continue.
         prescribed: coordinates that are as in the guess at every waypoint.
         is_backwards: whether the path begins at the guess' last waypoint instead.
     """
     path, count = guess.copy(), len(guess)
-    places = hand.places(count)
     order = range(count - 1, -1, -1) if is_backwards else range(count)
     for number in range(1, count):
         at, before = order[number], order[number - 1]
         step = path[before] - path[order[number - 2]] if number > 1 else guess[at] - guess[before]
         start = np.where(prescribed, guess[at], path[before] + step)
-        holds = (*body.holds(), *_hold_at(body.robot, hand, places[[at]]))
+        holds = (*body.holds(), *_hold_all(body.robot, frames, count, [at]))
         found, error = solve_holds(body, start[None], holds, prescribed, FOLLOW_STEPS)
         if error[0] > FOLLOWED:
             return None
@@ -145,13 +144,13 @@ def follow_tool(
 
 def follow_in_balance(
     body: WholeBody,
-    hand: HandMotion,
+    frames: Sequence[FrameMotion],
     path: Float[np.ndarray, "T n"],
     regions: Sequence[PlannedRegion],
     is_fixed: Bool[np.ndarray, "T"],
     prescribed: Bool[np.ndarray, "n"],
 ) -> Float[np.ndarray, "T n"]:
-    """Return a path of a tool with the centre of mass in the regions of its loads, as near as it was.
+    """Return a path of tools with the centre of mass in the regions of its loads, as near as it was.
 
     The optimiser alone moves the centre of mass in many short steps, since the tool leaves its place in long ones: it
     is brought as far inside as is enough for position servos here, or as a small region allows.  Obstacles are left to
@@ -159,8 +158,8 @@ def follow_in_balance(
 
     Args:
         body: the robot, with the mechanism that the tool may move with.
-        hand: where the tool is.
-        path: with the tool at its places.
+        frames: where the tools are.
+        path: with the tools at their places.
         regions: of the whole path.
         is_fixed: waypoints that stay as they are.
         prescribed: coordinates that keep their values.
@@ -175,10 +174,9 @@ def follow_in_balance(
             margin = planned.shift_m + max(least, min(RESERVE_M, deepest))
             middles[part] = _move_inside(polygon, middles[part], margin)
     free = np.flatnonzero(~is_fixed)
-    places = hand.places(len(path))[free]
     held = (
         *body.holds(),
-        *_hold_at(body.robot, hand, places),
+        *_hold_all(body.robot, frames, len(path), free),
         lambda waypoints: CentreOfMassAt(middles[free], waypoints),
     )
     moved = path.copy()
@@ -199,7 +197,16 @@ def _move_inside(polygon: SupportPolygon, points: Float[np.ndarray, "N 2"], marg
     return points
 
 
-def _hold_at(robot: RobotModel, hand: HandMotion, places: Float[np.ndarray, "#S 3"]) -> tuple[Hold, Hold]:
+def _hold_all(
+    robot: RobotModel, frames: Sequence[FrameMotion], n_waypoints: int, waypoints: Int[np.ndarray, "S"] | Sequence[int]
+) -> tuple[Hold, ...]:
+    """Return the holds of tools where their motions have them at some of a phase's waypoints."""
+    return tuple(
+        hold for frame in frames for hold in _hold_at(robot, frame, frame.places(n_waypoints)[list(waypoints)])
+    )
+
+
+def _hold_at(robot: RobotModel, hand: FrameMotion, places: Float[np.ndarray, "#S 3"]) -> tuple[Hold, Hold]:
     """Return the holds of a tool at one place, or at one per waypoint, and of its axis."""
     at_place: Hold = lambda waypoints: place_tool(robot, hand, waypoints, places)  # noqa: E731
     axis: Hold = lambda waypoints: aim_tool(robot, hand, waypoints)  # noqa: E731

@@ -16,11 +16,12 @@ from service.body.phases import PhaseSolver
 from service.body.starts import DIRECT, Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
+from service.demands.phase import TaskPhase
 from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, make_escape_allowances
 from service.start.overlaps import Overlap
 from service.tasks.nearby import find_free_pose
 
-ESCAPE = "escape"
+ESCAPE, SETTLE = "escape", "settle"
 ESCAPE_WAYPOINTS, SETTLE_WAYPOINTS = 10, 6
 
 
@@ -102,10 +103,9 @@ def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
         pose = find_free_pose(leaving, ESCAPE)
     out = _find_escape(leaving, pose.q) if pose.is_feasible else pose
     phase = PlannedPhase(
-        ESCAPE,
+        TaskPhase(ESCAPE, touches=make_escape_allowances(overlaps)),
         out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),
         out.is_feasible,
-        allowances=make_escape_allowances(overlaps),
         is_settling=_needs_settling(body),
         resolve=lambda q: _solve_escape(leaving, q, is_end_fixed=True),
     )
@@ -151,9 +151,9 @@ def _settle(solver: PhaseSolver) -> TaskPlan:
     still = np.tile(body.nominal, (SETTLE_WAYPOINTS, 1))
     last = SETTLE_WAYPOINTS - 1
     search = MotionSearch(
-        "settle",
+        SETTLE,
         solver,
-        lambda own, path: own.solve_trajectory("settle", path, {0: body.nominal}, balanced=[last]),
+        lambda own, path: own.solve_trajectory(SETTLE, path, {0: body.nominal}, balanced=[last]),
         body.nominal,
         NoEnd(),
         DIRECT,
@@ -161,5 +161,5 @@ def _settle(solver: PhaseSolver) -> TaskPlan:
         fraction=0.05,
     )
     solved = find_motion(search)
-    phase = PlannedPhase("settle", solved.x, solved.is_feasible, is_settling=True)
-    return TaskPlan(replace(body, nominal=solved.x[-1]), (phase,), stuck=Stuck.at("settle", solved))
+    phase = PlannedPhase(TaskPhase(SETTLE), solved.x, solved.is_feasible, is_settling=True)
+    return TaskPlan(replace(body, nominal=solved.x[-1]), (phase,), stuck=Stuck.at(SETTLE, solved))

@@ -1,4 +1,4 @@
-"""Turn specifications of phases into problems of the optimiser, with paths to start from, and solve them one by one."""
+"""Turn the phases of a task into problems of the optimiser, with paths to start from, and solve them one by one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import chain, combinations, islice, tee
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,7 +20,6 @@ from costs.state import MotionState
 from costs.terms import HeldTorque, NormWithin, WithinTolerance
 from scopt import Constraint, Sense
 from service.body.effort import Effort
-from service.body.holds import Hold
 from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.paths import straight_path
@@ -28,7 +28,7 @@ from service.body.poses import PoseProblem, Poses, find_pose
 from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
 from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved
-from service.demands.phase_spec import DEPTH_RESERVE, PhaseSpec
+from service.demands.phase import DEPTH_RESERVE, FrameMotion, TaskPhase
 from service.tasks.held_tool import (
     aim_tool,
     bring_tool,
@@ -39,6 +39,7 @@ from service.tasks.held_tool import (
     place_tool,
     slide_tool,
 )
+from service.tasks.hints import Hints, count_waypoints, give_no_hints
 from service.verify import HandLoad
 
 MOST_VIAS = 4  # postures of a free phase, the nominal one among them
@@ -51,17 +52,19 @@ AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
 @dataclass(frozen=True)
 class PhaseCompiler:
-    """Turns single specifications into problems of one body.
+    """Turns single phases into problems of one body.
 
     Attributes:
         solver: of the body augmented by the mechanism.
         mechanism: whose joints are the last coordinates.
         nominal: (T, n) waypoints of an earlier motion by name of the phase, from which phases are solved first.
+        hints: how to go about each phase.
     """
 
     solver: PhaseSolver
     mechanism: Mechanism
     nominal: Mapping[str, Float[np.ndarray, "T n"]]
+    hints: Hints = give_no_hints
 
     @property
     def robot(self) -> RobotModel:
@@ -72,8 +75,17 @@ class PhaseCompiler:
         """(k,) coordinates of the mechanism."""
         return np.arange(self.robot.n - len(self.mechanism.joints), self.robot.n)
 
+    def count_waypoints(self, spec: TaskPhase) -> int:
+        """Return the number of waypoints of a phase."""
+        return count_waypoints(spec, self.mechanism, self.hints(spec))
+
+    def with_hints(self, **changes: Any) -> PhaseCompiler:
+        """Return the compiler with some hints of all phases changed."""
+        own = self.hints
+        return replace(self, hints=lambda spec: replace(own(spec), **changes))
+
     def list_anchor_poses(
-        self, step: str, spec: PhaseSpec, at: Float[np.ndarray, "n"], n_random: int
+        self, step: str, spec: TaskPhase, at: Float[np.ndarray, "n"], n_random: int
     ) -> Iterator[Solved]:
         """Yield different poses to begin an anchor with; where none is found, the one that missed least.
 
@@ -93,7 +105,7 @@ class PhaseCompiler:
         return [("at hand", at), *posture_guesses(self.solver.body)[1:]]
 
     def resample_nominal(
-        self, spec: PhaseSpec, ends: Mapping[int, Float[np.ndarray, "n"]] = MappingProxyType({})
+        self, spec: TaskPhase, ends: Mapping[int, Float[np.ndarray, "n"]] = MappingProxyType({})
     ) -> Float[np.ndarray, "T n"] | None:
         """Return the nominal waypoints of a phase, as many as it has now, or None.
 
@@ -103,7 +115,7 @@ class PhaseCompiler:
         known = self.nominal.get(spec.name)
         if known is None:
             return None
-        count = spec.n_waypoints
+        count = self.count_waypoints(spec)
         values, shares = spec.values(count), np.linspace(0.0, 1.0, count)
         at, wanted = np.linspace(0.0, 1.0, len(known)), shares
         if len(spec.moving):
@@ -121,17 +133,17 @@ class PhaseCompiler:
         return np.asarray(q + (1.0 - shares)[:, None] * first + shares[:, None] * last)
 
     def pose_problem(
-        self, step: str, spec: PhaseSpec, effort: Effort = Effort.POSE, fraction: float | None = None
+        self, step: str, spec: TaskPhase, effort: Effort = Effort.POSE, fraction: float | None = None
     ) -> PoseProblem[Solved]:
         """Return the problem of the first pose of a phase.
 
         What the hand passes between would push it to the wrong side of a poor seed: a pose that may be in it is first.
         """
-        fixed = self._find_fixed(spec)
+        fixed, hints = self._find_fixed(spec), self.hints(spec)
         loose: PoseProblem[Solved] | None = None
-        if spec.guess_touches:
-            wider = replace(spec, touches=(*spec.touches, *spec.guess_touches), guess_touches=(), torque_share=None)
-            loose = self.pose_problem(step, wider, effort)
+        if hints.passes:
+            wider = replace(spec, touches=(*spec.touches, *hints.passes))
+            loose = self.with_hints(passes=(), torque_share=None).pose_problem(step, wider, effort)
         # Made once it is needed: where the feet hold the loads takes as long as some steps of the optimiser.
         make = cache(lambda: self._make_pose_problem(step, spec, fixed, effort))
 
@@ -144,35 +156,34 @@ class PhaseCompiler:
         return PoseProblem(step, solve, self.solver.monitor, fraction, self.solver.most_seeds)
 
     def _make_pose_problem(
-        self, step: str, spec: PhaseSpec, fixed: Mapping[int, float], effort: Effort
+        self, step: str, spec: TaskPhase, fixed: Mapping[int, float], effort: Effort
     ) -> PoseProblem[Solved]:
         """Return the problem of the first pose of a phase from a seed with the hand at its place."""
         first = np.zeros(1, dtype=int)
         constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
-        regions = self.find_regions(spec, spec.values(spec.n_waypoints)[:1])
-        touches = shrink(spec.touches, spec.depth_reserve_m)
+        regions = self.find_regions(spec, spec.first[None])
+        touches = shrink(spec.touches, self.hints(spec).depth_reserve_m)
         return self.solver.pose_problem(step, constraints, touches, fixed, regions, effort)
 
-    def _find_fixed(self, spec: PhaseSpec) -> dict[int, float]:
+    def _find_fixed(self, spec: TaskPhase) -> dict[int, float]:
         """Return values by coordinate index of a phase's first pose."""
         names = self.robot.joint_names
         fixed = dict(zip(self.columns.tolist(), spec.first.tolist(), strict=True))
-        fixed |= {names.index(name): value for name, value in spec.fixed.items()}
         return fixed | {names.index(name): ends[0] for name, ends in spec.joints.items()}
 
     def _bring_hand(
-        self, spec: PhaseSpec, guess: Float[np.ndarray, "n"], fixed: Mapping[int, float]
+        self, spec: TaskPhase, guess: Float[np.ndarray, "n"], fixed: Mapping[int, float]
     ) -> Float[np.ndarray, "n"]:
         """Return a guess for the first pose with the hand at its place, as far as it comes near it."""
-        if spec.hand is None:
+        if not spec.frames:
             return guess
         prescribed = np.zeros(self.robot.n, dtype=bool)
         prescribed[list(fixed)] = True
         placed = guess.copy()
         placed[list(fixed)] = list(fixed.values())
-        return np.asarray(bring_tool(self.solver.body, spec.hand, placed[None], prescribed)[0])
+        return np.asarray(bring_tool(self.solver.body, spec.frames, placed[None], prescribed)[0])
 
-    def find_regions(self, spec: PhaseSpec, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
+    def find_regions(self, spec: TaskPhase, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
         body = self.solver.body
         if not spec.loads or body.polygon is None:
@@ -180,7 +191,7 @@ class PhaseCompiler:
         contacts = list(body.planted)
         return plan_regions(body.engine, contacts, spec.loads, values, body.nominal)
 
-    def find_rotation(self, spec: PhaseSpec, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
+    def find_rotation(self, spec: TaskPhase, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
         """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""
         hand = spec.hand
         if hand is None or not hand.is_rigid:
@@ -196,7 +207,7 @@ class PhaseCompiler:
 
     def solve_held(
         self,
-        spec: PhaseSpec,
+        spec: TaskPhase,
         q: Float[np.ndarray, "n"],
         fraction: float,
         *,
@@ -205,14 +216,13 @@ class PhaseCompiler:
     ) -> Solved:
         """Solve a phase with a held hand from its first configuration, or backwards from its last.
 
-        The first configuration of an anchor is free up to the joints that its specification fixes.
+        The first configuration of an anchor is free.
         """
-        count = spec.n_waypoints
+        count = self.count_waypoints(spec)
         values = spec.values(count)
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
-        pinned = {self.robot.joint_names.index(name): value for name, value in spec.fixed.items()} if is_anchor else {}
         nominal = self.resample_nominal(spec, fixed or {0: q})
-        held = _HeldPhase(self, spec, fixed, values, pinned)
+        held = _HeldPhase(self, spec, fixed, values)
         led = self._lead_hand(held, q, is_anchor=is_anchor, is_backwards=is_backwards)
         paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {Way.LED: lambda: islice(led, 1)}
         if nominal is not None:
@@ -234,7 +244,8 @@ class PhaseCompiler:
         is at its place, then the first configuration with what is prescribed.
         """
         spec, count, values = held.spec, len(held.values), held.values
-        if spec.aims_at_end and not is_backwards:
+        hints = self.hints(spec)
+        if hints.aims_at_end and not is_backwards:
             end_spec = replace(spec, first=spec.last)
             guess = np.concatenate([q[: self.columns[0]], spec.last])
             end = find_pose(self.pose_problem(spec.name, end_spec, Effort.QUICK_POSE), [("at hand", guess)])
@@ -244,37 +255,37 @@ class PhaseCompiler:
                 yield "straight line to a pose at its end", straight
         start = np.tile(q, (count, 1))
         start[:, self.columns] = values
-        for name, rate in spec.guess_rates.items():
+        for name, rate in hints.rates.items():
             (moving,) = spec.moving
             start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
         for name, (first, last) in spec.joints.items():
             column = self.robot.joint_names.index(name)
             start[:, column] = np.linspace(first if is_anchor or is_backwards else q[column], last, count)
-        if spec.hand is not None:
+        if spec.frames:
             prescribed = self.find_prescribed(spec)
-            followed = follow_tool(self.solver.body, spec.hand, start, prescribed, is_backwards=is_backwards)
+            followed = follow_tool(self.solver.body, spec.frames, start, prescribed, is_backwards=is_backwards)
             if followed is not None:
                 yield "led by the hand", followed
         yield "standing still", start
 
-    def find_prescribed(self, spec: PhaseSpec) -> Bool[np.ndarray, "n"]:
+    def find_prescribed(self, spec: TaskPhase) -> Bool[np.ndarray, "n"]:
         """Return the mask of coordinates whose way a phase prescribes: the mechanism's and its own joints."""
         prescribed = np.zeros(self.robot.n, dtype=bool)
         prescribed[self.columns] = True
         prescribed[[self.robot.joint_names.index(name) for name in spec.joints]] = True
         return prescribed
 
-    def is_strong_enough(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> bool:
+    def is_strong_enough(self, spec: TaskPhase, q: Float[np.ndarray, "T n"]) -> bool:
         """Return whether a phase's loads cost no more torque at its waypoints than it may use."""
         state = MotionState(self.solver.body.engine(q), Contacts.none())
         limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
         return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
 
     def solve_free(
-        self, spec: PhaseSpec, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], fraction: float
+        self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], fraction: float
     ) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""
-        count = spec.n_waypoints
+        count = self.count_waypoints(spec)
         nominal = self.resample_nominal(spec, {0: first, count - 1: last})
         known = () if nominal is None else ((Way.KNOWN.value, nominal),)
         postures = posture_guesses(self.solver.body)[1:MOST_VIAS]
@@ -299,22 +310,21 @@ class PhaseCompiler:
         out[self.columns] = at[self.columns]
         return out
 
-    def solve_between(self, spec: PhaseSpec, path: Path) -> Solved:
-        """Solve a phase between the ends of a path, which may be denser than its specification."""
+    def solve_between(self, spec: TaskPhase, path: Path) -> Solved:
+        """Solve a phase between the ends of a path, which may be denser than usual."""
         values, last = path[:, self.columns], len(path) - 1
         fixed = {0: path[0], last: path[last]}
         return self.solve(spec, [path], fixed, values, self.find_regions(spec, values))
 
     def solve(
         self,
-        spec: PhaseSpec,
+        spec: TaskPhase,
         paths: Iterable[Path],
         fixed: Mapping[int, Float[np.ndarray, "n"]],
         values: Float[np.ndarray, "T k"],
         regions: tuple[PlannedRegion, ...],
-        pinned: Mapping[int, float] = MappingProxyType({}),
     ) -> Solved:
-        """Solve a phase with the mechanism's joints prescribed, and some coordinates pinned at the first waypoint."""
+        """Solve a phase with the mechanism's joints prescribed."""
         count = len(values)
         free = np.setdiff1d(np.arange(count), list(fixed))
         paths = iter(paths)
@@ -325,8 +335,6 @@ class PhaseCompiler:
             for name in spec.joints:
                 column = self.robot.joint_names.index(name)
                 lower[:, column] = upper[:, column] = first[:, column]
-            for column, value in pinned.items():
-                lower[0, column] = upper[0, column] = value
 
         def solve_from(path: Path) -> Solved:
             return self.solver.solve_trajectory(
@@ -334,7 +342,7 @@ class PhaseCompiler:
                 path,
                 fixed,
                 constraints=(*self._constraints(spec, free, count), *self._limit_torques(spec, free, values)),
-                allowances=shrink(spec.touches, spec.depth_reserve_m),
+                allowances=shrink(spec.touches, self.hints(spec).depth_reserve_m),
                 bounds=narrow,
                 regions=regions,
             )
@@ -346,48 +354,47 @@ class PhaseCompiler:
             return solved
         return self.solver.restore_feasibility(spec.name, solved)
 
-    def finish(self, spec: PhaseSpec, solved: Solved) -> PlannedPhase:
+    def finish(self, spec: TaskPhase, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
-        phase = self.promise(spec, solved.x, spec.values(spec.n_waypoints))
+        phase = self.promise(spec, solved.x, spec.values(self.count_waypoints(spec)))
         resolve = lambda q: self.solve_between(self._keep_shares(spec, q), q)  # noqa: E731
         return replace(phase, is_feasible=solved.is_feasible, resolve=resolve)
 
-    def _keep_shares(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"]) -> PhaseSpec:
+    def _keep_shares(self, spec: TaskPhase, q: Float[np.ndarray, "T n"]) -> TaskPhase:
         """Return a phase whose tool is as far along its line at each waypoint as it is in a path."""
-        hand = spec.hand
-        if hand is None or hand.offset is None:
-            return spec
-        line = replace(hand, slide=None, rotation=None)
-        off = place_tool(self.robot, line, np.arange(len(q)), hand.place[None])
-        places = off.value(MotionState(self.solver.body.engine(q), Contacts.none())).reshape(len(q), 3)
-        return replace(spec, hand=replace(hand, shares=places @ hand.offset / (hand.offset @ hand.offset)))
+        return replace(spec, frames=tuple(self._share_line(frame, q) for frame in spec.frames))
 
-    def promise(self, spec: PhaseSpec, q: Float[np.ndarray, "T n"], values: Float[np.ndarray, "S k"]) -> PlannedPhase:
+    def _share_line(self, frame: FrameMotion, q: Float[np.ndarray, "T n"]) -> FrameMotion:
+        if frame.offset is None:
+            return frame
+        line = replace(frame, slide=None, rotation=None)
+        off = place_tool(self.robot, line, np.arange(len(q)), frame.place[None])
+        places = off.value(MotionState(self.solver.body.engine(q), Contacts.none())).reshape(len(q), 3)
+        return replace(frame, shares=places @ frame.offset / (frame.offset @ frame.offset))
+
+    def promise(self, spec: TaskPhase, q: Float[np.ndarray, "T n"], values: Float[np.ndarray, "S k"]) -> PlannedPhase:
         """Return waypoints with the promises of a phase; its regions are found for the mechanism at ``values``."""
-        holds: tuple[Hold, ...] = ()
-        if spec.hand is not None and not spec.hand.is_line:
-            holds = (make_hold(self.robot, spec.hand),)
         return PlannedPhase(
-            spec.name,
+            spec,
             q,
             is_feasible=True,
-            holds=holds,
-            allowances=spec.touches,
-            targets=lambda at: spec.targets(self.mechanism, at),
-            loads=spec.loads,
-            pushes=spec.pushes,
-            pressed=spec.pressed,
+            holds=tuple(make_hold(self.robot, frame) for frame in spec.frames if not frame.is_line),
             regions=self.find_regions(spec, values),
             values=values if spec.loads else None,
         )
 
     def _constraints(
-        self, spec: PhaseSpec, waypoints: Int[np.ndarray, "S"], count: int
+        self, spec: TaskPhase, waypoints: Int[np.ndarray, "S"], count: int
     ) -> tuple[Constraint[MotionState], ...]:
-        """Return the hand's constraints at waypoints of a phase with ``count`` of them."""
-        hand = spec.hand
-        if hand is None or not len(waypoints):
+        """Return the constraints of the frames that are led at waypoints of a phase with ``count`` of them."""
+        if not len(waypoints):
             return ()
+        return tuple(constraint for frame in spec.frames for constraint in self._lead_frame(frame, waypoints, count))
+
+    def _lead_frame(
+        self, hand: FrameMotion, waypoints: Int[np.ndarray, "S"], count: int
+    ) -> tuple[Constraint[MotionState], ...]:
+        """Return the constraints of one frame that is led."""
         places = hand.places(count)[waypoints]
         name = "tool on its line" if hand.is_line else "tool at its place"
         residual = place_tool(self.robot, hand, waypoints, places)
@@ -409,10 +416,11 @@ class PhaseCompiler:
         return tuple(constraints)
 
     def _limit_torques(
-        self, spec: PhaseSpec, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
+        self, spec: TaskPhase, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
     ) -> Iterator[Constraint[MotionState]]:
         """Yield the limits of the torques that a phase's loads cost, if it has any."""
-        if spec.torque_share is None or not len(waypoints):
+        share = self.hints(spec).torque_share
+        if share is None or not len(waypoints):
             return
         body = self.solver.body
         q = np.tile(body.nominal, (len(values), 1))
@@ -424,7 +432,7 @@ class PhaseCompiler:
             for load in loads:
                 joint, _ = locate_frame(self.robot, load.link)
                 forces -= kinematics.rotation[waypoints, joint] @ load.force
-            torque = HeldTorque(self.robot, loads[0].tool, waypoints, forces, spec.torque_share)
+            torque = HeldTorque(self.robot, loads[0].tool, waypoints, forces, share)
             yield Constraint(name, torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
 
 
@@ -437,14 +445,12 @@ class _HeldPhase:
         spec: the phase.
         fixed: configuration by waypoint.
         values: of the mechanism's joints at the waypoints.
-        pinned: value by coordinate at the first waypoint.
     """
 
     compiler: PhaseCompiler
-    spec: PhaseSpec
+    spec: TaskPhase
     fixed: Mapping[int, Float[np.ndarray, "n"]]
     values: Float[np.ndarray, "T k"]
-    pinned: Mapping[int, float]
 
     def solve(self, solver: PhaseSolver, paths: Iterable[Path]) -> Solved:
         """Solve the phase from the first of some paths that leads to a solution.
@@ -456,41 +462,45 @@ class _HeldPhase:
         """
         staged = replace(self, compiler=replace(self.compiler, solver=solver))
         spec, compiler = self.spec, staged.compiler
-        light = replace(spec, torque_share=None)
-        if spec.guess_touches:
-            loose = staged._solve(replace(light, touches=(*spec.touches, *spec.guess_touches)), paths, ())
+        passes = compiler.hints(spec).passes
+        light = replace(staged, compiler=compiler.with_hints(torque_share=None))
+        if passes:
+            loose = light._solve(paths, (), passes)
             if not loose.is_feasible:
                 return loose
             paths = [loose.x]
         regions = self._regions
         if len(regions) > 1:
             own, paths = tee(paths)
-            unloaded = staged._solve(light, own, ())
+            unloaded = light._solve(own, ())
             if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
                 return unloaded
             paths = chain([unloaded.x], paths)
-            if spec.hand is not None:
+            if spec.frames:
                 is_fixed = np.isin(np.arange(len(unloaded.x)), list(self.fixed))
                 prescribed = compiler.find_prescribed(spec)
-                inside = follow_in_balance(solver.body, spec.hand, unloaded.x, regions, is_fixed, prescribed)
+                inside = follow_in_balance(solver.body, spec.frames, unloaded.x, regions, is_fixed, prescribed)
                 paths = chain([inside], paths)
-        solved = staged._solve(light, paths, regions)
+        solved = light._solve(paths, regions)
         if not solved.is_feasible or compiler.is_strong_enough(spec, solved.x):
             return solved
-        return staged._solve(spec, [solved.x], regions)
+        return staged._solve([solved.x], regions)
 
     def repair(self, solver: PhaseSolver, path: Path) -> Solved:
         """Solve the phase from an earlier motion, whose waypoints keep nearly everything, in one stage."""
         staged = replace(self, compiler=replace(self.compiler, solver=solver))
-        return staged._solve(self.spec, [path], self._regions)
+        return staged._solve([path], self._regions)
 
     @cached_property
     def _regions(self) -> tuple[PlannedRegion, ...]:
         """Where the feet hold the robot under the phase's loads."""
         return self.compiler.find_regions(self.spec, self.values)
 
-    def _solve(self, spec: PhaseSpec, paths: Iterable[Path], regions: tuple[PlannedRegion, ...]) -> Solved:
-        return self.compiler.solve(spec, paths, self.fixed, self.values, regions, self.pinned)
+    def _solve(
+        self, paths: Iterable[Path], regions: tuple[PlannedRegion, ...], passes: tuple[Allowance, ...] = ()
+    ) -> Solved:
+        spec = replace(self.spec, touches=(*self.spec.touches, *passes))
+        return self.compiler.solve(spec, paths, self.fixed, self.values, regions)
 
 
 def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:

@@ -1,4 +1,4 @@
-"""Solve the phases of a task in the order that their specifications state.
+"""Solve the phases of a task with a mechanism, outwards from the phase that does the work.
 
 Phases come in groups: a free phase that carries the hand to the next contact, then phases in which the hand moves with
 the mechanism or on lines. Of these the anchor is solved first, from a pose at its beginning; the ones before it are
@@ -22,7 +22,8 @@ from service.body.poses import find_pose
 from service.body.seeds import Seed, name_seeds, random_guesses
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.holds.pushes import add_pushes
-from service.demands.phase_spec import PhaseSpec, check_moves
+from service.demands.phase import TaskPhase, check_moves
+from service.tasks.hints import Hints, find_anchor, give_no_hints
 from service.tasks.phase_compiler import PhaseCompiler
 
 QUICK_SEEDS = 2  # of a pose that is tried with little effort, besides random ones
@@ -48,28 +49,30 @@ class PhaseSequence:
         wants_reserve: whether to try first with a margin of balance for the servos.
         n_random: random configurations from which an anchor's first pose is searched after the robot's postures.
         nominal: (T, n) waypoints of an earlier motion by name of the phase, from which phases are solved first.
+        hints: how to go about each phase.
     """
 
     solver: PhaseSolver
     mechanism: Mechanism
-    specs: tuple[PhaseSpec, ...]
+    specs: tuple[TaskPhase, ...]
     is_held: bool = False
     wants_reserve: bool = False
     n_random: int = 0
     nominal: Mapping[str, Float[np.ndarray, "T n"]] = field(default_factory=dict)
+    hints: Hints = give_no_hints
 
     def __post_init__(self) -> None:
         check_moves(self.specs)
 
     @staticmethod
-    def of(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[PhaseSpec], **options: Any) -> PhaseSequence:
+    def of(solver: PhaseSolver, mechanism: Mechanism, specs: Sequence[TaskPhase], **options: Any) -> PhaseSequence:
         """Return the sequence of phases with the contacts by which hands push the mechanism."""
         pushing = add_pushes(specs, solver.body.robot, mechanism, solver.hand_friction)
         return PhaseSequence(solver, mechanism, pushing, **options)
 
     @property
     def _compiler(self) -> PhaseCompiler:
-        return PhaseCompiler(self.solver, self.mechanism, self.nominal)
+        return PhaseCompiler(self.solver, self.mechanism, self.nominal, self.hints)
 
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan all phases from configuration ``at``; return those that were solved, and the step that was not.
@@ -111,7 +114,7 @@ class PhaseSequence:
         turned = [spec.with_rotation(compiler.find_rotation(spec, q)) for spec, q in zip(self.specs, at, strict=True)]
         return replace(self, specs=tuple(turned))
 
-    def try_pose(self, step: str, spec: PhaseSpec, guesses: Sequence[Seed] = (), n_random: int = 0) -> Solved:
+    def try_pose(self, step: str, spec: TaskPhase, guesses: Sequence[Seed] = (), n_random: int = 0) -> Solved:
         """Try with little effort whether a phase's first pose exists, whatever comes before it.
 
         Args:
@@ -121,7 +124,7 @@ class PhaseSequence:
             n_random: random configurations after them.
         """
         compiler, body = self._compiler, self.solver.body
-        light = compiler.pose_problem(step, replace(spec, torque_share=None), Effort.QUICK_POSE)
+        light = compiler.with_hints(torque_share=None).pose_problem(step, spec, Effort.QUICK_POSE)
         strong = compiler.pose_problem(step, spec, Effort.QUICK_POSE)
 
         def solve(seed: Float[np.ndarray, "n"]) -> Solved:
@@ -135,7 +138,7 @@ class PhaseSequence:
         return find_pose(replace(light, solve=solve, most=None), seeds)
 
     def _plan_forwards(
-        self, specs: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
+        self, specs: Sequence[TaskPhase], at: Float[np.ndarray, "n"]
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan phases with a held hand in the order of execution; a free one before them brings the hand to its place.
 
@@ -147,9 +150,9 @@ class PhaseSequence:
             free, *specs = specs
             step = f"pose for '{specs[0].name}'"
             first = specs[0].with_rotation(compiler.find_rotation(specs[0], at))
-            pose = find_pose(compiler.pose_problem(step, replace(first, fixed={}), fraction=0.1), [("at hand", at)])
+            pose = find_pose(compiler.pose_problem(step, first, fraction=0.1), [("at hand", at)])
             if not pose.is_feasible:
-                return _stop_at(free.name, step, pose, np.stack([at, pose.x[0]]))
+                return _stop_at(free, step, pose, np.stack([at, pose.x[0]]))
             taken = compiler.solve_free(free, at, pose.q, 0.3)
             phases.append(compiler.finish(free, taken))
             if not taken.is_feasible:
@@ -165,24 +168,24 @@ class PhaseSequence:
         return tuple(phases), None
 
     def _plan_group(
-        self, group: Sequence[PhaseSpec], at: Float[np.ndarray, "n"]
+        self, group: Sequence[TaskPhase], at: Float[np.ndarray, "n"]
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan a free phase and the held ones after it."""
         compiler = self._compiler
         free = [spec for spec in group if spec.hand is None]
         held = [spec for spec in group if spec.hand is not None]
-        anchor_at = next(index for index, spec in enumerate(held) if spec.is_anchor)
-        step = held[anchor_at].step or f"pose for '{held[anchor_at].name}'"
+        anchor_at = find_anchor(held, self.mechanism)
+        step = self.hints(held[anchor_at]).pose_name or f"pose for '{held[anchor_at].name}'"
         stopped: tuple[tuple[PlannedPhase, ...], Stuck | None] | None = None
         for pose in compiler.list_anchor_poses(step, held[anchor_at], at, self.n_random):
             if not pose.is_feasible:
-                return _stop_at(group[0].name, step, pose, np.stack([at, pose.x[0]]))
+                return _stop_at(group[0], step, pose, np.stack([at, pose.x[0]]))
             turned = [spec.with_rotation(compiler.find_rotation(spec, pose.x[0])) for spec in held]
             solved, failed = self._solve_back_from(turned, anchor_at, pose.x[0])
             if failed is None:
                 break
             made = np.concatenate([at[None], *(solved[k].x for k in sorted(solved))])
-            stopped = stopped or _stop_at(held[failed].name, held[failed].name, solved[failed], made)
+            stopped = stopped or _stop_at(held[failed], held[failed].name, solved[failed], made)
         else:
             assert stopped is not None
             return stopped
@@ -202,7 +205,7 @@ class PhaseSequence:
         return tuple(phases), None
 
     def _solve_back_from(
-        self, held: Sequence[PhaseSpec], anchor_at: int, pose: Float[np.ndarray, "n"]
+        self, held: Sequence[TaskPhase], anchor_at: int, pose: Float[np.ndarray, "n"]
     ) -> tuple[dict[int, Solved], int | None]:
         """Return the solved anchor and phases before it by index, and the index of the one that failed."""
         solved: dict[int, Solved] = {}
@@ -217,24 +220,24 @@ class PhaseSequence:
         return solved, None
 
 
-def split_groups(specs: Sequence[PhaseSpec]) -> Iterator[tuple[PhaseSpec, ...]]:
-    """Yield the groups of phases, each with its free phase first.
+def split_groups(specs: Sequence[TaskPhase]) -> Iterator[tuple[TaskPhase, ...]]:
+    """Yield the groups of phases of one hold, each with its free phase first.
 
     Raises:
-        ValueError: a group has no anchor, or more than one.
+        ValueError: nothing is held in a group.
     """
     begins = [index for index, spec in enumerate(specs) if spec.hand is None]
     begins = begins if begins[:1] == [0] else [0, *begins]
     for first, last in zip(begins, [*begins[1:], len(specs)], strict=True):
         group = tuple(specs[first:last])
-        if sum(spec.is_anchor and spec.hand is not None for spec in group) != 1:
+        if all(spec.hand is None for spec in group):
             names = ", ".join(spec.name for spec in group)
-            raise ValueError(f"expected one anchor among the phases {names}")
+            raise ValueError(f"expected a phase that leads a hand among {names}")
         yield group
 
 
 def _stop_at(
-    name: str, step: str, result: Solved, q: Float[np.ndarray, "T n"]
+    phase: TaskPhase, step: str, result: Solved, q: Float[np.ndarray, "T n"]
 ) -> tuple[tuple[PlannedPhase, ...], Stuck]:
     """Return the best attempt as a single phase, and the step it is stuck at."""
-    return (PlannedPhase(name, q, False),), Stuck(step, result)
+    return (PlannedPhase(phase, q, False),), Stuck(step, result)

@@ -19,16 +19,15 @@ from costs.primitive import Primitive
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
 from service import RequestError, parse_request, prepare
+from service.demands.contacts.phases import LINE_M, list_contact_phases
 from service.demands.contacts.stances import (
     INSIDE_M,
-    LINE_M,
     ContactStance,
     StanceContact,
     Surface,
     ends_with_new_contacts,
     find_link_pose,
     find_unjoined,
-    list_contact_phases,
     place_patch,
 )
 from service.demands.contacts.surfaces import STRIP_M, make_surfaces
@@ -195,12 +194,14 @@ def test_phases_of_steps_shift_lift_swing_and_land_on_what_stays() -> None:
     carrying = [[contact.patch for contact in phase.contacts] for phase in phases]
     assert carrying == [["l", "r"], ["l"], ["l"], ["l"], ["l", "r"], ["l"], ["l"]]
     again = list_contact_phases((stances[-1], stand("rise", left)), has_finish=False)
-    assert [(phase.name, phase.kind) for phase in again] == [("rise: move", "move")]
+    assert [(phase.name, phase.frames) for phase in again] == [("rise: move", ())]
     assert ends_with_new_contacts(stances[:2])
     assert not ends_with_new_contacts(stances)
-    assert phases[1].moving == (right,)
-    assert phases[3].moving == (ahead,)
-    (line,) = phases[3].list_targets()
+    (leaving,), (arriving,) = phases[1].frames, phases[3].frames
+    assert (leaving.tool, leaving.leaves) == ("r", True)
+    assert np.allclose(leaving.place, right.planted.pose_world_link[:3, 3])
+    assert (arriving.tool, arriving.leaves) == ("r", False)
+    (line,) = phases[3].list_targets((), 1.0)
     assert line.frame == "r"
     assert np.allclose(line.position + line.slide - ahead.planted.pose_world_link[:3, 3], [0.0, 0.0, LINE_M])
     assert np.allclose(line.position - line.slide, ahead.planted.pose_world_link[:3, 3])

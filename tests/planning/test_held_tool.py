@@ -13,7 +13,7 @@ from costs.kinematics import locate_links
 from costs.stopping import Stopped, stops_when
 from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import RESERVE_M
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.demands.stance import BALANCE_RESERVE
 from service.tasks.held_tool import INSIDE_RESERVE, INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
 from service.tasks.phase_compiler import PhaseCompiler, list_together
@@ -22,16 +22,16 @@ from service.verify import HandLoad
 
 
 @pytest.fixture(scope="module")
-def opening() -> tuple[PhaseCompiler, tuple[PhaseSpec, ...]]:
+def opening() -> tuple[PhaseCompiler, tuple[TaskPhase, ...]]:
     """A robot at a pulled door, and the phases in which its peg opens the leaf by 30 degrees."""
     return compile_opening()
 
 
 @pytest.fixture(scope="module")
-def held(opening: tuple[PhaseCompiler, tuple[PhaseSpec, ...]]) -> tuple[PhaseCompiler, PhaseSpec]:
+def held(opening: tuple[PhaseCompiler, tuple[TaskPhase, ...]]) -> tuple[PhaseCompiler, TaskPhase]:
     """The phase in which the leaf moves."""
     compiler, specs = opening
-    return compiler, next(spec for spec in specs if spec.is_anchor)
+    return compiler, next(spec for spec in specs if 0 in spec.moving)
 
 
 def _list_prescribed(compiler: PhaseCompiler) -> np.ndarray:
@@ -40,7 +40,7 @@ def _list_prescribed(compiler: PhaseCompiler) -> np.ndarray:
     return prescribed
 
 
-def _measure_off(compiler: PhaseCompiler, spec: PhaseSpec, q: np.ndarray) -> tuple[float, float]:
+def _measure_off(compiler: PhaseCompiler, spec: TaskPhase, q: np.ndarray) -> tuple[float, float]:
     """Return how far a tool is from its place [m], and its axis from its direction [rad]."""
     hand = spec.hand
     assert hand is not None
@@ -56,13 +56,13 @@ def _measure_off(compiler: PhaseCompiler, spec: PhaseSpec, q: np.ndarray) -> tup
     return float(np.linalg.norm(off)), float(np.arccos(np.clip(poses[hand.tool][:3, 2] @ axis, -1.0, 1.0)))
 
 
-def test_a_tool_is_brought_to_its_place_from_far_away(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+def test_a_tool_is_brought_to_its_place_from_far_away(held: tuple[PhaseCompiler, TaskPhase]) -> None:
     compiler, spec = held
     body = compiler.solver.body
     assert spec.hand is not None
     guess = np.concatenate([body.nominal[: compiler.columns[0]], spec.first])
     before, _ = _measure_off(compiler, spec, guess)
-    (found,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    (found,) = bring_tool(body, spec.frames, guess[None], _list_prescribed(compiler))
     off, lean = _measure_off(compiler, spec, found)
     assert before > 0.15
     assert off < 2e-4
@@ -75,28 +75,28 @@ def test_a_tool_is_brought_to_its_place_from_far_away(held: tuple[PhaseCompiler,
     np.testing.assert_array_equal(found[compiler.columns], spec.first)
 
 
-def test_a_place_out_of_reach_leaves_the_guess(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+def test_a_place_out_of_reach_leaves_the_guess(held: tuple[PhaseCompiler, TaskPhase]) -> None:
     compiler, spec = held
     assert spec.hand is not None
     far = np.array(compiler.solver.body.nominal)
 
     beyond = replace(spec.hand, place=spec.hand.place + np.array([5.0, 0.0, 0.0]))
-    (found,) = bring_tool(compiler.solver.body, beyond, far[None], _list_prescribed(compiler))
+    (found,) = bring_tool(compiler.solver.body, (beyond,), far[None], _list_prescribed(compiler))
     np.testing.assert_array_equal(found, far)
 
 
 @pytest.mark.parametrize("is_backwards", [False, True])
-def test_a_path_follows_the_mechanism(held: tuple[PhaseCompiler, PhaseSpec], is_backwards: bool) -> None:
+def test_a_path_follows_the_mechanism(held: tuple[PhaseCompiler, TaskPhase], is_backwards: bool) -> None:
     compiler, spec = held
-    body, count = compiler.solver.body, spec.n_waypoints
+    body, count = compiler.solver.body, compiler.count_waypoints(spec)
     assert spec.hand is not None
     end = -1 if is_backwards else 0
     values = spec.values(count)
     guess = np.concatenate([body.nominal[: compiler.columns[0]], values[end]])
-    (at,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    (at,) = bring_tool(body, spec.frames, guess[None], _list_prescribed(compiler))
     start = np.tile(at, (count, 1))
     start[:, compiler.columns] = values
-    path = follow_tool(body, spec.hand, start, _list_prescribed(compiler), is_backwards=is_backwards)
+    path = follow_tool(body, spec.frames, start, _list_prescribed(compiler), is_backwards=is_backwards)
     assert path is not None
     np.testing.assert_array_equal(path[end], at)
     np.testing.assert_array_equal(path[:, compiler.columns], values)
@@ -106,16 +106,16 @@ def test_a_path_follows_the_mechanism(held: tuple[PhaseCompiler, PhaseSpec], is_
     assert np.abs(np.diff(path, axis=0)).max() < 0.5
 
 
-def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[PhaseCompiler, TaskPhase]) -> None:
     compiler, spec = held
-    body, count = compiler.solver.body, spec.n_waypoints
+    body, count = compiler.solver.body, compiler.count_waypoints(spec)
     assert spec.hand is not None
     values = spec.values(count)
     guess = np.concatenate([body.nominal[: compiler.columns[0]], values[0]])
-    (at,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    (at,) = bring_tool(body, spec.frames, guess[None], _list_prescribed(compiler))
     start = np.tile(at, (count, 1))
     start[:, compiler.columns] = values
-    path = follow_tool(body, spec.hand, start, _list_prescribed(compiler))
+    path = follow_tool(body, spec.frames, start, _list_prescribed(compiler))
     assert path is not None
     middle = body.engine.place(path).com[:, :2].mean(axis=0)
     # the region of the loads, moved so far that the whole path leans out of it by a few centimetres
@@ -129,7 +129,7 @@ def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[
     prescribed = _list_prescribed(compiler)
     turned = body.robot.joint_names.index("r_arm_wry")  # as a gripper's finger is kept
     prescribed[turned] = True
-    inside = follow_in_balance(body, spec.hand, path, regions, is_fixed, prescribed)
+    inside = follow_in_balance(body, spec.frames, path, regions, is_fixed, prescribed)
     np.testing.assert_array_equal(inside[:, turned], path[:, turned])
     after = moved.polygon.margin(body.engine.place(inside).com[:, :2])
     assert before[1:].min() < body.aims.balance_margin + region.shift_m - 0.01
@@ -148,43 +148,43 @@ def test_a_path_that_leans_is_brought_into_the_regions_of_its_loads(held: tuple[
         np.testing.assert_allclose(poses[0], poses[1], atol=1e-3)
 
 
-def test_work_can_stop_before_every_region(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+def test_work_can_stop_before_every_region(held: tuple[PhaseCompiler, TaskPhase]) -> None:
     compiler, spec = held
     polls = list[int]()
     with stops_when(lambda: bool(polls.append(1))):
-        regions = compiler.find_regions(spec, spec.values(spec.n_waypoints))
+        regions = compiler.find_regions(spec, spec.values(compiler.count_waypoints(spec)))
     assert len(polls) >= len(regions) > 0
     with pytest.raises(Stopped), stops_when(lambda: True):
-        compiler.find_regions(spec, spec.values(spec.n_waypoints))
+        compiler.find_regions(spec, spec.values(compiler.count_waypoints(spec)))
 
 
-def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, PhaseSpec]) -> None:
+def test_a_path_that_leaves_the_reach_is_none(held: tuple[PhaseCompiler, TaskPhase]) -> None:
     compiler, spec = held
 
     assert spec.hand is not None
     line = replace(spec.hand, offset=np.array([0.0, 0.0, 4.0]), leaves=True)
     guess = np.concatenate([compiler.solver.body.nominal[: compiler.columns[0]], spec.first])
-    (at,) = bring_tool(compiler.solver.body, spec.hand, guess[None], _list_prescribed(compiler))
-    assert follow_tool(compiler.solver.body, line, np.tile(at, (5, 1)), _list_prescribed(compiler)) is None
+    (at,) = bring_tool(compiler.solver.body, spec.frames, guess[None], _list_prescribed(compiler))
+    assert follow_tool(compiler.solver.body, (line,), np.tile(at, (5, 1)), _list_prescribed(compiler)) is None
 
 
 @pytest.mark.parametrize(("length_m", "is_led"), [(0.9e-3, True), (1.1e-3, False)])
 def test_a_path_that_misses_a_place_by_more_than_a_millimetre_is_none(
-    held: tuple[PhaseCompiler, PhaseSpec], length_m: float, is_led: bool
+    held: tuple[PhaseCompiler, TaskPhase], length_m: float, is_led: bool
 ) -> None:
     compiler, spec = held
     body = compiler.solver.body
     assert spec.hand is not None
     guess = np.concatenate([body.nominal[: compiler.columns[0]], spec.first])
-    (at,) = bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler))
+    (at,) = bring_tool(body, spec.frames, guess[None], _list_prescribed(compiler))
     line = replace(spec.hand, offset=np.array([0.0, length_m, 0.0]), leaves=True)
     # no joint may move: the tool stays where the line begins
-    path = follow_tool(body, line, np.tile(at, (2, 1)), np.ones(compiler.robot.n, dtype=bool))
+    path = follow_tool(body, (line,), np.tile(at, (2, 1)), np.ones(compiler.robot.n, dtype=bool))
     assert (path is not None) is is_led
 
 
 def test_a_line_gets_more_waypoints_where_its_certificate_asks_for_them(
-    opening: tuple[PhaseCompiler, tuple[PhaseSpec, ...]],
+    opening: tuple[PhaseCompiler, tuple[TaskPhase, ...]],
 ) -> None:
     compiler, specs = opening
     phases, stuck = PhaseSequence(compiler.solver, compiler.mechanism, specs).plan(compiler.solver.body.nominal)
@@ -219,13 +219,13 @@ def square_region(region: PlannedRegion, middle: np.ndarray, half: float, shift_
     [(0.2, 0.0, 0.045), (0.2, 0.02, 0.065), (0.06, 0.02, 0.02 + 0.75 * 0.04), (0.025, 0.0, None)],
 )
 def test_a_path_is_brought_inside_as_far_as_servos_want_or_a_small_region_allows_and_no_farther(
-    held: tuple[PhaseCompiler, PhaseSpec], half: float, shift_m: float, inside_m: float | None
+    held: tuple[PhaseCompiler, TaskPhase], half: float, shift_m: float, inside_m: float | None
 ) -> None:
     compiler, spec = held
     body = compiler.solver.body
     assert spec.hand is not None
     guess = np.concatenate([body.nominal[: compiler.columns[0]], spec.first])
-    path = np.repeat(bring_tool(body, spec.hand, guess[None], _list_prescribed(compiler)), 3, axis=0)
+    path = np.repeat(bring_tool(body, spec.frames, guess[None], _list_prescribed(compiler)), 3, axis=0)
     least = body.aims.balance_margin + BALANCE_RESERVE + INSIDE_RESERVE
     wanted = least + shift_m if inside_m is None else inside_m
     # the centre of mass is 5 mm less inside than that at one edge, and far from the others
@@ -234,13 +234,13 @@ def test_a_path_is_brought_inside_as_far_as_servos_want_or_a_small_region_allows
     (any_region, *_) = compiler.find_regions(spec, spec.values(3))
     region = square_region(any_region, middle, half, shift_m, last=2)
     is_fixed = np.array([True, False, False])
-    inside = follow_in_balance(body, spec.hand, path, [region], is_fixed, _list_prescribed(compiler))
+    inside = follow_in_balance(body, spec.frames, path, [region], is_fixed, _list_prescribed(compiler))
     margin = region.region.polygon.margin(body.engine.place(inside).com[:, :2])
     np.testing.assert_allclose(margin, [wanted - 0.005, wanted, wanted], atol=5e-4)
 
 
 def test_waypoints_between_equal_ones_of_an_earlier_motion_are_where_the_mechanism_is_not_where_the_time_is(
-    held: tuple[PhaseCompiler, PhaseSpec],
+    held: tuple[PhaseCompiler, TaskPhase],
 ) -> None:
     compiler, spec = held
     (moving,) = spec.moving
@@ -251,8 +251,9 @@ def test_waypoints_between_equal_ones_of_an_earlier_motion_are_where_the_mechani
         leaf = (1.0 - shares) * ends[0][moving] + shares * ends[1][moving]
         known = leaf * rates
         known[:, compiler.columns] = (1.0 - shares) * ends[0] + shares * ends[1]
-        again = replace(spec, first=ends[0], last=ends[1], n_waypoints=6, joints={})
-        q = replace(compiler, nominal={spec.name: known}).resample_nominal(again)
+        again = replace(spec, first=ends[0], last=ends[1], joints={})
+        sixth = replace(compiler, nominal={spec.name: known}).with_hints(turn_step=np.deg2rad(6.5))
+        q = sixth.resample_nominal(again)
         assert q is not None
         np.testing.assert_allclose(q[:, compiler.columns], np.linspace(*ends, 6), atol=1e-12)
         own = np.setdiff1d(np.arange(compiler.robot.n), compiler.columns)

@@ -12,6 +12,7 @@ from costs.scene import Scene
 from service.body.monitor import Monitor
 from service.body.task_plan import PlannedPhase, Solved, TaskPlan
 from service.body.whole_body import Aims, WholeBody
+from service.demands.phase import TaskPhase
 from service.motion.execute import make_motion, repair_plan
 from service.motion.timing import TimingSettings
 from service.verify import Basis, Certificate, Check, Motion, verify
@@ -53,7 +54,7 @@ def test_phases_that_hold_keep_curve_and_times_in_a_repair() -> None:
     body = WholeBody.standing(robot, Scene(()), np.zeros(2), (), Aims())
     corners = np.array([[0.0, 0.0], [0.5, 0.3], [0.2, 0.8], [0.6, 0.1]])
     paths = [a + (b - a) * np.linspace(0.0, 1.0, 6)[:, None] for a, b in pairwise(corners)]
-    phases = tuple(PlannedPhase(f"p{k}", path, True, resolve=bend) for k, path in enumerate(paths))
+    phases = tuple(PlannedPhase(TaskPhase(f"p{k}"), path, True, resolve=bend) for k, path in enumerate(paths))
     plan = TaskPlan(body, phases)
     timing = TimingSettings()
     motion = make_motion(plan, timing)

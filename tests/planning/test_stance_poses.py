@@ -14,7 +14,7 @@ from service.body.whole_body import Aims, WholeBody
 from service.demands.door.demand import make_door, measure_peg, read_given_door
 from service.demands.door.phases import Door, DoorChoice, make_door_phases
 from service.demands.hands import HANDS
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.demands.scene import make_floor
 from service.request.tasks.door import DoorRequest, HandleRequest, LeafRequest
 from service.tasks.stances.poses import (
@@ -30,14 +30,14 @@ LEAF = LeafRequest(hinge=(0.75, -0.45, 0.01), edge=(0.75, 0.45, 0.01))
 REQUEST = DoorRequest(opens="push", leaf=LEAF, handle=HandleRequest(kind="lever", centre=(0.65, 0.38, 1.02)))
 
 
-def make_opening() -> tuple[Door, PhaseSpec]:
+def make_opening() -> tuple[Door, TaskPhase]:
     """Return a push door and the phase in which the right hand opens it by its lever."""
     geometry = read_given_door(REQUEST, np.zeros(3))
     assert geometry is not None
     door = make_door(REQUEST, geometry)
     hand = HANDS["right"]
     choice = DoorChoice(hand, measure_peg(ROBOT, hand), 0.1, 1.0, 0.5)
-    return door, next(spec for spec in make_door_phases(door, choice) if spec.is_anchor)
+    return door, next(spec for spec in make_door_phases(door, choice) if 0 in spec.moving)
 
 
 def measure_energy(robot: RobotModel, q: Float[np.ndarray, "n"]) -> float:

@@ -12,7 +12,7 @@ from costs.kinematics import locate_links
 from service.body.monitor import Monitor
 from service.body.whole_body import WholeBody
 from service.demands.hands import list_robot_hands
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.demands.valve.given import read_given_valve
 from service.demands.valve.strokes import TurnChoice, list_usable_entries, make_turn_phases
 from service.demands.valve.wheel import Wheel, make_wheel
@@ -40,7 +40,7 @@ def grasp(turn_deg: float) -> tuple[WholeBody, Wheel, ValveRequest]:
     return body, make_wheel(given, request.task.valve), request.task.valve
 
 
-def follow_wrist(body: WholeBody, wheel: Wheel, tool: str, column: int, phase: PhaseSpec) -> np.ndarray:
+def follow_wrist(body: WholeBody, wheel: Wheel, tool: str, column: int, phase: TaskPhase) -> np.ndarray:
     """The wrist's angle in small steps of a turn, with the hand's axis along the wheel's."""
 
     def turn_of(q: np.ndarray) -> Rotation:
@@ -79,7 +79,7 @@ def test_the_wrists_margin_is_the_least_of_the_turn_begun_at_the_best_of_its_who
         tool = choice.hand.tool
         column = body.robot.joint_names.index(f"{tool[0]}_arm_wry2")
         lower, upper = body.robot.lower[column], body.robot.upper[column]
-        phases = [phase for phase in make_turn_phases(wheel, request, choice) if phase.is_anchor]
+        phases = [phase for phase in make_turn_phases(wheel, request, choice) if phase.moving]
         assert len(phases) == count
         expected = []
         for phase in phases:

@@ -10,7 +10,7 @@ import pytest
 from opened_door import compile_opening
 
 from costs.kinematics import KinematicsEngine, locate_links
-from service.demands.phase_spec import HandMotion, PhaseSpec
+from service.demands.phase import FrameMotion, TaskPhase
 from service.tasks.held_tool import bring_tool
 from service.tasks.rest.compliance import CannotFollowError, _yield_arm
 
@@ -18,19 +18,19 @@ LEAF_AXES = np.eye(3)
 
 
 @pytest.fixture(scope="module")
-def holding() -> tuple[KinematicsEngine, PhaseSpec, HandMotion, np.ndarray]:
+def holding() -> tuple[KinematicsEngine, TaskPhase, FrameMotion, np.ndarray]:
     """The robot with its peg in the handle of a door: its pose twice."""
     compiler, specs = compile_opening()
-    spec = next(spec for spec in specs if spec.is_anchor)
+    spec = next(spec for spec in specs if 0 in spec.moving)
     assert spec.hand is not None
     assert spec.hand.slide is None
     guess = np.concatenate([compiler.solver.body.nominal[: compiler.columns[0]], spec.first])
     prescribed = np.isin(np.arange(compiler.robot.n), compiler.columns)
-    q = bring_tool(compiler.solver.body, spec.hand, guess[None], prescribed)
+    q = bring_tool(compiler.solver.body, spec.frames, guess[None], prescribed)
     return compiler.solver.body.engine, spec, spec.hand, np.repeat(q, 2, axis=0)
 
 
-def offset_in_leaf(engine: KinematicsEngine, hand: HandMotion, q: np.ndarray, place: np.ndarray) -> np.ndarray:
+def offset_in_leaf(engine: KinematicsEngine, hand: FrameMotion, q: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Offset of the tool from a place of the leaf, in the leaf's axes [m]."""
     poses = locate_links(engine, q, [hand.tool, str(hand.link)])
     pose_leaf_tool = np.linalg.inv(poses[str(hand.link)]) @ poses[hand.tool]

@@ -44,16 +44,17 @@ KIND = TaskKind("wave", WaveRequest, "wave_demand:PART", "wave_plan:PART")
 from dataclasses import dataclass
 
 from service.demands.kind import DemandPart
-from service.demands.task_demand import PhaseDemand, RecordDemand, TaskDemand
+from service.demands.phase import TaskPhase
+from service.demands.task_demand import RecordDemand, TaskDemand
 from service.start.configuration import find_unknown_joints
 from service.verify import JointTarget
 
 SIDES = {"out": 1.0, "back": 0.0}
 
 
-def make_target(section, robot, start, name, at):
+def make_target(section, robot, start, name):
     value = start[robot.joint_names.index(section.joint)] + SIDES[name] * section.by_rad
-    return JointTarget(section.joint, float(value), 1e-3, at)
+    return JointTarget(section.joint, float(value), 1e-3, 0.0)
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,8 @@ class WaveDemand(TaskDemand):
     def demand_phases(self, world, robot, recorded):
         names = [phase.name for phase in recorded.phases]
         problems = () if names == list(SIDES) else (f"the phases are {', '.join(names)}; a wave has out, back",)
-        phases = tuple(
-            PhaseDemand((make_target(self.section, robot, world.start, phase.name, phase.last),))
-            for phase in (() if problems else recorded.phases)
-        )
-        return RecordDemand(phases or (PhaseDemand(),) * len(names), problems)
+        goals = {name: (make_target(self.section, robot, world.start, name),) for name in SIDES}
+        return RecordDemand(tuple(TaskPhase(name, goal=goals.get(name, ())) for name in names), problems)
 
 
 class WavePart(DemandPart):
@@ -81,10 +79,9 @@ class WavePart(DemandPart):
 PART = WavePart()
 """,
     "wave_plan.py": """
-from functools import partial
-
 from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
+from service.demands.phase import TaskPhase
 from service.tasks.kind import PlanPart
 from wave_demand import SIDES, make_target
 
@@ -93,12 +90,11 @@ class WavePart(PlanPart):
     def plan(self, section, setup, solver):
         robot, q, phases = setup.robot, solver.body.nominal, []
         for name in SIDES:
-            target = partial(make_target, section, robot, setup.start, name)
+            target = make_target(section, robot, setup.start, name)
             end = q.copy()
-            end[robot.joint_names.index(section.joint)] = target(0.0).value
+            end[robot.joint_names.index(section.joint)] = target.value
             solved = solver.solve_trajectory(name, straight_path(q, end, 8), {0: q, 7: end})
-            targets = lambda s, target=target: (target(s),)
-            phases.append(PlannedPhase(name, solved.x, solved.is_feasible, targets=targets))
+            phases.append(PlannedPhase(TaskPhase(name, goal=(target,)), solved.x, solved.is_feasible))
             if not solved.is_feasible:
                 yield TaskPlan(solver.body, tuple(phases), stuck=Stuck(name, solved))
                 return

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -13,9 +14,10 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.demands.contacts.moved_places import take_recorded_places
+from service.demands.contacts.phases import list_change_phases, list_contact_phases
 from service.demands.contacts.rest import ChangedContacts
-from service.demands.contacts.stances import ContactPhase, ContactStance, list_contact_phases
-from service.demands.task_demand import IncompletePlanError, PhaseDemand, RecordDemand, TaskDemand, World
+from service.demands.contacts.stances import ContactChange, ContactStance, StanceContact
+from service.demands.task_demand import IncompletePlanError, RecordDemand, TaskDemand, World
 from service.request.tasks.contacts import SurfaceRequest
 from service.request.tasks.registry import TaskRequest
 from service.verify import Motion
@@ -60,24 +62,14 @@ class StancesDemand(TaskDemand):
     def demand_phases(self, world: World, robot: RobotModel, recorded: Motion) -> RecordDemand:
         """Demand the phases between the stances."""
         stances, forbidden = self.read_stances(recorded)
-        changes = list_contact_phases(stances, has_finish=self.has_finish(stances))
+        phases = list_contact_phases(stances, has_finish=self.has_finish(stances))
         problems = list(forbidden)
-        names, wanted = [phase.name for phase in recorded.phases], [change.name for change in changes]
+        names, wanted = [phase.name for phase in recorded.phases], [phase.name for phase in phases]
         if names != wanted:
             problems.append(f"the phases are {', '.join(names)}; the task has {', '.join(wanted)}")
-        problems += _find_unmade(world.robot, recorded, changes)
-        margin = world.request.options.balance_margin_m
-        demands = [
-            PhaseDemand(
-                change.list_targets(),
-                change.list_allowances(world.robot),
-                contacts=tuple(contact.planted for contact in change.contacts),
-                region_margin_m=margin,
-            )
-            for change in changes
-        ]
-        missing = max(len(names) - len(demands), 0)
-        return RecordDemand((*demands, *(demands[-1:] * missing))[: len(names)], tuple(problems))
+        problems += _find_unmade(world.robot, recorded, stances)
+        missing = max(len(names) - len(phases), 0)
+        return RecordDemand((*phases, *(phases[-1:] * missing))[: len(names)], tuple(problems))
 
 
 @dataclass(frozen=True)
@@ -110,14 +102,18 @@ class ContactsDemand(StancesDemand):
         return dict(self.surfaces)
 
 
-def _find_unmade(robot: RobotModel, recorded: Motion, changes: Sequence[ContactPhase]) -> Iterator[str]:
+def _find_unmade(robot: RobotModel, recorded: Motion, stances: Sequence[ContactStance]) -> Iterator[str]:
     """Yield a sentence for each contact that is not in its place at the end of the phase that lands it.
 
     No phase stands on the contacts that the last stance makes, so that no other check sees them.
     """
     data = robot.model.createData()
-    for phase, change in zip(recorded.phases, changes, strict=False):
-        for contact in change.moving if change.kind == "land" else ():
+    made: list[tuple[StanceContact, ...]] = []
+    for before, after in pairwise(stances):
+        others = list_change_phases(before, after)[:-1]
+        made += [*(() for _ in others), ContactChange.between(before, after).arriving]
+    for phase, arriving in zip(recorded.phases, made, strict=False):
+        for contact in arriving:
             planted = contact.planted
             q = recorded.curve(np.array([phase.last]))[0, : robot.n]
             pin.framesForwardKinematics(robot.model, data, q)

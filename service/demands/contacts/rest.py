@@ -10,14 +10,9 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import BASE_NAMES, RobotModel
-from service.demands.contacts.stances import (
-    ContactChange,
-    ContactPhase,
-    ContactStance,
-    StanceContact,
-    find_link_yaw,
-    list_contact_phases,
-)
+from service.demands.contacts.phases import FINISH, list_change_phases, list_contact_phases
+from service.demands.contacts.stances import ContactChange, ContactStance, StanceContact, find_link_yaw
+from service.demands.phase import TaskPhase
 from service.errors import RequestError, shown, would_do
 from service.request.tasks.contacts import (
     ContactsRequest,
@@ -28,8 +23,6 @@ from service.request.tasks.contacts import (
 )
 from service.verify import Motion
 from service.verify.ground import GROUND_TOLERANCE_M
-
-FINISH = "finish"
 
 
 @dataclass(frozen=True)
@@ -66,12 +59,14 @@ class ChangedContacts:
         if phase not in names:
             raise RequestError(f"--from-phase: unknown phase {shown(phase)}; the plan has {', '.join(names)}")
         spec = specs[names.index(phase)]
-        if spec.kind == "finish":
+        if self.has_finish and spec is specs[-1]:
             last = len(self.stances) - 1
             held = self._choose(self.stances[last].contacts, carrying)
             return ContactsRequest(self.surfaces, _name_surfaces(held), (self._stand(FINISH, phase),))
         k = next(
-            k for k, stance in enumerate(self.stances) if k and phase in (f"{stance.name}: {spec.kind}", stance.name)
+            k
+            for k in range(1, len(self.stances))
+            if phase in [own.name for own in list_change_phases(*self.stances[k - 1 : k + 1])]
         )
         held = self._choose(self._find_held(spec, k, start), carrying)
         on = {contact.patch: contact for contact in held}
@@ -82,14 +77,15 @@ class ChangedContacts:
         stances = tuple(stance for stance in rest if stance is not None)
         return ContactsRequest(self.surfaces, _name_surfaces(held), stances)
 
-    def _find_held(self, spec: ContactPhase, k: int, start: Float[np.ndarray, "n"]) -> tuple[StanceContact, ...]:
+    def _find_held(self, spec: TaskPhase, k: int, start: Float[np.ndarray, "n"]) -> tuple[StanceContact, ...]:
         """Return what carries the robot at the start of a phase; what has not left its place yet still does."""
-        if spec.kind != "lift":
-            return spec.contacts
+        contacts = spec.contacts or ()
+        if not any(frame.leaves for frame in spec.frames):
+            return contacts
         return tuple(
             contact
             for contact in self.stances[k - 1].contacts
-            if contact in spec.contacts or _is_in_place(self.robot, contact, start)
+            if contact in contacts or _is_in_place(self.robot, contact, start)
         )
 
     def _choose(self, contacts: Sequence[StanceContact], carrying: Sequence[str] | None) -> tuple[StanceContact, ...]:

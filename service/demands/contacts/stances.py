@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +20,7 @@ from costs.contact import Contact
 from costs.primitive import Primitive, find_round_normals
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece
-from service.verify import PlantedContact, RelativePoseTarget
+from service.verify import PlantedContact
 from service.verify.ground import STANDING_DEPTH_M, TURNING_DEPTH_M
 
 LEAST_FACING = 0.5  # cosine between a surface's normal and that of the round shape behind it
@@ -29,7 +28,6 @@ INSIDE_M = 5e-4  # from the edges of a place that was brought onto a surface
 SAME_PLACE_M = 1e-9  # of contact points that are kept
 KEPT_TOLERANCE_M = 1e-4  # of a contact point that stays where it is
 SAME_EDGE_M = 1e-6  # difference of edges of equal length
-LINE_M = 0.02  # of a link that leaves a surface or arrives there, straight along the surface's normal
 
 
 @dataclass(frozen=True)
@@ -255,7 +253,7 @@ def find_link_yaw(patch: Contact, contact: StanceContact) -> float:
     return float(np.arctan2(normal @ np.cross(before, after), before @ after - (before @ normal) * (after @ normal)))
 
 
-def make_contact_allowances(robot: RobotModel, contacts: Sequence[StanceContact]) -> tuple[Allowance, ...]:
+def make_contact_allowances(contacts: Sequence[StanceContact]) -> tuple[Allowance, ...]:
     """Return the allowances of links in contact with the pieces behind their surfaces."""
     return tuple(
         Allowance(BodyRef.of_link(contact.planted.link), BodyRef.of_piece(piece), _find_depth(contact))
@@ -284,72 +282,6 @@ def _make_frame(z: Float[np.ndarray, "3"], ahead: Float[np.ndarray, "3"]) -> Flo
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-PhaseKind = Literal["shift", "lift", "swing", "land", "move", "finish"]
-LINE_TOLERANCE_M, LINE_TILT_RAD = 0.012, float(np.deg2rad(7.0))  # of a link on its line along the normal
-
-
-@dataclass(frozen=True)
-class ContactPhase:
-    """Phase of a motion between two stances.
-
-    Attributes:
-        name: as the user sees it.
-        kind: ``shift`` moves the body over what stays, ``lift`` and ``land`` move what leaves or arrives straight along
-            its normal, ``swing`` is free, ``move`` leads to another pose on the same contacts, ``finish`` to a posture.
-        contacts: that carry the robot.
-        moving: that leave or arrive.
-    """
-
-    name: str
-    kind: PhaseKind
-    contacts: tuple[StanceContact, ...]
-    moving: tuple[StanceContact, ...] = ()
-
-    def list_allowances(self, robot: RobotModel) -> tuple[Allowance, ...]:
-        """Return what may touch: contacts and what is behind them, links on their lines included."""
-        return make_contact_allowances(robot, (*self.contacts, *self.moving))
-
-    def list_targets(self) -> tuple[RelativePoseTarget, ...]:
-        """Return the promises that what leaves or arrives stays on its line."""
-        targets = []
-        for contact in self.moving:
-            planted = contact.planted
-            if len(planted.sole) < 3:
-                continue
-            half = 0.5 * LINE_M * contact.surface.normal
-            pose = planted.pose_world_link
-            targets.append(
-                RelativePoseTarget(
-                    planted.link,
-                    None,
-                    pose[:3, 3] + half,
-                    pose[:3, :3],
-                    LINE_TOLERANCE_M,
-                    LINE_TILT_RAD,
-                    slide=half,
-                )
-            )
-        return tuple(targets)
-
-
 def ends_with_new_contacts(stances: Sequence[ContactStance]) -> bool:
     """Return whether the last stance has contacts that no stance before it has: a last phase has to stand on them."""
     return len(stances) > 1 and bool(ContactChange.between(stances[-2], stances[-1]).arriving)
-
-
-def list_contact_phases(stances: Sequence[ContactStance], *, has_finish: bool) -> tuple[ContactPhase, ...]:
-    """Return the phases that lead from the first stance through all others, and perhaps to a posture on the last."""
-    phases: list[ContactPhase] = []
-    for before, after in pairwise(stances):
-        change = ContactChange.between(before, after)
-        if not change.leaving and not change.arriving:
-            phases.append(ContactPhase(f"{after.name}: move", "move", change.kept))
-        if change.leaving:
-            phases.append(ContactPhase(f"{after.name}: shift", "shift", before.contacts))
-            phases.append(ContactPhase(f"{after.name}: lift", "lift", change.kept, change.leaving))
-        if change.arriving:
-            phases.append(ContactPhase(f"{after.name}: swing", "swing", change.kept))
-            phases.append(ContactPhase(f"{after.name}: land", "land", change.kept, change.arriving))
-    if has_finish:
-        phases.append(ContactPhase("finish", "finish", stances[-1].contacts))
-    return tuple(phases)

@@ -28,7 +28,7 @@ from service.demands.door.phases import (
 from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.holds.door_edge import MOST_SLANT, hold_edge
-from service.demands.phase_spec import AXIS, DEPTH_RESERVE, PhaseSpec
+from service.demands.phase import AXIS, DEPTH_RESERVE, TaskPhase
 from service.demands.rest import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
@@ -200,7 +200,7 @@ class DoorDemand:
         """Leaf and handle."""
         return self.door.mechanism
 
-    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+    def read_choices(self, recorded: Motion) -> tuple[tuple[TaskPhase, ...], tuple[str, ...]]:
         """Return the phases with the record's choices, and a sentence for each that the task forbids."""
         choice, problems = self.read_choice(recorded)
         return (() if choice is None else make_door_phases(self.door, choice)), problems
@@ -372,14 +372,14 @@ def _is_on_leaf(leaf: LeafChoice, door: Door) -> bool:
     return is_at_edge and 0.0 < leaf.up_m < size.height and not door.is_push
 
 
-def make_door_rest(demand: DoorDemand, resume: ResumeRequest, reach_waypoints: int = 14) -> RestTask:
+def make_door_rest(demand: DoorDemand, resume: ResumeRequest) -> RestTask:
     """Return what the rest of a door task demands.
 
     Raises:
         RequestError: its phase, mechanism or choices do not fit the task.
     """
     choice = read_kept_choice(demand.door, demand.request, resume, demand.robot)
-    specs = make_door_phases(demand.door, choice, reach_waypoints)
+    specs = make_door_phases(demand.door, choice)
     mechanism = start_mechanism(demand.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)
     return RestTask(mechanism, specs, resume.phase, demand.measure)

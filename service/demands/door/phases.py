@@ -18,7 +18,7 @@ from perception.detect.door.seen_parts import HANDLE_NAMES
 from service.demands.hands import Hand
 from service.demands.holds.door_edge import hold_edge, make_edge_load
 from service.demands.holds.pressed import add_pressed, find_pressed
-from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.phase import FrameMotion, TaskPhase
 from service.request.tasks.door import DOOR, HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
 
@@ -36,7 +36,6 @@ FREE_BEYOND = np.deg2rad(5.0)  # opening from which on the latch no longer holds
 LEAST_GRIP = 0.1  # of a lever from its spindle: 20 N for 2 N m [m]
 GRIP_FROM_END = 0.02  # [m]
 LINE_OUT, LINE_UP = 0.09, 0.04  # of the lines that lead to a handle and away from it [m]
-TURN_STEP, OPEN_STEP = np.deg2rad(10.0), np.deg2rad(10.0)  # between waypoints
 HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(20.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
 PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
@@ -44,7 +43,6 @@ ABOVE_LEVER = 1.5e-3  # of the hand's front, which leans [m]
 PEG_SPACE = 1e-3  # between a peg and a bar: both are polygons, and the peg leans [m]
 PEG_ACROSS = np.deg2rad(30.0)  # between the peg behind a pull handle and the leaf
 PLACE_TOLERANCE = 5e-3  # [m]
-TORQUE_SHARE = 0.9  # of the joints before the hand; the rest is for the motion [-]
 LEAF, LEAF_NEAR = "leaf", 0.15  # name of the leaf, and distance from a hold within which it is counted [m]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
 GIVES_WAY = 0.2  # share of the force that releases a handle, for which one at rest hardly moves [-]
@@ -192,16 +190,16 @@ class DoorChoice:
     stays: bool = False
 
 
-def make_door_phases(door: Door, choice: DoorChoice, reach_waypoints: int = REACH_WAYPOINTS) -> tuple[PhaseSpec, ...]:
+def make_door_phases(door: Door, choice: DoorChoice) -> tuple[TaskPhase, ...]:
     """Return the phases of a plan: at the handle, and on the leaf after a regrasp."""
-    phases: list[PhaseSpec] = []
+    phases: list[TaskPhase] = []
     start = door.mechanism.start
     if choice.first > start[0]:
-        specs = _open_at_handle(door, choice, start, reach_waypoints)
+        specs = _open_at_handle(door, choice, start)
         phases += add_pressed(specs, find_pressed(door.seen, door.handle_name, (choice.grip, 0.0)))
     if choice.push is not None:
         at = phases[-1].last if phases else start
-        specs = _push_leaf(door, choice, choice.push, at, reach_waypoints, is_second=bool(phases))
+        specs = _push_leaf(door, choice, choice.push, at, is_second=bool(phases))
         place = choice.push.along, choice.push.up
         phases += add_pressed(specs, find_pressed(door.seen, LEAF, place, LEAF_NEAR))
     bears = _list_resistances(door)
@@ -218,9 +216,7 @@ def _list_resistances(door: Door) -> dict[str, tuple[float, float]]:
     return {LEAF_JOINT: (-door.hinge_nm, np.inf), HANDLE_JOINT: (0.0, gives_way)}
 
 
-def _open_at_handle(
-    door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"], reach_waypoints: int
-) -> list[PhaseSpec]:
+def _open_at_handle(door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"]) -> list[TaskPhase]:
     """Return reach, approach, press, open, let go and retract."""
     held = hold_handle(door, choice)
     pressed, opened, released = start.copy(), start.copy(), start.copy()
@@ -229,66 +225,36 @@ def _open_at_handle(
         pressed[1] = opened[1] = max(door.pressed, start[1])
     opened[0] = released[0] = choice.first
     on_leaf = held.on_leaf(float(pressed[1]) if len(pressed) > 1 else 0.0)
-    step = "pose at the handle"
+    at_rest = held.at_rest(start)
     phases = [
-        PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
-        PhaseSpec("approach", start, start, held.line(held.at_rest(start)), held.touches, n_waypoints=LINE_WAYPOINTS),
+        TaskPhase("reach", start, start),
+        TaskPhase("approach", start, start, (held.line(at_rest),), held.touches),
     ]
     if presses:
         name = "turn the handle" if door.handle is not None and door.handle.kind == "lever" else "press the bar"
-        count = max(int(np.ceil(abs(pressed[1] - start[1]) / TURN_STEP)) + 1, 4)
-        phases.append(
-            PhaseSpec(
-                name,
-                start,
-                pressed,
-                held.at_rest(start),
-                held.touches,
-                held.press_loads(),
-                n_waypoints=count,
-                torque_share=TORQUE_SHARE,
-            )
-        )
-    count = max(int(np.ceil((choice.first - start[0]) / OPEN_STEP)) + 1, 3)
+        phases.append(TaskPhase(name, start, pressed, (at_rest,), held.touches, loads=held.press_loads()))
     loads = held.open_loads(on_leaf, presses=presses)
-    phases.append(
-        PhaseSpec(
-            "open", pressed, opened, on_leaf, held.touches, loads,
-            is_anchor=True, aims_at_end=True, step=step, n_waypoints=count, torque_share=TORQUE_SHARE,
-        )
-    )  # fmt: skip
+    phases.append(TaskPhase("open", pressed, opened, (on_leaf,), held.touches, loads=loads))
     if choice.stays and choice.push is None:
         return phases
     if presses:
-        count = max(int(np.ceil(abs(opened[1] - released[1]) / TURN_STEP)) + 1, 4)
         name = "let the handle go"
-        phases.append(
-            PhaseSpec(
-                name,
-                opened,
-                released,
-                held.at_rest(start),
-                held.touches,
-                held.press_loads(),
-                n_waypoints=count,
-                torque_share=TORQUE_SHARE,
-            )
-        )
-    away = replace(held.line(held.at_rest(start)), leaves=True)
-    phases.append(PhaseSpec("retract", released, released, away, held.touches, n_waypoints=LINE_WAYPOINTS))
+        phases.append(TaskPhase(name, opened, released, (at_rest,), held.touches, loads=held.press_loads()))
+    away = replace(held.line(at_rest), leaves=True)
+    phases.append(TaskPhase("retract", released, released, (away,), held.touches))
     return phases
 
 
 def _push_leaf(
-    door: Door, choice: DoorChoice, push: Push, at: Float[np.ndarray, "k"], reach_waypoints: int, *, is_second: bool
-) -> list[PhaseSpec]:
+    door: Door, choice: DoorChoice, push: Push, at: Float[np.ndarray, "k"], *, is_second: bool
+) -> list[TaskPhase]:
     """Return reach, touch, push and retract of a hand that pushes the leaf open."""
     geometry = door.geometry
     suffix = " 2" if is_second else ""
     side = -1.0 if door.is_push else 1.0  # a leaf that opens towards the robot is pushed on its back
     face = geometry.face if door.is_push else geometry.face - geometry.thickness
     place = push.along * geometry.along + face * geometry.normal + push.up * UP
-    tip = HandMotion(
+    tip = FrameMotion(
         push.hand.tool, LEAF_LINK, place, side * geometry.normal, slide=PUSH_SLIDE * geometry.along,
         tolerance_m=PLACE_TOLERANCE, tilt_rad=float(PUSH_TILT), aim_rad=float(PUSH_TILT - TILT_RESERVE),
     )  # fmt: skip
@@ -300,27 +266,14 @@ def _push_leaf(
         line, load = replace(tip, offset=offset), make_edge_load(geometry, tip, normal, door.hinge_nm)
     last = at.copy()
     last[0] = push.last
-    count = max(int(np.ceil((push.last - at[0]) / OPEN_STEP)) + 1, 3)
     phases = [
-        PhaseSpec(f"reach{suffix}", at, at, n_waypoints=reach_waypoints),
-        PhaseSpec(f"touch{suffix}", at, at, line, touches, n_waypoints=LINE_WAYPOINTS),
-        PhaseSpec(
-            f"push{suffix}",
-            at,
-            last,
-            tip,
-            touches,
-            (load,),
-            is_anchor=True,
-            step="pose on the leaf",
-            n_waypoints=count,
-            aims_at_end=True,
-            torque_share=TORQUE_SHARE,
-        ),
+        TaskPhase(f"reach{suffix}", at, at),
+        TaskPhase(f"touch{suffix}", at, at, (line,), touches),
+        TaskPhase(f"push{suffix}", at, last, (tip,), touches, loads=(load,)),
     ]
     if not choice.stays:
         away = replace(line, leaves=True)
-        phases.append(PhaseSpec(f"retract{suffix}", last, last, away, touches, n_waypoints=LINE_WAYPOINTS))
+        phases.append(TaskPhase(f"retract{suffix}", last, last, (away,), touches))
     return phases
 
 
@@ -355,17 +308,17 @@ class HandleHold:
     touches: tuple[Allowance, ...]
     lean: float = 0.0
 
-    def at_rest(self, start: Float[np.ndarray, "k"]) -> HandMotion:
+    def at_rest(self, start: Float[np.ndarray, "k"]) -> FrameMotion:
         """Return the hold that moves with the handle; with the leaf where the handle has no joint of its own."""
         if len(start) == 1:
             return self.on_leaf(0.0)
         return self._motion(HANDLE_LINK, self.place)
 
-    def on_leaf(self, value: float) -> HandMotion:
+    def on_leaf(self, value: float) -> FrameMotion:
         """Return the hold that moves with the leaf, given the value of the handle's joint."""
         return self._motion(LEAF_LINK, self._in_leaf(self.place, value))
 
-    def line(self, motion: HandMotion) -> HandMotion:
+    def line(self, motion: FrameMotion) -> FrameMotion:
         """Return the straight line that ends at a hold."""
         return replace(motion, offset=self.offset)
 
@@ -380,7 +333,7 @@ class HandleHold:
         moves = np.cross(door.spindle_axis, self.contact) / arm
         return (HandLoad(self.tool, HANDLE_LINK, self.contact, door.lever_nm / arm * moves),)
 
-    def open_loads(self, on_leaf: HandMotion, *, presses: bool) -> tuple[HandLoad, ...]:
+    def open_loads(self, on_leaf: FrameMotion, *, presses: bool) -> tuple[HandLoad, ...]:
         """Return what moves the leaf, and keeps the handle where it releases if ``presses``.
 
         What presses a bar pushes the leaf as well: the larger force does both.
@@ -400,8 +353,8 @@ class HandleHold:
         along = along * np.sign(along @ self.axis)
         return (load, HandLoad(self.tool, LEAF_LINK, place, force * np.tan(self.lean) * along))
 
-    def _motion(self, link: str, place: Float[np.ndarray, "3"]) -> HandMotion:
-        return HandMotion(
+    def _motion(self, link: str, place: Float[np.ndarray, "3"]) -> FrameMotion:
+        return FrameMotion(
             self.tool, link, place, self.axis, tolerance_m=PLACE_TOLERANCE, tilt_rad=self.tilt,
             aim_rad=self.tilt - float(TILT_RESERVE), axis_link=LEAF_LINK,
         )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.curve import Curve
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.request.resume import NominalRequest
 from service.verify import Motion
 from service.verify.frame_paths import trace_frame
@@ -17,7 +17,7 @@ DISPLACED_MM, DISPLACED_DEG = "hand_displaced_mm", "hand_displaced_deg"
 PER_INTERVAL = 8  # samples between two knots
 
 
-def measure_displacement(motion: Motion, specs: Sequence[PhaseSpec], earlier: NominalRequest) -> dict[str, float]:
+def measure_displacement(motion: Motion, specs: Sequence[TaskPhase], earlier: NominalRequest) -> dict[str, float]:
     """Measure the largest displacement of a hand that handles the mechanism from an earlier motion.
 
     Both are compared phase by phase, at equal shares of the phase.  Without the same joints and phases the result is

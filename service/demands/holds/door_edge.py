@@ -15,7 +15,7 @@ from costs.robot import RobotModel
 from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry
 from service.demands.hands import Hand
-from service.demands.phase_spec import HandMotion
+from service.demands.phase import FrameMotion
 from service.verify import HandLoad
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ LINE_OUT, LINE_BEHIND = 0.09, 0.03  # of the line that leads to the edge: beyond
 GAP_RESERVE = 0.02  # beside the hand in the gap between edge and frame [m]
 
 
-def hold_edge(geometry: DoorGeometry, push: Push) -> tuple[HandMotion, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def hold_edge(geometry: DoorGeometry, push: Push) -> tuple[FrameMotion, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the hold of the edge, the offset of the line that leads there, and the unit normal of the contact.
 
     All are in the leaf's link.
@@ -47,7 +47,7 @@ def hold_edge(geometry: DoorGeometry, push: Push) -> tuple[HandMotion, Float[np.
     normal = normal * np.sign(normal @ geometry.normal)
     corner = find_corner(geometry) + push.up * UP
     place = corner - (push.hand.peg_radius + EDGE_SPACE) * normal
-    motion = HandMotion(
+    motion = FrameMotion(
         push.hand.peg, LEAF_LINK, place, axis, tolerance_m=PLACE_TOLERANCE, tilt_rad=float(EDGE_TILT),
         aim_rad=float(EDGE_TILT - TILT_RESERVE),
     )  # fmt: skip
@@ -60,7 +60,7 @@ def find_corner(geometry: DoorGeometry) -> Float[np.ndarray, "3"]:
 
 
 def make_edge_load(
-    geometry: DoorGeometry, motion: HandMotion, normal: Float[np.ndarray, "3"], hinge_nm: float
+    geometry: DoorGeometry, motion: FrameMotion, normal: Float[np.ndarray, "3"], hinge_nm: float
 ) -> HandLoad:
     """Return the force at the edge that opens the leaf against a torque at its hinge."""
     arm = float(np.cross(motion.place, normal) @ geometry.hinge_axis)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.verify import PressedPart
 
 if TYPE_CHECKING:
@@ -37,6 +37,6 @@ def find_pressed(
     return PressedPart(name, "scan", n_points, n_through, near, part.within_m)
 
 
-def add_pressed(specs: Sequence[PhaseSpec], *parts: PressedPart) -> tuple[PhaseSpec, ...]:
+def add_pressed(specs: Sequence[TaskPhase], *parts: PressedPart) -> tuple[TaskPhase, ...]:
     """Return phases with the parts that are pressed while a hand moves the mechanism."""
     return tuple(replace(spec, pressed=parts) if spec.moving and spec.hand is not None else spec for spec in specs)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from costs.robot import STOP_ROUNDING, LinkBody, Mechanism, RobotModel
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.phase_spec import AXIS, SAME_VALUE, HandMotion, PhaseSpec, find_rotation_onto
+from service.demands.phase import AXIS, SAME_VALUE, FrameMotion, TaskPhase, find_rotation_onto
 from service.verify import HandContact, HandLoad, HandPush, HeldJoint
 from service.verify.forces.hand_balance import LEAST_SHARE, Meeting, find_jamming_angle, measure_excess, meet
 from service.verify.forces.hand_contacts import describe_failure
@@ -54,8 +54,8 @@ class NominalPush:
 
 
 def add_pushes(
-    specs: Sequence[PhaseSpec], robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
-) -> tuple[PhaseSpec, ...]:
+    specs: Sequence[TaskPhase], robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
+) -> tuple[TaskPhase, ...]:
     """Return phases with the contacts of hands that move the mechanism or carry its loads.
 
     A hand that presses a body at an angle exerts more than the way needs: such a load gets the contact's direction.
@@ -69,20 +69,22 @@ def add_pushes(
     return tuple(_add_pushes(spec, robot, mechanism, friction) for spec in specs)
 
 
-def _add_pushes(spec: PhaseSpec, robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]) -> PhaseSpec:
+def _add_pushes(spec: TaskPhase, robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]) -> TaskPhase:
     found = tuple(find_nominal_pushes(spec, robot, mechanism, friction))
     loads = spec.loads
     for nominal in found:
         loads = tuple(_press_along_normal(load, mechanism, spec, nominal) for load in loads)
     pushes = tuple(nominal.push for nominal in found)
-    return replace(spec, pushes=pushes, loads=loads, hand=_limit_lean(spec, mechanism, found))
+    pushing = replace(spec, pushes=pushes, loads=loads)
+    return pushing if spec.hand is None else pushing.with_hand(_limit_lean(spec, spec.hand, mechanism, found))
 
 
-def _limit_lean(spec: PhaseSpec, mechanism: Mechanism, found: Sequence[NominalPush]) -> HandMotion | None:
+def _limit_lean(
+    spec: TaskPhase, motion: FrameMotion, mechanism: Mechanism, found: Sequence[NominalPush]
+) -> FrameMotion:
     """Return a phase's hand whose rod leans towards the way of its hardest push no more than friction permits."""
-    motion = spec.hand
     single = [nominal for nominal in found if len(nominal.met) == 1]
-    if motion is None or not single:
+    if not single:
         return motion
     nominal = max(single, key=lambda nominal: nominal.push.force_n)
     (contact,), (meeting,) = nominal.push.contacts, nominal.met
@@ -98,7 +100,7 @@ def _limit_lean(spec: PhaseSpec, mechanism: Mechanism, found: Sequence[NominalPu
 
 
 def find_nominal_pushes(
-    spec: PhaseSpec, robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
+    spec: TaskPhase, robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
 ) -> Iterator[NominalPush]:
     """Yield the pushes of a phase: one per sense of each joint that moves or is loaded."""
     motion = spec.hand
@@ -123,7 +125,7 @@ def find_nominal_pushes(
 
 
 def find_side(
-    spec: PhaseSpec, robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
+    spec: TaskPhase, robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
 ) -> Float[np.ndarray, "3"]:
     """Return how far a hand may be beside the face that it presses before it comes near another body [m].
 
@@ -155,7 +157,7 @@ def _measure_gap(robot: RobotModel, mechanism: Mechanism, contact: HandContact, 
 
 
 def explain_refusal(
-    specs: Sequence[PhaseSpec], robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
+    specs: Sequence[TaskPhase], robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
 ) -> str | None:
     """Return why a hand cannot push the mechanism, whatever its permitted lean; None if it can."""
     for spec in specs:
@@ -167,7 +169,7 @@ def explain_refusal(
     return None
 
 
-def _list_needs(spec: PhaseSpec, mechanism: Mechanism) -> list[tuple[str, float, float]]:
+def _list_needs(spec: TaskPhase, mechanism: Mechanism) -> list[tuple[str, float, float]]:
     """Return joint, sense and force [N] of every push that a phase needs."""
     needs: dict[tuple[str, float], float] = {}
     for load in spec.loads:
@@ -184,7 +186,7 @@ def _list_needs(spec: PhaseSpec, mechanism: Mechanism) -> list[tuple[str, float,
     return [(joint, sense, force) for (joint, sense), force in needs.items()]
 
 
-def _list_contacts(robot: RobotModel, hand: Hand, spec: PhaseSpec) -> Iterator[HandContact]:
+def _list_contacts(robot: RobotModel, hand: Hand, spec: TaskPhase) -> Iterator[HandContact]:
     """Yield the contacts that a phase's allowances permit to a hand."""
     for touch in spec.touches:
         for own, other in ((touch.first, touch.second), (touch.second, touch.first)):
@@ -200,7 +202,7 @@ def _list_contacts(robot: RobotModel, hand: Hand, spec: PhaseSpec) -> Iterator[H
                     yield HandContact(frame, words, core, radius, body.link, body.name, cap)
 
 
-def _keep_nearest(contacts: Sequence[HandContact], motion: HandMotion, robot: RobotModel) -> tuple[HandContact, ...]:
+def _keep_nearest(contacts: Sequence[HandContact], motion: FrameMotion, robot: RobotModel) -> tuple[HandContact, ...]:
     """Return the contacts of a rod; those of fingers only with the bodies that are nearest to the hand's place."""
     if motion.rotation is None and not motion.is_rigid:
         return tuple(contacts)
@@ -249,7 +251,7 @@ def _to_frame(robot: RobotModel, body: LinkBody, frame: str) -> Float[np.ndarray
     return np.asarray((body.vertices - placement.translation) @ placement.rotation)
 
 
-def _place_hand(motion: HandMotion, mechanism: Mechanism, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:
+def _place_hand(motion: FrameMotion, mechanism: Mechanism, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:
     """Return the pose of the frame at the hand's place in the world, its axis as the phase aims at."""
     held = mechanism.locate(str(motion.link), values)
     turned = held if motion.turns_with is None else mechanism.locate(motion.turns_with, values)
@@ -294,7 +296,7 @@ def _find_way(
 
 
 def _list_held(
-    spec: PhaseSpec, mechanism: Mechanism, contact: HandContact, pushed: frozenset[str]
+    spec: TaskPhase, mechanism: Mechanism, contact: HandContact, pushed: frozenset[str]
 ) -> tuple[HeldJoint, ...]:
     """Return the joints that carry what a contact presses and that stay still, with what they bear by themselves."""
     held, above = list[HeldJoint](), str(contact.link)
@@ -315,7 +317,7 @@ def _list_held(
         above = joint.parent
 
 
-def _is_locked(spec: PhaseSpec, mechanism: Mechanism, joint: str) -> bool:
+def _is_locked(spec: TaskPhase, mechanism: Mechanism, joint: str) -> bool:
     """Return whether a latch holds a joint during a whole phase."""
     names = [known.name for known in mechanism.joints]
     for release in mechanism.releases:
@@ -341,7 +343,7 @@ def _choose(push: HandPush, met: Sequence[Meeting | None]) -> NominalPush:
     return together if is_better else alone
 
 
-def _press_along_normal(load: HandLoad, mechanism: Mechanism, spec: PhaseSpec, nominal: NominalPush) -> HandLoad:
+def _press_along_normal(load: HandLoad, mechanism: Mechanism, spec: TaskPhase, nominal: NominalPush) -> HandLoad:
     """Return a load of a push as what a single contact exerts for it: along its normal, as large as the way needs."""
     push = nominal.push
     if len(nominal.met) != 1 or not _is_load_of(load, push, mechanism):

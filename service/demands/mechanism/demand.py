@@ -16,7 +16,7 @@ from service.demands.hands import Hand, list_robot_hands
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.mechanism.settling import keep_aside, settle_handle
-from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec
+from service.demands.phase import TaskPhase
 from service.demands.rest import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
@@ -43,7 +43,7 @@ class GivenMechanismDemand:
         """The joints of the URDF."""
         return self.given.mechanism
 
-    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+    def read_choices(self, recorded: Motion) -> tuple[tuple[TaskPhase, ...], tuple[str, ...]]:
         """Return the phases with the record's hand, or a sentence that no permitted hand holds the handle."""
         hand = self.find_hand(recorded)
         if hand is None:
@@ -92,9 +92,7 @@ def read_kept_hand(demand: GivenMechanismDemand, resume: ResumeRequest) -> Hand:
     return hand
 
 
-def make_mechanism_rest(
-    demand: GivenMechanismDemand, resume: ResumeRequest, reach_waypoints: int = REACH_WAYPOINTS
-) -> RestTask:
+def make_mechanism_rest(demand: GivenMechanismDemand, resume: ResumeRequest) -> RestTask:
     """Return what the rest of a task with a given mechanism demands.
 
     Raises:
@@ -103,7 +101,7 @@ def make_mechanism_rest(
     hand = read_kept_hand(demand, resume)
     robot = with_mechanism(demand.robot, demand.mechanism.joints)
     given = settle_handle(demand.given, robot, hand, demand.friction)
-    specs = make_mechanism_phases(given, hand, reach_waypoints)
+    specs = make_mechanism_phases(given, hand)
     specs = keep_aside(specs, robot, given.mechanism, demand.friction)
     mechanism = start_mechanism(given.mechanism, resume.mechanism)
     check_travel(mechanism, specs, resume.phase)

@@ -13,13 +13,12 @@ from service.demands.hands import Hand
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
-from service.demands.phase_spec import LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.phase import FrameMotion, TaskPhase
 from service.errors import RequestError
 from service.request.tasks.mechanism import MechanismRequest
 from service.verify import HandLoad
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
-TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints [rad, m]
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
 STAYS_SHARE = 0.7  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
@@ -28,9 +27,7 @@ MOST_LOADS = 4  # at a time: the robot is held under every combination of them
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 
 
-def make_mechanism_phases(
-    given: GivenMechanism, hand: Hand, reach_waypoints: int = REACH_WAYPOINTS
-) -> tuple[PhaseSpec, ...]:
+def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase, ...]:
     """Return the phases: reach, approach, one per move, retract unless the hand stays.
 
     Raises:
@@ -38,7 +35,7 @@ def make_mechanism_phases(
     """
     handle, start = given.handle, given.mechanism.start
     tool = select_tool(given, hand)
-    held = HandMotion(
+    held = FrameMotion(
         tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
         tilt_rad=handle.tilt, aim_rad=handle.tilt - TILT_RESERVE,
     )  # fmt: skip
@@ -50,8 +47,8 @@ def make_mechanism_phases(
         for body in handle.bodies
     )
     phases = [
-        PhaseSpec("reach", start, start, n_waypoints=reach_waypoints),
-        PhaseSpec("approach", start, start, line, touches, n_waypoints=LINE_WAYPOINTS),
+        TaskPhase("reach", start, start),
+        TaskPhase("approach", start, start, (line,), touches),
     ]
     ends = given.list_moves()
     values = ends[-1][1]
@@ -63,28 +60,19 @@ def make_mechanism_phases(
             f"task.mechanism.joints: the hand would carry {len(loads[crowded])} loads, one per joint and direction, in "
             f"moves[{crowded}]; expected at most {MOST_LOADS}"
         )
-    travels = [measure_travel(given, first, last) for first, last in ends]
-    for k, (move, (first, last)) in enumerate(zip(given.request.moves, ends, strict=True)):
-        joint = given.mechanism.joint(move.joint)
-        step = SLIDE_STEP if joint.kind == "prismatic" else TURN_STEP
-        count = max(int(np.ceil(np.abs(last - first).max() / step)) + 1, 4)
+    for k, (first, last) in enumerate(ends):
         bears = {
             load.joint: (load.low - STAYS_SHARE * load.slack[0], load.high + STAYS_SHARE * load.slack[1])
             for load in joint_loads[k]
             if load.sense == 0.0
         }
-        phases.append(
-            PhaseSpec(
-                _name_phase(given.request, k),
-                first, last, held, touches, loads[k], bears=bears,
-                is_anchor=k == int(np.argmax(travels)), aims_at_end=True, step="pose at the handle", n_waypoints=count,
-            )
-        )  # fmt: skip
+        name = _name_phase(given.request, k)
+        phases.append(TaskPhase(name, first, last, (held,), touches, loads=loads[k], bears=bears))
     if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
         away = replace(line, leaves=True)
         if drags_along(given, joint_loads[-1], loads[-1], values):
-            phases.append(PhaseSpec(LET_GO, values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
-        phases.append(PhaseSpec("retract", values, values, away, touches, n_waypoints=LINE_WAYPOINTS))
+            phases.append(TaskPhase(LET_GO, values, values, (away,), touches))
+        phases.append(TaskPhase("retract", values, values, (away,), touches))
     return add_pressed(phases, find_pressed(None, given.request.handle.link, (0.0, 0.0)))
 
 
@@ -145,17 +133,6 @@ def _locate_handle(
     """Return the handle's place in the link of a joint that carries it, and the rotation of its link in that link."""
     pose = np.linalg.inv(given.locate(name, values)) @ given.locate(given.handle.joint, values)
     return pose[:3, :3] @ given.handle.place + pose[:3, 3], pose[:3, :3]
-
-
-def measure_travel(given: GivenMechanism, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> float:
-    """Return how far a move of one joint carries the handle [m]."""
-    column = int(np.abs(last - first).argmax())
-    joint = given.mechanism.joints[column]
-    moved = float(abs(last[column] - first[column]))
-    if joint.kind == "prismatic":
-        return moved
-    place, _ = _locate_handle(given, joint.name, first)
-    return moved * float(np.linalg.norm(np.cross(joint.axis / np.linalg.norm(joint.axis), place)))
 
 
 def list_opposite_places(given: GivenMechanism) -> list[Float[np.ndarray, "3"]]:

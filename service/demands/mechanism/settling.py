@@ -13,7 +13,7 @@ from service.demands.hands import Hand
 from service.demands.holds.pushes import NominalPush, find_nominal_pushes, find_side
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.phases import LET_GO, make_mechanism_phases
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.verify.forces.hand_balance import LEAST_APART_M, measure_excess
 
 SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
@@ -49,18 +49,21 @@ def settle_handle(
 
 
 def keep_aside(
-    specs: Sequence[PhaseSpec], robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
-) -> tuple[PhaseSpec, ...]:
+    specs: Sequence[TaskPhase], robot: RobotModel, mechanism: Mechanism, friction: tuple[float, float]
+) -> tuple[TaskPhase, ...]:
     """Return phases whose lines lead to the handle, and away from it, beside the face that the hand presses.
 
     A rod that slides along a face drags it along: a hand that lets go first leaves the face straight.
     """
     moving = [k for k, spec in enumerate(specs) if spec.moving]
     sides = [find_side(specs[k], robot, mechanism, friction) for k in (moving[0], moving[-1])]
-    kept, is_off = list[PhaseSpec](), False
+    kept, is_off = list[TaskPhase](), False
     for k, spec in enumerate(specs):
         hand = spec.hand
-        if hand is not None and hand.offset is not None:
+        if hand is None:
+            kept.append(spec)
+            continue
+        if hand.offset is not None:
             side = sides[0] if k < moving[0] else sides[1]
             if spec.name == LET_GO and side.any():
                 hand, is_off = replace(hand, offset=side), True
@@ -68,7 +71,7 @@ def keep_aside(
                 hand = replace(hand, place=hand.place + side)
             else:
                 hand = replace(hand, offset=hand.offset + side)
-        kept.append(replace(spec, hand=hand))
+        kept.append(spec.with_hand(hand))
     return tuple(kept)
 
 

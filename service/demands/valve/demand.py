@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from costs.robot import Mechanism
 from service.demands.figures.travel import measure_turn
 from service.demands.hands import HANDS, Hand
-from service.demands.phase_spec import HandMotion, PhaseSpec
+from service.demands.phase import FrameMotion, TaskPhase
 from service.demands.rest import RestTask, check_travel, start_mechanism
 from service.demands.valve.strokes import (
     TURN,
@@ -58,7 +58,7 @@ class ValveDemand:
         """The wheel as a mechanism."""
         return make_wheel_mechanism(self.wheel, float(np.deg2rad(self.request.turn_deg)))
 
-    def read_choices(self, recorded: Motion) -> tuple[tuple[PhaseSpec, ...], tuple[str, ...]]:
+    def read_choices(self, recorded: Motion) -> tuple[tuple[TaskPhase, ...], tuple[str, ...]]:
         """Return the phases of all strokes with the record's choices, and a sentence for each that is forbidden."""
         choice = self._read_choice(recorded)
         if isinstance(choice, str):
@@ -106,7 +106,7 @@ class ValveDemand:
         return f"the {mode} is in no gap of the valve in phase '{turns[0].name}'"
 
 
-def _is_hold_of(hold: RelativePoseTarget, motion: HandMotion) -> bool:
+def _is_hold_of(hold: RelativePoseTarget, motion: FrameMotion) -> bool:
     """Return whether a promise keeps a hand at its place of the wheel."""
     is_turned = motion.rotation is None or float(np.abs(hold.rotation - motion.rotation).max()) <= SAME_PLACE_M
     return is_turned and bool(np.linalg.norm(hold.position - motion.place) <= SAME_PLACE_M)

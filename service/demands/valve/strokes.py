@@ -8,10 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from costs.allowance import Allowance, BodyRef
 from service.demands.hands import Hand
 from service.demands.holds.pressed import add_pressed, find_pressed
-from service.demands.phase_spec import AXIS, LINE_WAYPOINTS, REACH_WAYPOINTS, HandMotion, PhaseSpec
+from service.demands.phase import AXIS, FrameMotion, TaskPhase
 from service.demands.valve.grip import make_finger_targets, make_grip_allowances, place_grip
 from service.demands.valve.peg import PegPlace, make_peg_allowances, place_peg
 from service.demands.valve.wheel import Mode, Wheel, wrap_angle
@@ -20,7 +19,6 @@ from service.request.tasks.valve import VALVE_LINK, ValveRequest
 from service.verify import CircleTarget, HandLoad, PressedPart
 
 TURN = "turn"
-POSE_AT_WHEEL = "pose at the wheel"
 LARGEST_STROKES: Mapping[Mode, float] = {"hook": np.deg2rad(360.0), "grasp": np.deg2rad(120.0)}
 PROBE = np.deg2rad(10.0)  # to either side, where the sense of the turn is not known
 ROCK = np.deg2rad(5.0)  # to either side, before a stuck wheel is turned
@@ -28,12 +26,7 @@ RIM, RIM_NEAR = "rim", 0.06  # name of a wheel's rim, and distance from a hold w
 STUCK_FACTOR = 2.0  # of the torque that a stuck wheel may take
 PEG_TOLERANCE = 1e-3  # largest distance of the peg's middle from its place in the wheel [m]
 GRIP_TOLERANCE = 1.5e-3  # the same of a gripper [m]
-FINGER_WAYPOINTS = 4  # of a phase in which fingers open or close
-PEG_RESERVE = 5e-4  # of the peg's allowances, for the curve between the waypoints [m]
-TORQUE_SHARE = 0.8  # of the joints before the hand; the rest is for the motion [-]
-THROUGH = 1.0  # depth with which a pair does not count [m]
 AXIS_TOLERANCE = np.deg2rad(3.0)  # largest angle between the hand axis and the valve's
-TURN_STEP = np.deg2rad(20.0)  # between waypoints
 ROUNDING = 1e-9
 
 
@@ -121,7 +114,7 @@ def find_fault(wheel: Wheel, hand: Hand, mode: Mode, entry: float, sense: float)
     return held if isinstance(held, str) else None
 
 
-def find_hold(wheel: Wheel, choice: TurnChoice, mode: Mode, sense: float) -> HandMotion:
+def find_hold(wheel: Wheel, choice: TurnChoice, mode: Mode, sense: float) -> FrameMotion:
     """Return how a hand holds a wheel at its entry.
 
     Raises:
@@ -131,26 +124,22 @@ def find_hold(wheel: Wheel, choice: TurnChoice, mode: Mode, sense: float) -> Han
         peg = place_peg(wheel, choice.hand, choice.entry, sense)
         if isinstance(peg, str):
             raise ValueError(peg)
-        return HandMotion(
+        return FrameMotion(
             choice.hand.peg, VALVE_LINK, peg.place, -wheel.axis, offset=peg.offset, tolerance_m=PEG_TOLERANCE,
             tilt_rad=float(AXIS_TOLERANCE),
         )  # fmt: skip
     grip = place_grip(wheel, choice.entry, choice.is_flipped)
     if isinstance(grip, str):
         raise ValueError(grip)
-    return HandMotion(
+    return FrameMotion(
         choice.hand.tool, VALVE_LINK, grip.place, -wheel.axis, offset=grip.offset, tolerance_m=GRIP_TOLERANCE,
         tilt_rad=float(AXIS_TOLERANCE), rotation=grip.rotation,
     )  # fmt: skip
 
 
 def make_turn_phases(
-    wheel: Wheel,
-    request: ValveRequest,
-    choice: TurnChoice,
-    reach_waypoints: int = REACH_WAYPOINTS,
-    friction: float = HAND_FRICTION[1],
-) -> tuple[PhaseSpec, ...]:
+    wheel: Wheel, request: ValveRequest, choice: TurnChoice, friction: float = HAND_FRICTION[1]
+) -> tuple[TaskPhase, ...]:
     """Return the phases of all strokes; after the first one each enters where it is nearest to the first entry.
 
     ``friction`` is the largest coefficient between a peg and the wheel.
@@ -159,15 +148,15 @@ def make_turn_phases(
         ValueError: the hand cannot enter for a stroke.
     """
     strokes = list_strokes(request, choice.count)
-    phases: list[PhaseSpec] = []
+    phases: list[TaskPhase] = []
     for number, stroke in enumerate(strokes):
         suffix = "" if len(strokes) == 1 else f" {number + 1}"
         entry = choice.entry if number == 0 else _find_next_entry(wheel, request.mode, choice, stroke)
         held = replace(choice, entry=entry)
         if request.mode == "hook":
-            specs = _make_peg_stroke(wheel, held, stroke, suffix, reach_waypoints, friction)
+            specs = _make_peg_stroke(wheel, held, stroke, suffix, friction)
         else:
-            specs = _make_grip_stroke(wheel, held, stroke, suffix, reach_waypoints)
+            specs = _make_grip_stroke(wheel, held, stroke, suffix)
         phases += add_pressed(specs, find_pressed_part(wheel, held, request.mode, stroke.sense))
     return tuple(phases)
 
@@ -206,9 +195,9 @@ def _find_next_entry(wheel: Wheel, mode: Mode, choice: TurnChoice, stroke: Strok
 
 
 def _make_peg_stroke(
-    wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str, reach_waypoints: int, friction: float
-) -> tuple[PhaseSpec, ...]:
-    """Return the phases of a stroke of the hook: reach, insert, turn, retract; the turn is solved first."""
+    wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str, friction: float
+) -> tuple[TaskPhase, ...]:
+    """Return the phases of a stroke of the hook: reach, insert, turn, retract."""
     hand = choice.hand
     held = place_peg(wheel, hand, choice.entry, stroke.sense)
     if isinstance(held, str):
@@ -219,22 +208,13 @@ def _make_peg_stroke(
     motion = replace(line, offset=None)
     loads = list_peg_loads(wheel, hand, held, stroke.torque_nm, friction)
     return (
-        PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
-        PhaseSpec(
-            f"insert{suffix}", first, first, line, touches, n_waypoints=LINE_WAYPOINTS, depth_reserve_m=PEG_RESERVE
+        TaskPhase(f"reach{suffix}", first, first),
+        TaskPhase(f"insert{suffix}", first, first, (line,), touches),
+        TaskPhase(
+            f"{TURN}{suffix}", first, last, (motion,), touches, targets=(make_circle(wheel, motion),), loads=loads
         ),
-        PhaseSpec(
-            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step=POSE_AT_WHEEL,
-            n_waypoints=count_waypoints(stroke), loads=loads, also=(make_circle(wheel, motion),),
-            guess_touches=(Allowance(BodyRef.of_link(hand.hook), BodyRef("mechanism", VALVE_LINK), THROUGH),),
-            torque_share=TORQUE_SHARE,
-            depth_reserve_m=PEG_RESERVE,
-        ),
-        PhaseSpec(
-            f"retract{suffix}", last, last, replace(line, leaves=True), touches, n_waypoints=LINE_WAYPOINTS,
-            depth_reserve_m=PEG_RESERVE,
-        ),
-    )  # fmt: skip
+        TaskPhase(f"retract{suffix}", last, last, (replace(line, leaves=True),), touches),
+    )
 
 
 def list_peg_loads(
@@ -255,9 +235,7 @@ def list_peg_loads(
     return tuple(HandLoad(hand.peg, VALVE_LINK, held.place, force) for force in (pressure * held.push, beside))
 
 
-def _make_grip_stroke(
-    wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str, reach_waypoints: int
-) -> tuple[PhaseSpec, ...]:
+def _make_grip_stroke(wheel: Wheel, choice: TurnChoice, stroke: Stroke, suffix: str) -> tuple[TaskPhase, ...]:
     """Return the phases of a stroke of a gripper: reach, insert, close, turn, open, retract."""
     hand = choice.hand
     held = place_grip(wheel, choice.entry, choice.is_flipped)
@@ -274,36 +252,25 @@ def _make_grip_stroke(
     )
     stays_open, stays_closed = (make_finger_targets(hand, value) for value in (held.opened, held.closed))
     return (
-        PhaseSpec(f"reach{suffix}", first, first, n_waypoints=reach_waypoints),
-        PhaseSpec(
-            f"insert{suffix}", first, first, line, also=stays_open, n_waypoints=LINE_WAYPOINTS, joints=opened
+        TaskPhase(f"reach{suffix}", first, first),
+        TaskPhase(f"insert{suffix}", first, first, (line,), targets=stays_open, joints=opened),
+        TaskPhase(f"close{suffix}", first, first, (motion,), touches, joints=closes),
+        TaskPhase(
+            f"{TURN}{suffix}",
+            first,
+            last,
+            (motion,),
+            touches,
+            targets=(make_circle(wheel, motion), *stays_closed),
+            joints=closed,
+            loads=(load,),
         ),
-        PhaseSpec(
-            f"close{suffix}", first, first, motion, touches, n_waypoints=FINGER_WAYPOINTS, joints=closes,
-            depth_reserve_m=PEG_RESERVE,
-        ),
-        PhaseSpec(
-            f"{TURN}{suffix}", first, last, motion, touches, is_anchor=True, step=POSE_AT_WHEEL,
-            n_waypoints=count_waypoints(stroke), loads=(load,), also=(make_circle(wheel, motion), *stays_closed),
-            joints=closed, torque_share=TORQUE_SHARE, depth_reserve_m=PEG_RESERVE,
-        ),
-        PhaseSpec(
-            f"open{suffix}", last, last, motion, touches, n_waypoints=FINGER_WAYPOINTS, joints=opens,
-            depth_reserve_m=PEG_RESERVE,
-        ),
-        PhaseSpec(
-            f"retract{suffix}", last, last, replace(line, leaves=True), also=stays_open, n_waypoints=LINE_WAYPOINTS,
-            joints=opened,
-        ),
-    )  # fmt: skip
+        TaskPhase(f"open{suffix}", last, last, (motion,), touches, joints=opens),
+        TaskPhase(f"retract{suffix}", last, last, (replace(line, leaves=True),), targets=stays_open, joints=opened),
+    )
 
 
-def count_waypoints(stroke: Stroke) -> int:
-    """Return the number of waypoints of a phase that turns the wheel."""
-    return max(int(np.ceil(abs(stroke.last - stroke.first) / TURN_STEP)) + 1, 3)
-
-
-def make_circle(wheel: Wheel, motion: HandMotion) -> CircleTarget:
+def make_circle(wheel: Wheel, motion: FrameMotion) -> CircleTarget:
     """Return the promise that a hand's frame moves on a circle about the wheel's axis, its own axis against it."""
     height = float(motion.place @ wheel.axis)
     radius = float(np.linalg.norm(motion.place - height * wheel.axis))

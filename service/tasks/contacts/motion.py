@@ -11,7 +11,9 @@ from jaxtyping import Float
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, TaskPlan
 from service.demands.contacts.moved_places import list_movable, move_place
-from service.demands.contacts.stances import ContactPhase, ContactStance, list_contact_phases
+from service.demands.contacts.phases import list_contact_phases
+from service.demands.contacts.stances import ContactStance
+from service.demands.phase import TaskPhase
 from service.tasks.contacts.known_motion import KnownMotion
 from service.tasks.contacts.pose_finder import MissingPose, PoseFinder, StuckError
 from service.tasks.contacts.walker import N_TRIES, PLAIN_TRIES, Walker
@@ -50,7 +52,7 @@ def plan_contact_motion(
         order = tuple(spec.name for spec in course.specs)
         stuck = None if error.stuck is None else replace(error.stuck, order=order)
         body = course.phases[-1].body if course.phases else first
-        attempt = PlannedPhase(error.step, np.stack([course.at, error.q]), False, body=body)
+        attempt = PlannedPhase(TaskPhase(error.step), np.stack([course.at, error.q]), False, body=body)
         obstacle = () if stuck is not None else error.reasons
         return TaskPlan(solver.body, (*course.phases, attempt), obstacle, stuck, notes=tuple(course.notes))
     return TaskPlan(solver.body, tuple(course.phases), notes=tuple(course.notes))
@@ -74,7 +76,7 @@ class _Course:
         self.notes: list[str] = []
 
     @property
-    def specs(self) -> tuple[ContactPhase, ...]:
+    def specs(self) -> tuple[TaskPhase, ...]:
         """All phases in their order."""
         return list_contact_phases(self.stances, has_finish=self._has_finish)
 
@@ -101,9 +103,8 @@ class _Course:
         """
         while (k := len(self._changes) + 1) < len(self.stances):
             before, after = self.stances[k - 1 : k + 1]
-            own = [spec for spec in self.specs if spec.name.startswith(f"{after.name}: ")]
             try:
-                self._changes.append(self._walker.try_change(own, before, after, self.at, range(PLAIN_TRIES)))
+                self._changes.append(self._walker.try_change(before, after, self.at, range(PLAIN_TRIES)))
             except StuckError as error:
                 made = self._move_places(k, error.missing)
                 if made is not None:
@@ -112,7 +113,7 @@ class _Course:
                 further = range(PLAIN_TRIES, self._walker.most_tries)
                 if not further:
                     raise
-                self._changes.append(self._walker.try_change(own, before, after, self.at, further, error))
+                self._changes.append(self._walker.try_change(before, after, self.at, further, error))
 
     def _move_places(self, k: int, missing: MissingPose | None) -> int | None:
         """Move contacts so that a missing pose exists; return the first stance that makes one of them, or None.

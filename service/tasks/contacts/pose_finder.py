@@ -19,7 +19,7 @@ from service.body.sampling import free_coordinates
 from service.body.seeds import posture_guesses
 from service.body.task_plan import Stuck
 from service.body.whole_body import WholeBody
-from service.demands.contacts.stances import ContactChange, ContactPhase, StanceContact
+from service.demands.contacts.stances import ContactChange, StanceContact, make_contact_allowances
 from service.tasks.contacts.held_pose import KNOWN_WEIGHT, HeldPose
 from service.tasks.contacts.known_motion import KnownMotion
 from service.tasks.phase_compiler import shrink
@@ -94,8 +94,7 @@ class PoseFinder:
         Raises:
             StuckError: the contacts hold it nowhere.
         """
-        spec = ContactPhase("", "shift", tuple(contacts), tuple(touching))
-        touches = shrink(spec.list_allowances(self.start.robot), reserve_m)
+        touches = shrink(make_contact_allowances((*contacts, *touching)), reserve_m)
         planted = tuple(contact.planted for contact in contacts)
         try:
             region = plan_contact_region(self.start.robot, planted)

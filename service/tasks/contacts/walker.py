@@ -23,14 +23,9 @@ from service.body.seeds import Seed, posture_guesses
 from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.body.whole_body import WholeBody
-from service.demands.contacts.stances import (
-    LINE_M,
-    LINE_TILT_RAD,
-    ContactChange,
-    ContactPhase,
-    ContactStance,
-    StanceContact,
-)
+from service.demands.contacts.phases import LINE_M, LINE_TILT_RAD, list_change_phases
+from service.demands.contacts.stances import ContactChange, ContactStance, StanceContact
+from service.demands.phase import TaskPhase
 from service.tasks.contacts.held_pose import SAME_STATE, HeldPose, keep_sides
 from service.tasks.contacts.known_motion import lead_way
 from service.tasks.contacts.pose_finder import POSE_RESERVE, MissingPose, PoseFinder, StuckError
@@ -76,7 +71,6 @@ class Walker:
 
     def try_change(
         self,
-        specs: Sequence[ContactPhase],
         before: ContactStance,
         after: ContactStance,
         at: Float[np.ndarray, "n"],
@@ -86,7 +80,6 @@ class Walker:
         """Return the phases from one stance to the next, perhaps from random guesses of the poses.
 
         Args:
-            specs: the phases.
             before, after: the stances.
             at: (n,) configuration at their beginning.
             tries: numbers of the tries; the first ones have no random guesses.
@@ -103,39 +96,36 @@ class Walker:
             try:
                 arrives_first = is_known ^ (k % 2 == 1)
                 finder = replace(self.finder, noise=noise, arrives_first=arrives_first, keeps_poses=k == 0)
-                return replace(self, finder=finder).change(specs, before, after, at)
+                return replace(self, finder=finder).change(before, after, at)
             except StuckError as error:
                 first = first or error
         assert first is not None
         raise first
 
-    def change(
-        self,
-        specs: Sequence[ContactPhase],
-        before: ContactStance,
-        after: ContactStance,
-        at: Float[np.ndarray, "n"],
-    ) -> Sequence[PlannedPhase]:
+    def change(self, before: ContactStance, after: ContactStance, at: Float[np.ndarray, "n"]) -> Sequence[PlannedPhase]:
         """Return the phases from one stance to the next, which begin at a configuration."""
-        by_kind = {spec.kind: spec for spec in specs}
-        if "move" in by_kind:
+        change, specs = ContactChange.between(before, after), list_change_phases(before, after)
+        if not change.leaving and not change.arriving:
+            (move,) = specs
             step, there = f"{after.name}: pose", self.finder.guesses.there.get(after.name)
-            pose = self.finder.take_known(by_kind["move"].name, after.contacts, ())
+            pose = self.finder.take_known(move.name, after.contacts, ())
             if pose is None or there is None or np.abs(pose - there).max() > SAME_STATE:
                 with self.solver.monitor.step(step, 0.3):
                     pose = self.finder.find(step, after.contacts, (), at, there)
-            return [self._swing(by_kind["move"], at, pose)]
-        left, made = self.finder.find_between(after.name, ContactChange.between(before, after), at)
+            return [self._swing(move, at, pose)]
+        left, made = self.finder.find_between(after.name, change, at)
         phases: list[PlannedPhase] = []
         here = at
         if left is not None:
-            phases.append(self._move(by_kind["shift"], at, left, SHIFT_WAYPOINTS))
-            lifted = self._line(by_kind["lift"], left, is_up=True)
+            shift, lift, *_ = specs
+            phases.append(self._move(shift, at, left, SHIFT_WAYPOINTS))
+            lifted = self._line(lift, change.kept, change.leaving, left, is_up=True)
             phases.append(lifted)
             here = lifted.q[-1]
         if made is not None:
-            landing = self._line(by_kind["land"], made, is_up=False)
-            phases.append(self._swing(by_kind["swing"], here, landing.q[0]))
+            *_, swing, land = specs
+            landing = self._line(land, change.kept, change.arriving, made, is_up=False)
+            phases.append(self._swing(swing, here, landing.q[0]))
             phases.append(landing)
         return phases
 
@@ -146,9 +136,9 @@ class Walker:
         groups = [{columns[name] for name in names if name in columns} for names in body.robot.groups.values()]
         return not groups or any(len(group) >= LEAST_JOINTS and group <= free for group in groups)
 
-    def end_in(self, spec: ContactPhase, at: Float[np.ndarray, "n"], finish: Float[np.ndarray, "n"]) -> PlannedPhase:
+    def end_in(self, spec: TaskPhase, at: Float[np.ndarray, "n"], finish: Float[np.ndarray, "n"]) -> PlannedPhase:
         """Return the phase that ends as near to a posture as the stance allows, perhaps around obstacles."""
-        body = replace(self.finder.stand_on(spec.contacts), nominal=finish)
+        body = replace(self.finder.stand_on(_list_contacts(spec)), nominal=finish)
         guess = finish.copy()
         guess[: len(BASE_NAMES)] = at[: len(BASE_NAMES)]
         problem = replace(self.solver, body=body).pose_problem(spec.name, fraction=0.6)
@@ -159,7 +149,7 @@ class Walker:
         return self._swing(spec, at, last)
 
     def _take_phase(
-        self, spec: ContactPhase, body: WholeBody, ends: Mapping[int, Float[np.ndarray, "n"]]
+        self, spec: TaskPhase, body: WholeBody, ends: Mapping[int, Float[np.ndarray, "n"]]
     ) -> PlannedPhase | None:
         """Return a phase as the earlier motion has it; None where that does not lead through its ends any more.
 
@@ -176,7 +166,7 @@ class Walker:
             if np.abs(q[k] - end).max() > SAME_STATE:
                 return None
             q[k] = end
-        sides = keep_sides(body, spec.contacts, np.arange(1, len(q) - 1))
+        sides = keep_sides(body, _list_contacts(spec), np.arange(1, len(q) - 1))
         if not replace(self.solver, body=body).is_feasible(q, sides):
             return None
         kept = replace(known, curve=replace(known.curve, positions=q))
@@ -185,13 +175,15 @@ class Walker:
 
     def _line(
         self,
-        spec: ContactPhase,
+        spec: TaskPhase,
+        kept: tuple[StanceContact, ...],
+        moving: tuple[StanceContact, ...],
         pose: Float[np.ndarray, "n"],
         *,
         is_up: bool,
     ) -> PlannedPhase:
         """Return the phase in which links leave their places, or arrive there, straight along their normals."""
-        body = self.finder.stand_on(spec.contacts, spec.moving)
+        body = self.finder.stand_on(kept, moving)
         taken = self._take_phase(spec, body, {0 if is_up else -1: pose})
         if taken is not None:
             return taken
@@ -204,11 +196,11 @@ class Walker:
                 tolerance=LINE_TOLERANCE,
                 unit="m or rad",
             )
-            for contact in spec.moving
+            for contact in moving
         ]
         start = np.tile(pose, (LINE_WAYPOINTS, 1))
         solver = replace(self.solver, body=body)
-        constraints += keep_sides(body, spec.contacts, np.array(sorted(shares)))
+        constraints += keep_sides(body, kept, np.array(sorted(shares)))
         solved = find_motion(
             MotionSearch(
                 spec.name,
@@ -220,21 +212,19 @@ class Walker:
             )
         )
         if not solved.is_feasible:
-            away = tuple(contact.move(LINE_M * contact.surface.normal) for contact in spec.moving)
-            held = HeldPose(
-                self.solver, self.finder.stand_on(spec.contacts, spec.moving, POSE_RESERVE), spec.contacts, away
-            )
+            away = tuple(contact.move(LINE_M * contact.surface.normal) for contact in moving)
+            held = HeldPose(self.solver, self.finder.stand_on(kept, moving, POSE_RESERVE), kept, away)
             raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved), MissingPose(held, pose))
         return _promise(spec, body, solved.x, None)
 
     def _swing(
         self,
-        spec: ContactPhase,
+        spec: TaskPhase,
         first: Float[np.ndarray, "n"],
         last: Float[np.ndarray, "n"],
     ) -> PlannedPhase:
         """Return the free phase between two lines."""
-        body = self.finder.stand_on(spec.contacts)
+        body = self.finder.stand_on(_list_contacts(spec))
         taken = self._take_phase(spec, body, {0: first, -1: last})
         if taken is not None:
             return taken
@@ -258,7 +248,7 @@ class Walker:
         return self._finish(spec, body, find_motion(replace(search, paths=paths)))
 
     def _find_corners(
-        self, spec: ContactPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
+        self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
     ) -> Iterator[Seed]:
         """Yield poses in which the body has risen but not yet moved on, and has moved on but not yet risen."""
         if not self.start.robot.is_floating or np.abs(last[:3] - first[:3]).max() < LEAST_CORNER_M:
@@ -268,16 +258,16 @@ class Walker:
             corner[:2], corner[2] = across[:2], up[2]
             fixed = {0: float(corner[0]), 1: float(corner[1]), 2: float(corner[2])}
             try:
-                pose = self.finder.find(f"{spec.name}: corner", spec.contacts, (), first, corner, fixed)
+                pose = self.finder.find(f"{spec.name}: corner", _list_contacts(spec), (), first, corner, fixed)
             except StuckError:
                 continue
             yield name, pose
 
     def _move(
-        self, spec: ContactPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
+        self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
     ) -> PlannedPhase:
         """Return a phase between two configurations on contacts that stay."""
-        body = self.finder.stand_on(spec.contacts)
+        body = self.finder.stand_on(_list_contacts(spec))
         taken = self._take_phase(spec, body, {0: first, -1: last})
         if taken is not None:
             return taken
@@ -286,7 +276,7 @@ class Walker:
 
     def _search(
         self,
-        spec: ContactPhase,
+        spec: TaskPhase,
         body: WholeBody,
         first: Float[np.ndarray, "n"],
         last: Float[np.ndarray, "n"],
@@ -304,7 +294,7 @@ class Walker:
             is_shortened=False,
         )
 
-    def _finish(self, spec: ContactPhase, body: WholeBody, solved: Solved) -> PlannedPhase:
+    def _finish(self, spec: TaskPhase, body: WholeBody, solved: Solved) -> PlannedPhase:
         """Return a solved phase with its promises, which is solved again between its ends.
 
         Raises:
@@ -315,10 +305,10 @@ class Walker:
         return _promise(spec, body, solved.x, partial(_solve_between, spec, replace(self.solver, body=body)))
 
 
-def _solve_between(spec: ContactPhase, solver: PhaseSolver, path: Path) -> Solved:
+def _solve_between(spec: TaskPhase, solver: PhaseSolver, path: Path) -> Solved:
     """Solve a phase between the ends of a path."""
     last = len(path) - 1
-    sides = keep_sides(solver.body, spec.contacts, np.arange(1, last))
+    sides = keep_sides(solver.body, _list_contacts(spec), np.arange(1, last))
     return solver.solve_trajectory(spec.name, path, {0: path[0], last: path[-1]}, constraints=sides)
 
 
@@ -341,17 +331,15 @@ def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.
 
 
 def _promise(
-    spec: ContactPhase,
+    spec: TaskPhase,
     body: WholeBody,
     q: Float[np.ndarray, "T n"],
     resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None,
 ) -> PlannedPhase:
     """Return the waypoints of a phase with its promises."""
-    return PlannedPhase(
-        spec.name,
-        q,
-        True,
-        targets=lambda at: spec.list_targets(),
-        resolve=resolve,
-        body=replace(body, touches=spec.list_allowances(body.robot)),
-    )
+    return PlannedPhase(spec, q, True, resolve=resolve, body=body)
+
+
+def _list_contacts(spec: TaskPhase) -> tuple[StanceContact, ...]:
+    """Return what carries the robot."""
+    return spec.contacts or ()

@@ -18,7 +18,9 @@ from service.demands.door.demand import measure_peg
 from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
 from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand
+from service.tasks.door.hints import LEAF
 from service.tasks.door.places import find_narrow_gap, list_push_places
+from service.tasks.hints import Hints
 from service.tasks.sequence import PhaseSequence
 
 ANGLE_STEP = np.deg2rad(10.0)  # between the angles that are tried
@@ -97,7 +99,7 @@ class DoorOpening:
         hands: hands to try, in order.
         target: opening angle at the end [rad].
         stays: whether the hand stays on the leaf.
-        reach_waypoints: of the phases that reach for the door.
+        hints: how to go about the phases.
         most_at_handle: largest opening angle at which the hand is still at the handle [rad].
         is_patient: whether the hand stays at the handle as long as it can, also where the leaf is pushed afterwards.
     """
@@ -107,7 +109,7 @@ class DoorOpening:
     hands: tuple[Hand, ...]
     target: float
     stays: bool
-    reach_waypoints: int
+    hints: Hints
     most_at_handle: float = np.inf
     is_patient: bool = False
 
@@ -297,7 +299,7 @@ class DoorOpening:
         """Plan the phases after the regrasp; None if they have no solution."""
         sequence = self._sequence(choice)
         at_handle = replace(choice, push=None, stays=False)
-        n_before = len(make_door_phases(self.door, at_handle, self.reach_waypoints))
+        n_before = len(make_door_phases(self.door, at_handle))
         phases, stuck = replace(sequence, specs=sequence.specs[n_before:]).plan(at)
         return None if stuck is not None else phases
 
@@ -331,13 +333,13 @@ class DoorOpening:
     def _solve_last_pose(self, choice: DoorChoice, guesses: tuple[Seed, ...]) -> Solved:
         """Solve for the pose at the end of the choice's last opening."""
         sequence = self._sequence(choice)
-        spec = next(spec for spec in reversed(sequence.specs) if spec.is_anchor)
+        spec = next(spec for spec in reversed(sequence.specs) if LEAF in spec.moving)
         with self.solver.monitor.step(HOW_FAR, 0.05):
             return sequence.try_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
 
     def _sequence(self, choice: DoorChoice) -> PhaseSequence:
-        specs = make_door_phases(self.door, choice, self.reach_waypoints)
-        return PhaseSequence.of(self.solver, self.door.mechanism, specs, wants_reserve=True)
+        specs = make_door_phases(self.door, choice)
+        return PhaseSequence.of(self.solver, self.door.mechanism, specs, wants_reserve=True, hints=self.hints)
 
     def _describe(self, choice: DoorChoice) -> str:
         parts = []

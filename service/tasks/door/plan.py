@@ -17,10 +17,10 @@ from service.body.whole_body import WholeBody
 from service.demands.door.demand import DoorDemand, choose_door, make_door, make_door_rest, measure_lever_room, set_back
 from service.demands.door.phases import FREE_BEYOND, Door
 from service.demands.hands import Hand
-from service.demands.phase_spec import REACH_WAYPOINTS
 from service.errors import RequestError
 from service.request.tasks.door import DoorRequest
 from service.setup.prepare import PlanSetup
+from service.tasks.door.hints import make_door_hints
 from service.tasks.door.opening import LEAST_FIRST, DoorOpening
 from service.tasks.door.places import find_narrow_gap
 from service.tasks.door.sweep import BlockedOpening, find_blocked_opening
@@ -61,12 +61,12 @@ def _begin(
         if narrow is not None:
             return [TaskPlan(solver.body, (), (refused, *narrow))]
     near = list_clearances(hands, door)
-    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    hints = make_door_hints(setup.request.options.waypoints)
     if setup.request.resume is not None:
-        rest = make_door_rest(DoorDemand(door, request, setup.robot), setup.request.resume, waypoints)
+        rest = make_door_rest(DoorDemand(door, request, setup.robot), setup.request.resume)
         solver = replace(add_mechanism(solver, rest.mechanism), overrides=near)
-        opening = DoorOpening(solver, door, hands, target, request.stays, waypoints)
-        plans = plan_rest(solver, rest, rest.specs, setup.request.resume)
+        opening = DoorOpening(solver, door, hands, target, request.stays, hints)
+        plans = plan_rest(solver, rest, rest.specs, setup.request.resume, hints)
         return (replace(plan, notes=(note, *plan.notes)) for plan in plans)
     solver = replace(add_mechanism(solver, door.mechanism), overrides=near)
     collisions = tuple(find_collisions(solver.body, remedy=FARTHER))
@@ -77,10 +77,10 @@ def _begin(
     if obstacles:
         least = door.geometry.ajar + LEAST_FIRST
         free = max(min(met.angle for met in obstacles) - BEFORE_OBSTACLE, least)
-        opening = DoorOpening(solver, door, hands, free, request.stays, waypoints)
+        opening = DoorOpening(solver, door, hands, free, request.stays, hints)
         return _open_up_to(opening, obstacles, target, note)
     notes = (note, *(met.describe(target) for met in blocked))
-    return DoorOpening(solver, door, hands, target, request.stays, waypoints), notes
+    return DoorOpening(solver, door, hands, target, request.stays, hints), notes
 
 
 def _open_up_to(

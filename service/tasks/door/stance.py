@@ -15,7 +15,8 @@ from service.body.whole_body import WholeBody
 from service.demands.door.demand import measure_peg
 from service.demands.door.phases import Door, DoorChoice, Push, make_door_phases
 from service.demands.hands import Hand
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
+from service.tasks.door.hints import LEAF, make_door_hints
 from service.tasks.door.opening import LEAST_FIRST, list_choices
 from service.tasks.door.places import HAND_ROOM, PUSH_ALONG, PUSH_UP
 from service.tasks.door.sweep import find_blocked_opening
@@ -131,7 +132,7 @@ class DoorStance:
         """Return the largest angle to which the leaf opens at the handle, or pushed on from there."""
         best = Outcome(0.0, (), "", "pose at the handle")
         for hand, choice in self._list_choices():
-            outcome = self._try_choice(StancePoseFinder(solver, self.mechanism), hand, choice)
+            outcome = self._try_choice(StancePoseFinder(solver, self.mechanism, make_door_hints()), hand, choice)
             if outcome.reached > best.reached or not best.hold:
                 best = outcome
             if not outcome.missing:
@@ -144,11 +145,12 @@ class DoorStance:
         if choice.first > self.start:
             hold += " at the handle"
             specs = make_door_phases(self.door, choice)
-            anchor = next(spec for spec in specs if spec.is_anchor)
+            anchor = next(spec for spec in specs if LEAF in spec.moving)
             for spec in (specs[1], anchor):  # the line to the handle begins in free space
                 pose = finder.find(spec, poses)
                 if pose is None:
-                    return Outcome(0.0, tuple(poses), hold, f"{spec.step or spec.name}: no pose")
+                    missed = finder.hints(spec).pose_name if spec is anchor else spec.name
+                    return Outcome(0.0, tuple(poses), hold, f"{missed}: no pose")
                 poses.append(pose)
             for angle in self._list_angles(self.start):
                 pose = finder.find(replace(anchor, first=self._at(angle)), poses)
@@ -207,9 +209,9 @@ class DoorStance:
         between = np.arange(start + 2.0 * DOOR_STEP, self.target - 0.5 * DOOR_STEP, 2.0 * DOOR_STEP)
         return [self.target, start + LEAST_FIRST, *between.tolist()]
 
-    def _find_anchor(self, choice: DoorChoice) -> PhaseSpec:
+    def _find_anchor(self, choice: DoorChoice) -> TaskPhase:
         """Return the phase in which the choice's last hold opens the leaf."""
-        return next(spec for spec in reversed(make_door_phases(self.door, choice)) if spec.is_anchor)
+        return next(spec for spec in reversed(make_door_phases(self.door, choice)) if LEAF in spec.moving)
 
     def _at(self, angle: float) -> Float[np.ndarray, "k"]:
         """Return the mechanism's joints with the leaf open by an angle and the handle pressed."""
@@ -219,5 +221,5 @@ class DoorStance:
         values[0] = angle
         return values
 
-    def _place(self, spec: PhaseSpec, angles: Sequence[float]) -> Float[np.ndarray, "P 3"]:
+    def _place(self, spec: TaskPhase, angles: Sequence[float]) -> Float[np.ndarray, "P 3"]:
         return place_on_joint(self.mechanism, spec, angles)

@@ -27,13 +27,14 @@ from service.demands.mechanism.phases import (
     select_tool,
 )
 from service.demands.mechanism.settling import keep_aside, settle_handle
-from service.demands.phase_spec import REACH_WAYPOINTS, PhaseSpec, find_rotation_onto
+from service.demands.phase import TaskPhase, find_rotation_onto
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.request.tasks.mechanism import MechanismRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door.sweep import find_first_met
 from service.tasks.handling import FARTHER, find_collisions, list_hands
+from service.tasks.hints import FREE_WAYPOINTS, Hints, PhaseHints
 from service.tasks.rest.plan import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism
 
@@ -68,7 +69,7 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
     if blocked is not None:
         yield blocked
         return
-    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    hints = make_mechanism_hints(setup.request.options.waypoints)
     refusals = [explain_hold(solver, given, hand) for hand in hands]
     if all(refusals):
         yield TaskPlan(solver.body, (), (str(refusals[0]),), is_impossible=True)
@@ -78,11 +79,11 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
     unheld: StaticRegionError | None = None
     for hand in [hand for hand, refusal in zip(hands, refusals, strict=True) if refusal is None]:
         settled = settle_handle(given, solver.body.robot, hand, solver.hand_friction)
-        specs = make_mechanism_phases(settled, hand, waypoints)
+        specs = make_mechanism_phases(settled, hand)
         left = specs[-1]
         specs = keep_aside(specs, solver.body.robot, given.mechanism, solver.hand_friction)
         try:
-            phases, stuck = PhaseSequence.of(solver, given.mechanism, specs).plan(solver.body.nominal)
+            phases, stuck = PhaseSequence.of(solver, given.mechanism, specs, hints=hints).plan(solver.body.nominal)
         except StaticRegionError as error:
             unheld = error
             continue
@@ -100,6 +101,15 @@ def plan_mechanism(setup: PlanSetup, solver: PhaseSolver, request: MechanismRequ
         raise unheld
 
 
+def make_mechanism_hints(free_waypoints: int | None) -> Hints:
+    """Return the hints of the phases of a given mechanism: its moves are tried straight to a pose at their end."""
+
+    def hint(phase: TaskPhase) -> PhaseHints:
+        return PhaseHints("pose at the handle", free_waypoints or FREE_WAYPOINTS, aims_at_end=bool(phase.moving))
+
+    return hint
+
+
 def _plan_rest(
     setup: PlanSetup, solver: PhaseSolver, given: GivenMechanism, resume: ResumeRequest
 ) -> Iterator[TaskPlan]:
@@ -109,14 +119,14 @@ def _plan_rest(
         RequestError: the phase, the hand or the mechanism's joints do not fit the task.
     """
     demand = GivenMechanismDemand(given, setup.robot, solver.hand_friction)
-    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
-    rest, hand = make_mechanism_rest(demand, resume, waypoints), read_kept_hand(demand, resume)
+    hints = make_mechanism_hints(setup.request.options.waypoints)
+    rest, hand = make_mechanism_rest(demand, resume), read_kept_hand(demand, resume)
     solver = replace(add_mechanism(solver, rest.mechanism), overrides=list_clearances((hand,), given))
-    for plan in plan_rest(solver, rest, rest.specs, resume):
+    for plan in plan_rest(solver, rest, rest.specs, resume, hints):
         yield _leave_anyhow(solver, plan, (rest.specs[-1],), rest.mechanism)
 
 
-def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, lasts: Sequence[PhaseSpec], mechanism: Mechanism) -> TaskPlan:
+def _leave_anyhow(solver: PhaseSolver, plan: TaskPlan, lasts: Sequence[TaskPhase], mechanism: Mechanism) -> TaskPlan:
     """Return a plan whose hand cannot leave on its line with another line instead: those given, then along its rod."""
     last = lasts[-1]
     if plan.stuck is None or plan.stuck.step != last.name or last.hand is None or not last.hand.leaves:
@@ -223,7 +233,7 @@ def find_blocked_move(body: WholeBody, given: GivenMechanism) -> TaskPlan | None
     return None
 
 
-def leave_along_rod(solver: PhaseSolver, spec: PhaseSpec, at: Float[np.ndarray, "n"]) -> PhaseSpec:
+def leave_along_rod(solver: PhaseSolver, spec: TaskPhase, at: Float[np.ndarray, "n"]) -> TaskPhase:
     """Return the line on which a hand leaves, turned along its rod as it leans at configuration ``at``.
 
     A rod that leans would meet what it holds on its way along the handle's axis.
@@ -234,7 +244,7 @@ def leave_along_rod(solver: PhaseSolver, spec: PhaseSpec, at: Float[np.ndarray, 
     poses = locate_links(solver.body.engine, at, [hand.tool, hand.link])
     axis = poses[hand.link][:3, :3].T @ poses[hand.tool][:3, 2]
     turn = find_rotation_onto(hand.axis, axis / np.linalg.norm(axis))
-    return replace(spec, hand=replace(hand, axis=turn @ hand.axis, offset=turn @ hand.offset))
+    return spec.with_hand(replace(hand, axis=turn @ hand.axis, offset=turn @ hand.offset))
 
 
 def list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tuple[BodyRef, BodyRef, float], ...]:

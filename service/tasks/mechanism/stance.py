@@ -14,7 +14,8 @@ from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
 from service.demands.mechanism.given import GivenMechanism
-from service.demands.mechanism.phases import make_mechanism_phases, measure_travel
+from service.demands.mechanism.phases import make_mechanism_phases
+from service.tasks.hints import measure_way
 from service.tasks.mechanism.plan import check_hold, find_blocked_move
 from service.tasks.stances.poses import (
     N_RANDOM,
@@ -101,7 +102,7 @@ class MechanismStance:
         hold = f"{hand.side} hand at {self.given.request.handle.link}"
         specs = make_mechanism_phases(self.given, hand)
         moves = [spec for spec in specs if spec.moving]
-        travels = [measure_travel(self.given, spec.first, spec.last) for spec in moves]
+        travels = [measure_way(spec, self.mechanism) for spec in moves]
         first = finder.find(moves[0], (), N_RANDOM)
         before = None if first is None else finder.find(specs[1], (first,))
         if first is None or before is None:

@@ -15,9 +15,9 @@ from costs.terms import AxisDirection, FramePose, Joined, NormWithin, WithinTole
 from scopt import Constraint
 from service.body.holds import POSITION, ROTATION, Hold, project_within_limits
 from service.body.whole_body import WholeBody
+from service.demands.phase import EndTarget
 from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
-from service.verify import Target
 
 # Part of a pose's tolerance that the optimiser leaves to its own inaccuracy: a share of it, and no more than is needed.
 RESERVE_SHARE, MOST_RESERVE = 0.5, {"m": 2.5e-3, "rad": 0.02}
@@ -64,9 +64,9 @@ class Goal:
         for index, value in self.joints.items():
             lower[-1, index] = upper[-1, index] = value
 
-    def targets(self, s_last: float) -> tuple[Target, ...]:
+    def targets(self) -> tuple[EndTarget, ...]:
         """Return the verifier's targets of the reach's end."""
-        return make_goal_targets(self.body.robot, self.request, s_last, self.body.nominal)
+        return make_goal_targets(self.body.robot, self.request, self.body.nominal)
 
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:

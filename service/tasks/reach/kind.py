@@ -32,7 +32,7 @@ class ReachPlanPart(PlanPart[GoalRequest]):
         """Return the goal's joints and poses."""
         goal = Goal.of(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims()), section)
         poses = tuple((pose.link, np.array(pose.position), make_goal_rotation(pose)) for pose in goal.request.poses)
-        return RequestedEnd(goal.targets(0.0), goal.apply_joints(setup.start) if goal.joints else None, poses)
+        return RequestedEnd(goal.targets(), goal.apply_joints(setup.start) if goal.joints else None, poses)
 
     def displace(
         self, request: PlanRequest, around: Surroundings | None, target: str, offset: Float[np.ndarray, "3"]

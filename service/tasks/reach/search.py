@@ -15,13 +15,14 @@ from service.body.ladder import LEAST_WAYPOINTS, GivenEnd, MotionSearch, Path, f
 from service.body.phases import PhaseSolver, report_solutions
 from service.body.starts import DIRECT, Way, choose_policy
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.demands.phase import TaskPhase
 from service.explain.goal import find_goal_reasons
 from service.request.tasks.reach import GoalRequest
 from service.tasks.nearby import find_clear_pose
 from service.tasks.reach.goal import Goal, lead_path
 from service.tasks.reach.goal_poses import STEP, GoalEnds
 
-REACH = "reach"
+RETREAT, REACH, APPROACH = "retreat", "reach", "approach"
 RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
 TIGHT = 4.5e-3  # clearance of a start or a goal below which a straight phase leads off it [m]
 OFF_M = 12e-3  # clearance at the end of that phase [m]
@@ -31,7 +32,7 @@ def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | Non
     """Yield a plan of one phase for every start that leads to the goal; the best attempt if none does."""
     body = solver.body
     goal = Goal.of(body, request)
-    reasons = find_goal_reasons(body, goal.targets(0.0))
+    reasons = find_goal_reasons(body, goal.targets())
     if reasons.impossible or reasons.unresolved:
         yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
         return
@@ -94,14 +95,14 @@ class _Reach:
         body, goal = self.solver.body, self.goal
         if body.robot.is_floating or body.kept:
             return None
-        retreat = self._lead_off("retreat", body.nominal)
-        approach = self._lead_off("approach", goal.apply_joints(body.nominal)) if goal.is_complete else None
+        retreat = self._lead_off(RETREAT, body.nominal)
+        approach = self._lead_off(APPROACH, goal.apply_joints(body.nominal)) if goal.is_complete else None
         if retreat is None and approach is None:
             return None
         moved = body if retreat is None else replace(body, nominal=retreat.q[-1])
         inner = replace(goal, body=moved)
         if approach is not None:
-            back = replace(approach, q=approach.q[::-1], targets=goal.targets)
+            back = replace(approach, phase=TaskPhase(APPROACH, goal=goal.targets()), q=approach.q[::-1])
             approach, inner = back, replace(inner, joints=dict(enumerate(back.q[0].tolist())))
         return replace(self, solver=replace(self.solver, body=moved), goal=inner, retreat=retreat, approach=approach)
 
@@ -115,7 +116,7 @@ class _Reach:
         solve = partial(_solve_between, name)
         solved = find_motion(MotionSearch(name, self.solver, solve, q, GivenEnd(off), DIRECT, n_waypoints=2))
         is_usable = solved.is_feasible or solved.may_hold
-        return PlannedPhase(name, solved.x, True, is_tight=True) if is_usable else None
+        return PlannedPhase(TaskPhase(name), solved.x, True, is_tight=True) if is_usable else None
 
     def make_plan(self, name: str, solved: Solved) -> TaskPlan:
         """Return a solution as the task's plan."""
@@ -123,9 +124,8 @@ class _Reach:
         body = self.solver.body
         q = np.concatenate([body.nominal[None], solved.x]) if is_pose else solved.x
         stuck = Stuck.at(STEP if is_pose else REACH, solved)
-        phase = PlannedPhase(REACH, q, solved.is_feasible, resolve=partial(_solve_between, REACH, self.solver))
-        if self.approach is None:
-            phase = replace(phase, targets=self.goal.targets)
+        reach = TaskPhase(REACH, goal=() if self.approach is not None else self.goal.targets())
+        phase = PlannedPhase(reach, q, solved.is_feasible, resolve=partial(_solve_between, REACH, self.solver))
         if self.retreat is not None:
             body = replace(body, nominal=self.retreat.q[0])
         phases = tuple(own for own in (self.retreat, phase, self.approach) if own is not None)

@@ -19,7 +19,7 @@ from costs.robot import RobotModel
 from costs.terms import FramePose
 from service.body.holds import POSITION, Hold, linearize_holds
 from service.body.task_plan import KeptCurve, TaskPlan
-from service.demands.phase_spec import HandMotion, PhaseSpec
+from service.demands.phase import FrameMotion, TaskPhase
 from service.tasks.handling import list_arm_joints
 from service.tasks.held_tool import aim_tool, make_hold, slide_tool
 from service.tasks.rest.earlier_motion import EarlierMotion
@@ -154,8 +154,8 @@ def _check_start(sequence: PhaseSequence, curve: Curve, borders: Sequence[tuple[
 
 def _yield_arm(
     engine: KinematicsEngine,
-    spec: PhaseSpec,
-    hand: HandMotion,
+    spec: TaskPhase,
+    hand: FrameMotion,
     q: Float[np.ndarray, "T n"],
     off_m: Float[np.ndarray, "3"] | None = None,
 ) -> Float[np.ndarray, "T n"]:
@@ -252,7 +252,7 @@ def _locate(
     return rotation @ pose[:3, :3], rotation @ pose[:3, 3] + kinematics.position[:, joint]
 
 
-def _begin_at_start(spec: PhaseSpec, curve: Curve, offset: Float[np.ndarray, "K n"], last: int) -> None:
+def _begin_at_start(spec: TaskPhase, curve: Curve, offset: Float[np.ndarray, "K n"], last: int) -> None:
     """Let the displacement begin at nothing, in place, where the first phase has a hand."""
     off = offset[0].copy()
     if spec.hand is not None and not spec.hand.is_line and np.abs(off).max() > SAME_HOLD:
@@ -286,7 +286,7 @@ def _differentiate(s: Float[np.ndarray, "T"], q: Float[np.ndarray, "T n"]) -> Fl
 
 def _measure(
     engine: KinematicsEngine,
-    specs: Sequence[PhaseSpec],
+    specs: Sequence[TaskPhase],
     borders: Sequence[tuple[int, int]],
     earlier: Curve,
     displaced: Curve,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -13,17 +14,19 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.figures.displacement import measure_displacement
-from service.demands.phase_spec import AXIS, HandMotion, PhaseSpec
-from service.demands.rest import Beginning, RestTask, can_reach, find_index, list_rest_phases
+from service.demands.phase import AXIS, FrameMotion, TaskPhase
+from service.demands.rest import TAKE_HOLD, Beginning, RestTask, can_reach, find_index, list_rest_phases
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.tasks.handling import find_collisions
+from service.tasks.hints import Hints, PhaseHints
 from service.tasks.rest.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
 from service.tasks.rest.earlier_motion import EarlierMotion, read_earlier_motion
 from service.tasks.sequence import PhaseSequence
 
 AT_PLACE = 5e-4  # of a hand that needs no phase that takes hold [m]
 MOST_OF_LINE = 0.9  # of a line on which the hand leaves, that it may have behind it
+TAKE_WAYPOINTS = 4  # of a phase that takes hold
 N_RANDOM = 4  # configurations from which a pose is searched where the robot's postures lead to none
 NEAR, NEAR_TILT = 0.015, np.deg2rad(5.0)  # of a hand that takes hold again [m], and beyond its lean [rad]
 
@@ -54,8 +57,9 @@ class HandOff:
 def plan_rest(
     solver: PhaseSolver,
     demand: RestTask,
-    specs: Sequence[PhaseSpec],
+    specs: Sequence[TaskPhase],
     resume: ResumeRequest,
+    hints: Hints,
 ) -> Iterator[TaskPlan]:
     """Yield plans of the rest of a task from the nominal configuration of the body.
 
@@ -66,6 +70,7 @@ def plan_rest(
         demand: what the rest of the task demands.
         specs: phases of the whole task, as the planner has them.
         resume: the request for the rest, with the earlier motion.
+        hints: how to go about each phase.
 
     Raises:
         RequestError: the hand is nowhere near a place that it has to leave or to hold on to, or the start is in
@@ -89,7 +94,13 @@ def plan_rest(
         rest = list_rest_phases(whole, demand.phase, start, beginning)
         is_held = begun.hand is not None and not is_reach
         sequence = PhaseSequence.of(
-            solver, demand.mechanism, rest, is_held=is_held, n_random=N_RANDOM, nominal=earlier.ways
+            solver,
+            demand.mechanism,
+            rest,
+            is_held=is_held,
+            n_random=N_RANDOM,
+            nominal=earlier.ways,
+            hints=partial(_hint_rest, hints),
         )
         planned = sequence.plan(body.nominal)
         if planned[1] is None:
@@ -101,10 +112,16 @@ def plan_rest(
     yield TaskPlan(body, best[0], stuck=best[1], measure=demand.measure, notes=refusal)
 
 
+def _hint_rest(hints: Hints, phase: TaskPhase) -> PhaseHints:
+    """Return the hints of a phase of the rest; the hand that takes hold is near its place already."""
+    own = hints(phase)
+    return replace(own, free_waypoints=TAKE_WAYPOINTS) if phase.name == TAKE_HOLD else own
+
+
 def _keep_earlier(
     solver: PhaseSolver,
     demand: RestTask,
-    specs: Sequence[PhaseSpec],
+    specs: Sequence[TaskPhase],
     resume: ResumeRequest,
     earlier: EarlierMotion,
 ) -> tuple[TaskPlan | None, tuple[str, ...]]:
@@ -132,7 +149,7 @@ def _keep_earlier(
 
 
 def _choose_beginnings(
-    body: WholeBody, specs: Sequence[PhaseSpec], index: int, hand: HandMotion | None
+    body: WholeBody, specs: Sequence[TaskPhase], index: int, hand: FrameMotion | None
 ) -> Iterator[Beginning]:
     """Yield the ways to begin with a phase that are to be tried, by where the hand is.
 
@@ -166,7 +183,7 @@ def _choose_beginnings(
     yield Beginning.REACH
 
 
-def _shorten_line(body: WholeBody, spec: PhaseSpec) -> PhaseSpec:
+def _shorten_line(body: WholeBody, spec: TaskPhase) -> TaskPhase:
     """Return a phase in which the hand moves on a line, from where on the line the hand is."""
     hand = spec.hand
     if hand is None or hand.offset is None:
@@ -175,26 +192,26 @@ def _shorten_line(body: WholeBody, spec: PhaseSpec) -> PhaseSpec:
     if hand.leaves:
         share = float(np.clip(share, 0.0, MOST_OF_LINE))
         left = replace(hand, place=hand.place + share * hand.offset, offset=(1.0 - share) * hand.offset)
-        return replace(spec, hand=left)
+        return spec.with_hand(left)
     share = float(np.clip(share, 1.0 - MOST_OF_LINE, 1.0))
-    return replace(spec, hand=replace(hand, offset=share * hand.offset))
+    return spec.with_hand(replace(hand, offset=share * hand.offset))
 
 
-def _first_place(hand: HandMotion) -> HandMotion:
+def _first_place(hand: FrameMotion) -> FrameMotion:
     """Return the hand at rest where its motion begins."""
     if hand.offset is None or hand.leaves:
         return replace(hand, offset=None)
     return replace(hand, place=hand.place + hand.offset, offset=None)
 
 
-def _locate_tool(body: WholeBody, hand: HandMotion) -> Float[np.ndarray, "3"]:
+def _locate_tool(body: WholeBody, hand: FrameMotion) -> Float[np.ndarray, "3"]:
     """Return the tool's offset from its place in the nominal configuration, in the axes of the place's link [m]."""
     poses = locate_links(body.engine, body.nominal, [name for name in (hand.tool, hand.link) if name is not None])
     link = np.eye(4) if hand.link is None else poses[hand.link]
     return np.asarray(link[:3, :3].T @ (poses[hand.tool][:3, 3] - link[:3, 3]) - hand.place)
 
 
-def measure_hand(body: WholeBody, hand: HandMotion) -> HandOff:
+def measure_hand(body: WholeBody, hand: FrameMotion) -> HandOff:
     """Measure how far a hand is from its place in the nominal configuration."""
     off = _locate_tool(body, hand)
     if hand.slide is not None:

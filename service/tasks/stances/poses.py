@@ -19,8 +19,9 @@ from service.body.loaded_regions import plan_regions
 from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.tasks.handling import list_arm_joints
+from service.tasks.hints import Hints, give_no_hints
 from service.tasks.sequence import PhaseSequence
 
 N_RANDOM = 4  # random configurations from which a first pose is searched
@@ -135,13 +136,14 @@ class StancePoseFinder:
 
     solver: PhaseSolver
     mechanism: Mechanism
+    hints: Hints = give_no_hints
 
-    def find(self, spec: PhaseSpec, before: Sequence[StancePose], n_random: int = 0) -> StancePose | None:
+    def find(self, spec: TaskPhase, before: Sequence[StancePose], n_random: int = 0) -> StancePose | None:
         """Return the first pose of a phase, guessed from those before; None if none that is strong enough was found.
 
         Random configurations are guessed where that and the robot's postures lead to none.
         """
-        sequence = PhaseSequence.of(self.solver, self.mechanism, (spec,))
+        sequence = PhaseSequence.of(self.solver, self.mechanism, (spec,), hints=self.hints)
         guesses = [(pose.name, pose.q) for pose in before[-1:]]
         try:
             solved = sequence.try_pose(spec.name, spec, guesses, n_random)
@@ -155,7 +157,7 @@ class StancePoseFinder:
         except StaticRegionError:
             return None
 
-    def _measure_balance(self, spec: PhaseSpec, q: Float[np.ndarray, "n"]) -> float:
+    def _measure_balance(self, spec: TaskPhase, q: Float[np.ndarray, "n"]) -> float:
         """Return how far the centre of mass is inside the region that holds the phase's loads [m]."""
         body = self.solver.body
         model = body.robot.model
@@ -168,7 +170,7 @@ class StancePoseFinder:
             return float(region.region.polygon.margin(com)[0]) - region.shift_m
         return float("inf") if body.polygon is None else float(body.polygon.margin(com)[0])
 
-    def _measure_reach(self, spec: PhaseSpec, q: Float[np.ndarray, "n"]) -> float:
+    def _measure_reach(self, spec: TaskPhase, q: Float[np.ndarray, "n"]) -> float:
         """Return by how much the arm could be longer stretched [m]."""
         hand = spec.hand
         if hand is None:
@@ -191,7 +193,7 @@ def place_turned(mechanism: Mechanism, value: float) -> list[Float[np.ndarray, "
     ]
 
 
-def place_on_joint(mechanism: Mechanism, spec: PhaseSpec, values: Sequence[float]) -> Float[np.ndarray, "P 3"]:
+def place_on_joint(mechanism: Mechanism, spec: TaskPhase, values: Sequence[float]) -> Float[np.ndarray, "P 3"]:
     """Return a hold's places in the world at values of the mechanism's first joint, which is revolute [m]."""
     joint = mechanism.joints[0]
     if spec.hand is None:
@@ -200,7 +202,7 @@ def place_on_joint(mechanism: Mechanism, spec: PhaseSpec, values: Sequence[float
     return np.array([joint.origin + Rotation.from_rotvec(value * axis).apply(spec.hand.place) for value in values])
 
 
-def measure_torque(body: WholeBody, spec: PhaseSpec, q: Float[np.ndarray, "n"]) -> float:
+def measure_torque(body: WholeBody, spec: TaskPhase, q: Float[np.ndarray, "n"]) -> float:
     """Return the largest share of a joint's torque at rest, with a phase's loads or without them.
 
     Joints of legs are left out: their torques depend on how the feet share the forces of the ground.

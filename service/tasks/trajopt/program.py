@@ -17,6 +17,7 @@ from service.body.seeds import posture_guesses
 from service.body.starts import Way
 from service.body.task_plan import LEAST_CLEARANCE, PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.demands.phase import TaskPhase
 from service.errors import RequestError, would_do
 from service.explain.distance import find_out_of_reach
 from service.start.overlaps import describe_collisions, find_overlaps_and_unresolved
@@ -143,11 +144,10 @@ class _ProgramSearch:
         """Return a solution as the task's plan."""
         promises = self.promises
         phase = ProgramPhase(
-            PHASE,
+            TaskPhase(PHASE, targets=promises.make_targets()),
             solved.x,
             solved.is_feasible,
             holds=promises.make_holds(),
-            targets=lambda s_last: promises.make_targets(),
             search=self,
             timeline=Timeline.of_steps(self.program.n_steps),
         ).with_waypoint_targets()

@@ -22,7 +22,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands
-from service.demands.phase_spec import AXIS, REACH_WAYPOINTS
+from service.demands.phase import AXIS
 from service.demands.valve.demand import ValveDemand, make_valve_rest, read_kept_choice, turn_back
 from service.demands.valve.given import read_given_valve
 from service.demands.valve.strokes import (
@@ -87,7 +87,7 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
     if fault is not None:
         yield TaskPlan(solver.body, (), (fault,))
         return
-    waypoints = setup.request.options.waypoints or REACH_WAYPOINTS
+    waypoints = setup.request.options.waypoints
     if setup.request.resume is not None:
         yield from _plan_rest(solver, wheel, request, setup.request.resume, waypoints)
         return
@@ -228,7 +228,7 @@ def choose_hands(body: WholeBody, request: ValveRequest, valve: ValveDetection |
 
 
 def _list_turns(
-    solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], request: ValveRequest, reach_waypoints: int
+    solver: PhaseSolver, wheel: Wheel, hands: Sequence[Hand], request: ValveRequest, free_waypoints: int | None
 ) -> Iterator[TaskPlan]:
     """Yield the feasible plans among the choices, one after another; if there is none, the one with most phases.
 
@@ -246,7 +246,7 @@ def _list_turns(
     # A lever has a single place to hold. More poses are for a wheel that none turns, where a choice got farthest first.
     for n_random in (N_RANDOM,) if wheel.is_lever else (0, N_RANDOM):
         for choice in choices:
-            plan = ValveTurn(solver, wheel, request, choice, reach_waypoints, n_random).plan()
+            plan = ValveTurn(solver, wheel, request, choice, free_waypoints, n_random).plan()
             if plan.is_feasible:
                 n_feasible += 1
                 yield plan
@@ -301,14 +301,14 @@ def list_clearances(hands: Sequence[Hand]) -> tuple[tuple[BodyRef, BodyRef, floa
 
 
 def _plan_rest(
-    solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, reach_waypoints: int
+    solver: PhaseSolver, wheel: Wheel, request: ValveRequest, resume: ResumeRequest, free_waypoints: int | None
 ) -> Iterator[TaskPlan]:
     """Yield plans of the rest of a turn with the hand, the entry and the strokes of the earlier plan."""
     demand = ValveDemand(wheel, request, list_robot_hands(solver.body.robot), solver.hand_friction[1])
     rest, choice = make_valve_rest(demand, resume), read_kept_choice(demand, resume)
     solver = _add_wheel(solver, rest.mechanism, [choice.hand])
-    turning = ValveTurn(solver, wheel, request, choice, reach_waypoints)
-    return plan_rest(solver, rest, turning.list_phases(), resume)
+    turning = ValveTurn(solver, wheel, request, choice, free_waypoints)
+    return plan_rest(solver, rest, turning.list_phases(), resume, turning.hints)
 
 
 def _advise_stance(solver: PhaseSolver, wheel: Wheel, hand: Hand) -> str:

@@ -14,7 +14,7 @@ from costs.robot import Mechanism
 from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.demands.valve.strokes import TurnChoice, find_least_count, list_strokes, list_usable_entries
 from service.demands.valve.wheel import Wheel, make_wheel_mechanism
 from service.request.tasks.valve import ValveRequest
@@ -99,7 +99,6 @@ class ValveStance:
     def try_stance(self, solver: PhaseSolver) -> Outcome:
         """Return the largest part of the turn along which poses exist, with the better hand and entry."""
         best = Outcome(0.0, (), "", "pose at the wheel")
-        finder = StancePoseFinder(solver, self.mechanism)
         for hand in self.hands:
             tool = locate_links(solver.body.engine, solver.body.nominal, [hand.tool])[hand.tool][:3, 3]
 
@@ -109,22 +108,23 @@ class ValveStance:
             sense = list_strokes(self.request, 1)[0].sense
             entries = list_usable_entries(self.wheel, hand, self.request.mode, sense)
             for entry in sorted(entries, key=distance)[:MOST_ENTRIES]:
-                outcome = self._try_entry(finder, hand, entry)
+                outcome = self._try_entry(solver, hand, entry)
                 if outcome.reached > best.reached or not best.hold:
                     best = outcome
                 if not outcome.missing:
                     return outcome
         return best
 
-    def _try_entry(self, finder: StancePoseFinder, hand: Hand, entry: float) -> Outcome:
+    def _try_entry(self, solver: PhaseSolver, hand: Hand, entry: float) -> Outcome:
         hold = f"{hand.side} hand in {self.request.mode} mode"
         choice = TurnChoice(hand, entry, find_least_count(self.request))
-        turn = ValveTurn(finder.solver, self.wheel, self.request, choice)
+        turn = ValveTurn(solver, self.wheel, self.request, choice)
+        finder = StancePoseFinder(solver, self.mechanism, turn.hints)
         poses: list[StancePose] = []
         missing: list[str] = []
         done = total = 0.0
         for stroke in _split_strokes(turn.list_phases()):
-            anchor = next(spec for spec in stroke if spec.is_anchor)
+            anchor = next(spec for spec in stroke if spec.moving)
             weight = abs(float(anchor.last[0] - anchor.first[0])) / len(WHEEL_SHARES)
             values = [anchor.first + share * (anchor.last - anchor.first) for share in WHEEL_SHARES]
             before = {spec.name: finder.find(spec, poses) for spec in stroke[: stroke.index(anchor)]}
@@ -154,7 +154,7 @@ class ValveStance:
         return Outcome(abs(self.target) * (done / total), tuple(poses), hold, words)
 
     def _follow(
-        self, finder: StancePoseFinder, specs: Sequence[PhaseSpec], before: Sequence[StancePose]
+        self, finder: StancePoseFinder, specs: Sequence[TaskPhase], before: Sequence[StancePose]
     ) -> list[StancePose | None]:
         """Return poses along a stroke, each guessed from its neighbour; None where there is none.
 
@@ -173,9 +173,9 @@ class ValveStance:
         return held
 
 
-def _split_strokes(specs: Sequence[PhaseSpec]) -> list[list[PhaseSpec]]:
+def _split_strokes(specs: Sequence[TaskPhase]) -> list[list[TaskPhase]]:
     """Return the phases of each stroke in which the hand holds the wheel and does not leave."""
-    strokes: list[list[PhaseSpec]] = []
+    strokes: list[list[TaskPhase]] = []
     for spec in specs:
         if spec.hand is None:
             strokes.append([])

@@ -9,7 +9,7 @@ from service.body.monitor import Monitor
 from service.demands.door.demand import make_door, measure_peg, read_given_door
 from service.demands.door.phases import DoorChoice, make_door_phases
 from service.demands.hands import list_robot_hands
-from service.demands.phase_spec import PhaseSpec
+from service.demands.phase import TaskPhase
 from service.planner import _make_solver
 from service.request.file import parse_request
 from service.setup.prepare import prepare
@@ -19,7 +19,7 @@ from service.tasks.sequence import add_mechanism
 ANGLE = np.deg2rad(30.0)
 
 
-def compile_opening() -> tuple[PhaseCompiler, tuple[PhaseSpec, ...]]:
+def compile_opening() -> tuple[PhaseCompiler, tuple[TaskPhase, ...]]:
     """The robot with the door, and the phases in which its left peg opens the leaf by 30 degrees."""
     request = parse_request(door_request("pull", "pull", x=0.75))
     setup = prepare(request)

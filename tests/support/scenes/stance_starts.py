@@ -26,7 +26,7 @@ def solve_start(
     body = replace(
         WholeBody.standing(robot, scene, guess, (), Aims(0.01, 0.02)),
         planted=tuple(contact.planted for contact in contacts),
-        touches=make_contact_allowances(robot, contacts),
+        touches=make_contact_allowances(contacts),
     )
     own = [
         Contact(

@@ -1,7 +1,7 @@
-"""Phases of a task as data: what a hand does, how the mechanism moves, what may touch and which loads are carried.
+"""Phases of a task as data: what carries the robot, what is led where, how the mechanism moves, what may touch.
 
-The planner compiles specifications to problems of the optimiser, and the verifier's promises are made from the same
-data, so that a recorded motion can be held to them.
+Every task is a tuple of phases.  The planner makes problems of the optimiser from them, and what the verifier holds a
+recorded motion to is made from the same data.
 """
 
 from __future__ import annotations
@@ -14,11 +14,19 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
-from costs.robot import Mechanism
-from service.verify import HandLoad, HandPush, JointTarget, PressedPart, RelativePoseTarget, Target
+from service.demands.contacts.stances import StanceContact
+from service.verify import (
+    AxisTarget,
+    HandLoad,
+    HandPush,
+    JointTarget,
+    PoseTarget,
+    PressedPart,
+    RelativePoseTarget,
+    Target,
+)
 
 AXIS = np.array([0.0, 0.0, 1.0])  # of a tool frame, outwards along the hand
-REACH_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
 SAME_VALUE = 1e-9  # of mechanism joints [rad, m]
 ANYWHERE = 100.0  # tolerance of a place that does not count [m]
 DEPTH_RESERVE = 3e-3  # of an allowance, for the curve between the waypoints [m]
@@ -26,8 +34,8 @@ JOINT_TOLERANCE = 1e-3  # of a mechanism's joint at the end of a phase [rad, m]
 
 
 @dataclass(frozen=True)
-class HandMotion:
-    """How a tool moves during a phase: at a place of a link, or on a straight line that ends or begins there.
+class FrameMotion:
+    """How a frame of a hand or a foot is led: at a place of a link, or on a straight line that ends or begins there.
 
     Attributes:
         tool: frame of the robot; its z axis points outwards along the hand.
@@ -46,6 +54,7 @@ class HandMotion:
         tolerance_m: largest distance from the place along the whole curve.
         tilt_rad: largest angle between the tool's axis and ``axis`` along the whole curve.
         aim_rad: the same at the waypoints.
+        keeps_line: whether a line is promised along the whole curve, within ``tolerance_m`` and ``tilt_rad``.
     """
 
     tool: str
@@ -64,6 +73,7 @@ class HandMotion:
     shares: Float[np.ndarray, "T"] | None = None
     way: Float[np.ndarray, "3"] | None = None
     way_lean_rad: float = 0.0
+    keeps_line: bool = False
 
     @property
     def turns_with(self) -> str | None:
@@ -84,53 +94,51 @@ class HandMotion:
         return np.asarray(self.place + out[:, None] * self.offset)
 
 
+EndTarget = JointTarget | PoseTarget | AxisTarget
+"""A target at a path parameter ``at``."""
+
+
+def _no_joints() -> Float[np.ndarray, "k"]:
+    return np.zeros(0)
+
+
 @dataclass(frozen=True)
-class PhaseSpec:
+class TaskPhase:
     """One phase of a task.
 
     Attributes:
         name: as the user sees it.
         first, last: (k,) values of the mechanism's joints at its ends; they move in equal steps [rad, m].
-        hand: motion of the hand; None where it is free.
-        touches: pairs that may touch besides feet and floor.
-        loads: forces that the hand exerts on the mechanism, each between zero and its largest.
-        pushes: the contacts by which it exerts them.
-        bears: by joint of the mechanism that stays still, the forces of a hand that it bears by itself [N m, N].
-        also: further targets of the whole phase.
-        is_anchor: whether it is solved first; the phases before it are solved backwards from its start.
-        step: of its pose, in messages.
-        n_waypoints: number of waypoints.
-        fixed: values of the robot's joints at the first pose of the anchor.
-        aims_at_end: whether the first guess of an anchor leads straight to a pose at its end.
-        guess_rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
+        frames: frames of hands and feet that are led; none where all limbs that carry nothing are free.
+        touches: pairs that may touch besides the planted feet and what they stand on.
+        contacts: what carries the robot; None for its feet as they stand at the start.
+        goal: targets at the end; their ``at`` is set from the motion.
+        targets: further targets of the whole phase.
         joints: joints of the robot that move in equal steps, from one value to another [rad, m].
-        guess_touches: pairs that may overlap in the first guess of its poses, which is solved beforehand.
-        torque_share: of the torque limits that the joints before the hand may use under the loads while the phase is
-            planned; None for any.
-        depth_reserve_m: of the depths of ``touches``, for the curve between the waypoints [m].
-        pressed: parts of the mechanism that the hand presses.
+        loads: forces that hands exert on the mechanism, each between zero and its largest.
+        pushes: the contacts by which they exert them.
+        bears: by joint of the mechanism that stays still, the forces of a hand that it bears by itself [N m, N].
+        pressed: parts of the mechanism that hands press.
     """
 
     name: str
-    first: Float[np.ndarray, "k"]
-    last: Float[np.ndarray, "k"]
-    hand: HandMotion | None = None
+    first: Float[np.ndarray, "k"] = field(default_factory=_no_joints)
+    last: Float[np.ndarray, "k"] = field(default_factory=_no_joints)
+    frames: tuple[FrameMotion, ...] = ()
     touches: tuple[Allowance, ...] = ()
+    contacts: tuple[StanceContact, ...] | None = None
+    goal: tuple[EndTarget, ...] = ()
+    targets: tuple[Target, ...] = ()
+    joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     loads: tuple[HandLoad, ...] = ()
     pushes: tuple[HandPush, ...] = ()
     bears: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    also: tuple[Target, ...] = ()
-    is_anchor: bool = False
-    step: str = ""
-    n_waypoints: int = REACH_WAYPOINTS
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    aims_at_end: bool = False
-    guess_rates: Mapping[str, float] = field(default_factory=dict)
-    joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    guess_touches: tuple[Allowance, ...] = ()
-    torque_share: float | None = None
-    depth_reserve_m: float = DEPTH_RESERVE
     pressed: tuple[PressedPart, ...] = ()
+
+    @property
+    def hand(self) -> FrameMotion | None:
+        """The hand that handles the mechanism; None where it is free."""
+        return self.frames[0] if self.frames else None
 
     @property
     def moving(self) -> tuple[int, ...]:
@@ -141,36 +149,48 @@ class PhaseSpec:
         """Return the mechanism's joints at equally spaced waypoints [rad, m]."""
         return np.linspace(self.first, self.last, n_waypoints)
 
-    def with_rotation(self, rotation: Float[np.ndarray, "3 3"] | None) -> PhaseSpec:
+    def with_hand(self, hand: FrameMotion) -> TaskPhase:
+        """Return the phase with another motion of its hand."""
+        return replace(self, frames=(hand, *self.frames[1:]))
+
+    def with_rotation(self, rotation: Float[np.ndarray, "3 3"] | None) -> TaskPhase:
         """Return the phase with the rotation_link_tool of its rigid hand."""
         if self.hand is None or not self.hand.is_rigid:
             return self
-        return replace(self, hand=replace(self.hand, rotation=rotation))
+        return self.with_hand(replace(self.hand, rotation=rotation))
 
-    def targets(self, mechanism: Mechanism, at: float) -> tuple[Target, ...]:
-        """Return the verifier's targets; ``at`` is the path parameter of the phase's end."""
-        hand = self.hand
-        held: tuple[Target, ...] = ()
-        if hand is not None and not hand.is_line:
-            held = make_hand_targets(hand)
+    def list_targets(self, joint_names: Sequence[str], at: float) -> tuple[Target, ...]:
+        """Return the verifier's targets.
+
+        Args:
+            joint_names: of the robot; the mechanism's are the last ones.
+            at: path parameter of the phase's end.
+        """
+        own = joint_names[len(joint_names) - len(self.first) :]
         return (
-            *self.also,
-            *held,
-            *(JointTarget(mechanism.joints[k].name, float(self.last[k]), JOINT_TOLERANCE, at) for k in self.moving),
+            *self.targets,
+            *(target for frame in self.frames for target in make_frame_targets(frame)),
+            *(JointTarget(own[k], float(self.last[k]), JOINT_TOLERANCE, at) for k in self.moving),
             *(JointTarget(name, ends[1], JOINT_TOLERANCE, at) for name, ends in self.joints.items()),
+            *(replace(target, at=at) for target in self.goal),
         )
 
 
-def make_hand_targets(hand: HandMotion) -> tuple[RelativePoseTarget, ...]:
-    """Return the promises that a tool stays at its place of a link, and its axis within its lean."""
-    free = AXIS if hand.rotation is None else None
-    rotation = find_rotation_onto(AXIS, hand.axis) if hand.rotation is None else hand.rotation
-    if hand.turns_with == hand.link:
-        place, lean = hand.tolerance_m, hand.tilt_rad
-        return (RelativePoseTarget(hand.tool, hand.link, hand.place, rotation, place, lean, free, hand.slide),)
+def make_frame_targets(frame: FrameMotion) -> tuple[RelativePoseTarget, ...]:
+    """Return the promises that a frame stays at its place of a link, or on its line, and its axis within its lean."""
+    if frame.offset is not None:
+        if not frame.keeps_line:
+            return ()
+        half = 0.5 * frame.offset
+        frame = replace(frame, place=frame.place + half, slide=half)
+    free = AXIS if frame.rotation is None else None
+    rotation = find_rotation_onto(AXIS, frame.axis) if frame.rotation is None else frame.rotation
+    if frame.turns_with == frame.link:
+        place, lean = frame.tolerance_m, frame.tilt_rad
+        return (RelativePoseTarget(frame.tool, frame.link, frame.place, rotation, place, lean, free, frame.slide),)
     return (
-        RelativePoseTarget(hand.tool, hand.link, hand.place, rotation, hand.tolerance_m, np.pi, free, hand.slide),
-        RelativePoseTarget(hand.tool, hand.turns_with, np.zeros(3), rotation, ANYWHERE, hand.tilt_rad, free),
+        RelativePoseTarget(frame.tool, frame.link, frame.place, rotation, frame.tolerance_m, np.pi, free, frame.slide),
+        RelativePoseTarget(frame.tool, frame.turns_with, np.zeros(3), rotation, ANYWHERE, frame.tilt_rad, free),
     )
 
 
@@ -186,7 +206,18 @@ def find_rotation_onto(axis: Float[np.ndarray, "3"], direction: Float[np.ndarray
     return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + axis @ direction))
 
 
-def check_moves(phases: Sequence[PhaseSpec]) -> None:
+def list_work(phases: Sequence[TaskPhase]) -> tuple[int, ...]:
+    """Return the indices of the phases of one contact that do its work.
+
+    They move a joint of the mechanism that ends elsewhere than it began; a handle that is pressed and let go again does
+    not count where another joint does.
+    """
+    ends = np.abs(phases[-1].last - phases[0].first) > SAME_VALUE
+    work = tuple(k for k, phase in enumerate(phases) if any(ends[joint] for joint in phase.moving))
+    return work or tuple(k for k, phase in enumerate(phases) if phase.moving)
+
+
+def check_moves(phases: Sequence[TaskPhase]) -> None:
     """Refuse phases between which the mechanism jumps.
 
     Raises:
