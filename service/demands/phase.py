@@ -50,11 +50,11 @@ class FrameMotion:
         way_lean_rad: largest lean of the tool's axis towards ``way`` or against it, at the waypoints.
         slide: (3,) in the link: the tool may be anywhere on ``place`` +- ``slide``; None where it may not slide [m].
         rotation: (3, 3) rotation_link_tool of a hand that cannot turn about its own axis; None where it can.
-        is_rigid: whether the hand keeps the turn about its axis that it has at the first pose (a grasp).
         tolerance_m: largest distance from the place along the whole curve.
         tilt_rad: largest angle between the tool's axis and ``axis`` along the whole curve.
         aim_rad: the same at the waypoints.
         keeps_line: whether a line is promised along the whole curve, within ``tolerance_m`` and ``tilt_rad``.
+        point: (3,) of the tool that is led, in the tool's frame; ``place`` is where the tool's origin then is [m].
     """
 
     tool: str
@@ -65,7 +65,6 @@ class FrameMotion:
     leaves: bool = False
     slide: Float[np.ndarray, "3"] | None = None
     rotation: Float[np.ndarray, "3 3"] | None = None
-    is_rigid: bool = False
     tolerance_m: float = 5e-3
     tilt_rad: float = float(np.deg2rad(3.0))
     aim_rad: float = float(np.deg2rad(1.0))
@@ -74,11 +73,17 @@ class FrameMotion:
     way: Float[np.ndarray, "3"] | None = None
     way_lean_rad: float = 0.0
     keeps_line: bool = False
+    point: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
     @property
     def turns_with(self) -> str | None:
         """The link that the tool's axis is described in."""
         return self.link if self.axis_link is None else self.axis_link
+
+    @property
+    def turns_freely(self) -> bool:
+        """Whether the tool may turn as it likes."""
+        return self.tilt_rad >= np.pi
 
     @property
     def is_line(self) -> bool:
@@ -152,12 +157,6 @@ class TaskPhase:
     def with_hand(self, hand: FrameMotion) -> TaskPhase:
         """Return the phase with another motion of its hand."""
         return replace(self, frames=(hand, *self.frames[1:]))
-
-    def with_rotation(self, rotation: Float[np.ndarray, "3 3"] | None) -> TaskPhase:
-        """Return the phase with the rotation_link_tool of its rigid hand."""
-        if self.hand is None or not self.hand.is_rigid:
-            return self
-        return self.with_hand(replace(self.hand, rotation=rotation))
 
     def list_targets(self, joint_names: Sequence[str], at: float) -> tuple[Target, ...]:
         """Return the verifier's targets.

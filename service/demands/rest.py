@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import Mechanism
-from service.demands.phase import AXIS, TaskPhase, list_work
+from service.demands.phase import TaskPhase, list_work
 from service.demands.stance import UNSETTLED
 from service.errors import RequestError, shown, would_do
-from service.verify import Motion, Phase, RelativePoseTarget
+from service.verify import Motion
 
 TAKE_HOLD = "take hold"
 VALUE_ROUNDING = 2e-3  # by which a measured joint of the mechanism may be outside its travel [rad, m]
-SAME_AXIS = 1e-6
 
 
 class Beginning(Enum):
@@ -143,8 +142,7 @@ class RestTask:
     measure: Callable[[Motion], Mapping[str, float]]
 
     def read_choices(self, recorded: Motion) -> tuple[tuple[TaskPhase, ...], tuple[str, ...]]:
-        """Return the phases as the record begins them; a rigid hand keeps the turn that it has in the record."""
-        phases = {phase.name: phase for phase in recorded.phases}
+        """Return the phases as the record begins them."""
         names = [phase.name for phase in recorded.phases if phase.name not in UNSETTLED]
         index = find_index(self.specs, self.phase)
         for beginning in Beginning:
@@ -153,24 +151,8 @@ class RestTask:
             specs = list_rest_phases(self.specs, self.phase, self.mechanism.start, beginning)
             if [spec.name for spec in specs] == names:
                 break
-        return tuple(_take_rotation(spec, phases.get(spec.name)) for spec in specs), ()
+        return specs, ()
 
     def keep_choices(self, recorded: Motion) -> dict[str, Any]:
         """Return nothing: the request keeps the choices of the first plan."""
         return {}
-
-
-def _take_rotation(spec: TaskPhase, phase: Phase | None) -> TaskPhase:
-    """Return a rigid hand's phase with the turn about its axis that a record promises."""
-    hand = spec.hand
-    if phase is None or hand is None or not hand.is_rigid:
-        return spec
-    for target in phase.targets:
-        if (
-            isinstance(target, RelativePoseTarget)
-            and (target.frame, target.reference) == (hand.tool, hand.link)
-            and target.free_axis is None
-            and np.linalg.norm(target.rotation @ AXIS - hand.axis) <= SAME_AXIS
-        ):
-            return spec.with_rotation(target.rotation)
-    return spec

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.support import SupportPolygon
-from costs.terms import AxisDirection, CentreOfMassAt, FramePose, Joined, NormWithin
+from costs.terms import AxisDirection, CentreOfMassAt, FramePose, Joined, NormWithin, WithinTolerance
 from scopt import Residual
 from service.body.holds import Hold, project_within_limits
 from service.body.inverse_kinematics import solve_holds
@@ -22,13 +22,15 @@ from service.demands.stance import BALANCE_RESERVE
 FOLLOW_STEPS = 12  # of Newton's method from one waypoint to the next
 NEAR = 0.01  # largest residual of a configuration that the optimiser had better begin with than the guess [m, rad]
 FOLLOWED = 1e-3  # largest residual of a waypoint that follows the tool [m, rad]
+LINE_ROOM = 1e-3  # of a frame on a line that it keeps, along each axis [m]
+TURN_RESERVE = float(np.deg2rad(0.3))  # of its turn about each axis, for the curve between the waypoints [rad]
 INSIDE_ROUNDS = 20  # of moves onto the borders of polygons
 INSIDE_RESERVE = 3e-3  # beyond the margin, for what moves the centre of mass later [m]
 INSIDE_SHARE = 0.75  # of a small region's depth that the centre of mass is brought to, where all of it is less
 
 
 def make_hold(robot: RobotModel, hand: FrameMotion) -> Hold:
-    """Return the hold of a hand at its place: position, but for its slide; of a rigid hand also its turn."""
+    """Return the hold of a hand at its place: position, but for its slide; with a rotation also its turn."""
     return lambda waypoints: place_tool(robot, hand, waypoints, hand.place[None])
 
 
@@ -38,12 +40,29 @@ def place_tool(
     waypoints: Int[np.ndarray, "S"] | Sequence[int],
     places: Float[np.ndarray, "#S 3"],
 ) -> Residual[MotionState]:
-    """Return a tool's distance from its places, but for its slide; of a rigid hand also its turn about its axis."""
+    """Return a tool's distance from its places, but for its slide; with a rotation also its turn about its axis."""
     if hand.rotation is not None:
-        return _measure_off(robot, hand, waypoints, places, hand.rotation, (True, True, True, False, False, True))
+        turns = not hand.turns_freely
+        return _measure_off(robot, hand, waypoints, places, hand.rotation, (True, True, True, False, False, turns))
     is_free = hand.slide is None
     axes = (True, True, is_free, False, False, False)
     return _measure_off(robot, hand, waypoints, places, _find_slide_axes(hand), axes)
+
+
+def keep_near_line(
+    robot: RobotModel,
+    frame: FrameMotion,
+    waypoints: Int[np.ndarray, "S"] | Sequence[int],
+    places: Float[np.ndarray, "#S 3"],
+) -> Residual[MotionState]:
+    """Return how far a frame is beyond the room that it has about its places, and about its rotation.
+
+    Tilted about all three axes at once it stays within its tilt, with room between the waypoints.
+    """
+    rotation = np.eye(3) if frame.rotation is None else frame.rotation
+    pose = _measure_off(robot, frame, waypoints, places, rotation, (True,) * 6)
+    turn = frame.tilt_rad / np.sqrt(3.0) - TURN_RESERVE
+    return WithinTolerance(pose, np.array([*(LINE_ROOM,) * 3, *(turn,) * 3]))
 
 
 def slide_tool(
@@ -71,9 +90,12 @@ def _measure_off(
     axes: tuple[bool, ...],
 ) -> FramePose:
     """Return some components of a tool's pose relative to its places, in axes of the place's link."""
-    targets = np.tile(np.eye(4), (len(places), 1, 1))
-    targets[:, :3, :3], targets[:, :3, 3] = rotation, places
-    return FramePose(robot, hand.tool, waypoints, targets if len(places) > 1 else targets[0], axes, hand.link)
+    targets, point = np.tile(np.eye(4), (len(places), 1, 1)), np.eye(4)
+    at_place = np.eye(3) if hand.rotation is None else hand.rotation
+    targets[:, :3, :3], targets[:, :3, 3] = rotation, places + at_place @ hand.point
+    point[:3, 3] = hand.point
+    target = targets if len(places) > 1 else targets[0]
+    return FramePose(robot, hand.tool, waypoints, target, axes, hand.link, point)
 
 
 def aim_tool(robot: RobotModel, hand: FrameMotion, waypoints: Int[np.ndarray, "S"]) -> AxisDirection:
@@ -206,8 +228,8 @@ def _hold_all(
     )
 
 
-def _hold_at(robot: RobotModel, hand: FrameMotion, places: Float[np.ndarray, "#S 3"]) -> tuple[Hold, Hold]:
+def _hold_at(robot: RobotModel, hand: FrameMotion, places: Float[np.ndarray, "#S 3"]) -> tuple[Hold, ...]:
     """Return the holds of a tool at one place, or at one per waypoint, and of its axis."""
     at_place: Hold = lambda waypoints: place_tool(robot, hand, waypoints, places)  # noqa: E731
     axis: Hold = lambda waypoints: aim_tool(robot, hand, waypoints)  # noqa: E731
-    return at_place, axis
+    return (at_place,) if hand.turns_freely else (at_place, axis)

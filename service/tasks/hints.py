@@ -13,7 +13,10 @@ from service.demands.phase import DEPTH_RESERVE, TaskPhase, list_work
 
 FREE_WAYPOINTS, LINE_WAYPOINTS = 14, 5  # of a free phase, and of a line
 LED_WAYPOINTS = 4  # of a phase in which only joints of the hand move, and at least of one that moves a mechanism
+NOTHING = Mechanism("nothing", ())
+"""The mechanism of a task that moves none."""
 TURN_STEP, SLIDE_STEP = float(np.deg2rad(10.0)), 0.05  # between waypoints of a mechanism that moves [rad, m]
+RESTORABLE = 20.0
 ALONG_SAMPLES = 9  # of a hand's way with the mechanism
 
 
@@ -23,23 +26,26 @@ class PhaseHints:
 
     Attributes:
         pose_name: of the pose that it is begun from, in messages.
-        free_waypoints: of a phase whose hand is free.
+        free_waypoints, line_waypoints: of a phase that leads nothing, and of a line.
         turn_step: of a mechanism's joint between waypoints [rad].
         aims_at_end: whether it is first tried straight to a pose at its end.
         rates: rate of a joint in the first guess, per unit of the mechanism's only moving joint.
         passes: pairs that may overlap in the first guess, which is solved beforehand.
         torque_share: of the torque limits that the joints before the hand may use under the loads; None for any.
         depth_reserve_m: of the depths of what may touch, for the curve between the waypoints [m].
+        restorable: largest violation, relative to its tolerance, from which a solution is sought for constraints alone.
     """
 
     pose_name: str = ""
     free_waypoints: int = FREE_WAYPOINTS
+    line_waypoints: int = LINE_WAYPOINTS
     turn_step: float = TURN_STEP
     aims_at_end: bool = False
     rates: Mapping[str, float] = field(default_factory=dict)
     passes: tuple[Allowance, ...] = ()
     torque_share: float | None = None
     depth_reserve_m: float = DEPTH_RESERVE
+    restorable: float = RESTORABLE
 
 
 Hints = Callable[[TaskPhase], PhaseHints]
@@ -56,7 +62,7 @@ def count_waypoints(phase: TaskPhase, mechanism: Mechanism, hints: PhaseHints) -
     if phase.hand is None:
         return hints.free_waypoints
     if phase.hand.is_line:
-        return LINE_WAYPOINTS
+        return hints.line_waypoints
     steps = [
         abs(float(phase.last[k] - phase.first[k]))
         / (SLIDE_STEP if mechanism.joints[k].kind == "prismatic" else hints.turn_step)

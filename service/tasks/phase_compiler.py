@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import chain, combinations, islice, tee
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance
 from costs.collision import Contacts
-from costs.kinematics import locate_frame, locate_links
+from costs.kinematics import locate_frame
 from costs.robot import Mechanism, RobotModel
 from costs.state import MotionState
 from costs.terms import HeldTorque, NormWithin, WithinTolerance
@@ -27,24 +27,27 @@ from service.body.phases import PhaseSolver
 from service.body.poses import PoseProblem, Poses, find_pose
 from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
 from service.body.starts import Way
-from service.body.task_plan import PlannedPhase, Solved
+from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.phase import DEPTH_RESERVE, FrameMotion, TaskPhase
+from service.tasks.chain import Attempt
+from service.tasks.contacts.held_pose import keep_sides
 from service.tasks.held_tool import (
     aim_tool,
     bring_tool,
     follow_in_balance,
     follow_tool,
+    keep_near_line,
     lean_tool,
     make_hold,
     place_tool,
     slide_tool,
 )
-from service.tasks.hints import Hints, count_waypoints, give_no_hints
+from service.tasks.hints import NOTHING, Hints, count_waypoints, give_no_hints
 from service.verify import HandLoad
 
 MOST_VIAS = 4  # postures of a free phase, the nominal one among them
-RESTORABLE = 20.0  # largest violation, relative to its tolerance, of a phase that is then solved for constraints alone
 OTHER_POSE = 0.3  # least difference of a joint between two poses that are tried [rad]
+LINE_TOLERANCE = 2e-4  # of a frame that keeps its line, at a waypoint [m, rad]
 POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
 TORQUE_TOLERANCE = 0.01  # share of a joint's limit
 AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
@@ -56,14 +59,14 @@ class PhaseCompiler:
 
     Attributes:
         solver: of the body augmented by the mechanism.
-        mechanism: whose joints are the last coordinates.
+        mechanism: whose joints are the last coordinates; by default none.
         nominal: (T, n) waypoints of an earlier motion by name of the phase, from which phases are solved first.
         hints: how to go about each phase.
     """
 
     solver: PhaseSolver
-    mechanism: Mechanism
-    nominal: Mapping[str, Float[np.ndarray, "T n"]]
+    mechanism: Mechanism = NOTHING
+    nominal: Mapping[str, Float[np.ndarray, "T n"]] = field(default_factory=dict)
     hints: Hints = give_no_hints
 
     @property
@@ -191,20 +194,6 @@ class PhaseCompiler:
         contacts = list(body.planted)
         return plan_regions(body.engine, contacts, spec.loads, values, body.nominal)
 
-    def find_rotation(self, spec: TaskPhase, pose: Float[np.ndarray, "n"]) -> Float[np.ndarray, "3 3"] | None:
-        """Return rotation_link_tool of a rigid hand: its axis as demanded, its turn about it as in the pose."""
-        hand = spec.hand
-        if hand is None or not hand.is_rigid:
-            return None
-        links = [hand.tool] if hand.link is None else [hand.tool, hand.link]
-        poses = locate_links(self.solver.body.engine, pose, links)
-        tool = poses[hand.tool][:3, :3]
-        link = np.eye(3) if hand.link is None else poses[hand.link][:3, :3]
-        z = link @ hand.axis
-        x = tool[:, 0] - (tool[:, 0] @ z) * z
-        x /= np.linalg.norm(x)
-        return np.asarray(link.T @ np.stack([x, np.cross(z, x), z], axis=1))
-
     def solve_held(
         self,
         spec: TaskPhase,
@@ -213,17 +202,19 @@ class PhaseCompiler:
         *,
         is_anchor: bool = False,
         is_backwards: bool = False,
+        last: Float[np.ndarray, "n"] | None = None,
     ) -> Solved:
-        """Solve a phase with a held hand from its first configuration, or backwards from its last.
+        """Solve a phase that leads frames from its first configuration, or backwards from its last.
 
-        The first configuration of an anchor is free.
+        The first configuration of an anchor is free; ``last`` is where the phase ends, where that is known as well.
         """
         count = self.count_waypoints(spec)
         values = spec.values(count)
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
+        fixed |= {} if last is None else {count - 1: last}
         nominal = self.resample_nominal(spec, fixed or {0: q})
         held = _HeldPhase(self, spec, fixed, values)
-        led = self._lead_hand(held, q, is_anchor=is_anchor, is_backwards=is_backwards)
+        led = self._lead_hand(held, q, last, is_anchor=is_anchor, is_backwards=is_backwards)
         paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {Way.LED: lambda: islice(led, 1)}
         if nominal is not None:
             paths[Way.KNOWN] = lambda: ((Way.KNOWN.value, nominal),)
@@ -236,16 +227,26 @@ class PhaseCompiler:
         )
 
     def _lead_hand(
-        self, held: _HeldPhase, q: Float[np.ndarray, "n"], *, is_anchor: bool, is_backwards: bool
+        self,
+        held: _HeldPhase,
+        q: Float[np.ndarray, "n"],
+        last: Float[np.ndarray, "n"] | None,
+        *,
+        is_anchor: bool,
+        is_backwards: bool,
     ) -> Iterator[tuple[str, Path]]:
         """Yield paths of a phase with a held hand.
 
-        The straight line to a pose at its end comes first where the phase aims at one, then the path on which the hand
-        is at its place, then the first configuration with what is prescribed.
+        The straight line to its end comes first, or to a pose there where the phase aims at one, then the path on
+        which the hand is at its place, then the first configuration with what is prescribed.
         """
         spec, count, values = held.spec, len(held.values), held.values
         hints = self.hints(spec)
-        if hints.aims_at_end and not is_backwards:
+        if last is not None:
+            straight = straight_path(q, last, count)
+            straight[:, self.columns] = values
+            yield "straight line", straight
+        elif hints.aims_at_end and not is_backwards:
             end_spec = replace(spec, first=spec.last)
             guess = np.concatenate([q[: self.columns[0]], spec.last])
             end = find_pose(self.pose_problem(spec.name, end_spec, Effort.QUICK_POSE), [("at hand", guess)])
@@ -258,14 +259,14 @@ class PhaseCompiler:
         for name, rate in hints.rates.items():
             (moving,) = spec.moving
             start[:, self.robot.joint_names.index(name)] += rate * (values[:, moving] - values[0, moving])
-        for name, (first, last) in spec.joints.items():
+        for name, ends in spec.joints.items():
             column = self.robot.joint_names.index(name)
-            start[:, column] = np.linspace(first if is_anchor or is_backwards else q[column], last, count)
+            start[:, column] = np.linspace(ends[0] if is_anchor or is_backwards else q[column], ends[1], count)
         if spec.frames:
             prescribed = self.find_prescribed(spec)
             followed = follow_tool(self.solver.body, spec.frames, start, prescribed, is_backwards=is_backwards)
             if followed is not None:
-                yield "led by the hand", followed
+                yield "led by the hand" if spec.contacts is None else "along its line", followed
         yield "standing still", start
 
     def find_prescribed(self, spec: TaskPhase) -> Bool[np.ndarray, "n"]:
@@ -281,27 +282,47 @@ class PhaseCompiler:
         limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
         return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
 
+    def begin(self, spec: TaskPhase, near: Float[np.ndarray, "n"]) -> Attempt:
+        """Solve a phase that leads frames from a pose near a configuration."""
+        return self._attempt(spec, self.solve_held(spec, near, 0.3, is_anchor=True))
+
+    def lead(
+        self, spec: TaskPhase, first: Float[np.ndarray, "n"] | None, last: Float[np.ndarray, "n"] | None
+    ) -> Attempt:
+        """Solve a phase that leads frames from its first configuration, backwards from its last, or between both."""
+        if first is not None:
+            return self._attempt(spec, self.solve_held(spec, first, 0.6, last=last))
+        assert last is not None
+        return self._attempt(spec, self.solve_held(spec, last, 0.3, is_backwards=True))
+
+    def join(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:
+        """Solve a phase that leads nothing between two configurations."""
+        return self._attempt(spec, self.solve_free(spec, first, last, 0.55))
+
+    def _attempt(self, spec: TaskPhase, solved: Solved) -> Attempt:
+        return Attempt(solved.x, lambda: self.finish(spec, solved), Stuck.at(spec.name, solved))
+
     def solve_free(
         self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], fraction: float
     ) -> Solved:
         """Solve a phase without demands on the hand between two configurations."""
+        return find_motion(replace(self.search_free(spec, first, last), is_sampled=False, fraction=fraction))
+
+    def search_free(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> MotionSearch:
+        """Return the search for the motion of a phase between two configurations."""
         count = self.count_waypoints(spec)
         nominal = self.resample_nominal(spec, {0: first, count - 1: last})
         known = () if nominal is None else ((Way.KNOWN.value, nominal),)
         postures = posture_guesses(self.solver.body)[1:MOST_VIAS]
-        return find_motion(
-            MotionSearch(
-                spec.name,
-                self.solver,
-                lambda solver, path: replace(self, solver=solver).solve_between(spec, path),
-                first,
-                GivenEnd(last),
-                paths={Way.KNOWN: lambda: known},
-                n_waypoints=count,
-                vias=lambda: [(name, self._keep_mechanism(q, first)) for name, q in postures],
-                is_sampled=False,
-                fraction=fraction,
-            )
+        return MotionSearch(
+            spec.name,
+            self.solver,
+            lambda solver, path: replace(self, solver=solver).solve_between(spec, path),
+            first,
+            GivenEnd(last),
+            paths={Way.KNOWN: lambda: known},
+            n_waypoints=count,
+            vias=lambda: [(name, self._keep_mechanism(q, first)) for name, q in postures],
         )
 
     def _keep_mechanism(self, q: Float[np.ndarray, "n"], at: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -350,15 +371,18 @@ class PhaseCompiler:
         # A path without a cost is the last resort: a solution from another path is the better motion.
         problem = PoseProblem(spec.name, solve_from, most=self.solver.most_seeds)
         solved = find_pose(problem, (("path", path) for path in chain([first], paths)))
-        if solved.is_feasible or solved.shortfall >= RESTORABLE:
+        if solved.is_feasible or solved.shortfall >= self.hints(spec).restorable:
             return solved
         return self.solver.restore_feasibility(spec.name, solved)
 
     def finish(self, spec: TaskPhase, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
-        phase = self.promise(spec, solved.x, spec.values(self.count_waypoints(spec)))
-        resolve = lambda q: self.solve_between(self._keep_shares(spec, q), q)  # noqa: E731
-        return replace(phase, is_feasible=solved.is_feasible, resolve=resolve)
+        return replace(self.keep(spec, solved.x), is_feasible=solved.is_feasible)
+
+    def keep(self, spec: TaskPhase, q: Float[np.ndarray, "T n"]) -> PlannedPhase:
+        """Return waypoints with the promises of a phase, which can be solved again between the same ends."""
+        phase = self.promise(spec, q, spec.values(self.count_waypoints(spec)))
+        return replace(phase, resolve=lambda again: self.solve_between(self._keep_shares(spec, again), again))
 
     def _keep_shares(self, spec: TaskPhase, q: Float[np.ndarray, "T n"]) -> TaskPhase:
         """Return a phase whose tool is as far along its line at each waypoint as it is in a path."""
@@ -367,7 +391,7 @@ class PhaseCompiler:
     def _share_line(self, frame: FrameMotion, q: Float[np.ndarray, "T n"]) -> FrameMotion:
         if frame.offset is None:
             return frame
-        line = replace(frame, slide=None, rotation=None)
+        line = replace(frame, slide=None, rotation=None, point=np.zeros(3))
         off = place_tool(self.robot, line, np.arange(len(q)), frame.place[None])
         places = off.value(MotionState(self.solver.body.engine(q), Contacts.none())).reshape(len(q), 3)
         return replace(frame, shares=places @ frame.offset / (frame.offset @ frame.offset))
@@ -381,21 +405,26 @@ class PhaseCompiler:
             holds=tuple(make_hold(self.robot, frame) for frame in spec.frames if not frame.is_line),
             regions=self.find_regions(spec, values),
             values=values if spec.loads else None,
+            body=None if spec.contacts is None else self.solver.body,
         )
 
     def _constraints(
         self, spec: TaskPhase, waypoints: Int[np.ndarray, "S"], count: int
     ) -> tuple[Constraint[MotionState], ...]:
-        """Return the constraints of the frames that are led at waypoints of a phase with ``count`` of them."""
+        """Return the constraints of frames that are led, and of contacts, at waypoints of a phase with ``count``."""
         if not len(waypoints):
             return ()
-        return tuple(constraint for frame in spec.frames for constraint in self._lead_frame(frame, waypoints, count))
+        led = (constraint for frame in spec.frames for constraint in self._lead_frame(frame, waypoints, count))
+        return (*led, *keep_sides(self.solver.body, spec.contacts or (), waypoints))
 
     def _lead_frame(
         self, hand: FrameMotion, waypoints: Int[np.ndarray, "S"], count: int
     ) -> tuple[Constraint[MotionState], ...]:
         """Return the constraints of one frame that is led."""
         places = hand.places(count)[waypoints]
+        if hand.keeps_line:
+            near = keep_near_line(self.robot, hand, waypoints, places)
+            return (Constraint(f"{hand.tool} on its line", near, tolerance=LINE_TOLERANCE, unit="m or rad"),)
         name = "tool on its line" if hand.is_line else "tool at its place"
         residual = place_tool(self.robot, hand, waypoints, places)
         constraints = [Constraint(name, residual, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m")]
@@ -407,6 +436,8 @@ class PhaseCompiler:
                     "tool within its slide", WithinTolerance(along, room), tolerance=POSITION_TOLERANCE, unit="m"
                 )
             )
+        if hand.turns_freely:
+            return tuple(constraints)
         axis = NormWithin(aim_tool(self.robot, hand, waypoints), 2, hand.aim_rad)
         tolerance = min(0.2 * hand.aim_rad, AXIS_TOLERANCE)
         constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))

@@ -23,6 +23,7 @@ from service.body.seeds import Seed, name_seeds, random_guesses
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.holds.pushes import add_pushes
 from service.demands.phase import TaskPhase, check_moves
+from service.tasks.chain import solve_phases
 from service.tasks.hints import Hints, find_anchor, give_no_hints
 from service.tasks.phase_compiler import PhaseCompiler
 
@@ -108,12 +109,6 @@ class PhaseSequence:
         specs = zip(self.specs, paths, strict=True)
         return tuple(compiler.promise(spec, q, q[:, compiler.columns]) for spec, q in specs)
 
-    def turn_rigid_hands(self, at: Sequence[Float[np.ndarray, "n"]]) -> PhaseSequence:
-        """Return the sequence with rigid hands turned about their axes as they are at one configuration per phase."""
-        compiler = self._compiler
-        turned = [spec.with_rotation(compiler.find_rotation(spec, q)) for spec, q in zip(self.specs, at, strict=True)]
-        return replace(self, specs=tuple(turned))
-
     def try_pose(self, step: str, spec: TaskPhase, guesses: Sequence[Seed] = (), n_random: int = 0) -> Solved:
         """Try with little effort whether a phase's first pose exists, whatever comes before it.
 
@@ -140,84 +135,38 @@ class PhaseSequence:
     def _plan_forwards(
         self, specs: Sequence[TaskPhase], at: Float[np.ndarray, "n"]
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
-        """Plan phases with a held hand in the order of execution; a free one before them brings the hand to its place.
-
-        A rigid hand keeps the turn about its axis that it has when it begins.
-        """
+        """Plan phases in the order of execution; a free one before them brings the hand to its place."""
         compiler = self._compiler
-        phases: list[PlannedPhase] = []
-        if specs[0].hand is None:
-            free, *specs = specs
-            step = f"pose for '{specs[0].name}'"
-            first = specs[0].with_rotation(compiler.find_rotation(specs[0], at))
-            pose = find_pose(compiler.pose_problem(step, first, fraction=0.1), [("at hand", at)])
+        poses: dict[int, Float[np.ndarray, "n"]] = {}
+        if not specs[0].frames:
+            step = f"pose for '{specs[1].name}'"
+            pose = find_pose(compiler.pose_problem(step, specs[1], fraction=0.1), [("at hand", at)])
             if not pose.is_feasible:
-                return _stop_at(free, step, pose, np.stack([at, pose.x[0]]))
-            taken = compiler.solve_free(free, at, pose.q, 0.3)
-            phases.append(compiler.finish(free, taken))
-            if not taken.is_feasible:
-                return tuple(phases), Stuck(free.name, taken)
-            at = pose.x[0]
-        for spec in specs:
-            held = spec.with_rotation(compiler.find_rotation(spec, at))
-            solved = compiler.solve_held(held, at, 0.5)
-            phases.append(compiler.finish(held, solved))
-            if not solved.is_feasible:
-                return tuple(phases), Stuck(spec.name, solved)
-            at = solved.x[-1]
-        return tuple(phases), None
+                return _stop_at(specs[0], step, pose, np.stack([at, pose.q]))
+            poses[1] = pose.q
+        chain = solve_phases(specs, at, poses, compiler)
+        return chain.planned, chain.stuck
 
     def _plan_group(
         self, group: Sequence[TaskPhase], at: Float[np.ndarray, "n"]
     ) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
-        """Plan a free phase and the held ones after it."""
+        """Plan a free phase and the held ones after it, outwards from a pose of the one that does the work."""
         compiler = self._compiler
-        free = [spec for spec in group if spec.hand is None]
-        held = [spec for spec in group if spec.hand is not None]
-        anchor_at = find_anchor(held, self.mechanism)
-        step = self.hints(held[anchor_at]).pose_name or f"pose for '{held[anchor_at].name}'"
+        n_free = sum(not spec.frames for spec in group)
+        anchor = n_free + find_anchor(group[n_free:], self.mechanism)
+        step = self.hints(group[anchor]).pose_name or f"pose for '{group[anchor].name}'"
         stopped: tuple[tuple[PlannedPhase, ...], Stuck | None] | None = None
-        for pose in compiler.list_anchor_poses(step, held[anchor_at], at, self.n_random):
+        for pose in compiler.list_anchor_poses(step, group[anchor], at, self.n_random):
             if not pose.is_feasible:
-                return _stop_at(group[0], step, pose, np.stack([at, pose.x[0]]))
-            turned = [spec.with_rotation(compiler.find_rotation(spec, pose.x[0])) for spec in held]
-            solved, failed = self._solve_back_from(turned, anchor_at, pose.x[0])
-            if failed is None:
-                break
-            made = np.concatenate([at[None], *(solved[k].x for k in sorted(solved))])
-            stopped = stopped or _stop_at(held[failed], held[failed].name, solved[failed], made)
-        else:
-            assert stopped is not None
-            return stopped
-        held = turned
-        phases: list[PlannedPhase] = []
-        for spec in free:
-            reach = compiler.solve_free(spec, at, solved[0].x[0], 0.55)
-            phases.append(compiler.finish(spec, reach))
-            if not reach.is_feasible:
-                return tuple(phases), Stuck(spec.name, reach)
-        phases += [compiler.finish(held[index], solved[index]) for index in range(anchor_at + 1)]
-        for spec in held[anchor_at + 1 :]:
-            after = compiler.solve_held(spec, phases[-1].q[-1], 0.65)
-            phases.append(compiler.finish(spec, after))
-            if not after.is_feasible:
-                return tuple(phases), Stuck(spec.name, after)
-        return tuple(phases), None
-
-    def _solve_back_from(
-        self, held: Sequence[TaskPhase], anchor_at: int, pose: Float[np.ndarray, "n"]
-    ) -> tuple[dict[int, Solved], int | None]:
-        """Return the solved anchor and phases before it by index, and the index of the one that failed."""
-        solved: dict[int, Solved] = {}
-        for index in range(anchor_at, -1, -1):
-            if index == anchor_at:
-                solved[index] = self._compiler.solve_held(held[index], pose, 0.3, is_anchor=True)
-            else:
-                last = solved[index + 1].x[0]
-                solved[index] = self._compiler.solve_held(held[index], last, 0.3, is_backwards=True)
-            if not solved[index].is_feasible:
-                return solved, index
-        return solved, None
+                return _stop_at(group[0], step, pose, np.stack([at, pose.q]))
+            chain = solve_phases(group, at, {}, compiler, {anchor: compiler.begin(group[anchor], pose.q)})
+            failed = chain.failed
+            if failed is None or not n_free <= failed <= anchor:  # the others are stuck from any pose
+                return chain.planned, chain.stuck
+            made = np.concatenate([at[None], chain.q])
+            stopped = stopped or ((PlannedPhase(group[failed], made, False),), chain.stuck)
+        assert stopped is not None
+        return stopped
 
 
 def split_groups(specs: Sequence[TaskPhase]) -> Iterator[tuple[TaskPhase, ...]]:

@@ -59,9 +59,9 @@ def _stand(
 
 
 def _follow_normal(contact: StanceContact, *, leaves: bool) -> FrameMotion:
-    """Return the line of a link that leaves its place, or arrives there; one that may turn is not held to it."""
+    """Return the line of a link that leaves its place, or arrives there; one with few points may turn about them."""
     planted = contact.planted
-    pose = planted.pose_world_link
+    pose, keeps_line = planted.pose_world_link, len(planted.sole) >= 3
     return FrameMotion(
         planted.link,
         None,
@@ -71,6 +71,7 @@ def _follow_normal(contact: StanceContact, *, leaves: bool) -> FrameMotion:
         leaves=leaves,
         rotation=pose[:3, :3],
         tolerance_m=LINE_TOLERANCE_M,
-        tilt_rad=LINE_TILT_RAD,
-        keeps_line=len(planted.sole) >= 3,
+        tilt_rad=LINE_TILT_RAD if keeps_line else np.pi,
+        keeps_line=keeps_line,
+        point=planted.sole.mean(axis=0),
     )

@@ -204,7 +204,7 @@ def _list_contacts(robot: RobotModel, hand: Hand, spec: TaskPhase) -> Iterator[H
 
 def _keep_nearest(contacts: Sequence[HandContact], motion: FrameMotion, robot: RobotModel) -> tuple[HandContact, ...]:
     """Return the contacts of a rod; those of fingers only with the bodies that are nearest to the hand's place."""
-    if motion.rotation is None and not motion.is_rigid:
+    if motion.rotation is None:
         return tuple(contacts)
     bodies = {body.name: body for body in robot.bodies}
     names = dict.fromkeys(contact.body for contact in contacts)

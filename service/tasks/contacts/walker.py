@@ -10,31 +10,27 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import BASE_NAMES
-from costs.state import MotionState
-from costs.terms import FramePose, Joined, WithinTolerance
-from scopt import Constraint, Residual
 from service.body.holds import project_onto_holds
-from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
+from service.body.ladder import MotionSearch, Path, find_motion
 from service.body.paths import path_via
 from service.body.phases import PhaseSolver
 from service.body.poses import find_pose
 from service.body.sampling import free_coordinates
 from service.body.seeds import Seed, posture_guesses
 from service.body.starts import Way
-from service.body.task_plan import PlannedPhase, Solved, Stuck
+from service.body.task_plan import PlannedPhase, Stuck
 from service.body.whole_body import WholeBody
-from service.demands.contacts.phases import LINE_M, LINE_TILT_RAD, list_change_phases
+from service.demands.contacts.phases import LINE_M, list_change_phases
 from service.demands.contacts.stances import ContactChange, ContactStance, StanceContact
 from service.demands.phase import TaskPhase
+from service.tasks.chain import Attempt, solve_phases
 from service.tasks.contacts.held_pose import SAME_STATE, HeldPose, keep_sides
 from service.tasks.contacts.known_motion import lead_way
-from service.tasks.contacts.pose_finder import POSE_RESERVE, MissingPose, PoseFinder, StuckError
+from service.tasks.contacts.pose_finder import DEPTH_RESERVE, POSE_RESERVE, MissingPose, PoseFinder, StuckError
+from service.tasks.hints import PhaseHints
+from service.tasks.phase_compiler import PhaseCompiler
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
-# Of a link on its line, at the waypoints: how far it may be off along and about each axis, and the tolerance of that
-# [m, rad].  Tilted about all three axes at once it stays within ``LINE_TILT_RAD``, with room between the waypoints.
-LINE_ROOM = np.concatenate([np.full(3, 1e-3), np.full(3, LINE_TILT_RAD / np.sqrt(3.0) - float(np.deg2rad(0.3)))])
-LINE_TOLERANCE = 2e-4
 MOST_VIAS = 3  # postures of a swing, the nominal one among them
 LEAST_JOINTS = 3  # of a limb that goes around something
 LEAST_CORNER_M = 0.05  # farthest component of a swing's way from which on the body may go around a corner
@@ -104,30 +100,24 @@ class Walker:
 
     def change(self, before: ContactStance, after: ContactStance, at: Float[np.ndarray, "n"]) -> Sequence[PlannedPhase]:
         """Return the phases from one stance to the next, which begin at a configuration."""
-        change, specs = ContactChange.between(before, after), list_change_phases(before, after)
+        change, phases = ContactChange.between(before, after), list_change_phases(before, after)
+        poses: dict[int, Float[np.ndarray, "n"]] = {}
         if not change.leaving and not change.arriving:
-            (move,) = specs
-            step, there = f"{after.name}: pose", self.finder.guesses.there.get(after.name)
-            pose = self.finder.take_known(move.name, after.contacts, ())
-            if pose is None or there is None or np.abs(pose - there).max() > SAME_STATE:
-                with self.solver.monitor.step(step, 0.3):
-                    pose = self.finder.find(step, after.contacts, (), at, there)
-            return [self._swing(move, at, pose)]
-        left, made = self.finder.find_between(after.name, change, at)
-        phases: list[PlannedPhase] = []
-        here = at
-        if left is not None:
-            shift, lift, *_ = specs
-            phases.append(self._move(shift, at, left, SHIFT_WAYPOINTS))
-            lifted = self._line(lift, change.kept, change.leaving, left, is_up=True)
-            phases.append(lifted)
-            here = lifted.q[-1]
-        if made is not None:
-            *_, swing, land = specs
-            landing = self._line(land, change.kept, change.arriving, made, is_up=False)
-            phases.append(self._swing(swing, here, landing.q[0]))
-            phases.append(landing)
-        return phases
+            poses[1] = self._find_pose(phases[0], after, at)
+        else:
+            left, made = self.finder.find_between(after.name, change, at)
+            poses |= {} if left is None else {1: left}
+            poses |= {} if made is None else {len(phases): made}
+        return solve_phases(phases, at, poses, _ChangeWork(self, change)).planned
+
+    def _find_pose(self, phase: TaskPhase, stance: ContactStance, at: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return another pose on the same contacts: the known one of the stance, or one near a configuration."""
+        step, there = f"{stance.name}: pose", self.finder.guesses.there.get(stance.name)
+        pose = self.finder.take_known(phase.name, stance.contacts, ())
+        if pose is not None and there is not None and np.abs(pose - there).max() <= SAME_STATE:
+            return pose
+        with self.solver.monitor.step(step, 0.3):
+            return self.finder.find(step, stance.contacts, (), at, there)
 
     def _has_free_limb(self, body: WholeBody) -> bool:
         """Return whether all joints of one of the robot's groups carry nothing: only these move on a sampled path."""
@@ -146,16 +136,21 @@ class Walker:
         if not end.is_feasible:
             raise StuckError(spec.name, (), end.x[0], Stuck(spec.name, end))
         last = project_onto_holds(body.engine, end.x, body.holds())[0]
-        return self._swing(spec, at, last)
+        return self.join(spec, at, last)
+
+    def _compile(self, spec: TaskPhase, touching: tuple[StanceContact, ...] = ()) -> PhaseCompiler:
+        """Return the compiler of a phase on its contacts, while others may touch."""
+        body = self.finder.stand_on(_list_contacts(spec), touching)
+        return PhaseCompiler(replace(self.solver, body=body), hints=hint_contacts)
 
     def _take_phase(
-        self, spec: TaskPhase, body: WholeBody, ends: Mapping[int, Float[np.ndarray, "n"]]
+        self, compiler: PhaseCompiler, spec: TaskPhase, ends: Mapping[int, Float[np.ndarray, "n"]]
     ) -> PlannedPhase | None:
         """Return a phase as the earlier motion has it; None where that does not lead through its ends any more.
 
         Args:
+            compiler: on its contacts.
             spec: the phase.
-            body: on its contacts.
             ends: configuration by index of the first or the last waypoint.
         """
         known = self.finder.guesses.curves.get(spec.name)
@@ -166,77 +161,59 @@ class Walker:
             if np.abs(q[k] - end).max() > SAME_STATE:
                 return None
             q[k] = end
-        sides = keep_sides(body, _list_contacts(spec), np.arange(1, len(q) - 1))
-        if not replace(self.solver, body=body).is_feasible(q, sides):
+        sides = keep_sides(compiler.solver.body, _list_contacts(spec), np.arange(1, len(q) - 1))
+        if not compiler.solver.is_feasible(q, sides):
             return None
-        kept = replace(known, curve=replace(known.curve, positions=q))
-        resolve = partial(_solve_between, spec, replace(self.solver, body=body))
-        return replace(_promise(spec, body, q, resolve), kept=kept)
+        return replace(compiler.keep(spec, q), kept=replace(known, curve=replace(known.curve, positions=q)))
 
-    def _line(
+    def line(
         self,
         spec: TaskPhase,
-        kept: tuple[StanceContact, ...],
         moving: tuple[StanceContact, ...],
         pose: Float[np.ndarray, "n"],
         *,
         is_up: bool,
     ) -> PlannedPhase:
         """Return the phase in which links leave their places, or arrive there, straight along their normals."""
-        body = self.finder.stand_on(kept, moving)
-        taken = self._take_phase(spec, body, {0 if is_up else -1: pose})
+        compiler = self._compile(spec, moving)
+        taken = self._take_phase(compiler, spec, {0 if is_up else -1: pose})
         if taken is not None:
             return taken
-        at = 0 if is_up else LINE_WAYPOINTS - 1
-        shares = {k: abs(k - at) / (LINE_WAYPOINTS - 1) for k in range(LINE_WAYPOINTS) if k != at}
-        constraints = [
-            Constraint(
-                f"{contact.patch} on its line",
-                Joined([_keep_on_line(body, contact, k, share * LINE_M) for k, share in shares.items()]),
-                tolerance=LINE_TOLERANCE,
-                unit="m or rad",
-            )
-            for contact in moving
-        ]
-        start = np.tile(pose, (LINE_WAYPOINTS, 1))
-        solver = replace(self.solver, body=body)
-        constraints += keep_sides(body, kept, np.array(sorted(shares)))
-        solved = find_motion(
-            MotionSearch(
-                spec.name,
-                solver,
-                lambda own, path: own.solve_trajectory(spec.name, path, {at: pose}, constraints=constraints),
-                pose,
-                NoEnd(),
-                paths={Way.GIVEN: lambda: (("standing still", start),)},
-            )
-        )
+        solved = compiler.solve_held(spec, pose, 0.4, is_backwards=not is_up)
         if not solved.is_feasible:
+            kept = _list_contacts(spec)
             away = tuple(contact.move(LINE_M * contact.surface.normal) for contact in moving)
             held = HeldPose(self.solver, self.finder.stand_on(kept, moving, POSE_RESERVE), kept, away)
             raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved), MissingPose(held, pose))
-        return _promise(spec, body, solved.x, None)
+        return compiler.finish(spec, solved)
 
-    def _swing(
-        self,
-        spec: TaskPhase,
-        first: Float[np.ndarray, "n"],
-        last: Float[np.ndarray, "n"],
-    ) -> PlannedPhase:
-        """Return the free phase between two lines."""
-        body = self.finder.stand_on(_list_contacts(spec))
-        taken = self._take_phase(spec, body, {0: first, -1: last})
+    def join(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> PlannedPhase:
+        """Return a phase between two configurations, as the earlier motion has it or searched anew.
+
+        Raises:
+            StuckError: it is not solved.
+        """
+        compiler = self._compile(spec)
+        taken = self._take_phase(compiler, spec, {0: first, -1: last})
         if taken is not None:
             return taken
+        fit = partial(_keep_contacts, compiler.solver.body)
+        search = replace(compiler.search_free(spec, first, last), fit=fit, is_shortened=False)
+        solved = find_motion(self._narrow(search) if is_shift(spec) else self._widen(search, spec, last))
+        if not solved.is_feasible:
+            raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved))
+        return compiler.finish(spec, solved)
+
+    def _narrow(self, search: MotionSearch) -> MotionSearch:
+        """Return the search for a motion of the body alone."""
+        return replace(search, vias=lambda: (), is_sampled=False)
+
+    def _widen(self, search: MotionSearch, spec: TaskPhase, last: Float[np.ndarray, "n"]) -> MotionSearch:
+        """Return the search for a motion of limbs that carry nothing, perhaps around something."""
+        body, first = search.solver.body, search.first
         known = self.finder.guesses.curves.get(spec.name)
         led = None if known is None else lead_way(known.curve.positions, first, last)
         guide = replace(body, nominal=first)
-        search = replace(
-            self._search(spec, body, first, last, SWING_WAYPOINTS),
-            vias=lambda: posture_guesses(guide)[1:MOST_VIAS],
-            is_sampled=self._has_free_limb(body),
-            fraction=0.5,
-        )
         corners = (
             (name, path_via(first, q, last, SWING_WAYPOINTS)) for name, q in self._find_corners(spec, first, last)
         )
@@ -245,7 +222,13 @@ class Walker:
         }
         if led is not None:
             paths[Way.LED] = lambda: ((Way.KNOWN.value, search.fit(led)),)
-        return self._finish(spec, body, find_motion(replace(search, paths=paths)))
+        return replace(
+            search,
+            paths=paths,
+            vias=lambda: posture_guesses(guide)[1:MOST_VIAS],
+            is_sampled=self._has_free_limb(body),
+            fraction=0.5,
+        )
 
     def _find_corners(
         self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
@@ -263,64 +246,41 @@ class Walker:
                 continue
             yield name, pose
 
-    def _move(
-        self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
-    ) -> PlannedPhase:
-        """Return a phase between two configurations on contacts that stay."""
-        body = self.finder.stand_on(_list_contacts(spec))
-        taken = self._take_phase(spec, body, {0: first, -1: last})
-        if taken is not None:
-            return taken
-        search = replace(self._search(spec, body, first, last, n_waypoints), vias=lambda: (), is_sampled=False)
-        return self._finish(spec, body, find_motion(search))
 
-    def _search(
-        self,
-        spec: TaskPhase,
-        body: WholeBody,
-        first: Float[np.ndarray, "n"],
-        last: Float[np.ndarray, "n"],
-        n_waypoints: int,
-    ) -> MotionSearch:
-        """Return the search for the motion of a phase between two configurations on its contacts."""
-        return MotionSearch(
-            spec.name,
-            replace(self.solver, body=body),
-            partial(_solve_between, spec),
-            first,
-            GivenEnd(last),
-            n_waypoints=n_waypoints,
-            fit=partial(_keep_contacts, body),
-            is_shortened=False,
-        )
+@dataclass(frozen=True)
+class _ChangeWork:
+    """Solver of the phases between two stances; it raises ``StuckError`` where one is stuck."""
 
-    def _finish(self, spec: TaskPhase, body: WholeBody, solved: Solved) -> PlannedPhase:
-        """Return a solved phase with its promises, which is solved again between its ends.
+    walker: Walker
+    change: ContactChange
 
-        Raises:
-            StuckError: it is not solved.
-        """
-        if not solved.is_feasible:
-            raise StuckError(spec.name, (), solved.x[-1], Stuck(spec.name, solved))
-        return _promise(spec, body, solved.x, partial(_solve_between, spec, replace(self.solver, body=body)))
+    def lead(
+        self, phase: TaskPhase, first: Float[np.ndarray, "n"] | None, last: Float[np.ndarray, "n"] | None
+    ) -> Attempt:
+        """Lift links from the first configuration, or set them down into the last."""
+        if first is not None:
+            return Attempt.of(self.walker.line(phase, self.change.leaving, first, is_up=True))
+        assert last is not None
+        return Attempt.of(self.walker.line(phase, self.change.arriving, last, is_up=False))
+
+    def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:
+        """Shift the body, or swing links that carry nothing."""
+        return Attempt.of(self.walker.join(phase, first, last))
 
 
-def _solve_between(spec: TaskPhase, solver: PhaseSolver, path: Path) -> Solved:
-    """Solve a phase between the ends of a path."""
-    last = len(path) - 1
-    sides = keep_sides(solver.body, _list_contacts(spec), np.arange(1, last))
-    return solver.solve_trajectory(spec.name, path, {0: path[0], last: path[-1]}, constraints=sides)
+def is_shift(phase: TaskPhase) -> bool:
+    """Return whether a phase only moves the body over what stays."""
+    return phase.name.endswith(": shift")
 
 
-def _keep_on_line(body: WholeBody, contact: StanceContact, waypoint: int, height_m: float) -> Residual[MotionState]:
-    """Return how far a contact leaves its line along the normal at a waypoint, where it is at a height."""
-    planted = contact.planted
-    target, offset = planted.pose_world_link.copy(), np.eye(4)
-    offset[:3, 3] = planted.sole.mean(axis=0)
-    target[:3, 3] = planted.points.mean(axis=0) + height_m * contact.surface.normal
-    axes = (True, True, True, *(len(planted.sole) >= 3,) * 3)
-    pose = FramePose(body.robot, planted.link, [waypoint], target, axes, offset=offset)
-    return WithinTolerance(pose, LINE_ROOM[: sum(axes)])
+def hint_contacts(phase: TaskPhase) -> PhaseHints:
+    """Return how to go about a phase between two stances."""
+    return PhaseHints(
+        free_waypoints=SHIFT_WAYPOINTS if is_shift(phase) else SWING_WAYPOINTS,
+        line_waypoints=LINE_WAYPOINTS,
+        depth_reserve_m=DEPTH_RESERVE,
+        restorable=0.0,
+    )
 
 
 def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
@@ -328,16 +288,6 @@ def _keep_contacts(body: WholeBody, path: Float[np.ndarray, "T n"]) -> Float[np.
     inner = project_onto_holds(body.engine, path[1:-1], body.holds())
     inner = np.clip(inner, body.robot.lower, body.robot.upper)
     return np.concatenate([path[:1], inner, path[-1:]])
-
-
-def _promise(
-    spec: TaskPhase,
-    body: WholeBody,
-    q: Float[np.ndarray, "T n"],
-    resolve: Callable[[Float[np.ndarray, "T n"]], Solved] | None,
-) -> PlannedPhase:
-    """Return the waypoints of a phase with its promises."""
-    return PlannedPhase(spec, q, True, resolve=resolve, body=body)
 
 
 def _list_contacts(spec: TaskPhase) -> tuple[StanceContact, ...]:

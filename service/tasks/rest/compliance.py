@@ -85,7 +85,6 @@ def keep_motion(sequence: PhaseSequence, earlier: EarlierMotion) -> tuple[TaskPl
     curve, borders = _join_curves(sequence, earlier)
     _check_start(sequence, curve, borders)
     paths = [curve.positions[a : b + 1] for a, b in borders]
-    sequence = sequence.turn_rigid_hands([path[0] for path in paths])
     offset = np.zeros_like(curve.positions)
     for spec, (a, b), path in zip(sequence.specs, borders, paths, strict=True):
         if spec.hand is not None and not spec.hand.is_line:

@@ -104,7 +104,7 @@ def make_turn_hints(body: WholeBody, request: ValveRequest, hand: Hand, free_way
         return PhaseHints(
             POSE_AT_WHEEL,
             free_waypoints or FREE_WAYPOINTS,
-            TURN_STEP,
+            turn_step=TURN_STEP,
             rates=rates if phase.moving else {},
             passes=passes if phase.moving else (),
             torque_share=TORQUE_SHARE,
