@@ -30,7 +30,7 @@ from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.phase import DEPTH_RESERVE, FrameMotion, TaskPhase
 from service.tasks.chain import Attempt
-from service.tasks.contacts.held_pose import keep_sides
+from service.tasks.contacts.held_pose import SAME_STATE, keep_sides
 from service.tasks.held_tool import (
     aim_tool,
     bring_tool,
@@ -43,6 +43,7 @@ from service.tasks.held_tool import (
     slide_tool,
 )
 from service.tasks.hints import NOTHING, Hints, count_waypoints, give_no_hints
+from service.tasks.rest.earlier_motion import EarlierMotion
 from service.verify import HandLoad
 
 MOST_VIAS = 4  # postures of a free phase, the nominal one among them
@@ -60,13 +61,13 @@ class PhaseCompiler:
     Attributes:
         solver: of the body augmented by the mechanism.
         mechanism: whose joints are the last coordinates; by default none.
-        nominal: (T, n) waypoints of an earlier motion by name of the phase, from which phases are solved first.
+        earlier: what an earlier plan did, from which phases are solved first.
         hints: how to go about each phase.
     """
 
     solver: PhaseSolver
     mechanism: Mechanism = NOTHING
-    nominal: Mapping[str, Float[np.ndarray, "T n"]] = field(default_factory=dict)
+    earlier: EarlierMotion = field(default_factory=EarlierMotion)
     hints: Hints = give_no_hints
 
     @property
@@ -115,7 +116,7 @@ class PhaseCompiler:
         Where the phase moves the mechanism they are where the mechanism is now; what they are off at the given ``ends``
         (configuration by waypoint) is taken back along the phase.
         """
-        known = self.nominal.get(spec.name)
+        known = self.earlier.ways.get(spec.name)
         if known is None:
             return None
         count = self.count_waypoints(spec)
@@ -378,6 +379,26 @@ class PhaseCompiler:
     def finish(self, spec: TaskPhase, solved: Solved) -> PlannedPhase:
         """Return the solved phase with its promises."""
         return replace(self.keep(spec, solved.x), is_feasible=solved.is_feasible)
+
+    def take(self, spec: TaskPhase, ends: Mapping[int, Float[np.ndarray, "n"]]) -> PlannedPhase | None:
+        """Return a phase as the earlier motion has it; None where that does not lead through its ends any more.
+
+        Args:
+            spec: the phase.
+            ends: configuration by index of the first or the last waypoint.
+        """
+        known = self.earlier.keep(spec.name)
+        if known is None:
+            return None
+        q = known.curve.positions.copy()
+        for k, end in ends.items():
+            if np.abs(q[k] - end).max() > SAME_STATE:
+                return None
+            q[k] = end
+        sides = keep_sides(self.solver.body, spec.contacts or (), np.arange(1, len(q) - 1))
+        if not self.solver.is_feasible(q, sides):
+            return None
+        return replace(self.keep(spec, q), kept=replace(known, curve=replace(known.curve, positions=q)))
 
     def keep(self, spec: TaskPhase, q: Float[np.ndarray, "T n"]) -> PlannedPhase:
         """Return waypoints with the promises of a phase, which can be solved again between the same ends."""

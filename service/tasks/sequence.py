@@ -8,7 +8,7 @@ anchor follow.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,6 +26,7 @@ from service.demands.phase import TaskPhase, check_moves
 from service.tasks.chain import solve_phases
 from service.tasks.hints import Hints, find_anchor, give_no_hints
 from service.tasks.phase_compiler import PhaseCompiler
+from service.tasks.rest.earlier_motion import EarlierMotion
 
 QUICK_SEEDS = 2  # of a pose that is tried with little effort, besides random ones
 
@@ -49,7 +50,7 @@ class PhaseSequence:
         is_held: whether they begin with the hand at its place: the first phases are then solved forwards.
         wants_reserve: whether to try first with a margin of balance for the servos.
         n_random: random configurations from which an anchor's first pose is searched after the robot's postures.
-        nominal: (T, n) waypoints of an earlier motion by name of the phase, from which phases are solved first.
+        earlier: what an earlier plan did, from which phases are solved first.
         hints: how to go about each phase.
     """
 
@@ -59,7 +60,7 @@ class PhaseSequence:
     is_held: bool = False
     wants_reserve: bool = False
     n_random: int = 0
-    nominal: Mapping[str, Float[np.ndarray, "T n"]] = field(default_factory=dict)
+    earlier: EarlierMotion = field(default_factory=EarlierMotion)
     hints: Hints = give_no_hints
 
     def __post_init__(self) -> None:
@@ -73,7 +74,7 @@ class PhaseSequence:
 
     @property
     def _compiler(self) -> PhaseCompiler:
-        return PhaseCompiler(self.solver, self.mechanism, self.nominal, self.hints)
+        return PhaseCompiler(self.solver, self.mechanism, self.earlier, self.hints)
 
     def plan(self, at: Float[np.ndarray, "n"]) -> tuple[tuple[PlannedPhase, ...], Stuck | None]:
         """Plan all phases from configuration ``at``; return those that were solved, and the step that was not.

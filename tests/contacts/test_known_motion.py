@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.tasks.contacts.known_motion import lead_way
+from service.tasks.rest.earlier_motion import lead_way
 
 SEEDS = st.integers(0, 2**32 - 1)
 

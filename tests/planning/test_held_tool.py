@@ -17,6 +17,7 @@ from service.demands.phase import TaskPhase
 from service.demands.stance import BALANCE_RESERVE
 from service.tasks.held_tool import INSIDE_RESERVE, INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
 from service.tasks.phase_compiler import PhaseCompiler, list_together
+from service.tasks.rest.earlier_motion import EarlierMotion
 from service.tasks.sequence import PhaseSequence
 from service.verify import HandLoad
 
@@ -252,7 +253,7 @@ def test_waypoints_between_equal_ones_of_an_earlier_motion_are_where_the_mechani
         known = leaf * rates
         known[:, compiler.columns] = (1.0 - shares) * ends[0] + shares * ends[1]
         again = replace(spec, first=ends[0], last=ends[1], joints={})
-        sixth = replace(compiler, nominal={spec.name: known}).with_hints(turn_step=np.deg2rad(6.5))
+        sixth = replace(compiler, earlier=EarlierMotion({spec.name: known})).with_hints(turn_step=np.deg2rad(6.5))
         q = sixth.resample_nominal(again)
         assert q is not None
         np.testing.assert_allclose(q[:, compiler.columns], np.linspace(*ends, 6), atol=1e-12)

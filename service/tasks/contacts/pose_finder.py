@@ -191,9 +191,9 @@ class PoseFinder:
         self, phase: str, kept: tuple[StanceContact, ...], placed: tuple[StanceContact, ...]
     ) -> Float[np.ndarray, "n"] | None:
         """Return the configuration in which a phase of the earlier motion ends; None where it does not do any more."""
-        known = self.guesses.curves.get(phase)
+        known = self.guesses.earlier.curves.get(phase)
         if known is None or not self.keeps_poses or not kept:
             return None
-        q = known.curve.positions[-1]
+        q = known.positions[-1]
         held = HeldPose(self.solver, self.stand_on(kept, placed, POSE_RESERVE), kept, placed)
         return q if held.holds_at(q) else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,11 +24,11 @@ from service.demands.contacts.phases import LINE_M, list_change_phases
 from service.demands.contacts.stances import ContactChange, ContactStance, StanceContact
 from service.demands.phase import TaskPhase
 from service.tasks.chain import Attempt, solve_phases
-from service.tasks.contacts.held_pose import SAME_STATE, HeldPose, keep_sides
-from service.tasks.contacts.known_motion import lead_way
+from service.tasks.contacts.held_pose import SAME_STATE, HeldPose
 from service.tasks.contacts.pose_finder import DEPTH_RESERVE, POSE_RESERVE, MissingPose, PoseFinder, StuckError
 from service.tasks.hints import PhaseHints
 from service.tasks.phase_compiler import PhaseCompiler
+from service.tasks.rest.earlier_motion import lead_way
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
 MOST_VIAS = 3  # postures of a swing, the nominal one among them
@@ -141,30 +141,8 @@ class Walker:
     def _compile(self, spec: TaskPhase, touching: tuple[StanceContact, ...] = ()) -> PhaseCompiler:
         """Return the compiler of a phase on its contacts, while others may touch."""
         body = self.finder.stand_on(_list_contacts(spec), touching)
-        return PhaseCompiler(replace(self.solver, body=body), hints=hint_contacts)
-
-    def _take_phase(
-        self, compiler: PhaseCompiler, spec: TaskPhase, ends: Mapping[int, Float[np.ndarray, "n"]]
-    ) -> PlannedPhase | None:
-        """Return a phase as the earlier motion has it; None where that does not lead through its ends any more.
-
-        Args:
-            compiler: on its contacts.
-            spec: the phase.
-            ends: configuration by index of the first or the last waypoint.
-        """
-        known = self.finder.guesses.curves.get(spec.name)
-        if known is None:
-            return None
-        q = known.curve.positions.copy()
-        for k, end in ends.items():
-            if np.abs(q[k] - end).max() > SAME_STATE:
-                return None
-            q[k] = end
-        sides = keep_sides(compiler.solver.body, _list_contacts(spec), np.arange(1, len(q) - 1))
-        if not compiler.solver.is_feasible(q, sides):
-            return None
-        return replace(compiler.keep(spec, q), kept=replace(known, curve=replace(known.curve, positions=q)))
+        solver = replace(self.solver, body=body)
+        return PhaseCompiler(solver, earlier=self.finder.guesses.earlier, hints=hint_contacts)
 
     def line(
         self,
@@ -176,7 +154,7 @@ class Walker:
     ) -> PlannedPhase:
         """Return the phase in which links leave their places, or arrive there, straight along their normals."""
         compiler = self._compile(spec, moving)
-        taken = self._take_phase(compiler, spec, {0 if is_up else -1: pose})
+        taken = compiler.take(spec, {0 if is_up else -1: pose})
         if taken is not None:
             return taken
         solved = compiler.solve_held(spec, pose, 0.4, is_backwards=not is_up)
@@ -194,7 +172,7 @@ class Walker:
             StuckError: it is not solved.
         """
         compiler = self._compile(spec)
-        taken = self._take_phase(compiler, spec, {0: first, -1: last})
+        taken = compiler.take(spec, {0: first, -1: last})
         if taken is not None:
             return taken
         fit = partial(_keep_contacts, compiler.solver.body)
@@ -211,8 +189,8 @@ class Walker:
     def _widen(self, search: MotionSearch, spec: TaskPhase, last: Float[np.ndarray, "n"]) -> MotionSearch:
         """Return the search for a motion of limbs that carry nothing, perhaps around something."""
         body, first = search.solver.body, search.first
-        known = self.finder.guesses.curves.get(spec.name)
-        led = None if known is None else lead_way(known.curve.positions, first, last)
+        known = self.finder.guesses.earlier.curves.get(spec.name)
+        led = None if known is None else lead_way(known.positions, first, last)
         guide = replace(body, nominal=first)
         corners = (
             (name, path_via(first, q, last, SWING_WAYPOINTS)) for name, q in self._find_corners(spec, first, last)

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from costs.kinematics import locate_frame
-from service.body.ladder import LEAST_WAYPOINTS, GivenEnd, MotionSearch, Path, find_motion, list_motions
+from service.body.ladder import LEAST_WAYPOINTS, MotionSearch, Path, find_motion, list_motions
 from service.body.phases import PhaseSolver, report_solutions
 from service.body.starts import DIRECT, Way, choose_policy
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.phase import TaskPhase
 from service.explain.goal import find_goal_reasons
 from service.request.tasks.reach import GoalRequest
+from service.tasks.hints import PhaseHints
 from service.tasks.nearby import find_clear_pose
+from service.tasks.phase_compiler import PhaseCompiler
 from service.tasks.reach.goal import Goal, lead_path
 from service.tasks.reach.goal_poses import STEP, GoalEnds
 
@@ -113,10 +115,10 @@ class _Reach:
         off = find_clear_pose(self.solver, name, q, OFF_M)
         if off is None:
             return None
-        solve = partial(_solve_between, name)
-        solved = find_motion(MotionSearch(name, self.solver, solve, q, GivenEnd(off), DIRECT, n_waypoints=2))
+        phase = TaskPhase(name)
+        solved = find_motion(replace(self._compiler.search_free(phase, q, off), policy=DIRECT))
         is_usable = solved.is_feasible or solved.may_hold
-        return PlannedPhase(TaskPhase(name), solved.x, True, is_tight=True) if is_usable else None
+        return PlannedPhase(phase, solved.x, True, is_tight=True) if is_usable else None
 
     def make_plan(self, name: str, solved: Solved) -> TaskPlan:
         """Return a solution as the task's plan."""
@@ -125,11 +127,16 @@ class _Reach:
         q = np.concatenate([body.nominal[None], solved.x]) if is_pose else solved.x
         stuck = Stuck.at(STEP if is_pose else REACH, solved)
         reach = TaskPhase(REACH, goal=() if self.approach is not None else self.goal.targets())
-        phase = PlannedPhase(reach, q, solved.is_feasible, resolve=partial(_solve_between, REACH, self.solver))
+        phase = replace(self._compiler.keep(reach, q), is_feasible=solved.is_feasible)
         if self.retreat is not None:
             body = replace(body, nominal=self.retreat.q[0])
         phases = tuple(own for own in (self.retreat, phase, self.approach) if own is not None)
         return TaskPlan(body, phases, stuck=stuck, found_from=name, notes=self.notes)
+
+    @property
+    def _compiler(self) -> PhaseCompiler:
+        """The solver of straight phases, and of the reach between ends that are known."""
+        return PhaseCompiler(self.solver, hints=lambda phase: PhaseHints(free_waypoints=2, restorable=0.0))
 
     @cached_property
     def _reaching(self) -> Int[np.ndarray, "k"] | None:
@@ -149,8 +156,3 @@ class _Reach:
         goal, last = self.goal, len(path) - 1
         fixed = {0: path[0], last: path[-1]} if goal.is_complete else {0: path[0]}
         return solver.solve_trajectory(REACH, path, fixed, constraints=goal.constraints(last), bounds=goal.fix_joints)
-
-
-def _solve_between(step: str, solver: PhaseSolver, q: Path) -> Solved:
-    """Solve a trajectory between the ends of a path."""
-    return solver.solve_trajectory(step, q, {0: q[0], len(q) - 1: q[-1]})

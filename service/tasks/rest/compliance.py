@@ -75,7 +75,7 @@ def keep_motion(sequence: PhaseSequence, earlier: EarlierMotion) -> tuple[TaskPl
     """Return the earlier motion with the arm displaced that holds the mechanism of the sequence, and by how much.
 
     Args:
-        sequence: phases of the rest, of which ``nominal`` has the earlier waypoints.
+        sequence: phases of the rest.
         earlier: the earlier motion with knots, tangents and time law.
 
     Raises:

@@ -13,6 +13,8 @@ from costs.robot import RobotModel
 from service.body.task_plan import KeptCurve
 from service.request.resume import NominalRequest
 
+LEAST_WAYPOINTS = 4  # of the rest of a way, so that something between its ends is left
+
 
 @dataclass(frozen=True)
 class EarlierMotion:
@@ -61,3 +63,19 @@ def read_earlier_motion(
             curves[name] = Curve(np.array(phase.knots), ways[name], tangents)
     law = TimeLaw.accelerated(np.array(recorded.law_path), np.array(recorded.law_speed)) if recorded.law_path else None
     return EarlierMotion(ways, curves, law)
+
+
+def lead_way(
+    way: Float[np.ndarray, "K n"], first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "T n"] | None:
+    """Return the rest of a way from the waypoint nearest to ``first`` on, led to other ends; None where little is left.
+
+    The displacement of either end fades along the way.
+    """
+    begin = int(np.abs(way[:-1] - first).max(axis=1).argmin())
+    rest = way[begin:]
+    if len(rest) < LEAST_WAYPOINTS:
+        return None
+    steps = np.linalg.norm(np.diff(rest, axis=0), axis=1)
+    share = np.concatenate([[0.0], np.cumsum(steps)]) / max(float(steps.sum()), 1e-12)
+    return np.asarray(rest + np.outer(1.0 - share, first - rest[0]) + np.outer(share, last - rest[-1]))

@@ -99,7 +99,7 @@ def plan_rest(
             rest,
             is_held=is_held,
             n_random=N_RANDOM,
-            nominal=earlier.ways,
+            earlier=earlier,
             hints=partial(_hint_rest, hints),
         )
         planned = sequence.plan(body.nominal)

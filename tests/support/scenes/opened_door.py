@@ -29,4 +29,4 @@ def compile_opening() -> tuple[PhaseCompiler, tuple[TaskPhase, ...]]:
     solver = add_mechanism(_make_solver(setup, Monitor(60.0), None), door.mechanism)
     hand = next(hand for hand in list_robot_hands(solver.body.robot) if hand.side == "left")
     choice = DoorChoice(hand, measure_peg(solver.body.robot, hand), 0.0, 1.0, ANGLE)
-    return PhaseCompiler(solver, door.mechanism, {}), make_door_phases(door, choice)
+    return PhaseCompiler(solver, door.mechanism), make_door_phases(door, choice)
