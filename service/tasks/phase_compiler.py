@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from itertools import chain, combinations, islice, tee
+from itertools import chain, islice, tee
 from types import MappingProxyType
 from typing import Any
 
@@ -14,11 +14,9 @@ from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance
 from costs.collision import Contacts
-from costs.kinematics import locate_frame
 from costs.robot import Mechanism, RobotModel
 from costs.state import MotionState
-from costs.terms import HeldTorque, NormWithin, WithinTolerance
-from scopt import Constraint, Sense
+from scopt import Constraint
 from service.body.effort import Effort
 from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_regions
@@ -28,30 +26,22 @@ from service.body.poses import PoseProblem, Poses, find_pose
 from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
 from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck
-from service.demands.phase import DEPTH_RESERVE, FrameMotion, TaskPhase
+from service.demands.phase import FrameMotion, TaskPhase
 from service.tasks.chain import Attempt
 from service.tasks.contacts.held_pose import SAME_STATE, keep_sides
 from service.tasks.held_tool import (
-    aim_tool,
     bring_tool,
     follow_in_balance,
     follow_tool,
-    keep_near_line,
-    lean_tool,
     make_hold,
     place_tool,
-    slide_tool,
 )
 from service.tasks.hints import NOTHING, Hints, count_waypoints, give_no_hints
+from service.tasks.phase_terms import TORQUE_TOLERANCE, keep_contacts_and_frames, limit_torques, shrink
 from service.tasks.rest.earlier_motion import EarlierMotion
-from service.verify import HandLoad
 
 MOST_VIAS = 4  # postures of a free phase, the nominal one among them
 OTHER_POSE = 0.3  # least difference of a joint between two poses that are tried [rad]
-LINE_TOLERANCE = 2e-4  # of a frame that keeps its line, at a waypoint [m, rad]
-POSITION_TOLERANCE = 5e-4  # of the tool at a waypoint [m]
-TORQUE_TOLERANCE = 0.01  # share of a joint's limit
-AXIS_TOLERANCE = 4e-3  # of the hand's lean at a waypoint [rad]
 
 
 @dataclass(frozen=True)
@@ -164,7 +154,7 @@ class PhaseCompiler:
     ) -> PoseProblem[Solved]:
         """Return the problem of the first pose of a phase from a seed with the hand at its place."""
         first = np.zeros(1, dtype=int)
-        constraints = (*self._constraints(spec, first, 1), *self._limit_torques(spec, first, spec.first[None]))
+        constraints = self._list_constraints(spec, first, spec.first[None])
         regions = self.find_regions(spec, spec.first[None])
         touches = shrink(spec.touches, self.hints(spec).depth_reserve_m)
         return self.solver.pose_problem(step, constraints, touches, fixed, regions, effort)
@@ -277,6 +267,19 @@ class PhaseCompiler:
         prescribed[[self.robot.joint_names.index(name) for name in spec.joints]] = True
         return prescribed
 
+    def _list_constraints(
+        self, spec: TaskPhase, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
+    ) -> tuple[Constraint[MotionState], ...]:
+        """Return the constraints of a phase at waypoints, given the mechanism's joints at all of them."""
+        kept = keep_contacts_and_frames(self.solver.body, spec, waypoints, len(values))
+        return (*kept, *self._limit_torques(spec, waypoints, values))
+
+    def _limit_torques(
+        self, spec: TaskPhase, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
+    ) -> tuple[Constraint[MotionState], ...]:
+        share = self.hints(spec).torque_share
+        return tuple(limit_torques(self.solver.body, spec.loads, share, waypoints, values))
+
     def is_strong_enough(self, spec: TaskPhase, q: Float[np.ndarray, "T n"]) -> bool:
         """Return whether a phase's loads cost no more torque at its waypoints than it may use."""
         state = MotionState(self.solver.body.engine(q), Contacts.none())
@@ -363,7 +366,7 @@ class PhaseCompiler:
                 spec.name,
                 path,
                 fixed,
-                constraints=(*self._constraints(spec, free, count), *self._limit_torques(spec, free, values)),
+                constraints=self._list_constraints(spec, free, values),
                 allowances=shrink(spec.touches, self.hints(spec).depth_reserve_m),
                 bounds=narrow,
                 regions=regions,
@@ -428,64 +431,6 @@ class PhaseCompiler:
             values=values if spec.loads else None,
             body=None if spec.contacts is None else self.solver.body,
         )
-
-    def _constraints(
-        self, spec: TaskPhase, waypoints: Int[np.ndarray, "S"], count: int
-    ) -> tuple[Constraint[MotionState], ...]:
-        """Return the constraints of frames that are led, and of contacts, at waypoints of a phase with ``count``."""
-        if not len(waypoints):
-            return ()
-        led = (constraint for frame in spec.frames for constraint in self._lead_frame(frame, waypoints, count))
-        return (*led, *keep_sides(self.solver.body, spec.contacts or (), waypoints))
-
-    def _lead_frame(
-        self, hand: FrameMotion, waypoints: Int[np.ndarray, "S"], count: int
-    ) -> tuple[Constraint[MotionState], ...]:
-        """Return the constraints of one frame that is led."""
-        places = hand.places(count)[waypoints]
-        if hand.keeps_line:
-            near = keep_near_line(self.robot, hand, waypoints, places)
-            return (Constraint(f"{hand.tool} on its line", near, tolerance=LINE_TOLERANCE, unit="m or rad"),)
-        name = "tool on its line" if hand.is_line else "tool at its place"
-        residual = place_tool(self.robot, hand, waypoints, places)
-        constraints = [Constraint(name, residual, Sense.EQUAL_ZERO, POSITION_TOLERANCE, unit="m")]
-        if hand.slide is not None:
-            along = slide_tool(self.robot, hand, waypoints, places)
-            room = float(np.linalg.norm(hand.slide)) - POSITION_TOLERANCE
-            constraints.append(
-                Constraint(
-                    "tool within its slide", WithinTolerance(along, room), tolerance=POSITION_TOLERANCE, unit="m"
-                )
-            )
-        if hand.turns_freely:
-            return tuple(constraints)
-        axis = NormWithin(aim_tool(self.robot, hand, waypoints), 2, hand.aim_rad)
-        tolerance = min(0.2 * hand.aim_rad, AXIS_TOLERANCE)
-        constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))
-        if hand.way is not None:
-            lean = lean_tool(self.robot, hand, hand.way, waypoints)
-            constraints.append(Constraint("rod across the way", lean, tolerance=AXIS_TOLERANCE, unit="rad"))
-        return tuple(constraints)
-
-    def _limit_torques(
-        self, spec: TaskPhase, waypoints: Int[np.ndarray, "S"], values: Float[np.ndarray, "T k"]
-    ) -> Iterator[Constraint[MotionState]]:
-        """Yield the limits of the torques that a phase's loads cost, if it has any."""
-        share = self.hints(spec).torque_share
-        if share is None or not len(waypoints):
-            return
-        body = self.solver.body
-        q = np.tile(body.nominal, (len(values), 1))
-        q[:, self.columns] = values
-        kinematics = body.engine(q)
-        for number, loads in enumerate(list_together(spec.loads), start=1):
-            name = "torque under the load" if number == 1 else f"torque under the load {number}"
-            forces = np.zeros((len(waypoints), 3))
-            for load in loads:
-                joint, _ = locate_frame(self.robot, load.link)
-                forces -= kinematics.rotation[waypoints, joint] @ load.force
-            torque = HeldTorque(self.robot, loads[0].tool, waypoints, forces, share)
-            yield Constraint(name, torque, tolerance=TORQUE_TOLERANCE, unit="of the limit")
 
 
 @dataclass(frozen=True)
@@ -553,19 +498,3 @@ class _HeldPhase:
     ) -> Solved:
         spec = replace(self.spec, touches=(*self.spec.touches, *passes))
         return self.compiler.solve(spec, paths, self.fixed, self.values, regions)
-
-
-def shrink(touches: Sequence[Allowance], reserve_m: float = DEPTH_RESERVE) -> tuple[Allowance, ...]:
-    """Return allowances with depths for the waypoints, which leave a reserve for the curve between them [m]."""
-    return tuple(replace(touch, depth=max(touch.depth - reserve_m, 0.0)) for touch in touches)
-
-
-def list_together(loads: Sequence[HandLoad]) -> Iterator[tuple[HandLoad, ...]]:
-    """Yield the loads that one tool may carry at the same time: each alone, then several.
-
-    Torques are affine in the size of each load, so that these and no load at all bound every combination.
-    """
-    for count in range(1, len(loads) + 1):
-        for together in combinations(loads, count):
-            if len({load.tool for load in together}) == 1:
-                yield together

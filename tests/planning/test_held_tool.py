@@ -16,7 +16,8 @@ from service.body.whole_body import RESERVE_M
 from service.demands.phase import TaskPhase
 from service.demands.stance import BALANCE_RESERVE
 from service.tasks.held_tool import INSIDE_RESERVE, INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
-from service.tasks.phase_compiler import PhaseCompiler, list_together
+from service.tasks.phase_compiler import PhaseCompiler
+from service.tasks.phase_terms import list_together
 from service.tasks.rest.earlier_motion import EarlierMotion
 from service.tasks.sequence import PhaseSequence
 from service.verify import HandLoad

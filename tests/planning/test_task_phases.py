@@ -15,7 +15,7 @@ from service.demands.hands import HANDS
 from service.demands.phase import FrameMotion, TaskPhase, check_moves, list_work, make_frame_targets
 from service.request.file import parse_request
 from service.tasks.hints import PhaseHints, count_waypoints, find_anchor, measure_way
-from service.tasks.phase_compiler import shrink
+from service.tasks.phase_terms import shrink
 from service.tasks.sequence import split_groups
 from service.verify import JointTarget, RelativePoseTarget
 

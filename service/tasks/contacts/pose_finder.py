@@ -22,7 +22,7 @@ from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import ContactChange, StanceContact, make_contact_allowances
 from service.tasks.contacts.held_pose import KNOWN_WEIGHT, HeldPose
 from service.tasks.contacts.known_motion import KnownMotion
-from service.tasks.phase_compiler import shrink
+from service.tasks.phase_terms import shrink
 
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
 POSE_RESERVE = 2.5e-3  # of an allowance in poses, for the motion between them [m]
