@@ -11,8 +11,7 @@ from costs.rotation import make_tangent_basis
 from costs.state import MotionState
 from costs.terms import Joined, PointHalfSpace
 from scopt import Constraint
-from service.verify.ground import GROUND_TOLERANCE_M, MOST_LEAN_RAD, TURNING_DEPTH_M
-from service.verify.solids import CoalSolid
+from service.verify import GROUND_TOLERANCE_M, MOST_LEAN_RAD, TURNING_DEPTH_M, CoalSolid
 
 FLAT_POINTS = 3  # from as many points on, a patch at its place fixes its link
 MOST_LEAN = float(np.deg2rad(45.0))  # of a patch, in the search for the vertices that matter [rad]

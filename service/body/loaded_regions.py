@@ -17,8 +17,7 @@ from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
 from costs.static_region import StaticRegion, find_static_region
 from costs.stopping import poll
-from service.verify import HandLoad, PlantedContact
-from service.verify.forces.loaded_balance import Ground, find_tilts
+from service.verify import Ground, HandLoad, PlantedContact, find_tilts
 
 LONGEST_STRETCH = np.deg2rad(45.0)  # of a revolute joint that one region covers
 STILL = 1e-9

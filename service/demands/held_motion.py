@@ -21,10 +21,18 @@ from service.demands.targets import make_kept_target
 from service.demands.task_demand import TaskDemand, World
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
-from service.verify import Certificate, Motion, Phase, SupportPolygon, Target
-from service.verify.coverage.required import list_waived_checks
-from service.verify.hashes import bodies_hash, robot_hash, scene_hash
-from service.verify.polygons import outside_polygon
+from service.verify import (
+    Certificate,
+    Motion,
+    Phase,
+    SupportPolygon,
+    Target,
+    bodies_hash,
+    list_waived_checks,
+    outside_polygon,
+    robot_hash,
+    scene_hash,
+)
 
 ESCAPE = "escape"
 PACE_TOLERANCE = 0.01  # share of a speed or an acceleration that may be used in addition

@@ -25,8 +25,7 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.stopping import poll
-from service.verify.prepared_motion import ForwardKinematics
-from service.verify.solids import CoalSolid, DistanceQuery
+from service.verify import CoalSolid, DistanceQuery, ForwardKinematics
 
 NEAR = 0.05  # at the start, of neighbours [m]
 SLACK = 3e-3  # by which neighbours may overlap more than at the start [m]

@@ -12,7 +12,7 @@ from costs.robot import MechanismJoint
 from costs.scene import ConvexPiece
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from service.demands.mechanism.given import GivenMechanism
-from service.verify.solids import CoalSolid, DistanceQuery
+from service.verify import CoalSolid, DistanceQuery
 
 MOST_OUT_M = 0.15  # of any part of a handle's bar in front of the leaf's face
 BESIDE_LEAF_M = 0.02  # by which a bar's end may reach beyond the leaf's border

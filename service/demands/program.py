@@ -12,8 +12,12 @@ from jaxtyping import Float, Int
 from costs.robot import RobotModel
 from service.demands.phase import TaskPhase
 from service.demands.task_demand import RecordDemand, TaskDemand, World
-from service.verify import AxisTarget, JointTarget, Motion, PoseTarget, Target
-from service.verify.targets.pose_errors import (
+from service.verify import (
+    AxisTarget,
+    JointTarget,
+    Motion,
+    PoseTarget,
+    Target,
     limits_rotation,
     list_position_demands,
     measure_angle,

@@ -15,8 +15,7 @@ from service.demands.phase import TaskPhase
 from service.demands.stance import UNSETTLED
 from service.demands.task_demand import IncompletePlanError, RecordDemand, TaskDemand, World
 from service.request.resume import NominalRequest
-from service.verify import Motion
-from service.verify.forces.hand_loads import bound_coordinate
+from service.verify import Motion, bound_coordinate
 
 STILL = 1e-5  # by which a joint of the mechanism at rest may be off [rad, m]
 BORDER_OFF = 1.5e-3  # by which a joint of the mechanism may miss its value at a phase's border [rad, m]

@@ -16,8 +16,7 @@ from costs.support import SupportPolygon as FeetHull
 from costs.work_space import borrow_data
 from service.start.overlaps import Overlap
 from service.start.standing import FEET_GROUP, list_carrying_pieces, sole_corners
-from service.verify import PlantedContact, SupportPolygon
-from service.verify.ground import STANDING_DEPTH_M
+from service.verify import STANDING_DEPTH_M, PlantedContact, SupportPolygon
 
 UNSETTLED = ("escape", "settle")  # phases that bring a robot into balance, in the order in which they may come first
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside; a start with less may settle first [m]

@@ -11,8 +11,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from service.execution.reference import PlannedReference
-from service.verify import Phase, SupportPolygon
-from service.verify.polygons import outside_polygon
+from service.verify import Phase, SupportPolygon, outside_polygon
 
 STEP_S = 0.02
 

@@ -25,7 +25,7 @@ from service.execution.shift import Shift, step_shift
 from service.execution.stance.capture_point import find_turn_rates
 from service.execution.watch.driver_link import DriverLink
 from service.execution.watch.watch import Watch
-from service.verify.polygons import describe_inside
+from service.verify import describe_inside
 
 START_TOLERANCE = 0.1  # of a joint from the plan's start [rad, m]
 CONTINUE_TOLERANCE = 0.02  # between the last command and the start of another plan [rad, m]

@@ -9,16 +9,18 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 
 from costs.stopping import poll
-from service.verify import Motion, Phase
-from service.verify.forces.contact_forces import ContactShare, Joints
-from service.verify.forces.dynamics import (
+from service.verify import (
+    ContactShare,
+    Joints,
+    Motion,
+    Phase,
     compute_inverse_dynamics,
     list_levers,
+    list_load_cases,
     make_contact_share,
     make_joints,
     map_axes,
 )
-from service.verify.forces.hand_loads import list_load_cases
 
 _EXACT = 1e3  # weight of the wrench against the size of forces in the least-squares program
 _EDGE = 1e-4  # weight of each edge of a friction pyramid: of two ways to make a force, the shorter

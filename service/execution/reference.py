@@ -16,9 +16,7 @@ from service.execution.ground_forces import carry_motion
 from service.execution.hands.load_limits import LoadLimits, limit_loads
 from service.replay.replay import read_motion
 from service.result.folder import read_result, result_path
-from service.verify import Motion, Phase, PlantedContact
-from service.verify.frame_paths import find_mechanism_joints
-from service.verify.timeline import find_times, list_phases
+from service.verify import Motion, Phase, PlantedContact, find_mechanism_joints, find_times, list_phases
 
 TABLE_STEP_S = 2e-3  # of desired positions, which are read linearly between
 FORCE_STEP_S = 0.02  # of torques and contact forces

@@ -20,8 +20,7 @@ from service.execution.settings import ExecutionSettings
 from service.execution.shift import Shift
 from service.execution.stance.feet import Feet, FeetState, Sight
 from service.execution.yielding import ArmYield, Yielding, bound_forces, holds_arm, press_trunk
-from service.verify import PlantedContact
-from service.verify.timeline import list_phases
+from service.verify import PlantedContact, list_phases
 
 HAND_CYCLES = 10  # control cycles from one correction of the hands to the next
 

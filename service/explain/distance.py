@@ -12,8 +12,7 @@ from costs.kinematics import locate_frame
 from costs.robot import RobotModel, read_joint_axis
 from service.body.holds import KeptPose, relative_pose
 from service.body.whole_body import WholeBody
-from service.verify import JointTarget, PoseTarget, Target
-from service.verify.targets.pose_errors import list_position_demands
+from service.verify import JointTarget, PoseTarget, Target, list_position_demands
 
 FOOT_DRIFT = 5e-3  # of a planted link's origin within the tolerance of its sole [m]
 

@@ -22,8 +22,7 @@ from costs.scene import ConvexPiece
 from service.body.whole_body import WholeBody
 from service.explain.distance import find_never_kept, find_out_of_reach, find_too_far_apart, position_slack
 from service.start.overlaps import EXACT_ROUNDING_M, ExactShape, Overlap, find_overlaps_and_unresolved
-from service.verify import JointTarget, PoseTarget, Target
-from service.verify.targets.pose_errors import limits_rotation
+from service.verify import JointTarget, PoseTarget, Target, limits_rotation
 
 SAME_STANCE = 1e-3  # largest difference of the base poses that two planted links give [m, rad]
 STANCE_PLAY = 1e-2  # largest displacement of a link within the tolerance of the planted links [m]

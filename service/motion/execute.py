@@ -19,9 +19,16 @@ from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
 from service.start.standing import FEET_GROUP
-from service.verify import Basis, Certificate, LoadedRegion, Motion, Phase, SupportPolygon
-from service.verify.coverage.required import list_waived_checks
-from service.verify.timeline import find_times
+from service.verify import (
+    Basis,
+    Certificate,
+    LoadedRegion,
+    Motion,
+    Phase,
+    SupportPolygon,
+    find_times,
+    list_waived_checks,
+)
 
 SAMPLE_PERIOD_S = 0.01
 # Samples beside a rest, as shares of the knot interval: the robot accelerates at once, and a start in contact has no

@@ -11,8 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from service.motion.servo_sag import STIFFNESS_ERROR, list_deflections
-from service.verify import HandLoad, Motion, Phase
-from service.verify.frame_paths import find_mechanism_joints
+from service.verify import HandLoad, Motion, Phase, find_mechanism_joints
 
 MOST_SHARE = 0.05  # of a travel, by which a hand may fall short of it
 LEAST_TRAVEL_M = 1e-3  # of what counts as moved [m]

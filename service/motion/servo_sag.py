@@ -13,12 +13,16 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.stopping import poll
 from costs.work_space import borrow_data
-from service.verify import Motion, Phase, PlantedContact
-from service.verify.forces.dynamics import map_axes
-from service.verify.forces.hand_loads import list_load_cases
-from service.verify.frame_paths import find_mechanism_joints
-from service.verify.polygons import outside_polygon
-from service.verify.timeline import find_time
+from service.verify import (
+    Motion,
+    Phase,
+    PlantedContact,
+    find_mechanism_joints,
+    find_time,
+    list_load_cases,
+    map_axes,
+    outside_polygon,
+)
 
 SAMPLES = 12  # in each phase
 GRAVITY = 9.81

@@ -13,7 +13,7 @@ from costs.curve import Curve
 from costs.robot.model import RobotModel
 from costs.stopping import poll
 from costs.work_space import borrow_data
-from service.verify.motion import SupportPolygon
+from service.verify import SupportPolygon
 
 # Share of the effort limit that is used at grid points, with a reserve for points between them.
 _TORQUE_SHARE = 0.98

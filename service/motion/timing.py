@@ -19,18 +19,21 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
-from service.verify.forces.contact_forces import Joints, is_held
-from service.verify.forces.dynamics import (
+from service.verify import (
+    Joints,
+    Motion,
+    Phase,
+    SupportPolygon,
     compute_forces,
     compute_inverse_dynamics,
     find_limited_joints,
+    is_held,
     list_levers,
     list_sample_times,
     make_contact_share,
     make_joints,
+    measure_timed_peaks,
 )
-from service.verify.limits import measure_timed_peaks
-from service.verify.motion import Motion, Phase, SupportPolygon
 
 # Shortest duration of a knot interval, for stretches without motion [s].
 _SHORTEST_KNOT_TIME = 0.01

@@ -21,9 +21,17 @@ from service.request.formats import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, rates_at, sample_times, samples_of
 from service.result.result_json import links_without_shape
 from service.result.versions import find_format
-from service.verify import Certificate, Motion, Status
-from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
-from service.verify.polygons import outside_polygon
+from service.verify import (
+    Certificate,
+    Motion,
+    Status,
+    bodies_hash,
+    link_vertices,
+    outside_polygon,
+    promises_hash,
+    robot_hash,
+    scene_hash,
+)
 
 TOLERANCE = 1e-6  # of numbers that are written and recomputed [m, rad, s]
 CLAIM_TOLERANCE = 1e-4  # of a clearance or balance margin proven on another machine [m]

@@ -27,8 +27,7 @@ from service.result.motion_json import motion_from_json
 from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
 from service.result.result_json import add_reports, proof_summary
 from service.result.versions import find_format
-from service.verify import Certificate, Motion, Status, VerifyError, verify
-from service.verify.hashes import robot_hash
+from service.verify import Certificate, Motion, Status, VerifyError, robot_hash, verify
 
 OTHER = "it answers another request, or was changed after it was written"
 WITHOUT_CERTIFICATE = ("FEASIBLE_AT_SAMPLES", "NOT_FOUND", "INFEASIBLE", "TIME_LIMIT", "CANCELLED")

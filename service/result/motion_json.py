@@ -16,8 +16,7 @@ from costs.rotation import make_quaternions
 from costs.scene import ConvexPiece, Scene
 from service.result.phase_json import phase_from_json, phase_json, sample_index
 from service.result.zmp_json import zmp_json
-from service.verify import Motion
-from service.verify.timeline import find_times
+from service.verify import Motion, find_times
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 

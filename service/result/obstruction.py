@@ -17,7 +17,7 @@ from service.result.phase_json import targets_json, write_rotation
 from service.setup.prepare import PlanSetup
 from service.start.overlaps import find_overlaps
 from service.tasks.kind import find_plan_part
-from service.verify.solids import make_coal_convex
+from service.verify import make_coal_convex
 
 if TYPE_CHECKING:
     pass

@@ -17,9 +17,7 @@ from service.explain.conflict import Conflict
 from service.request.schema import PlanRequest
 from service.result.motion_json import sample_rates, sample_times, samples_of
 from service.result.phase_report import PhaseReport, report_phases
-from service.verify.certificate import Certificate
-from service.verify.motion import Motion
-from service.verify.rounding import round_down
+from service.verify import Certificate, Motion, round_down
 
 
 class Verdict(Enum):

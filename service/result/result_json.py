@@ -16,8 +16,7 @@ from service.result.folder import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.result.phase_report import PhaseReport, PhaseStatus
 from service.result.result import PlanResult
-from service.verify import Certificate, Motion
-from service.verify.hashes import link_vertices, robot_hash
+from service.verify import Certificate, Motion, link_vertices, robot_hash
 
 MAX_CLOUD_POINTS = 60_000
 

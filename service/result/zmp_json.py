@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.curve import TimeLaw
-from service.verify import Motion, Phase, SupportPolygon, VerifySettings
-from service.verify.forces.dynamics import compute_forces, list_sample_times
-from service.verify.timeline import find_times
+from service.verify import Motion, Phase, SupportPolygon, VerifySettings, compute_forces, find_times, list_sample_times
 
 _SAME_S = 1e-9  # times that differ by less are equal
 

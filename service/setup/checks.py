@@ -34,7 +34,7 @@ from service.start.standing import (
     find_standing_problems,
     sole_corners,
 )
-from service.verify.ground import STANDING_DEPTH_M
+from service.verify import STANDING_DEPTH_M
 
 if TYPE_CHECKING:
     from service.trajopt import Program

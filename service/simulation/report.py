@@ -16,8 +16,7 @@ from service.simulation.cause import LONG_S, SLIP_M, find_cause
 from service.simulation.measures import Frames, list_planted, list_rows, measure_hand_force, measure_slips, smooth
 from service.simulation.run import SimulatedRun
 from service.simulation.verdict import DONE, FELL, STOOD, judge, list_goal_frames
-from service.verify.polygons import outside_polygon
-from service.verify.timeline import list_phases
+from service.verify import list_phases, outside_polygon
 
 FORMAT = "scopt-simulation/2"
 SATURATED = 0.999  # share of the effort limit that counts as saturation

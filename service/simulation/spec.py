@@ -16,8 +16,7 @@ from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
 from service.simulation.perturb import Perturbation
-from service.verify import Motion
-from service.verify.frame_paths import find_mechanism_joints
+from service.verify import Motion, find_mechanism_joints
 
 TIME_STEP_S = 1e-3
 ARMATURE = 0.1  # of a joint of a robot of the reference mass [kg m^2]

@@ -22,9 +22,7 @@ from service.simulation.travel import (
     measure_moves,
     read_unit,
 )
-from service.verify import Motion, Phase, PoseTarget
-from service.verify.polygons import outside_polygon
-from service.verify.timeline import list_phases
+from service.verify import Motion, Phase, PoseTarget, list_phases, outside_polygon
 
 Verdict = Literal["DONE", "STOOD", "FELL"]
 DONE: Verdict = "DONE"

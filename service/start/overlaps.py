@@ -16,8 +16,7 @@ from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.work_space import borrow_data
 from service.start.standing import find_sole, list_carrying_pieces
-from service.verify.ground import GROUND_TOLERANCE_M
-from service.verify.solids import make_coal_convex
+from service.verify import GROUND_TOLERANCE_M, make_coal_convex
 
 TOUCH_M = 1e-6
 EXACT_ROUNDING_M = 1e-5

@@ -14,7 +14,7 @@ from costs.scene import ConvexPiece
 from costs.support import SupportPolygon
 from costs.work_space import borrow_data
 from service.errors import RequestError
-from service.verify.ground import GROUND_TOLERANCE_M, UNSEEN_KIND, describe_gap, find_ground_gaps
+from service.verify import GROUND_TOLERANCE_M, UNSEEN_KIND, describe_gap, find_ground_gaps
 
 FEET_GROUP = "feet"
 SOLE_BAND_M = 0.002  # height above a foot's lowest vertex up to which vertices belong to its sole

@@ -23,10 +23,7 @@ from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.start.configuration import STANDING_POSTURE
 from service.tasks.reach.goal import Goal
 from service.tasks.reach.goal_poses import GoalEnds
-from service.verify import Basis, Motion, VerifySettings, verify
-from service.verify.clearance.pairs import collect_pairs
-from service.verify.prepared_motion import PreparedMotion
-from service.verify.solids import DistanceQuery
+from service.verify import Basis, DistanceQuery, Motion, PreparedMotion, VerifySettings, collect_pairs, verify
 
 HORIZON_M = 0.1
 IK_EFFORT_S = 5.0

@@ -12,10 +12,96 @@ Read in this order:
 - ``certificate``: the output as data; ``hashes`` ties it to its robot, scene and promises
 - ``prepared_motion``, ``curve_bounds``, ``joint_chain``, ``frame_paths``, ``phase_proof``, ``solids``, ``timeline``:
   shared by the proofs; ``rounding``: numbers in the texts of checks
+
+What other folders need is imported from here; nobody else imports its modules.
 """
 
-from service.verify.certificate import Basis, Certificate, Check, Exempt, Status, Stretches, Where
+from service.verify.certificate import (
+    Basis,
+    Certificate,
+    Check,
+    Exempt,
+    Status,
+    Stretches,
+    Where,
+)
+from service.verify.clearance.pairs import (
+    collect_pairs,
+)
+from service.verify.coverage.pressed import (
+    is_shown,
+)
+from service.verify.coverage.required import (
+    list_waived_checks,
+)
+from service.verify.forces.contact_forces import (
+    ContactShare,
+    Joints,
+    is_held,
+)
+from service.verify.forces.dynamics import (
+    compute_forces,
+    compute_inverse_dynamics,
+    find_limited_joints,
+    list_levers,
+    list_sample_times,
+    make_contact_share,
+    make_joints,
+    map_axes,
+)
+from service.verify.forces.hand_balance import (
+    LEAST_APART_M,
+    LEAST_SHARE,
+    Meeting,
+    find_jamming_angle,
+    measure_excess,
+    meet,
+)
+from service.verify.forces.hand_contacts import (
+    PushPath,
+    describe_failure,
+    find_pushed_body,
+)
+from service.verify.forces.hand_loads import (
+    LoadCase,
+    bound_coordinate,
+    list_load_cases,
+)
+from service.verify.forces.loaded_balance import (
+    Ground,
+    find_normals,
+    find_tilts,
+)
+from service.verify.forces.rounded import (
+    measure_beyond_hull,
+    shrink_hull,
+)
+from service.verify.frame_paths import (
+    find_mechanism_joints,
+    trace_frame,
+)
+from service.verify.ground import (
+    GROUND_TOLERANCE_M,
+    MOST_LEAN_RAD,
+    STANDING_DEPTH_M,
+    TURNING_DEPTH_M,
+    UNSEEN_KIND,
+    describe_gap,
+    find_ground_gaps,
+    find_surface_gaps,
+)
+from service.verify.hashes import (
+    bodies_hash,
+    link_vertices,
+    promises_hash,
+    robot_hash,
+    scene_hash,
+)
+from service.verify.limits import (
+    measure_timed_peaks,
+)
 from service.verify.motion import (
+    HAND_CAP_N,
     AxisTarget,
     CircleTarget,
     HandContact,
@@ -35,26 +121,76 @@ from service.verify.motion import (
     VerifyError,
     VerifySettings,
 )
-from service.verify.verifier import verify
+from service.verify.polygons import (
+    describe_inside,
+    outside_polygon,
+)
+from service.verify.prepared_motion import (
+    ForwardKinematics,
+    Placements,
+    PreparedMotion,
+)
+from service.verify.rounding import (
+    round_down,
+)
+from service.verify.solids import (
+    CoalSolid,
+    DistanceQuery,
+    make_coal_convex,
+)
+from service.verify.targets.pose_errors import (
+    limits_rotation,
+    list_position_demands,
+    measure_angle,
+    measure_lean,
+    offset_from_target,
+)
+from service.verify.timeline import (
+    find_time,
+    find_times,
+    list_phases,
+)
+from service.verify.verifier import (
+    verify,
+)
 
 __all__ = [
+    "GROUND_TOLERANCE_M",
+    "HAND_CAP_N",
+    "LEAST_APART_M",
+    "LEAST_SHARE",
+    "MOST_LEAN_RAD",
+    "STANDING_DEPTH_M",
+    "TURNING_DEPTH_M",
+    "UNSEEN_KIND",
     "AxisTarget",
     "Basis",
     "Certificate",
     "Check",
     "CircleTarget",
+    "CoalSolid",
+    "ContactShare",
+    "DistanceQuery",
     "Exempt",
+    "ForwardKinematics",
+    "Ground",
     "HandContact",
     "HandLoad",
     "HandPush",
     "HeldJoint",
     "JointTarget",
+    "Joints",
+    "LoadCase",
     "LoadedRegion",
+    "Meeting",
     "Motion",
     "Phase",
+    "Placements",
     "PlantedContact",
     "PoseTarget",
+    "PreparedMotion",
     "PressedPart",
+    "PushPath",
     "RelativePoseTarget",
     "Status",
     "Stretches",
@@ -63,5 +199,51 @@ __all__ = [
     "VerifyError",
     "VerifySettings",
     "Where",
+    "bodies_hash",
+    "bound_coordinate",
+    "collect_pairs",
+    "compute_forces",
+    "compute_inverse_dynamics",
+    "describe_failure",
+    "describe_gap",
+    "describe_inside",
+    "find_ground_gaps",
+    "find_jamming_angle",
+    "find_limited_joints",
+    "find_mechanism_joints",
+    "find_normals",
+    "find_pushed_body",
+    "find_surface_gaps",
+    "find_tilts",
+    "find_time",
+    "find_times",
+    "is_held",
+    "is_shown",
+    "limits_rotation",
+    "link_vertices",
+    "list_levers",
+    "list_load_cases",
+    "list_phases",
+    "list_position_demands",
+    "list_sample_times",
+    "list_waived_checks",
+    "make_coal_convex",
+    "make_contact_share",
+    "make_joints",
+    "map_axes",
+    "measure_angle",
+    "measure_beyond_hull",
+    "measure_excess",
+    "measure_lean",
+    "measure_timed_peaks",
+    "meet",
+    "offset_from_target",
+    "outside_polygon",
+    "promises_hash",
+    "robot_hash",
+    "round_down",
+    "scene_hash",
+    "shrink_hull",
+    "trace_frame",
     "verify",
 ]

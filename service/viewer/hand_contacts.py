@@ -8,10 +8,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from service.verify import HandContact, HandPush, Motion, Phase, VerifySettings
-from service.verify.forces.hand_balance import Meeting
-from service.verify.forces.hand_contacts import PushPath, find_pushed_body
-from service.verify.prepared_motion import PreparedMotion
+from service.verify import (
+    HandContact,
+    HandPush,
+    Meeting,
+    Motion,
+    Phase,
+    PreparedMotion,
+    PushPath,
+    VerifySettings,
+    find_pushed_body,
+)
 
 DIGITS = 5  # of places in metres and of unit vectors
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.curve import TimeLaw
-from service.verify.timeline import find_times
+from service.verify import find_times
 
 N_TIMES = 241
 TimeOf = Callable[[Float[np.ndarray, "S"]], Float[np.ndarray, "S"]]

@@ -55,3 +55,14 @@ def test_the_table_allows_nothing_that_nobody_imports() -> None:
         used.setdefault(file.relative_to(SERVICE).parts[0].removesuffix(".py"), set()).update(list_imports(file))
     unused = {name: rest for name, allowed in read_table().items() if (rest := allowed - used[name])}
     assert unused == {}
+
+
+def test_the_modules_of_the_verifier_are_imported_by_its_own_folder_only() -> None:
+    inside = {
+        f"{file.relative_to(ROOT)} imports {node.module}"
+        for file in SERVICE.rglob("*.py")
+        if file.relative_to(SERVICE).parts[0] != "verify"
+        for node in ast.walk(ast.parse(file.read_bytes()))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("service.verify.")
+    }
+    assert inside == set(), "export what others need in service/verify/__init__.py"

@@ -22,7 +22,7 @@ from service.demands.contacts.stances import (
 from service.demands.contacts.surfaces import FLOOR, find_unknown, make_surfaces
 from service.errors import RequestError
 from service.request.tasks.contacts import ContactsRequest, PlaceRequest
-from service.verify.ground import GROUND_TOLERANCE_M, UNSEEN_KIND, find_surface_gaps
+from service.verify import GROUND_TOLERANCE_M, UNSEEN_KIND, find_surface_gaps
 
 TILT_ROUNDING = 1e-4  # of a contact's tilt [rad]
 START_PATCHES = ("left_foot", "right_foot")

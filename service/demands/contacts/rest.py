@@ -21,8 +21,7 @@ from service.request.tasks.contacts import (
     StanceRequest,
     SurfaceRequest,
 )
-from service.verify import Motion
-from service.verify.ground import GROUND_TOLERANCE_M
+from service.verify import GROUND_TOLERANCE_M, Motion
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ from costs.contact import Contact
 from costs.primitive import Primitive, find_round_normals
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece
-from service.verify import PlantedContact
-from service.verify.ground import STANDING_DEPTH_M, TURNING_DEPTH_M
+from service.verify import STANDING_DEPTH_M, TURNING_DEPTH_M, PlantedContact
 
 LEAST_FACING = 0.5  # cosine between a surface's normal and that of the round shape behind it
 INSIDE_M = 5e-4  # from the edges of a place that was brought onto a surface

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from costs.curve import Curve
 from service.demands.phase import TaskPhase
 from service.request.resume import NominalRequest
-from service.verify import Motion
-from service.verify.frame_paths import trace_frame
+from service.verify import Motion, trace_frame
 
 DISPLACED_MM, DISPLACED_DEG = "hand_displaced_mm", "hand_displaced_deg"
 PER_INTERVAL = 8  # samples between two knots

@@ -8,11 +8,7 @@ from jaxtyping import Float
 from scipy.optimize import linprog
 
 from costs.contact import GRAVITY, WorldContacts
-from service.verify import Motion, Phase
-from service.verify.forces.dynamics import compute_forces
-from service.verify.forces.hand_loads import list_load_cases
-from service.verify.forces.loaded_balance import Ground
-from service.verify.timeline import find_times
+from service.verify import Ground, Motion, Phase, compute_forces, find_times, list_load_cases
 
 N_SAMPLES = 9  # per phase
 MOST = 20.0  # times the stated load

@@ -14,8 +14,7 @@ from service.demands.figures.held_load import find_held_shares
 from service.demands.valve.strokes import TURN
 from service.demands.valve.wheel import Wheel
 from service.request.tasks.valve import VALVE_LINK
-from service.verify import Motion
-from service.verify.frame_paths import trace_frame
+from service.verify import Motion, trace_frame
 
 TURN_SAMPLES = 400  # of a turn
 DOOR_SAMPLES = 1000  # of a whole motion

@@ -11,11 +11,21 @@ from jaxtyping import Float
 from costs.robot import STOP_ROUNDING, LinkBody, Mechanism, RobotModel
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.phase import AXIS, SAME_VALUE, FrameMotion, TaskPhase, find_rotation_onto
-from service.verify import HandContact, HandLoad, HandPush, HeldJoint
-from service.verify.forces.hand_balance import LEAST_SHARE, Meeting, find_jamming_angle, measure_excess, meet
-from service.verify.forces.hand_contacts import describe_failure
-from service.verify.forces.rounded import measure_beyond_hull, shrink_hull
-from service.verify.motion import HAND_CAP_N
+from service.verify import (
+    HAND_CAP_N,
+    LEAST_SHARE,
+    HandContact,
+    HandLoad,
+    HandPush,
+    HeldJoint,
+    Meeting,
+    describe_failure,
+    find_jamming_angle,
+    measure_beyond_hull,
+    measure_excess,
+    meet,
+    shrink_hull,
+)
 
 MOST_AIM = float(np.deg2rad(25.0))  # of a rod that pushes by its side, from the handle's axis
 MOST_LEAN = float(np.deg2rad(30.0))  # of a rod that pushes by its side, from square to the way

@@ -14,7 +14,7 @@ from service.demands.holds.pushes import NominalPush, find_nominal_pushes, find_
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.phases import LET_GO, make_mechanism_phases
 from service.demands.phase import TaskPhase
-from service.verify.forces.hand_balance import LEAST_APART_M, measure_excess
+from service.verify import LEAST_APART_M, measure_excess
 
 SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
 ENOUGH_ROOM = float(np.deg2rad(12.0))  # of the angles that friction permits: a rod is leant no further for more

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from service.demands.mechanism.given import GivenMechanism
-from service.verify.solids import DistanceQuery, make_coal_convex
+from service.verify import DistanceQuery, make_coal_convex
 
 DEEP = 0.01  # overlap at the start that no bearing and no rounding of a shape explains [m]
 MOST_NOTES = 3  # the deepest first

@@ -19,8 +19,7 @@ from costs.robot import RobotModel
 from service.errors import ExecutionError
 from service.execution.offset import OffsetFilter
 from service.execution.reference import ReferenceState
-from service.verify import PlantedContact
-from service.verify.polygons import outside_polygon
+from service.verify import PlantedContact, outside_polygon
 
 GRAVITY = 9.81
 LEAST_N = 20.0  # upright force from which a centre of pressure is known [N]

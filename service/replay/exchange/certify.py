@@ -28,8 +28,19 @@ from service.replay.exchange.start_state import StartState
 from service.replay.rebuild import make_setup_demands
 from service.request.schema import PlanRequest
 from service.setup.prepare import PlanSetup, prepare
-from service.verify import Basis, Certificate, Check, Motion, Phase, Status, VerifyError, VerifySettings, Where, verify
-from service.verify.coverage.required import list_waived_checks
+from service.verify import (
+    Basis,
+    Certificate,
+    Check,
+    Motion,
+    Phase,
+    Status,
+    VerifyError,
+    VerifySettings,
+    Where,
+    list_waived_checks,
+    verify,
+)
 
 PHASE = "motion"
 START_TOLERANCE = 1e-3  # of the first point from the request's start [rad, m]

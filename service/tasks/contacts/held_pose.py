@@ -22,7 +22,7 @@ from service.body.poses import PoseProblem, find_pose
 from service.body.seeds import name_seeds
 from service.body.whole_body import FOOT_TOLERANCE, WholeBody
 from service.demands.contacts.stances import StanceContact
-from service.verify.forces.loaded_balance import find_normals
+from service.verify import find_normals
 
 TORQUE_SHARE = 0.85  # of each joint's limit in the poses, the rest is for the motion between them
 SAME_STATE = 2e-5  # of a configuration that counts as that of an earlier motion [rad, m]

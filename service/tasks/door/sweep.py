@@ -15,8 +15,7 @@ from service.body.whole_body import WholeBody
 from service.demands.door.phases import Door
 from service.demands.neighbours import make_neighbour_allowances
 from service.request.tasks.door import HANDLE_JOINT, LEAF_JOINT
-from service.verify.prepared_motion import ForwardKinematics, Placements
-from service.verify.solids import CoalSolid, DistanceQuery
+from service.verify import CoalSolid, DistanceQuery, ForwardKinematics, Placements
 
 STEP = np.deg2rad(1.0)  # of the leaf
 ROUNDING = 1e-6  # by which an overlap may exceed its allowance [m]

@@ -46,7 +46,7 @@ from service.tasks.handling import FARTHER, find_collisions, list_hands
 from service.tasks.rest.plan import plan_rest
 from service.tasks.sequence import add_mechanism
 from service.tasks.valve.turn import ValveTurn, measure_wrist
-from service.verify.coverage.pressed import is_shown
+from service.verify import is_shown
 
 SURE = 0.5  # least confidence of a detection that is used
 HOOK_MARGIN = 5e-3  # between the hand and the wheel it reaches into [m]
