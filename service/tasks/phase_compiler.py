@@ -27,7 +27,7 @@ from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
 from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.phase import FrameMotion, TaskPhase
-from service.tasks.chain import Attempt
+from service.tasks.chain import PhaseMotion
 from service.tasks.contacts.held_pose import SAME_STATE, keep_sides
 from service.tasks.held_tool import (
     bring_tool,
@@ -286,25 +286,25 @@ class PhaseCompiler:
         limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
         return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
 
-    def begin(self, spec: TaskPhase, near: Float[np.ndarray, "n"]) -> Attempt:
+    def begin(self, spec: TaskPhase, near: Float[np.ndarray, "n"]) -> PhaseMotion:
         """Solve a phase that leads frames from a pose near a configuration."""
         return self._attempt(spec, self.solve_held(spec, near, 0.3, is_anchor=True))
 
     def lead(
         self, spec: TaskPhase, first: Float[np.ndarray, "n"] | None, last: Float[np.ndarray, "n"] | None
-    ) -> Attempt:
+    ) -> PhaseMotion:
         """Solve a phase that leads frames from its first configuration, backwards from its last, or between both."""
         if first is not None:
             return self._attempt(spec, self.solve_held(spec, first, 0.6, last=last))
         assert last is not None
         return self._attempt(spec, self.solve_held(spec, last, 0.3, is_backwards=True))
 
-    def join(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:
+    def join(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> PhaseMotion:
         """Solve a phase that leads nothing between two configurations."""
         return self._attempt(spec, self.solve_free(spec, first, last, 0.55))
 
-    def _attempt(self, spec: TaskPhase, solved: Solved) -> Attempt:
-        return Attempt(solved.x, lambda: self.finish(spec, solved), Stuck.at(spec.name, solved))
+    def _attempt(self, spec: TaskPhase, solved: Solved) -> PhaseMotion:
+        return PhaseMotion(solved.x, lambda: self.finish(spec, solved), Stuck.at(spec.name, solved))
 
     def solve_free(
         self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], fraction: float
@@ -369,6 +369,7 @@ class PhaseCompiler:
                 constraints=self._list_constraints(spec, free, values),
                 allowances=shrink(spec.touches, self.hints(spec).depth_reserve_m),
                 bounds=narrow,
+                balanced=[count - 1] if self.hints(spec).settles else None,
                 regions=regions,
             )
 

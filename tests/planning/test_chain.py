@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from service.body.task_plan import PlannedPhase
 from service.demands.phase import FrameMotion, TaskPhase
-from service.tasks.chain import Attempt, solve_phases
+from service.tasks.chain import PhaseMotion, solve_phases
 
 HAND = FrameMotion("tool", None, np.zeros(3), np.array([0.0, 0.0, 1.0]))
 START = np.array([0.0])
@@ -33,20 +33,20 @@ class CountingWork:
     stuck_at: str = ""
     calls: list[tuple[str, str]] = field(default_factory=list)
 
-    def lead(self, phase: TaskPhase, first: np.ndarray | None, last: np.ndarray | None) -> Attempt:
+    def lead(self, phase: TaskPhase, first: np.ndarray | None, last: np.ndarray | None) -> PhaseMotion:
         self.calls.append((phase.name, "between" if first is not None and last is not None else
                            "forwards" if first is not None else "backwards"))  # fmt: skip
         first = last - 1.0 if first is None else first
         return self._solve(phase, first, first + 1.0 if last is None else last)
 
-    def join(self, phase: TaskPhase, first: np.ndarray, last: np.ndarray) -> Attempt:
+    def join(self, phase: TaskPhase, first: np.ndarray, last: np.ndarray) -> PhaseMotion:
         self.calls.append((phase.name, "joined"))
         return self._solve(phase, first, last)
 
-    def _solve(self, phase: TaskPhase, first: np.ndarray, last: np.ndarray) -> Attempt:
+    def _solve(self, phase: TaskPhase, first: np.ndarray, last: np.ndarray) -> PhaseMotion:
         q = np.stack([first, last])
         stuck = object() if phase.name == self.stuck_at else None
-        return Attempt(q, lambda: PlannedPhase(phase, q, stuck is None), stuck)
+        return PhaseMotion(q, lambda: PlannedPhase(phase, q, stuck is None), stuck)
 
 
 def test_a_step_is_landed_backwards_and_lifted_forwards() -> None:
@@ -62,7 +62,7 @@ def test_a_step_is_landed_backwards_and_lifted_forwards() -> None:
 def test_what_is_begun_is_joined_to_the_start_and_followed_to_the_end() -> None:
     work = CountingWork()
     phases = [free("reach"), led("insert"), led("turn"), led("retract")]
-    turn = Attempt.of(PlannedPhase(phases[2], np.array([[5.0], [9.0]]), True))
+    turn = PhaseMotion.of(PlannedPhase(phases[2], np.array([[5.0], [9.0]]), True))
     chain = solve_phases(phases, START, {}, work, {2: turn})
     assert work.calls == [("insert", "backwards"), ("reach", "joined"), ("retract", "forwards")]
     np.testing.assert_array_equal(chain.q.ravel(), [0.0, 4.0, 4.0, 5.0, 5.0, 9.0, 9.0, 10.0])
