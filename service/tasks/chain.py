@@ -15,7 +15,7 @@ from service.demands.phase import TaskPhase
 
 
 @dataclass(frozen=True)
-class Attempt:
+class PhaseMotion:
     """The motion of a phase.
 
     Attributes:
@@ -29,9 +29,9 @@ class Attempt:
     stuck: Stuck | None = None
 
     @staticmethod
-    def of(planned: PlannedPhase) -> Attempt:
+    def of(planned: PlannedPhase) -> PhaseMotion:
         """Return a solved phase."""
-        return Attempt(planned.q, lambda: planned)
+        return PhaseMotion(planned.q, lambda: planned)
 
 
 class PhaseWork(Protocol):
@@ -39,15 +39,15 @@ class PhaseWork(Protocol):
 
     def lead(
         self, phase: TaskPhase, first: Float[np.ndarray, "n"] | None, last: Float[np.ndarray, "n"] | None
-    ) -> Attempt:
+    ) -> PhaseMotion:
         """Solve a phase that leads frames from its first configuration, backwards from its last, or between both."""
 
-    def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:
+    def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> PhaseMotion:
         """Solve a phase that leads nothing between two configurations."""
 
 
 @dataclass(frozen=True)
-class Chain:
+class PhaseChain:
     """Phases that were solved.
 
     Attributes:
@@ -55,7 +55,7 @@ class Chain:
         failed: index of the phase that is stuck; None where all are solved.
     """
 
-    attempts: Mapping[int, Attempt]
+    attempts: Mapping[int, PhaseMotion]
     failed: int | None = None
 
     @property
@@ -80,8 +80,8 @@ def solve_phases(
     start: Float[np.ndarray, "n"],
     poses: Mapping[int, Float[np.ndarray, "n"]],
     work: PhaseWork,
-    begun: Mapping[int, Attempt] = MappingProxyType({}),
-) -> Chain:
+    begun: Mapping[int, PhaseMotion] = MappingProxyType({}),
+) -> PhaseChain:
     """Solve phases, as far as the first one that is stuck.
 
     Phases that lead frames are first solved backwards from what is known, then all others in their order.
@@ -98,9 +98,9 @@ def solve_phases(
         ValueError: no pose is known where a phase that leads nothing ends.
     """
     borders: dict[int, Float[np.ndarray, "n"]] = {**poses, 0: start}
-    attempts: dict[int, Attempt] = {}
+    attempts: dict[int, PhaseMotion] = {}
 
-    def take(index: int, attempt: Attempt) -> bool:
+    def take(index: int, attempt: PhaseMotion) -> bool:
         attempts[index] = attempt
         borders.setdefault(index, attempt.q[0])
         borders[index + 1] = attempt.q[-1]
@@ -108,13 +108,13 @@ def solve_phases(
 
     for index, attempt in begun.items():
         if not take(index, attempt):
-            return Chain(attempts, index)
+            return PhaseChain(attempts, index)
     for border in sorted({*poses, *begun}, reverse=True):
         for k in range(border - 1, -1, -1):
             if k in attempts or k in borders or not phases[k].frames:
                 break
             if not take(k, work.lead(phases[k], None, borders[k + 1])):
-                return Chain(attempts, k)
+                return PhaseChain(attempts, k)
     for k, phase in enumerate(phases):
         if k in attempts:
             continue
@@ -126,5 +126,5 @@ def solve_phases(
         else:
             raise ValueError(f"phase '{phase.name}' leads nothing, and no pose is known where it ends")
         if not take(k, attempt):
-            return Chain(attempts, k)
-    return Chain(attempts)
+            return PhaseChain(attempts, k)
+    return PhaseChain(attempts)

@@ -33,6 +33,7 @@ class PhaseHints:
         passes: pairs that may overlap in the first guess, which is solved beforehand.
         torque_share: of the torque limits that the joints before the hand may use under the loads; None for any.
         depth_reserve_m: of the depths of what may touch, for the curve between the waypoints [m].
+        settles: whether only its last waypoint has to be in balance.
         restorable: largest violation, relative to its tolerance, from which a solution is sought for constraints alone.
     """
 
@@ -46,6 +47,7 @@ class PhaseHints:
     torque_share: float | None = None
     depth_reserve_m: float = DEPTH_RESERVE
     restorable: float = RESTORABLE
+    settles: bool = False
 
 
 Hints = Callable[[TaskPhase], PhaseHints]

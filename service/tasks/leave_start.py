@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
-from service.body.ladder import GivenEnd, MotionSearch, NoEnd, find_motion
+from service.body.ladder import Path, find_motion
 from service.body.phases import PhaseSolver
-from service.body.starts import DIRECT, Way
+from service.body.starts import DIRECT
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.phase import TaskPhase
 from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, make_escape_allowances
 from service.start.overlaps import Overlap
+from service.tasks.hints import PhaseHints
 from service.tasks.nearby import find_free_pose
+from service.tasks.phase_compiler import PhaseCompiler
 
 ESCAPE, SETTLE = "escape", "settle"
 ESCAPE_WAYPOINTS, SETTLE_WAYPOINTS = 10, 6
@@ -101,40 +103,35 @@ def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
     leaving = replace(solver, body=LeavingBody.of(body, overlaps))
     with solver.monitor.step(ESCAPE, 0.05):
         pose = find_free_pose(leaving, ESCAPE)
-    out = _find_escape(leaving, pose.q) if pose.is_feasible else pose
-    phase = PlannedPhase(
-        TaskPhase(ESCAPE, touches=make_escape_allowances(overlaps)),
+    phase = TaskPhase(ESCAPE, touches=make_escape_allowances(overlaps))
+    way = replace(phase, touches=())  # the body itself lets overlaps be as deep as they may be on the way
+    compiler = _compile(leaving, ESCAPE_WAYPOINTS - 1)
+    out = _find_escape(compiler, way, pose.q) if pose.is_feasible else pose
+    planned = PlannedPhase(
+        phase,
         out.x if len(out.x) > 1 else np.stack([body.nominal, out.x[0]]),
         out.is_feasible,
         is_settling=_needs_settling(body),
-        resolve=lambda q: _solve_escape(leaving, q, is_end_fixed=True),
+        resolve=partial(compiler.solve_between, way),
     )
-    return TaskPlan(replace(body, nominal=out.x[-1]), (phase,), stuck=Stuck.at(ESCAPE, out))
+    return TaskPlan(replace(body, nominal=out.x[-1]), (planned,), stuck=Stuck.at(ESCAPE, out))
 
 
-def _find_escape(leaving: PhaseSolver, end: Float[np.ndarray, "n"]) -> Solved:
-    """Return the motion out of collision; its last interval is clear of everything."""
-    search = MotionSearch(
-        ESCAPE,
-        leaving,
-        _solve_escape,
-        leaving.body.nominal,
-        GivenEnd(end),
-        DIRECT,
-        n_waypoints=ESCAPE_WAYPOINTS - 1,
-        fit=lambda path: np.concatenate([path, path[-1:]]),
-        restorable=np.inf,
-        fraction=0.05,
-    )
-    return find_motion(search)
+def _find_escape(compiler: PhaseCompiler, phase: TaskPhase, end: Float[np.ndarray, "n"]) -> Solved:
+    """Return the motion out of collision to near a pose; its last interval is clear of everything."""
+
+    def solve(solver: PhaseSolver, path: Path) -> Solved:
+        return replace(compiler, solver=solver).solve(phase, [path], {0: path[0]}, phase.values(len(path)), ())
+
+    search = compiler.search_free(phase, compiler.solver.body.nominal, end)
+    fit: Callable[[Path], Path] = lambda path: np.concatenate([path, path[-1:]])  # noqa: E731
+    return find_motion(replace(search, solve=solve, policy=DIRECT, fit=fit, restorable=np.inf, fraction=0.05))
 
 
-def _solve_escape(leaving: PhaseSolver, q: Float[np.ndarray, "T n"], is_end_fixed: bool = False) -> Solved:
-    """Solve for the motion out of collision from a first guess that begins at the start."""
-    last = len(q) - 1
-    fixed = {0: q[0], last: q[-1]} if is_end_fixed else {0: q[0]}
-    balanced = [last] if _needs_settling(leaving.body) else None
-    return leaving.solve_trajectory(ESCAPE, q, fixed, balanced=balanced)
+def _compile(solver: PhaseSolver, n_waypoints: int) -> PhaseCompiler:
+    """Return the solver of a phase before the task, which may begin out of balance."""
+    hints = PhaseHints(free_waypoints=n_waypoints, restorable=0.0, settles=_needs_settling(solver.body))
+    return PhaseCompiler(solver, hints=lambda phase: hints)
 
 
 def _needs_settling(body: WholeBody) -> bool:
@@ -147,19 +144,7 @@ def _needs_settling(body: WholeBody) -> bool:
 
 def _settle(solver: PhaseSolver) -> TaskPlan:
     """Plan a phase from the start to a nearby configuration inside the balance margin."""
-    body = solver.body
-    still = np.tile(body.nominal, (SETTLE_WAYPOINTS, 1))
-    last = SETTLE_WAYPOINTS - 1
-    search = MotionSearch(
-        SETTLE,
-        solver,
-        lambda own, path: own.solve_trajectory(SETTLE, path, {0: body.nominal}, balanced=[last]),
-        body.nominal,
-        NoEnd(),
-        DIRECT,
-        {Way.GIVEN: lambda: [("standing still", still)]},
-        fraction=0.05,
-    )
-    solved = find_motion(search)
-    phase = PlannedPhase(TaskPhase(SETTLE), solved.x, solved.is_feasible, is_settling=True)
-    return TaskPlan(replace(body, nominal=solved.x[-1]), (phase,), stuck=Stuck.at(SETTLE, solved))
+    compiler, phase = _compile(solver, SETTLE_WAYPOINTS), TaskPhase(SETTLE)
+    solved = compiler.solve_held(phase, solver.body.nominal, 0.05)
+    planned = replace(compiler.finish(phase, solved), is_settling=True)
+    return TaskPlan(replace(solver.body, nominal=solved.x[-1]), (planned,), stuck=Stuck.at(SETTLE, solved))

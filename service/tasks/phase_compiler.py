@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from itertools import chain, islice, tee
+from functools import cache
+from itertools import chain, islice
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from costs.allowance import Allowance
 from costs.collision import Contacts
 from costs.robot import Mechanism, RobotModel
 from costs.state import MotionState
@@ -27,11 +26,11 @@ from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
 from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.phase import FrameMotion, TaskPhase
-from service.tasks.chain import Attempt
+from service.tasks.chain import PhaseMotion
 from service.tasks.contacts.held_pose import SAME_STATE, keep_sides
+from service.tasks.held_phase import HeldPhase
 from service.tasks.held_tool import (
     bring_tool,
-    follow_in_balance,
     follow_tool,
     make_hold,
     place_tool,
@@ -204,7 +203,7 @@ class PhaseCompiler:
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
         fixed |= {} if last is None else {count - 1: last}
         nominal = self.resample_nominal(spec, fixed or {0: q})
-        held = _HeldPhase(self, spec, fixed, values)
+        held = HeldPhase(self, spec, fixed, values)
         led = self._lead_hand(held, q, last, is_anchor=is_anchor, is_backwards=is_backwards)
         paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {Way.LED: lambda: islice(led, 1)}
         if nominal is not None:
@@ -219,7 +218,7 @@ class PhaseCompiler:
 
     def _lead_hand(
         self,
-        held: _HeldPhase,
+        held: HeldPhase,
         q: Float[np.ndarray, "n"],
         last: Float[np.ndarray, "n"] | None,
         *,
@@ -286,25 +285,25 @@ class PhaseCompiler:
         limits = self._limit_torques(spec, np.arange(len(q)), q[:, self.columns])
         return all(limit.residual.value(state).max() <= TORQUE_TOLERANCE for limit in limits)
 
-    def begin(self, spec: TaskPhase, near: Float[np.ndarray, "n"]) -> Attempt:
+    def begin(self, spec: TaskPhase, near: Float[np.ndarray, "n"]) -> PhaseMotion:
         """Solve a phase that leads frames from a pose near a configuration."""
         return self._attempt(spec, self.solve_held(spec, near, 0.3, is_anchor=True))
 
     def lead(
         self, spec: TaskPhase, first: Float[np.ndarray, "n"] | None, last: Float[np.ndarray, "n"] | None
-    ) -> Attempt:
+    ) -> PhaseMotion:
         """Solve a phase that leads frames from its first configuration, backwards from its last, or between both."""
         if first is not None:
             return self._attempt(spec, self.solve_held(spec, first, 0.6, last=last))
         assert last is not None
         return self._attempt(spec, self.solve_held(spec, last, 0.3, is_backwards=True))
 
-    def join(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:
+    def join(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> PhaseMotion:
         """Solve a phase that leads nothing between two configurations."""
         return self._attempt(spec, self.solve_free(spec, first, last, 0.55))
 
-    def _attempt(self, spec: TaskPhase, solved: Solved) -> Attempt:
-        return Attempt(solved.x, lambda: self.finish(spec, solved), Stuck.at(spec.name, solved))
+    def _attempt(self, spec: TaskPhase, solved: Solved) -> PhaseMotion:
+        return PhaseMotion(solved.x, lambda: self.finish(spec, solved), Stuck.at(spec.name, solved))
 
     def solve_free(
         self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], fraction: float
@@ -369,6 +368,7 @@ class PhaseCompiler:
                 constraints=self._list_constraints(spec, free, values),
                 allowances=shrink(spec.touches, self.hints(spec).depth_reserve_m),
                 bounds=narrow,
+                balanced=[count - 1] if self.hints(spec).settles else None,
                 regions=regions,
             )
 
@@ -431,70 +431,3 @@ class PhaseCompiler:
             values=values if spec.loads else None,
             body=None if spec.contacts is None else self.solver.body,
         )
-
-
-@dataclass(frozen=True)
-class _HeldPhase:
-    """A phase with a held hand, solved in stages.
-
-    Attributes:
-        compiler: of its problems.
-        spec: the phase.
-        fixed: configuration by waypoint.
-        values: of the mechanism's joints at the waypoints.
-    """
-
-    compiler: PhaseCompiler
-    spec: TaskPhase
-    fixed: Mapping[int, Float[np.ndarray, "n"]]
-    values: Float[np.ndarray, "T k"]
-
-    def solve(self, solver: PhaseSolver, paths: Iterable[Path]) -> Solved:
-        """Solve the phase from the first of some paths that leads to a solution.
-
-        Every stage tries all paths before it restores the best attempt: what is restored has lost its costs, and a
-        solution from another path is the better motion.  What the hand passes between would push it to the wrong side
-        of a poor path: one that may be in it comes first.  Where loads ask for balance here and there, that is found
-        more easily on a path that exists.
-        """
-        staged = replace(self, compiler=replace(self.compiler, solver=solver))
-        spec, compiler = self.spec, staged.compiler
-        passes = compiler.hints(spec).passes
-        light = replace(staged, compiler=compiler.with_hints(torque_share=None))
-        if passes:
-            loose = light._solve(paths, (), passes)
-            if not loose.is_feasible:
-                return loose
-            paths = [loose.x]
-        regions = self._regions
-        if len(regions) > 1:
-            own, paths = tee(paths)
-            unloaded = light._solve(own, ())
-            if not unloaded.is_feasible:  # the regions hold no load as well: they are within the hull of the soles
-                return unloaded
-            paths = chain([unloaded.x], paths)
-            if spec.frames:
-                is_fixed = np.isin(np.arange(len(unloaded.x)), list(self.fixed))
-                prescribed = compiler.find_prescribed(spec)
-                inside = follow_in_balance(solver.body, spec.frames, unloaded.x, regions, is_fixed, prescribed)
-                paths = chain([inside], paths)
-        solved = light._solve(paths, regions)
-        if not solved.is_feasible or compiler.is_strong_enough(spec, solved.x):
-            return solved
-        return staged._solve([solved.x], regions)
-
-    def repair(self, solver: PhaseSolver, path: Path) -> Solved:
-        """Solve the phase from an earlier motion, whose waypoints keep nearly everything, in one stage."""
-        staged = replace(self, compiler=replace(self.compiler, solver=solver))
-        return staged._solve([path], self._regions)
-
-    @cached_property
-    def _regions(self) -> tuple[PlannedRegion, ...]:
-        """Where the feet hold the robot under the phase's loads."""
-        return self.compiler.find_regions(self.spec, self.values)
-
-    def _solve(
-        self, paths: Iterable[Path], regions: tuple[PlannedRegion, ...], passes: tuple[Allowance, ...] = ()
-    ) -> Solved:
-        spec = replace(self.spec, touches=(*self.spec.touches, *passes))
-        return self.compiler.solve(spec, paths, self.fixed, self.values, regions)

@@ -23,7 +23,7 @@ from service.body.whole_body import WholeBody
 from service.demands.contacts.phases import LINE_M, list_change_phases
 from service.demands.contacts.stances import ContactChange, ContactStance, StanceContact
 from service.demands.phase import TaskPhase
-from service.tasks.chain import Attempt, solve_phases
+from service.tasks.chain import PhaseMotion, solve_phases
 from service.tasks.contacts.held_pose import SAME_STATE, HeldPose
 from service.tasks.contacts.pose_finder import DEPTH_RESERVE, POSE_RESERVE, MissingPose, PoseFinder, StuckError
 from service.tasks.hints import PhaseHints
@@ -234,16 +234,16 @@ class _ChangeWork:
 
     def lead(
         self, phase: TaskPhase, first: Float[np.ndarray, "n"] | None, last: Float[np.ndarray, "n"] | None
-    ) -> Attempt:
+    ) -> PhaseMotion:
         """Lift links from the first configuration, or set them down into the last."""
         if first is not None:
-            return Attempt.of(self.walker.line(phase, self.change.leaving, first, is_up=True))
+            return PhaseMotion.of(self.walker.line(phase, self.change.leaving, first, is_up=True))
         assert last is not None
-        return Attempt.of(self.walker.line(phase, self.change.arriving, last, is_up=False))
+        return PhaseMotion.of(self.walker.line(phase, self.change.arriving, last, is_up=False))
 
-    def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:
+    def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> PhaseMotion:
         """Shift the body, or swing links that carry nothing."""
-        return Attempt.of(self.walker.join(phase, first, last))
+        return PhaseMotion.of(self.walker.join(phase, first, last))
 
 
 def is_shift(phase: TaskPhase) -> bool:
