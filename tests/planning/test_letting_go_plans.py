@@ -1,15 +1,19 @@
-"""A ring turned on a carrier that slides easily: the hand leaves the ring's bar before it goes away along the slide."""
+"""A hand leaves what it pressed before it goes away: a ring on an easy slide, a lever of an easy door."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
+from given_doors import door_request
 from given_mechanisms import request_for
 
 from service.errors import RequestError
 from service.planner import plan
+from service.replay.replay import verify_result
 from service.request.file import parse_request
+from service.result.output import write_result
 from service.result.result import Verdict
 
 URDF = """<robot name="hose"><link name="base"/>
@@ -54,3 +58,13 @@ def test_a_slide_without_friction_is_refused_unless_the_hand_stays() -> None:
     with pytest.raises(RequestError, match=words):
         plan(parse_request(hose_request(0.0)))
     assert plan(parse_request(hose_request(0.0, stays=True))).verdict is Verdict.CERTIFIED
+
+
+def test_a_hand_leaves_the_lever_of_an_easy_door_upwards(tmp_path: Path) -> None:
+    result = plan(parse_request(door_request(open_deg=20.0, x=0.75, hinge_nm=0.1)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert [phase.name for phase in result.motion.phases][-3:] == ["let the handle go", "let go", "retract"]
+    checks = {check.name: check for check in result.certificate.checks}
+    for phase in ("let go", "retract"):
+        assert checks[f"let_go.{phase}.door_opening"].basis.value == "proof"
+    assert verify_result(write_result(result, tmp_path / "out").folder)["verdict"] == "CERTIFIED"

@@ -17,8 +17,10 @@ from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.seen_parts import HANDLE_NAMES
 from service.demands.hands import Hand
 from service.demands.holds.door_edge import hold_edge, make_edge_load
+from service.demands.holds.leaving import LET_GO, may_drag
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.phase import FrameMotion, TaskPhase
+from service.demands.resistance import ASSUMED_DENSITY
 from service.request.tasks.door import DOOR, HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
 
@@ -27,7 +29,8 @@ if TYPE_CHECKING:
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
 LARGEST_OPENING = np.deg2rad(170.0)
-LEAF_ACCELERATION = 1.0  # slow enough for the mass of a leaf to add little to what opens it [rad/s^2]
+LEAF_ACCELERATION, LEAST_ACCELERATION = 1.0, 5e-3  # of a leaf [rad/s^2]
+INERTIA_SHARE = 0.5  # of the torque at the hinge, that the inertia of a leaf may come to: it never runs ahead
 STOP_ROUNDING = 1e-3  # by which a joint may pass its stop at 0 [rad, m]
 LEVER_STOP = np.deg2rad(60.0)
 BEYOND_RELEASE = np.deg2rad(5.0)  # by which the lever is turned further than it needs
@@ -36,6 +39,7 @@ FREE_BEYOND = np.deg2rad(5.0)  # opening from which on the latch no longer holds
 LEAST_GRIP = 0.1  # of a lever from its spindle: 20 N for 2 N m [m]
 GRIP_FROM_END = 0.02  # [m]
 LINE_OUT, LINE_UP = 0.09, 0.04  # of the lines that lead to a handle and away from it [m]
+OFF_LEVER = 0.03  # of a hand that leaves a lever upwards before it goes away along the way of its leaf [m]
 HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(20.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
 PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
@@ -116,7 +120,7 @@ class Door:
                 lower=-STOP_ROUNDING,
                 upper=LARGEST_OPENING,
                 start=max(geometry.ajar, 0.0),  # seen with noise
-                acceleration=LEAF_ACCELERATION,
+                acceleration=self.leaf_acceleration,
             )
         ]
         if handle is None or HANDLE_LINK not in bodies:
@@ -139,6 +143,32 @@ class Door:
             )
         )
         return Mechanism(DOOR, tuple(joints), (Release(LEAF_JOINT, HANDLE_JOINT, self.release, float(FREE_BEYOND)),))
+
+    @property
+    def leaf_inertia(self) -> float:
+        """About the hinge, of a leaf of assumed density [kg m^2]."""
+        return self._leaf_mass * self.geometry.width**2 / 3.0
+
+    @property
+    def _leaf_mass(self) -> float:
+        geometry = self.geometry
+        return ASSUMED_DENSITY * geometry.width * geometry.height * geometry.thickness
+
+    @property
+    def leaf_acceleration(self) -> float:
+        """At which a leaf stays at the hand that pushes it: its hinge brings it to rest as fast [rad/s^2]."""
+        gentle = INERTIA_SHARE * self.hinge_nm / self.leaf_inertia
+        return min(LEAF_ACCELERATION, max(gentle, LEAST_ACCELERATION))
+
+    def explain_loose(self) -> str | None:
+        """Return a sentence where nothing brings the leaf to rest once it has been pushed; None where its hinge does."""
+        needed = self.leaf_inertia * self.leaf_acceleration
+        if self.hinge_nm >= needed:
+            return None
+        return (
+            f"task.door.hinge_nm: {self.hinge_nm:g} N m; a leaf of about {self._leaf_mass:.0f} kg would run ahead of the "
+            f"hand, and nothing would bring it to rest; expected at least {np.ceil(1e3 * needed) / 1e3:g}"
+        )
 
     @property
     def spindle_axis(self) -> Float[np.ndarray, "3"]:
@@ -217,7 +247,7 @@ def _list_resistances(door: Door) -> dict[str, tuple[float, float]]:
 
 
 def _open_at_handle(door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"]) -> list[TaskPhase]:
-    """Return reach, approach, press, open, let go and retract."""
+    """Return reach, approach, press, open, let the handle go and retract; before it, leave the handle if need be."""
     held = hold_handle(door, choice)
     pressed, opened, released = start.copy(), start.copy(), start.copy()
     presses = door.is_latched
@@ -241,8 +271,19 @@ def _open_at_handle(door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"
         name = "let the handle go"
         phases.append(TaskPhase(name, opened, released, (at_rest,), held.touches, loads=held.press_loads()))
     away = replace(held.line(at_rest), leaves=True)
+    if presses and held.leaves_along_leaf and _may_close(door, held):
+        off = OFF_LEVER * UP
+        phases.append(TaskPhase(LET_GO, released, released, (replace(away, offset=off),), held.touches))
+        away = replace(away, place=away.place + off, offset=held.offset - (held.offset @ UP) * UP)
     phases.append(TaskPhase("retract", released, released, (away,), held.touches))
     return phases
+
+
+def _may_close(door: Door, held: HandleHold) -> bool:
+    """Return whether a hand that slides off a handle could take the leaf back along."""
+    force = max((float(np.linalg.norm(load.force)) for load in held.press_loads()), default=0.0)
+    arm = float(np.linalg.norm(np.cross(door.geometry.hinge_axis, held.on_leaf(0.0).place)))
+    return may_drag(force, arm, door.hinge_nm)
 
 
 def _push_leaf(
@@ -296,6 +337,7 @@ class HandleHold:
         tilt: largest lean of the hand from ``axis`` [rad].
         touches: pairs that may touch.
         lean: largest angle between the leaf and a peg behind a bar, which draws the hand along the leaf [rad].
+        leaves_along_leaf: whether the line leads away along the face that is pressed, the way that the leaf shuts.
     """
 
     door: Door
@@ -307,6 +349,7 @@ class HandleHold:
     tilt: float
     touches: tuple[Allowance, ...]
     lean: float = 0.0
+    leaves_along_leaf: bool = False
 
     def at_rest(self, start: Float[np.ndarray, "k"]) -> FrameMotion:
         """Return the hold that moves with the handle; with the leaf where the handle has no joint of its own."""
@@ -408,7 +451,10 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
         front = max(radius, choice.peg_m - stands_out)
         place = at_grip + peg * UP + front * normal
         offset = LINE_OUT * normal + LINE_UP * UP
-        return HandleHold(door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches)
+        return HandleHold(
+            door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches,
+            leaves_along_leaf=True,
+        )  # fmt: skip
     # The peg hangs behind the lever, leaning so that the hand keeps off the leaf; its front rests on the lever.
     axis = -np.cos(PEG_LEAN) * UP - np.sin(PEG_LEAN) * normal
     above = (radius + ABOVE_LEVER) * np.cos(PEG_LEAN) + peg * np.sin(PEG_LEAN)

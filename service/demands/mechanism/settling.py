@@ -10,9 +10,10 @@ import pinocchio as pin
 
 from costs.robot import Mechanism, RobotModel
 from service.demands.hands import Hand
+from service.demands.holds.leaving import LET_GO
 from service.demands.holds.pushes import NominalPush, find_nominal_pushes, find_side
 from service.demands.mechanism.given import GivenMechanism
-from service.demands.mechanism.phases import LET_GO, make_mechanism_phases
+from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.phase import TaskPhase
 from service.verify import LEAST_APART_M, measure_excess
 
