@@ -161,13 +161,13 @@ class Door:
         return min(LEAF_ACCELERATION, max(gentle, LEAST_ACCELERATION))
 
     def explain_loose(self) -> str | None:
-        """Return a sentence where nothing brings the leaf to rest once it has been pushed; None where its hinge does."""
+        """Return a sentence where nothing brings a pushed leaf to rest; None where its hinge does."""
         needed = self.leaf_inertia * self.leaf_acceleration
         if self.hinge_nm >= needed:
             return None
         return (
-            f"task.door.hinge_nm: {self.hinge_nm:g} N m; a leaf of about {self._leaf_mass:.0f} kg would run ahead of the "
-            f"hand, and nothing would bring it to rest; expected at least {np.ceil(1e3 * needed) / 1e3:g}"
+            f"task.door.hinge_nm: {self.hinge_nm:g} N m; a leaf of about {self._leaf_mass:.0f} kg would run ahead of "
+            f"the hand, and nothing would bring it to rest; expected at least {np.ceil(1e3 * needed) / 1e3:g}"
         )
 
     @property

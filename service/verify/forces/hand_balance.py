@@ -22,6 +22,7 @@ from scipy.optimize import nnls
 from costs.robot import LinkBody
 from service.verify.forces.pads import find_patch
 from service.verify.forces.rounded import RoundedBody
+from service.verify.forces.turning import measure_angle
 from service.verify.motion import HandContact, HandPush
 from service.verify.solids import make_coal_convex
 
@@ -73,7 +74,7 @@ class Meeting:
     @property
     def angle(self) -> float:
         """Angle between normal and way [rad]."""
-        return float(np.arctan2(np.linalg.norm(np.cross(self.normal, self.way)), self.normal @ self.way))
+        return measure_angle(self.normal, self.way)
 
     @property
     def is_touching(self) -> bool:
