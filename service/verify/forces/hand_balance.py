@@ -125,7 +125,10 @@ def _move_points(
     ways: Sequence[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]], points: Float[np.ndarray, "P 3"]
 ) -> Float[np.ndarray, "P j 3"]:
     """Return how each joint moves each point per unit of its coordinate."""
-    moves = [linear + np.cross(angular, points) for linear, angular in ways]
+    moves = []
+    for linear, angular in ways:
+        x, y, z = angular.tolist()
+        moves.append(linear + points @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # angular x points
     return np.stack(moves, axis=1) if moves else np.zeros((len(points), 0, 3))
 
 

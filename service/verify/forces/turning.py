@@ -118,7 +118,7 @@ def _bound_across_bar(
 
 
 def _measure_angles(first: Float[np.ndarray, "I 3"], second: Float[np.ndarray, "*I 3"]) -> Float[np.ndarray, "I"]:
-    return np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1))
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1)))
 
 
 def measure_angle(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> float:
