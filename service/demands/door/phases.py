@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
 LARGEST_OPENING = np.deg2rad(170.0)
 LEAF_ACCELERATION, LEAST_ACCELERATION = 1.0, 5e-3  # of a leaf [rad/s^2]
+SPRING_BACK = 0.015  # by which a hand that presses a bar follows once the latch is free: its servos had given way [m]
 INERTIA_SHARE = 0.5  # of the torque at the hinge, that the inertia of a leaf may come to: it never runs ahead
+SAME_ANGLE = 1e-6  # [rad]
 STOP_ROUNDING = 1e-3  # by which a joint may pass its stop at 0 [rad, m]
 LEVER_STOP = np.deg2rad(60.0)
 BEYOND_RELEASE = np.deg2rad(5.0)  # by which the lever is turned further than it needs
@@ -160,9 +162,19 @@ class Door:
         gentle = INERTIA_SHARE * self.hinge_nm / self.leaf_inertia
         return min(LEAF_ACCELERATION, max(gentle, LEAST_ACCELERATION))
 
-    def explain_loose(self) -> str | None:
-        """Return a sentence where nothing brings a pushed leaf to rest; None where its hinge does."""
-        needed = self.leaf_inertia * self.leaf_acceleration
+    def explain_loose(self, last: float) -> str | None:
+        """Return a sentence where nothing brings a pushed leaf to rest; None where its hinge does.
+
+        A leaf that the bar's latch sets free is thrown by what the hand's servos had given way: half the bar's force
+        along it has to be spent at the hinge before the hand has opened the leaf.
+
+        Args:
+            last: angle to which the hand opens it [rad].
+        """
+        slowed, thrown = self.leaf_inertia * self.leaf_acceleration, 0.0
+        if self.has_push_bar and self.is_latched:
+            thrown = 0.5 * self.push_bar_n * SPRING_BACK / max(last - self.geometry.ajar, SAME_ANGLE)
+        needed = max(slowed, thrown)
         if self.hinge_nm >= needed:
             return None
         return (

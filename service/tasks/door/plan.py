@@ -53,10 +53,10 @@ def _begin(
     if isinstance(found, str):
         return [TaskPlan(solver.body, (), (found,))]
     door, note = set_back(found[0], setup.request.resume), found[1]
-    loose = door.explain_loose()
+    target = float(np.deg2rad(request.open_deg))
+    loose = door.explain_loose(target)
     if loose is not None:
         raise RequestError(loose)
-    target = float(np.deg2rad(request.open_deg))
     hands = choose_hands(solver.body, request, door)
     refused = find_shut(request, door) or find_narrow_lever(solver.body, door, hands)
     if refused is not None:
