@@ -17,7 +17,7 @@ from given_doors import door_request
 
 from costs.robot import Mechanism
 from service.demands.door.demand import make_door, read_given_door
-from service.demands.door.phases import Door
+from service.demands.door.door import Door
 from service.demands.held_motion import Demands, HeldMotion, hold_to_request
 from service.demands.recorded_task import MechanismDemand
 from service.demands.task_demand import World

@@ -14,12 +14,12 @@ from costs.robot import Mechanism, RobotModel
 from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening
+from service.demands.door.door import Door
 from service.demands.door.phases import (
     LEAST_GRIP,
     PEG_LEAN,
     PEG_SPACE,
     TOUCH_DEPTH,
-    Door,
     DoorChoice,
     Push,
     hold_handle,

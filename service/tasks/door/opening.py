@@ -15,7 +15,8 @@ from service.body.phases import PhaseSolver
 from service.body.seeds import Seed
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door.demand import measure_peg
-from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.door.door import Door
+from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, DoorChoice, Push, make_door_phases
 from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand
 from service.demands.holds.leaving import LET_GO

@@ -15,7 +15,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door.demand import DoorDemand, choose_door, make_door, make_door_rest, measure_lever_room, set_back
-from service.demands.door.phases import FREE_BEYOND, Door
+from service.demands.door.door import FREE_BEYOND, Door
 from service.demands.hands import Hand
 from service.errors import RequestError
 from service.request.tasks.door import DoorRequest
