@@ -21,7 +21,7 @@ import pinocchio as pin
 from replayed_loads import forces, region_margin, touches
 from replayed_mechanism import release
 from replayed_motion import Array, Replay, covers, read_model
-from replayed_pushes import pushes
+from replayed_pushes import leaving, pushes
 from replayed_record import hashes, rates, samples, speeds
 from replayed_targets import target
 
@@ -271,7 +271,7 @@ def main(folder: Path) -> int:
     claims += [("rates", *rates(folder, replay, data))]
     claims += [("speeds", *speeds(replay, data)), ("clearance", *clearance(replay, data))]
     claims += [(f"release of {rule['joint']}", *release(replay, rule)) for rule in data["releases"]]
-    for phase in data["phases"]:
+    for index, phase in enumerate(data["phases"]):
         claims += [(f"{phase['name']}: {c['link']}", *feet(replay, phase, c)) for c in phase["contacts"]]
         relative = [target for target in phase["targets"] if target["kind"] == "relative_pose"]
         claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]
@@ -282,6 +282,8 @@ def main(folder: Path) -> int:
         is_assumed = any(part["source"] == "assumed" for part in phase["pressed"])  # such a plan is not certified
         if data["movables"] and not is_assumed:
             claims.append((f"{phase['name']}: pushes", *pushes(replay, data, phase, closest)))
+            left = leaving(replay, data, index, closest)
+            claims += [] if left is None else [(f"{phase['name']}: leaves", *left)]
         is_balanced = phase["support"] is not None or phase["region_margin_m"] is not None
         if is_balanced and has_regions(phase):
             claims.append((f"{phase['name']}: forces", *forces(replay, phase)))

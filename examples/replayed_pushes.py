@@ -1,7 +1,7 @@
-"""Contacts of hands that push a mechanism, replayed at dense poses: normals from hulls, forces by least squares.
+"""Contacts of hands that push a mechanism, and how hands leave them, replayed at dense poses.
 
-A part of `check_certificate.py`; imports only numpy, scipy and pinocchio.  Round parts are polygons here, so that a
-normal may be off by half the angle between two of their faces.
+Normals are those of hulls, forces come from least squares.  Round parts are polygons here, so that a normal may be off
+by half the angle between two of their faces.  A part of `check_certificate.py`; it imports numpy, scipy and pinocchio.
 """
 
 from __future__ import annotations
@@ -21,18 +21,14 @@ FACET = np.deg2rad(12.0)  # by which the normal of a polygon may be off that of 
 TOUCHING_M = 6e-3  # between surfaces; polygons are around round parts by 2 mm at most
 LEAST_SHARE = 0.4  # of the pressure of a contact that slides, along the way
 EDGES = 12  # of a pyramid in place of a cone
+GONE_M, MOST_DRAG_M = 0.01, 5e-3  # gap from which on a hand is gone, and its way beside a face until then
 Closest = Callable[[Array, Array, float], tuple[float, Array]]
 
 
 def pushes(replay: Replay, data: dict[str, Any], phase: dict[str, Any], closest: Closest) -> tuple[bool, str]:
     """Check that hands move each joint of the mechanism that moves: they touch it, and can push it."""
     s = np.linspace(replay.samples[phase["first"]], replay.samples[phase["last"]], POSES)
-    moving = [
-        movable["joint"]
-        for movable in data["movables"]
-        if np.ptp([replay.q(at)[replay.names.index(movable["joint"])] for at in s]) > 1e-4
-    ]
-    unpushed = set(moving) - {push["joint"] for push in phase["pushes"]}
+    unpushed = set(list_moving(replay, data, phase)) - {push["joint"] for push in phase["pushes"]}
     open_claims = data["certificate"]["coverage"]["not_checked"]  # of a motion whose request is not known
     if any(f"what moves {joint} in '{phase['name']}'" not in open_claims for joint in unpushed):
         return False, f"nothing pushes {', '.join(sorted(unpushed))}"
@@ -48,17 +44,83 @@ def pushes(replay: Replay, data: dict[str, Any], phase: dict[str, Any], closest:
     return True, f"pushed {np.rad2deg(worst):.0f} deg off the way at most, {1e3 * farthest:.1f} mm off"
 
 
+def leaving(replay: Replay, data: dict[str, Any], index: int, closest: Closest) -> tuple[bool, str] | None:
+    """Check that a hand drags no joint along while it leaves what it pressed; None where it leaves nothing."""
+    pushed = _find_last_push(replay, data, index)
+    if pushed is None:
+        return None
+    phase, farthest = data["phases"][index], 0.0
+    begin = float(replay.samples[pushed["last"]])
+    s = np.linspace(replay.samples[phase["first"]], replay.samples[phase["last"]], POSES)
+    for push in pushed["pushes"]:
+        for contact in push["contacts"]:
+            ways = _list_dragged(push, contact, _meet(replay, data, push, contact, begin, closest))
+            joint, points = _locate_core(replay, contact)
+            holder = replay.model.getJointId(_find_movable(data, contact)["joint"])
+            ways = [way @ replay.place(begin, holder)[0] for way in ways]
+            for at in s if ways else ():
+                if _meet(replay, data, push, contact, at, closest)[0] <= GONE_M:
+                    moved = replay.points(at, joint, points, holder) - replay.points(begin, joint, points, holder)
+                    farthest = max(farthest, *(float((moved @ way).max()) for way in ways))
+    is_ok = bool(farthest <= MOST_DRAG_M + np.sin(FACET) * GONE_M)
+    return is_ok, f"moves {1e3 * farthest:.1f} mm at most along what nothing else holds"
+
+
+def _find_last_push(replay: Replay, data: dict[str, Any], index: int) -> dict[str, Any] | None:
+    """Return the last phase with pushes before one, if the mechanism has not moved since."""
+    for k in range(index, -1, -1):
+        phase: dict[str, Any] = data["phases"][k]
+        if phase["pushes"]:
+            return None if k == index else phase
+        if list_moving(replay, data, phase):
+            return None
+    return None
+
+
+def _list_dragged(
+    push: dict[str, Any], contact: dict[str, Any], met: tuple[float, Array, Array, list[Array]]
+) -> list[Array]:
+    """Return the directions in which a contact that slides may drag a joint that does not bear it, in the world."""
+    _, normal, way, held_ways = met
+    off = max(_angle(normal, way) - FACET, 0.0)
+    share = np.cos(off) - push["friction"][1] * np.sin(off) if len(push["contacts"]) == 1 else LEAST_SHARE
+    pressure = min(max(push["force_n"], 1.0) / max(share, LEAST_SHARE), contact["cap_n"])
+    found = []
+    for held, moves in zip(push["held"], held_ways, strict=True):
+        for sense, bears in ((1.0, held["high"]), (-1.0, held["low"])):
+            along = sense * moves
+            along = along - min(float(along @ normal), 0.0) * normal  # a hand that leaves does not pull
+            size = float(np.linalg.norm(along))
+            if bears is not None and sense * bears < push["friction"][1] * pressure * size:
+                found.append(along / size)
+    return found
+
+
+def list_moving(replay: Replay, data: dict[str, Any], phase: dict[str, Any]) -> list[str]:
+    """Return the joints of the mechanism that move in a phase."""
+    s = np.linspace(replay.samples[phase["first"]], replay.samples[phase["last"]], POSES)
+    columns = {movable["joint"]: replay.names.index(movable["joint"]) for movable in data["movables"]}
+    return [joint for joint, column in columns.items() if np.ptp([replay.q(at)[column] for at in s]) > 1e-4]
+
+
+def _locate_core(replay: Replay, contact: dict[str, Any]) -> tuple[int, Array]:
+    """Return the joint that carries a surface of a hand, and the points of its core in the joint's frame."""
+    frame = replay.model.frames[replay.model.getFrameId(contact["frame"])]
+    return int(frame.parentJoint), np.array([frame.placement.act(np.array(point)) for point in contact["core"]])
+
+
+def _find_movable(data: dict[str, Any], contact: dict[str, Any]) -> dict[str, Any]:
+    return next(movable for movable in data["movables"] if movable["name"] == contact["link"])
+
+
 def _meet(
     replay: Replay, data: dict[str, Any], push: dict[str, Any], contact: dict[str, Any], s: float, closest: Closest
 ) -> tuple[float, Array, Array, list[Array]]:
     """Return gap, normal, way, and how each held joint would move the contact point, in the world."""
-    model = replay.model
-    frame = model.frames[model.getFrameId(contact["frame"])]
-    core = np.array([frame.placement.act(np.array(point)) for point in contact["core"]])
-    hand = replay.points(s, int(frame.parentJoint), core)
-    movable = next(movable for movable in data["movables"] if movable["name"] == contact["link"])
+    hand = replay.points(s, *_locate_core(replay, contact))
+    movable = _find_movable(data, contact)
     body = next(body for body in movable["bodies"] if body["name"] == contact["body"])
-    joint = model.getJointId(movable["joint"])
+    joint = replay.model.getJointId(movable["joint"])
     corners = replay.points(s, joint, np.array(body["vertices"]) - np.array(movable["origin"]))
     gap, normal = closest(hand, corners, np.inf)
     point = corners[((corners - hand.mean(axis=0)) @ normal).argsort()[:4]].mean(axis=0)

@@ -23,7 +23,19 @@ from benchmarks.attack.outcome import Answer, Attack, Outcome, carry_out
 from benchmarks.tables import print_table
 
 MOST_BYTES = 8 * 2**30  # of address space: what asks for more is a crash
-PARTS = ("folders", "fields", "files", "approvals", "certify", "robots", "scenes", "laws", "random_edits", "cancels")
+PARTS = (
+    "folders",
+    "fields",
+    "files",
+    "simulations",
+    "approvals",
+    "certify",
+    "robots",
+    "scenes",
+    "laws",
+    "random_edits",
+    "cancels",
+)
 
 
 class Extent(enum.Enum):

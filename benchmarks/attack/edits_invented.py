@@ -333,7 +333,7 @@ def the_rest_from_another_phase(folder: Folder) -> None:
 
 
 # Seats, steps and rails.
-@INVENTED.lie("egress", "chair")
+@INVENTED.lie("egress", "chair", "stair")
 def what_carried_first_carries_to_the_end(folder: Folder) -> None:
     for phase in folder.phases[1:]:
         phase.update(contacts=folder.phases[0]["contacts"], regions=folder.phases[0]["regions"])

@@ -13,10 +13,10 @@ from benchmarks.attack import bases
 from benchmarks.attack.outcome import Answer, Attack
 from service.errors import RequestError, ResultError
 from service.replay.replay import verify_result
-from service.result.manifest import forget_files, record_files, write_manifest
+from service.result.manifest import record_files, write_manifest
+from service.simulation.simulate import simulate
 
 VIEWS = ("viewer.html", "scene.glb", "openrave/environment.xml", "openrave/trajectory.xml")
-SIMULATION = ("simulation.json", "simulation.html")
 Change = Callable[[Path], object]
 
 
@@ -102,11 +102,8 @@ def write_text(name: str, text: str) -> Change:
 
 
 def _simulate(folder: Path) -> None:
-    """Add the files of a simulation as ``scopt simulate`` does."""
-    forget_files(folder, SIMULATION)
-    for name in SIMULATION:
-        (folder / name).write_text("{}", encoding="utf-8")
-    record_files(folder, SIMULATION)
+    """Add the files of a simulation."""
+    simulate(folder)
 
 
 def _edit_simulation(folder: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from costs.robot import LinkInertia
 
+ASSUMED_DENSITY = 500.0  # of bodies whose mass nobody states [kg/m^3]
 SPRING_TRAVEL = 0.01  # in which the force of a preloaded spring comes, to either side of its rest [rad, m]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from costs.robot import RobotModel
 from service.errors import ResultError, shown
+from service.replay.simulation_claims import check_simulation
 from service.result.folder import (
     APPROVAL_NAME,
     GLB_NAME,
@@ -17,6 +18,7 @@ from service.result.folder import (
     OPENRAVE_NAME,
     RESULT_NAME,
     REVOCATION_NAME,
+    SIMULATION_NAME,
     TRAJECTORY_NAME,
     VIEWER_NAME,
 )
@@ -70,6 +72,8 @@ def check_files(
     redrawn = _find_redrawn(folder, data, robot, motion, views) if views else frozenset()
     listed: Mapping[str, str] = {} if manifest is None else manifest.files
     differences = [] if manifest is None else list(_compare(there, manifest, data))
+    if SIMULATION_NAME in there:
+        differences += check_simulation(folder, data, motion)
     rest = [name for name in there if name not in used and name not in redrawn]
     unchecked = [name for name in rest if name not in listed]
     kept = [name for name in rest if name in listed]

@@ -121,7 +121,7 @@ def prepare(
     if request.goal is not None:
         joints = request.goal.joints
         notes += (*note_turns(robot, joints, "goal.joints"), *note_snapped(robot, joints, "goal"))
-    notes += (*weightless, *robot.notes, *check_units(request, robot, start))
+    notes += (*weightless, *robot.notes, *_note_carried(request), *check_units(request, robot, start))
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)
     announce("perceive scene")
@@ -163,6 +163,14 @@ def prepare(
         unresolved=check.unresolved,
         stances=stances,
     )
+
+
+def _note_carried(request: PlanRequest) -> Iterator[str]:
+    """Yield a sentence per carried body: nothing proves the grip that holds it."""
+    for item in request.attached:
+        holds, them = ("hold", "their grip is") if item.touches else ("holds", "its grip is")
+        links = " and ".join((item.link, *item.touches))
+        yield f"attached '{item.name}': that {links} {holds} it is assumed; {them} not proven"
 
 
 def _resolve_and_check(robot: RobotModel, request: PlanRequest) -> ResolvedStart:

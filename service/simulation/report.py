@@ -11,19 +11,18 @@ from jaxtyping import Bool, Float
 
 from service.execution.guards import GuardSettings
 from service.execution.reference import PlannedReference, ReferencePhase
+from service.replay.simulation_claims import FORMAT, WORSE
 from service.result.motion_json import file_columns, file_positions
 from service.simulation.cause import LONG_S, SLIP_M, find_cause
 from service.simulation.measures import Frames, list_planted, list_rows, measure_hand_force, measure_slips, smooth
 from service.simulation.run import SimulatedRun
-from service.simulation.verdict import DONE, FELL, STOOD, judge, list_goal_frames
+from service.simulation.verdict import judge, list_goal_frames
 from service.verify import list_phases, outside_polygon
 
-FORMAT = "scopt-simulation/2"
 SATURATED = 0.999  # share of the effort limit that counts as saturation
 TOUCH_N = 20.0  # from which an unplanned touch is named [N]
 ABORT_AFTER_S = GuardSettings().hold_s  # above its threshold a hand's force aborts an execution [s]
 TRACK_PERIOD_S = 0.02
-_WORSE = (DONE, STOOD, FELL)
 
 
 def make_report(executions: Sequence[SimulatedRun]) -> tuple[dict[str, Any], SimulatedRun]:
@@ -33,7 +32,7 @@ def make_report(executions: Sequence[SimulatedRun]) -> tuple[dict[str, Any], Sim
         executions: of one plan, one per friction of the hands.
     """
     made = [_report_run(execution) for execution in executions]
-    worst = max(range(len(made)), key=lambda k: _WORSE.index(made[k]["verdict"]))  # the first of equals
+    worst = max(range(len(made)), key=lambda k: WORSE.index(made[k]["verdict"]))  # the first of equals
     if len(made) > 1:
         for report in made:
             friction = report["options"]["hand_friction"]

@@ -11,7 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotHand, RobotModel, read_joint_axis
-from service.demands.resistance import MechanismPhysics
+from service.demands.resistance import ASSUMED_DENSITY, MechanismPhysics
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
@@ -21,7 +21,6 @@ from service.verify import Motion, find_mechanism_joints
 TIME_STEP_S = 1e-3
 ARMATURE = 0.1  # of a joint of a robot of the reference mass [kg m^2]
 REFERENCE_MASS = 160.0  # of Atlas [kg]
-MECHANISM_DENSITY = 500.0  # of a mechanism's bodies [kg/m^3]
 MECHANISM_ARMATURE = 0.01  # [kg m^2, kg]
 # Of the world's surfaces: with MuJoCo's defaults the feet turn in the floor almost as easily as the robot tips.
 STIFF: Mapping[str, list[float]] = {"solref": [0.005, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
@@ -265,7 +264,7 @@ class SpecBuilder:
                 everything = np.concatenate(parts)
                 sides = np.ptp(everything, axis=0) ** 2
                 spread = (sides.sum() - sides) / 12.0  # of a box that contains them
-            mass = max(MECHANISM_DENSITY * volume, LEAST_MASS)
+            mass = max(ASSUMED_DENSITY * volume, LEAST_MASS)
             body.mass, body.ipos = mass, middle
             body.inertia = np.maximum(mass * spread, LEAST_INERTIA)
             body.gravcomp = 1.0  # the request's loads are all that a mechanism opposes

@@ -11,10 +11,9 @@ from jaxtyping import Float
 
 from service.demands.resistance import MechanismPhysics
 from service.execution.reference import PlannedReference, ReferencePhase
+from service.replay.simulation_claims import LEAST_TRAVEL, TRAVEL_SHARE
 from service.simulation.seen import Seen
 
-TRAVEL_SHARE = 0.05  # of a planned travel, by which a joint may fall short
-LEAST_TRAVEL = 1e-3  # of a joint that counts as moved [rad, m]
 STRAY = {"rad": float(np.deg2rad(3.0)), "m": 5e-3}  # by which a joint may go where the plan does not move it
 LATE_S = 0.25  # after a move, within which servos may still bring its end
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -12,10 +11,10 @@ from jaxtyping import Float
 
 from service.demands.resistance import MechanismPhysics
 from service.execution.reference import PlannedReference
+from service.replay.simulation_claims import DONE, FELL, STOOD, TRAVEL_SHARE, Verdict
 from service.simulation.seen import Seen
 from service.simulation.travel import (
     STRAY,
-    TRAVEL_SHARE,
     JointMove,
     find_row,
     format_value,
@@ -24,10 +23,6 @@ from service.simulation.travel import (
 )
 from service.verify import Motion, Phase, PoseTarget, list_phases, outside_polygon
 
-Verdict = Literal["DONE", "STOOD", "FELL"]
-DONE: Verdict = "DONE"
-STOOD: Verdict = "STOOD"
-FELL: Verdict = "FELL"
 PLACE_M = 0.02  # of a hand from its goal, and of a contact from its place [m]
 REST_S = 0.5  # in which what is at rest moves at most by the following
 REST_COM_M, REST_JOINT = 1e-3, 1e-3  # of the centre of mass [m], of a joint of the mechanism [rad, m]

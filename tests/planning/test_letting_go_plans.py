@@ -1,15 +1,21 @@
-"""A ring turned on a carrier that slides easily: the hand leaves the ring's bar before it goes away along the slide."""
+"""A hand leaves what it pressed before it goes away: a ring on an easy slide, a lever of an easy door."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from given_doors import door_request
 from given_mechanisms import request_for
 
+from service.demands.door.demand import make_door, read_given_door
 from service.errors import RequestError
 from service.planner import plan
+from service.replay.replay import verify_result
 from service.request.file import parse_request
+from service.result.output import write_result
 from service.result.result import Verdict
 
 URDF = """<robot name="hose"><link name="base"/>
@@ -54,3 +60,30 @@ def test_a_slide_without_friction_is_refused_unless_the_hand_stays() -> None:
     with pytest.raises(RequestError, match=words):
         plan(parse_request(hose_request(0.0)))
     assert plan(parse_request(hose_request(0.0, stays=True))).verdict is Verdict.CERTIFIED
+
+
+def test_a_hand_leaves_the_lever_of_an_easy_door_upwards(tmp_path: Path) -> None:
+    result = plan(parse_request(door_request(open_deg=20.0, x=0.75, hinge_nm=0.1)))
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert [phase.name for phase in result.motion.phases][-3:] == ["let the handle go", "let go", "retract"]
+    checks = {check.name: check for check in result.certificate.checks}
+    for phase in ("let go", "retract"):
+        assert checks[f"let_go.{phase}.door_opening"].basis.value == "proof"
+    assert verify_result(write_result(result, tmp_path / "out").folder)["verdict"] == "CERTIFIED"
+
+
+@pytest.mark.parametrize(
+    ("kind", "hinge_nm", "least"), [("lever", 0.02, "0.0"), ("push_bar", 0.5, "0."), ("lever", 0.0, "0.0")]
+)
+def test_a_leaf_that_nothing_brings_to_rest_is_refused(kind: str, hinge_nm: float, least: str) -> None:
+    """About 40 kg: pushed as slowly as may be it needs 0.06 N m; a bar of 67 N throws it with half a joule."""
+    with pytest.raises(RequestError, match=rf"hinge_nm: .*a leaf of about 4\d kg would run ahead.*at least {least}"):
+        plan(parse_request(door_request(kind=kind, x=0.75, open_deg=30.0, hinge_nm=hinge_nm)))
+
+
+def test_a_leaf_is_moved_as_gently_as_its_hinge_slows_it() -> None:
+    """Seven tenths of the hinge's torque, over a third of 41 kg times the width squared; at most 1 rad/s^2."""
+    for hinge_nm, expected in ((2.0, 0.7 * 2.0 / 11.1), (200.0, 1.0), (0.01, 5e-3)):
+        task = parse_request(door_request(hinge_nm=hinge_nm)).task.door
+        door = make_door(task, read_given_door(task, np.zeros(3)))
+        assert door.mechanism.joints[0].acceleration == pytest.approx(expected, rel=0.03)

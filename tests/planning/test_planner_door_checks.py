@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from given_doors import door_request
 
 from costs.robot import Mechanism
 from service.demands.door.demand import make_door, read_given_door
-from service.demands.door.phases import Door
+from service.demands.door.door import Door
 from service.demands.held_motion import Demands, HeldMotion, hold_to_request
 from service.demands.recorded_task import MechanismDemand
 from service.demands.task_demand import World
@@ -127,6 +128,25 @@ def test_a_stranger_comes_to_the_same_verdict(opened: PlanResult, tmp_path: Path
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "ok   release of door_opening" in done.stdout
+
+
+def test_a_stranger_finds_a_leaf_that_a_hand_would_drag_along(
+    opened: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hand leaves the lever along the way of a leaf that bears 30 N m; a record says that it bears almost none."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    told = {name: importlib.import_module(name) for name in ("check_certificate", "replayed_motion", "replayed_pushes")}
+    folder = write_result(opened, tmp_path / "out").folder
+    data = read_result(folder)
+    replay = told["replayed_motion"].Replay(told["replayed_motion"].read_model(folder, data), data)
+    names = [phase["name"] for phase in data["phases"]]
+    (push,) = data["phases"][names.index("let the handle go")]["pushes"]
+    (held,) = push["held"]
+    for low, holds in ((-30.0, True), (-0.1, False)):
+        held["low"] = low
+        at = names.index("retract")
+        answer = told["replayed_pushes"].leaving(replay, data, at, told["check_certificate"].closest)
+        assert answer[0] is holds, answer
 
 
 def _differences(held: HeldMotion) -> str:

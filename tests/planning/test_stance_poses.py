@@ -12,7 +12,8 @@ from costs.robot import RobotModel, load_robot, with_mechanism
 from costs.scene import Scene
 from service.body.whole_body import Aims, WholeBody
 from service.demands.door.demand import make_door, measure_peg, read_given_door
-from service.demands.door.phases import Door, DoorChoice, make_door_phases
+from service.demands.door.door import Door
+from service.demands.door.phases import DoorChoice, make_door_phases
 from service.demands.hands import HANDS
 from service.demands.phase import TaskPhase
 from service.demands.scene import make_floor

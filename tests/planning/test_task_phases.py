@@ -10,7 +10,8 @@ from given_doors import door_request
 from scipy.spatial.transform import Rotation
 
 from service.demands.door.demand import make_door, read_given_door
-from service.demands.door.phases import Door, DoorChoice, make_door_phases
+from service.demands.door.door import Door
+from service.demands.door.phases import DoorChoice, make_door_phases
 from service.demands.hands import HANDS
 from service.demands.phase import FrameMotion, TaskPhase, check_moves, list_work, make_frame_targets
 from service.request.file import parse_request

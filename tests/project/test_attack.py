@@ -19,10 +19,10 @@ def test_no_lie_is_believed_and_nothing_crashes(attack: Attack) -> None:
 def test_the_suite_is_as_large_as_it_claims_to_be() -> None:
     names = [attack.label for attack in attacks_of(PARTS, Extent.LONG)]
     assert len(names) == len(set(names))
-    kinds = ("folders", "files", "approvals", "certify", "robots", "scenes", "laws")
+    kinds = ("folders", "files", "simulations", "approvals", "certify", "robots", "scenes", "laws")
     counts = {kind: sum(name.startswith(f"{kind}: ") for name in names) for kind in kinds}
     assert counts["folders"] >= 60
-    assert min(counts["files"], counts["approvals"], counts["certify"]) >= 20
+    assert min(counts["files"], counts["simulations"], counts["approvals"], counts["certify"]) >= 20
     assert counts["robots"] + counts["scenes"] + counts["laws"] >= 40
 
 

@@ -10,7 +10,8 @@ from given_doors import door_request
 
 from costs.robot import load_robot
 from service.demands.door.demand import read_given_door
-from service.demands.door.phases import PEG_ACROSS, PULL_TILT, Door, DoorChoice, hold_handle, make_door_phases
+from service.demands.door.door import Door
+from service.demands.door.phases import PEG_ACROSS, PULL_TILT, DoorChoice, hold_handle, make_door_phases
 from service.demands.hands import HANDS, PEG_RADIUS
 from service.demands.valve.given import read_given_valve
 from service.demands.valve.peg import place_peg

@@ -47,6 +47,20 @@ def _problems(folder: Path | str = ".", **sections: Any) -> list[str]:
     return list(caught.value.problems)
 
 
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({}, "attached 'beam': that l_hand holds it is assumed; its grip is not proven"),
+        (
+            {"touches": ["l_hook"]},
+            "attached 'beam': that l_hand and l_hook hold it is assumed; their grip is not proven",
+        ),
+    ],
+)
+def test_the_grip_of_a_carried_body_is_named_as_assumed(more: dict[str, Any], words: str) -> None:
+    assert words in _prepare(attached=[BEAM | more]).notes
+
+
 def test_atlas_stands_on_the_floor_by_default() -> None:
     setup = _prepare()
     assert setup.contacts == ("l_foot", "r_foot")

@@ -6,12 +6,14 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from other_planners import make_request
 
 from service import ResultError, parse_request, plan, write_result
 from service.replay.replay import verify_result
+from service.replay.simulation_claims import check_run
 from service.result import manifest
 from service.result.folder import check_folder
 from service.result.manifest import forget_files, record_files, write_manifest
@@ -40,6 +42,21 @@ def _notes(folder: Path) -> list[str]:
 def _add(folder: Path, name: str, words: bytes = b"<!-- all is well -->") -> None:
     with (folder / name).open("ab") as file:
         file.write(words)
+
+
+def _write_simulation(folder: Path, **changes: Any) -> None:
+    """Write a report of a simulation that fits the folder's plan, with changes."""
+    data = json.loads((folder / "result.json").read_text())
+    plan = {key: data[key] for key in ("verdict", "request_hash")}
+    run = {"verdict": "DONE", "explanation": [], "fell_at_s": None, "mechanism": []}
+    report = {
+        "format": "scopt-simulation/2",
+        "plan": {**plan, "duration_s": data["trajectory"]["times"][-1]},
+        **run,
+        "runs": [{"hand_friction": 0.3, **run}],
+        **changes,
+    }
+    (folder / "simulation.json").write_text(json.dumps(report))
 
 
 def _remake_manifest(folder: Path) -> None:
@@ -130,12 +147,12 @@ def test_a_link_in_the_place_of_a_listed_file_is_an_error(folder: Path, honest: 
 
 def test_what_a_simulation_adds_is_listed_and_an_interrupt_leaves_no_wrong_hash(folder: Path) -> None:
     names = ("simulation.json", "simulation.html")
-    for name in names:
-        (folder / name).write_text("first")
+    _write_simulation(folder)
+    (folder / "simulation.html").write_text("first")
     record_files(folder, names)
     note = "'simulation.html', 'simulation.json': as manifest.json has it, not computed anew"
     assert _notes(folder) == [note]
-    (folder / "simulation.json").write_text('{"verdict": "STOOD"}')
+    _write_simulation(folder, notes=["another"])
     with pytest.raises(ResultError, match=r"'simulation\.json' is not the file that was written"):
         verify_result(folder)
     forget_files(folder, names)
@@ -147,7 +164,7 @@ def test_what_a_simulation_adds_is_listed_and_an_interrupt_leaves_no_wrong_hash(
 
 def test_a_folder_of_an_earlier_version_gets_no_manifest_by_a_simulation(folder: Path) -> None:
     (folder / "manifest.json").unlink()
-    (folder / "simulation.json").write_text("{}")
+    _write_simulation(folder)
     forget_files(folder, ["simulation.json"])
     record_files(folder, ["simulation.json"])
     assert not (folder / "manifest.json").exists()
@@ -160,3 +177,40 @@ def test_a_folder_with_too_many_files_is_refused(folder: Path, monkeypatch: pyte
         (folder / str(number)).touch()
     with pytest.raises(ResultError, match="holds more than 9 files; a result folder holds a few hundred"):
         verify_result(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"verdict": "STOOD"}, "the verdict is 'STOOD'; the worst of its runs is DONE"),
+        ({"explanation": ["it fell"]}, "DONE, with 1 reasons against it"),
+        ({"plan": {"verdict": "CERTIFIED", "request_hash": "sha256:0", "duration_s": 1.0}}, "plan.request_hash is "),
+        ({"format": "scopt-simulation/9"}, "format 'scopt-simulation/9'; expected scopt-simulation/2"),
+        ({"runs": []}, "is no report of a simulation"),
+    ],
+)
+def test_a_simulation_that_contradicts_itself_or_its_plan_is_an_error_of_the_folder(
+    folder: Path, changes: dict[str, Any], words: str
+) -> None:
+    _write_simulation(folder, **changes)
+    record_files(folder, ["simulation.json"])
+    with pytest.raises(ResultError, match=rf"simulation\.json: {words}"):
+        verify_result(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, None),
+        ({"is_done": False}, "slide in phase 'move': not done, and the verdict is DONE"),
+        ({"reached": 0.1}, "slide in phase 'move': share 1.000; 0.1 of 0.2 were reached"),
+        ({"reached": 0.1, "share": 0.5, "end": 0.1}, "slide in phase 'move': done, with 50 % of its travel"),
+        ({"planned": 0.1, "reached": 0.1}, "slide in phase 'move': planned 0.1; the plan has 0.2"),
+    ],
+)
+def test_moves_of_a_simulation_are_those_of_its_plan(changes: dict[str, Any], words: str | None) -> None:
+    move = {"planned": 0.2, "reached": 0.2, "share": 1.0, "planned_end": 0.2, "end": 0.2, "is_done": True}
+    run = {"verdict": "DONE", "explanation": [], "fell_at_s": None, "hand_friction": None}
+    told = [{"phase": "move", "joint": "slide", **move, **changes}]
+    found = list(check_run({**run, "mechanism": told}, {("move", "slide"): 0.2}, set()))
+    assert found == ([] if words is None else [words])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -60,3 +60,19 @@ def test_a_hand_that_leaves_the_face_first_drags_nothing() -> None:
         assert at_first.max() == pytest.approx(far, abs=6e-4)
         assert far <= bound.max() <= far + 2e-3
         assert bool(bound.max() > MOST_DRAG_M) is (velocity is slanted)
+
+
+def test_a_hand_that_leaves_straight_off_a_face_does_not_pull_it_along() -> None:
+    """The held joint moves the face along its normal: a contact only pushes."""
+
+    class SquarePath(StraightPath):
+        def meet(self, s: float) -> tuple[Meeting, ...]:
+            (met,) = super().meet(s)
+            return (replace(met, held=AWAY[None]),)
+
+    contact = HandContact("tool", "the rod", np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]]), 0.009, "m/link", "m/body")
+    push = HandPush("turn", 1.0, 8.0, (contact,), (0.3, 0.6), (HeldJoint("slide", -np.inf, 0.1),))
+    assert not Drag(SquarePath(0.1 * AWAY), push, 0, 0.0).is_possible
+    pushed = replace(push, held=(HeldJoint("slide", -0.1, np.inf),))
+    into = Drag(SquarePath(-0.1 * AWAY), pushed, 0, 0.0)
+    assert into.bound(np.zeros(1), np.ones(1))[2][0] == pytest.approx(0.1)

@@ -16,8 +16,16 @@ from costs.primitive import Primitive
 from costs.robot import LinkBody
 from costs.robot.shapes import box, cylinder
 from service.verify.forces.rounded import RoundedBody
-from service.verify.forces.turning import bound_turn
+from service.verify.forces.turning import bound_turns
 from service.verify.solids import make_coal_convex
+
+
+def bound_turn(
+    core: Float[np.ndarray, "K 3"], solid: RoundedBody, normal: Float[np.ndarray, "3"], apart: float, e: float
+) -> float:
+    """Bound the turn from one pose."""
+    return float(bound_turns(core[None], solid, normal[None], np.array([apart]), np.array([e]))[0])
+
 
 NORMAL_ERROR = 3e-4  # of the normals here [rad]
 ROD_M = 0.051

@@ -14,12 +14,12 @@ from costs.robot import Mechanism, RobotModel
 from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening
+from service.demands.door.door import Door
 from service.demands.door.phases import (
     LEAST_GRIP,
     PEG_LEAN,
     PEG_SPACE,
     TOUCH_DEPTH,
-    Door,
     DoorChoice,
     Push,
     hold_handle,
@@ -212,8 +212,9 @@ class DoorDemand:
         if opened is None and pushed is None:
             return None, ("no phase opens the door",)
         last = _read_leaf_angle(pushed if pushed is not None else opened)
-        problems = []
         target = float(np.deg2rad(self.request.open_deg))
+        loose = self.door.explain_loose(target)
+        problems = [] if loose is None else [loose]
         if last is None or abs(last - target) > 1e-6:
             problems.append(f"the leaf is not opened to the {self.request.open_deg:g} deg of the request")
         push = None if pushed is None else self._read_push(pushed)

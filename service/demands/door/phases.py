@@ -1,9 +1,8 @@
-"""Demands of a door task: the door as a mechanism, how a hand holds each kind of handle, and the phases."""
+"""Demands of a door task: how a hand holds each kind of handle, and the phases."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,31 +10,25 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.allowance import Allowance, BodyRef
-from costs.robot import Mechanism, MechanismJoint, Release
-from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK, door_bodies
-from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
-from perception.detect.door.seen_parts import HANDLE_NAMES
+from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK
+from perception.detect.door.geometry import UP
+from service.demands.door.door import Door
 from service.demands.hands import Hand
 from service.demands.holds.door_edge import hold_edge, make_edge_load
+from service.demands.holds.leaving import LET_GO, may_drag
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.phase import FrameMotion, TaskPhase
-from service.request.tasks.door import DOOR, HANDLE_JOINT, LEAF_JOINT
+from service.request.tasks.door import HANDLE_JOINT, LEAF_JOINT
 from service.verify import HandLoad
 
 if TYPE_CHECKING:
-    from perception import SeenPart
+    pass
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of a contact body and what it touches [m]
-LARGEST_OPENING = np.deg2rad(170.0)
-LEAF_ACCELERATION = 1.0  # slow enough for the mass of a leaf to add little to what opens it [rad/s^2]
-STOP_ROUNDING = 1e-3  # by which a joint may pass its stop at 0 [rad, m]
-LEVER_STOP = np.deg2rad(60.0)
-BEYOND_RELEASE = np.deg2rad(5.0)  # by which the lever is turned further than it needs
-PRESS_BEYOND = 3e-3  # the same of a push bar [m]
-FREE_BEYOND = np.deg2rad(5.0)  # opening from which on the latch no longer holds the leaf
 LEAST_GRIP = 0.1  # of a lever from its spindle: 20 N for 2 N m [m]
 GRIP_FROM_END = 0.02  # [m]
 LINE_OUT, LINE_UP = 0.09, 0.04  # of the lines that lead to a handle and away from it [m]
+OFF_LEVER = 0.03  # of a hand that leaves a lever upwards before it goes away along the way of its leaf [m]
 HELD_TILT, PULL_TILT, PUSH_TILT = np.deg2rad(5.0), np.deg2rad(20.0), np.deg2rad(20.0)
 TILT_RESERVE = np.deg2rad(2.0)
 PEG_LEAN, LEAN_TILT = np.deg2rad(22.0), np.deg2rad(7.0)  # of the peg behind a lever
@@ -46,107 +39,6 @@ PLACE_TOLERANCE = 5e-3  # [m]
 LEAF, LEAF_NEAR = "leaf", 0.15  # name of the leaf, and distance from a hold within which it is counted [m]
 PUSH_SLIDE = 0.1  # of the peg's tip along the leaf [m]
 GIVES_WAY = 0.2  # share of the force that releases a handle, for which one at rest hardly moves [-]
-
-
-@dataclass(frozen=True)
-class Door:
-    """A door to open.
-
-    Attributes:
-        geometry: leaf and handle; ``opens`` is known.
-        release: angle of the lever, or travel of the push bar, from which on the leaf is free [rad, m].
-        lever_nm, hinge_nm, push_bar_n: what turns the lever, opens the leaf, and presses the bar.
-        seen: parts of it that the scan shows, with their counts; None where the request gives the door.
-    """
-
-    geometry: DoorGeometry
-    release: float
-    lever_nm: float
-    hinge_nm: float
-    push_bar_n: float
-    seen: tuple[SeenPart, ...] | None = None
-
-    @property
-    def handle(self) -> HandleGeometry | None:
-        """The handle."""
-        return self.geometry.handle
-
-    @property
-    def handle_name(self) -> str:
-        """What a hand holds: ``lever``, ``pull handle``, ``push bar``."""
-        return "handle" if self.handle is None else HANDLE_NAMES.get(self.handle.kind, self.handle.kind)
-
-    @property
-    def has_push_bar(self) -> bool:
-        """Whether the handle is a push bar."""
-        return self.handle is not None and self.handle.kind == "push_bar"
-
-    @property
-    def is_push(self) -> bool:
-        """Whether the leaf moves away from the robot."""
-        return self.geometry.opens == "push"
-
-    @property
-    def is_latched(self) -> bool:
-        """Whether the leaf has to be released before it opens."""
-        has_latch = self.handle is not None and self.handle.kind in ("lever", "push_bar")
-        return bool(has_latch and self.geometry.ajar < FREE_BEYOND)
-
-    @property
-    def pressed(self) -> float:
-        """Value of the handle's joint at which the leaf is opened [rad, m]."""
-        is_bar = self.has_push_bar
-        return self.release + (PRESS_BEYOND if is_bar else float(BEYOND_RELEASE))
-
-    @cached_property
-    def mechanism(self) -> Mechanism:
-        """Leaf and handle as a tree of joints, described with the leaf shut and the lever at rest."""
-        geometry, handle = self.geometry, self.handle
-        bodies = {
-            link: {f"{link}/{name}": vertices for name, vertices in parts.items()}
-            for link, parts in door_bodies(geometry).items()
-        }
-        joints = [
-            MechanismJoint(
-                LEAF_JOINT,
-                LEAF_LINK,
-                geometry.hinge,
-                geometry.hinge_axis,
-                bodies[LEAF_LINK],
-                lower=-STOP_ROUNDING,
-                upper=LARGEST_OPENING,
-                start=max(geometry.ajar, 0.0),  # seen with noise
-                acceleration=LEAF_ACCELERATION,
-            )
-        ]
-        if handle is None or HANDLE_LINK not in bodies:
-            return Mechanism(DOOR, tuple(joints))
-        is_bar = self.has_push_bar
-        joints.append(
-            MechanismJoint(
-                HANDLE_JOINT,
-                HANDLE_LINK,
-                handle.centre,
-                -geometry.normal if is_bar else self.spindle_axis,
-                bodies[HANDLE_LINK],
-                kind="prismatic" if is_bar else "revolute",
-                parent=LEAF_LINK,
-                lower=-STOP_ROUNDING,
-                upper=self.pressed + 0.01 if is_bar else LEVER_STOP,
-                start=0.0 if is_bar else max(geometry.handle_turn, 0.0),  # seen with noise
-                velocity=0.2 if is_bar else 1.0,
-                acceleration=1.0 if is_bar else 2.0,
-            )
-        )
-        return Mechanism(DOOR, tuple(joints), (Release(LEAF_JOINT, HANDLE_JOINT, self.release, float(FREE_BEYOND)),))
-
-    @property
-    def spindle_axis(self) -> Float[np.ndarray, "3"]:
-        """(3,) unit: about which a positive angle turns the lever down."""
-        if self.handle is None:
-            raise ValueError("a door without a handle has no spindle")
-        normal = self.geometry.normal
-        return np.asarray(normal * (-1.0 if np.cross(normal, self.handle.direction) @ UP > 0.0 else 1.0))
 
 
 @dataclass(frozen=True)
@@ -217,7 +109,7 @@ def _list_resistances(door: Door) -> dict[str, tuple[float, float]]:
 
 
 def _open_at_handle(door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"]) -> list[TaskPhase]:
-    """Return reach, approach, press, open, let go and retract."""
+    """Return reach, approach, press, open, let the handle go and retract; before it, leave the handle if need be."""
     held = hold_handle(door, choice)
     pressed, opened, released = start.copy(), start.copy(), start.copy()
     presses = door.is_latched
@@ -241,8 +133,19 @@ def _open_at_handle(door: Door, choice: DoorChoice, start: Float[np.ndarray, "k"
         name = "let the handle go"
         phases.append(TaskPhase(name, opened, released, (at_rest,), held.touches, loads=held.press_loads()))
     away = replace(held.line(at_rest), leaves=True)
+    if presses and held.leaves_along_leaf and _may_close(door, held):
+        off = OFF_LEVER * UP
+        phases.append(TaskPhase(LET_GO, released, released, (replace(away, offset=off),), held.touches))
+        away = replace(away, place=away.place + off, offset=held.offset - (held.offset @ UP) * UP)
     phases.append(TaskPhase("retract", released, released, (away,), held.touches))
     return phases
+
+
+def _may_close(door: Door, held: HandleHold) -> bool:
+    """Return whether a hand that slides off a handle could take the leaf back along."""
+    force = max((float(np.linalg.norm(load.force)) for load in held.press_loads()), default=0.0)
+    arm = float(np.linalg.norm(np.cross(door.geometry.hinge_axis, held.on_leaf(0.0).place)))
+    return may_drag(force, arm, door.hinge_nm)
 
 
 def _push_leaf(
@@ -296,6 +199,7 @@ class HandleHold:
         tilt: largest lean of the hand from ``axis`` [rad].
         touches: pairs that may touch.
         lean: largest angle between the leaf and a peg behind a bar, which draws the hand along the leaf [rad].
+        leaves_along_leaf: whether the line leads away along the face that is pressed, the way that the leaf shuts.
     """
 
     door: Door
@@ -307,6 +211,7 @@ class HandleHold:
     tilt: float
     touches: tuple[Allowance, ...]
     lean: float = 0.0
+    leaves_along_leaf: bool = False
 
     def at_rest(self, start: Float[np.ndarray, "k"]) -> FrameMotion:
         """Return the hold that moves with the handle; with the leaf where the handle has no joint of its own."""
@@ -408,7 +313,10 @@ def hold_handle(door: Door, choice: DoorChoice) -> HandleHold:
         front = max(radius, choice.peg_m - stands_out)
         place = at_grip + peg * UP + front * normal
         offset = LINE_OUT * normal + LINE_UP * UP
-        return HandleHold(door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches)
+        return HandleHold(
+            door, hand.stub, place, at_grip + radius * UP, -normal, offset, float(HELD_TILT), touches,
+            leaves_along_leaf=True,
+        )  # fmt: skip
     # The peg hangs behind the lever, leaning so that the hand keeps off the leaf; its front rests on the lever.
     axis = -np.cos(PEG_LEAN) * UP - np.sin(PEG_LEAN) * normal
     above = (radius + ABOVE_LEVER) * np.cos(PEG_LEAN) + peg * np.sin(PEG_LEAN)

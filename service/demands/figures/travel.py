@@ -9,7 +9,7 @@ import numpy as np
 from costs.robot import Mechanism
 from costs.rotation import make_tangent_basis
 from perception.detect.door.bodies import HANDLE_LINK, LEAF_LINK
-from service.demands.door.phases import Door
+from service.demands.door.door import Door
 from service.demands.figures.held_load import find_held_shares
 from service.demands.valve.strokes import TURN
 from service.demands.valve.wheel import Wheel

@@ -36,6 +36,10 @@ RESERVE = float(np.deg2rad(3.0))  # of the angles that friction permits, for the
 LITTLE_ACROSS = float(np.cos(np.deg2rad(5.0)))  # cosine from which on a contact pushes along the way alone
 
 
+Surface = tuple[str, str, Float[np.ndarray, "K 3"], float]
+"""Frame, name, core [m] and radius [m] of a surface that presses."""
+
+
 @dataclass(frozen=True)
 class _HeldAt:
     """Pose (4, 4) of a hand's frame ``tool`` in the world, with the mechanism at ``values``."""
@@ -120,8 +124,6 @@ def find_nominal_pushes(
     if not needs or any(part.source == "assumed" for part in spec.pressed):
         return
     hand = next((hand for hand in list_robot_hands(robot) if motion.tool in (hand.tool, hand.peg, hand.stub)), None)
-    if hand is None:
-        return
     contacts = _keep_nearest(list(_list_contacts(robot, hand, spec)), motion, robot)
     if not contacts:
         return
@@ -196,20 +198,19 @@ def _list_needs(spec: TaskPhase, mechanism: Mechanism) -> list[tuple[str, float,
     return [(joint, sense, force) for (joint, sense), force in needs.items()]
 
 
-def _list_contacts(robot: RobotModel, hand: Hand, spec: TaskPhase) -> Iterator[HandContact]:
-    """Yield the contacts that a phase's allowances permit to a hand."""
+def _list_contacts(robot: RobotModel, hand: Hand | None, spec: TaskPhase) -> Iterator[HandContact]:
+    """Yield the contacts that a phase's allowances permit to a hand, or without one to any link, such as a forearm."""
     for touch in spec.touches:
         for own, other in ((touch.first, touch.second), (touch.second, touch.first)):
             if own.owner != "robot" or other.owner != "mechanism":
                 continue
-            surface = _find_surface(robot, hand, str(own.link))
-            if surface is None:
-                continue
-            frame, words, core, radius = surface
-            cap = _find_cap(robot, hand, str(own.link))
-            for body in robot.bodies:
-                if body.link == other.link and other.body in (None, body.name):
-                    yield HandContact(frame, words, core, radius, body.link, body.name, cap)
+            link = str(own.link)
+            surfaces = list(_list_link_surfaces(robot, link)) if hand is None else _find_surface(robot, hand, link)
+            cap = HAND_CAP_N if hand is None else _find_cap(robot, hand, link)
+            for frame, words, core, radius in surfaces:
+                for body in robot.bodies:
+                    if body.link == other.link and other.body in (None, body.name):
+                        yield HandContact(frame, words, core, radius, body.link, body.name, cap)
 
 
 def _keep_nearest(contacts: Sequence[HandContact], motion: FrameMotion, robot: RobotModel) -> tuple[HandContact, ...]:
@@ -231,24 +232,30 @@ def _find_cap(robot: RobotModel, hand: Hand, link: str) -> float:
     return effort if 0.0 < effort < np.inf else HAND_CAP_N
 
 
-def _find_surface(robot: RobotModel, hand: Hand, link: str) -> tuple[str, str, Float[np.ndarray, "K 3"], float] | None:
-    """Return frame, name, core and radius of a link's surface; None for a link that is no part of the hand."""
+def _find_surface(robot: RobotModel, hand: Hand, link: str) -> list[Surface]:
+    """Return a link's surface: the rod, the hand's front or a pad; empty for a link that is no part of the hand."""
     if link == hand.hook:
         bodies = [_to_frame(robot, body, hand.tool) for body in robot.bodies if body.link == hand.hook]
         if not bodies:
-            return None
+            return []
         first = min(float(vertices[:, 2].min()) for vertices in bodies)
         ends = np.array([[0.0, 0.0, first + hand.peg_radius], [0.0, 0.0, -hand.peg_radius]])
-        return hand.tool, "the rod", ends, hand.peg_radius
+        return [(hand.tool, "the rod", ends, hand.peg_radius)]
     if link == hand.link or link in hand.fingers:
         frame, words = (hand.tool, "the hand's front") if link == hand.link else (link, f"the pad of {link}")
         bodies = [_to_frame(robot, body, frame) for body in robot.bodies if body.link == link]
         if not bodies:
-            return None
+            return []
         foremost = max(bodies, key=lambda vertices: float(vertices[:, 2].max()))
-        core, radius = shrink_hull(foremost)
-        return frame, words, core, radius
-    return None
+        return [(frame, words, *shrink_hull(foremost))]
+    return []
+
+
+def _list_link_surfaces(robot: RobotModel, link: str) -> Iterator[Surface]:
+    """Yield the surface of each body of a link."""
+    for body in robot.bodies:
+        if body.link == link:
+            yield link, f"the {link}", *shrink_hull(_to_frame(robot, body, link))
 
 
 def _to_frame(robot: RobotModel, body: LinkBody, frame: str) -> Float[np.ndarray, "V 3"]:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from service.demands.hands import Hand
+from service.demands.holds.leaving import LET_GO, STAYS_SHARE, may_drag
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
@@ -21,8 +22,6 @@ from service.verify import HandLoad
 TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
-STAYS_SHARE = 0.7  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
-LET_GO = "let go"  # name of the phase in which a hand leaves the face that it presses, before it goes away
 MOST_LOADS = 4  # at a time: the robot is held under every combination of them
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 
@@ -87,7 +86,7 @@ def drags_along(
             place, _ = _locate_handle(given, load.joint, values)
             turning = np.cross(joint.axis / np.linalg.norm(joint.axis), place)
             arm = 1.0 if joint.kind == "prismatic" else float(np.linalg.norm(turning))
-            if STAYS_SHARE * min(load.slack) <= force * arm:
+            if may_drag(force, arm, min(load.slack)):
                 return True
     return False
 

@@ -10,9 +10,10 @@ import pinocchio as pin
 
 from costs.robot import Mechanism, RobotModel
 from service.demands.hands import Hand
+from service.demands.holds.leaving import LET_GO
 from service.demands.holds.pushes import NominalPush, find_nominal_pushes, find_side
 from service.demands.mechanism.given import GivenMechanism
-from service.demands.mechanism.phases import LET_GO, make_mechanism_phases
+from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.phase import TaskPhase
 from service.verify import LEAST_APART_M, measure_excess
 
@@ -36,15 +37,16 @@ def settle_handle(
         hand: at the handle.
         friction: least and largest coefficient.
     """
-    best = _touch(given, robot, hand, friction)
-    excess = _measure_worst(best, robot, hand, friction)
-    for leant in _list_leant(given, robot, hand, friction):
-        if excess <= -ENOUGH_ROOM:
-            break
-        touching = _touch(leant, robot, hand, friction)
-        left = _measure_worst(touching, robot, hand, friction)
+    found = _list_pushes(given, robot, hand, friction)
+    best = _touch(given, found)
+    excess = _measure_worst(_list_pushes(best, robot, hand, friction))
+    for leant in _list_leant(given, found) if excess > -ENOUGH_ROOM else ():
+        touching = _touch(leant, _list_pushes(leant, robot, hand, friction))
+        left = _measure_worst(_list_pushes(touching, robot, hand, friction))
         if left < excess:
             best, excess = touching, left
+        if excess <= -ENOUGH_ROOM:
+            break
     return best
 
 
@@ -75,9 +77,9 @@ def keep_aside(
     return tuple(kept)
 
 
-def _touch(given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]) -> GivenMechanism:
+def _touch(given: GivenMechanism, pushes: Sequence[NominalPush]) -> GivenMechanism:
     """Return the handle moved along the normal of its first contact until the hand just touches."""
-    for nominal in _list_pushes(given, robot, hand, friction):
+    for nominal in pushes:
         for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
             if contact.link == given.handle.link and meeting.apart >= LEAST_APART_M:
                 shift = np.round((meeting.gap - SETTLED_GAP) * meeting.normal, SETTLED_DIGITS)
@@ -85,16 +87,14 @@ def _touch(given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple
     return given
 
 
-def _list_leant(
-    given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]
-) -> Iterator[GivenMechanism]:
+def _list_leant(given: GivenMechanism, found: Sequence[NominalPush]) -> Iterator[GivenMechanism]:
     """Yield handles whose rod leans, further and further, towards square to the way of the hardest push.
 
     What is left of the permitted lean stays the hand's.  Its line leans with it, so that the rod comes along itself.
     """
     handle = given.handle
     pushes = [
-        nominal for nominal in _list_pushes(given, robot, hand, friction)
+        nominal for nominal in found
         if len(nominal.met) == 1 and nominal.push.contacts[0].link == handle.link
     ]  # fmt: skip
     if given.request.handle.tool == "tip" or not pushes:
@@ -114,14 +114,14 @@ def _list_leant(
         yield replace(given, handle=leant)
 
 
-def _measure_worst(given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]) -> float:
+def _measure_worst(pushes: Sequence[NominalPush]) -> float:
     """Return the largest excess of all pushes [rad]."""
-    pushes = _list_pushes(given, robot, hand, friction)
     return max((measure_excess(nominal.push, nominal.met) for nominal in pushes), default=-np.inf)
 
 
 def _list_pushes(
     given: GivenMechanism, robot: RobotModel, hand: Hand, friction: tuple[float, float]
-) -> Iterator[NominalPush]:
-    for spec in make_mechanism_phases(given, hand):
-        yield from find_nominal_pushes(spec, robot, given.mechanism, friction)
+) -> list[NominalPush]:
+    """Return the pushes of all phases at the poses that the hand aims at."""
+    specs = make_mechanism_phases(given, hand)
+    return [push for spec in specs for push in find_nominal_pushes(spec, robot, given.mechanism, friction)]

@@ -15,9 +15,11 @@ from service.body.phases import PhaseSolver
 from service.body.seeds import Seed
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door.demand import measure_peg
-from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, Door, DoorChoice, Push, make_door_phases
+from service.demands.door.door import Door
+from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, DoorChoice, Push, make_door_phases
 from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand
+from service.demands.holds.leaving import LET_GO
 from service.tasks.door.hints import LEAF
 from service.tasks.door.places import find_narrow_gap, list_push_places
 from service.tasks.hints import Hints
@@ -31,7 +33,13 @@ MOST_EARLIER = 2  # plans that leave the handle earlier, where a plan could not 
 FEW_ANGLES = 2  # are tried from the largest on
 MOST_TRIES = 3  # of smaller angles at the handle
 HOW_FAR = "how far it opens"
-SMALLER_MAY_HELP = ("open", "pose at the handle", "let the handle go", "retract")  # steps that depend on the angle
+SMALLER_MAY_HELP = (
+    "open",
+    "pose at the handle",
+    "let the handle go",
+    LET_GO,
+    "retract",
+)  # steps that depend on the angle
 AMPLE_ROOM = 0.4  # between the free edge and the frame, for a hand that reaches behind the leaf [m]
 PULL_PLACES = (0.0, 0.08, -0.08)  # of the hand along a pull handle, from its middle [m]
 BAR_SHARES = (0.3, 0.1, 0.4)  # of the hand along a push bar, from its middle towards the free edge

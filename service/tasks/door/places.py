@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from costs.robot import RobotModel
-from service.demands.door.phases import Door, Push
+from service.demands.door.door import Door
+from service.demands.door.phases import Push
 from service.demands.hands import Hand
 from service.demands.holds.door_edge import measure_edge_gap, measure_edge_room
 

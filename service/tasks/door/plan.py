@@ -15,7 +15,7 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.door.demand import DoorDemand, choose_door, make_door, make_door_rest, measure_lever_room, set_back
-from service.demands.door.phases import FREE_BEYOND, Door
+from service.demands.door.door import FREE_BEYOND, Door
 from service.demands.hands import Hand
 from service.errors import RequestError
 from service.request.tasks.door import DoorRequest
@@ -54,6 +54,9 @@ def _begin(
         return [TaskPlan(solver.body, (), (found,))]
     door, note = set_back(found[0], setup.request.resume), found[1]
     target = float(np.deg2rad(request.open_deg))
+    loose = door.explain_loose(target)
+    if loose is not None:
+        raise RequestError(loose)
     hands = choose_hands(solver.body, request, door)
     refused = find_shut(request, door) or find_narrow_lever(solver.body, door, hands)
     if refused is not None:

@@ -13,7 +13,8 @@ from costs.robot import Mechanism, RobotModel
 from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.door.demand import measure_peg
-from service.demands.door.phases import Door, DoorChoice, Push, make_door_phases
+from service.demands.door.door import Door
+from service.demands.door.phases import DoorChoice, Push, make_door_phases
 from service.demands.hands import Hand
 from service.demands.phase import TaskPhase
 from service.tasks.door.hints import LEAF, make_door_hints

@@ -12,7 +12,7 @@ from costs.allowance import BodyIndex
 from costs.robot import LinkBody
 from costs.stopping import poll
 from service.body.whole_body import WholeBody
-from service.demands.door.phases import Door
+from service.demands.door.door import Door
 from service.demands.neighbours import make_neighbour_allowances
 from service.request.tasks.door import HANDLE_JOINT, LEAF_JOINT
 from service.verify import CoalSolid, DistanceQuery, ForwardKinematics, Placements

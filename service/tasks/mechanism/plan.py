@@ -17,11 +17,11 @@ from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand
+from service.demands.holds.leaving import LET_GO
 from service.demands.holds.pushes import explain_refusal
 from service.demands.mechanism.demand import GivenMechanismDemand, make_mechanism_rest, read_kept_hand
 from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
 from service.demands.mechanism.phases import (
-    LET_GO,
     list_opposite_places,
     make_mechanism_phases,
     select_tool,

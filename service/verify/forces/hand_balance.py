@@ -22,6 +22,7 @@ from scipy.optimize import nnls
 from costs.robot import LinkBody
 from service.verify.forces.pads import find_patch
 from service.verify.forces.rounded import RoundedBody
+from service.verify.forces.turning import measure_angle
 from service.verify.motion import HandContact, HandPush
 from service.verify.solids import make_coal_convex
 
@@ -73,7 +74,7 @@ class Meeting:
     @property
     def angle(self) -> float:
         """Angle between normal and way [rad]."""
-        return float(np.arctan2(np.linalg.norm(np.cross(self.normal, self.way)), self.normal @ self.way))
+        return measure_angle(self.normal, self.way)
 
     @property
     def is_touching(self) -> bool:
@@ -124,7 +125,10 @@ def _move_points(
     ways: Sequence[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]], points: Float[np.ndarray, "P 3"]
 ) -> Float[np.ndarray, "P j 3"]:
     """Return how each joint moves each point per unit of its coordinate."""
-    moves = [linear + np.cross(angular, points) for linear, angular in ways]
+    moves = []
+    for linear, angular in ways:
+        x, y, z = angular.tolist()
+        moves.append(linear + points @ [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # angular x points
     return np.stack(moves, axis=1) if moves else np.zeros((len(points), 0, 3))
 
 

@@ -27,7 +27,7 @@ from service.verify.forces.hand_balance import (
 )
 from service.verify.forces.hand_loads import bound_coordinate
 from service.verify.forces.rounded import RoundedBody, measure_beyond_hull
-from service.verify.forces.turning import bound_turn
+from service.verify.forces.turning import bound_turns
 from service.verify.frame_paths import FramePath, find_mechanism_joints
 from service.verify.motion import HandContact, HandPush, Motion, Phase, VerifyError, VerifySettings
 from service.verify.phase_proof import PhaseProof, values_at_ends
@@ -137,28 +137,38 @@ class PushPath:
             FramePath.of(prepared, contact.frame, contact.core, rounding, contact.link) for contact in push.contacts
         ]
         self._known: dict[float, tuple[Meeting, ...]] = {}
+        self._cores: dict[float, tuple[Float[np.ndarray, "K 3"], ...]] = {}
+        self._excesses: dict[float, float] = {}
 
     def meet(self, s: float) -> tuple[Meeting, ...]:
         """Return where each contact meets its body at a path parameter."""
-        if s not in self._known:
-            contacts = zip(self._push.contacts, self._bodies, self._paths, strict=True)
-            self._known[s] = tuple(self._meet(*each, np.array([s])) for each in contacts)
+        self._find(np.array([s]))
         return self._known[s]
-
-    def _meet(self, contact: HandContact, body: LinkBody, path: FramePath, s: Float[np.ndarray, "1"]) -> Meeting:
-        points, rotations = path.at(s)
-        pose = (rotations[0], points[0, 0] - rotations[0] @ contact.core[0])
-        placed, rows = self._prepared.at(s)
-        ways = []
-        for joint, axis in zip(self._joints, self._axes, strict=True):
-            turned, moved = placed.relative(body.joint, joint, rows)
-            angular = turned[0] @ axis[3:]
-            ways.append((turned[0] @ axis[:3] - np.cross(angular, moved[0]), angular))
-        return meet(contact, body, pose, self._push.sense, ways)
 
     def place_cores(self, s: float) -> tuple[Float[np.ndarray, "K 3"], ...]:
         """Return the points of each contact's core at a path parameter, as seen from what it presses [m]."""
-        return tuple(path.at(np.array([s]))[0][0] for path in self._paths)
+        self._find(np.array([s]))
+        return self._cores[s]
+
+    def _find(self, s: Float[np.ndarray, "S"]) -> None:
+        """Find where the contacts meet their bodies at path parameters, all that are new at once."""
+        new = np.array([at for at in dict.fromkeys(s.tolist()) if at not in self._known])
+        if not len(new):
+            return
+        placed, rows = self._prepared.at(new)
+        contacts = zip(self._push.contacts, self._bodies, self._paths, strict=True)
+        met, cores = list[list[Meeting]](), list[Float[np.ndarray, "S K 3"]]()
+        for contact, body, path in contacts:
+            points, rotations = path.at(new)
+            moved = [placed.relative(body.joint, joint, rows) for joint in self._joints]
+            cores.append(points)
+            met.append([])
+            for k in range(len(new)):
+                pose = (rotations[k], points[k, 0] - rotations[k] @ contact.core[0])
+                ways = [_find_way(axis, turned[k], at[k]) for axis, (turned, at) in zip(self._axes, moved, strict=True)]
+                met[-1].append(meet(contact, body, pose, self._push.sense, ways))
+        for k, at in enumerate(new.tolist()):
+            self._known[at], self._cores[at] = tuple(each[k] for each in met), tuple(each[k] for each in cores)
 
     def bound_gap(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return bounds of the nearest contact's gap on intervals, and its values at their ends [m]."""
@@ -168,24 +178,31 @@ class PushPath:
     def bound_excess(self, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return on intervals how much wider the cones would have to be at most, and the same at their ends [rad]."""
         ends = values_at_ends(self._list_excesses, first, last)
-        travel = self.bound_travel(first, last)
-        pairs = list(zip(first.tolist(), last.tolist(), strict=True))
-        turned = [max(self._bound_turns(s, travel[:, k]) for s in pair) for k, pair in enumerate(pairs)]
-        return np.maximum(*ends) + np.array(turned), *ends
+        travel = np.tile(self.bound_travel(first, last), 2)
+        turns = self._bound_turns(np.concatenate([first, last]), travel).reshape(2, -1).max(axis=0)
+        return np.maximum(*ends) + turns, *ends
 
-    def _bound_turns(self, s: float, travel: Float[np.ndarray, "C"]) -> float:
-        """Return by how much any contact's normal turns where its core moves by a travel from a pose [rad]."""
-        parts = zip(self._bodies, self.place_cores(s), self.meet(s), travel.tolist(), strict=True)
-        return max(
-            bound_turn(core, RoundedBody.of_body(body), meeting.normal, max(meeting.apart, LEAST_APART_M), e)
-            for body, core, meeting, e in parts
-        )
+    def _bound_turns(self, s: Float[np.ndarray, "S"], travel: Float[np.ndarray, "C S"]) -> Float[np.ndarray, "S"]:
+        """Return by how much any contact's normal turns where its core moves by a travel from each pose [rad]."""
+        turns = np.zeros(len(s))
+        for k, body in enumerate(self._bodies):
+            met = [self._known[at][k] for at in s.tolist()]
+            cores = np.stack([self._cores[at][k] for at in s.tolist()])
+            apart = np.maximum([meeting.apart for meeting in met], LEAST_APART_M)
+            normals = np.stack([meeting.normal for meeting in met])
+            turns = np.maximum(turns, bound_turns(cores, RoundedBody.of_body(body), normals, apart, travel[k]))
+        return turns
 
     def _list_gaps(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
-        return np.array([min(meeting.gap for meeting in self.meet(at)) for at in s.tolist()])
+        self._find(s)
+        return np.array([min(meeting.gap for meeting in self._known[at]) for at in s.tolist()])
 
     def _list_excesses(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
-        return np.array([measure_excess(self._push, self.meet(at)) for at in s.tolist()])
+        self._find(s)
+        for at in s.tolist():
+            if at not in self._excesses:
+                self._excesses[at] = measure_excess(self._push, self._known[at])
+        return np.array([self._excesses[at] for at in s.tolist()])
 
     def bound_travel(self, first: np.ndarray, last: np.ndarray) -> Float[np.ndarray, "C I"]:
         """Return per contact how far its core's points are at most from where they are at the nearer end [m].
@@ -207,6 +224,19 @@ class PushPath:
         placed, rows = self._prepared.at(np.array([s]))
         rotation, translation = placed.relative(0, self._bodies[0].joint, rows)
         return np.asarray(rotation[0] @ self.meet(s)[0].point + translation[0])
+
+
+def _find_way(
+    axis: Float[np.ndarray, "6"], turned: Float[np.ndarray, "3 3"], moved: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Return how a joint moves the origin of a body's frame, and turns it, per unit of its coordinate.
+
+    Args:
+        axis: (6,) of the joint in its own frame, linear and angular.
+        turned, moved: pose of the joint's frame in the body's.
+    """
+    (x, y, z), (a, b, c) = (turned @ axis[3:]).tolist(), moved.tolist()
+    return turned @ axis[:3] - [y * c - z * b, z * a - x * c, x * b - y * a], np.array([x, y, z])
 
 
 def find_pushed_body(motion: Motion, contact: HandContact) -> LinkBody:

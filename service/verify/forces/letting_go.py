@@ -81,13 +81,15 @@ class Drag:
         self._ways = np.zeros((len(push.contacts), 2, 3))  # per contact: towards greater values and smaller ones
         held = push.held[index]
         for k, (contact, meeting) in enumerate(zip(push.contacts, path.meet(begin), strict=True)):
-            size = float(np.linalg.norm(meeting.held[index]))
             share = find_least_share(push, meeting) if len(push.contacts) == 1 else LEAST_SHARE
             pressure = max(push.force_n, LEAST_FORCE_N) / max(share, LEAST_SHARE)
-            force = push.friction[1] * min(pressure, contact.cap_n) * size
-            if size > 0.0:
-                give_way = np.array([held.high < force, held.low > -force], dtype=float)
-                self._ways[k] = give_way[:, None] * np.array([1.0, -1.0])[:, None] * meeting.held[index] / size
+            most = push.friction[1] * min(pressure, contact.cap_n)
+            for sense, (way, bears) in enumerate(((meeting.held[index], held.high), (-meeting.held[index], -held.low))):
+                pressed = float(way @ meeting.normal)  # a face that the hand leaves is pushed by it, and never pulled
+                way = way - min(pressed, 0.0) * meeting.normal
+                size = float(np.linalg.norm(way))
+                if size > 0.0 and bears < most * size:
+                    self._ways[k, sense] = way / size
 
     @property
     def is_possible(self) -> bool:

@@ -20,84 +20,108 @@ add the angle to the face's or the axes' own normal.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
 from service.verify.forces.rounded import RoundedBody
 
 
-def bound_turn(
-    core: Float[np.ndarray, "K 3"], solid: RoundedBody, normal: Float[np.ndarray, "3"], apart: float, e: float
-) -> float:
-    """Bound the turn of a normal [rad].
+def bound_turns(
+    cores: Float[np.ndarray, "I K 3"],
+    solid: RoundedBody,
+    normals: Float[np.ndarray, "I 3"],
+    apart: Float[np.ndarray, "I"],
+    e: Float[np.ndarray, "I"],
+) -> Float[np.ndarray, "I"]:
+    """Bound the turn of a normal from each of several poses [rad].
 
     Args:
-        core: corners of the hand's core in the frame of the body's joint [m].
+        cores: corners of the hand's core in the frame of the body's joint [m].
         solid: the body.
-        normal: (3,) unit, from the hand's core to the body's.
-        apart: their distance [m].
-        e: largest displacement of a point of the hand's core [m].
+        normals: (I, 3) unit, from the hand's core to the body's.
+        apart: their distances [m].
+        e: largest displacements of a point of the hand's core [m].
     """
     change = np.sqrt(e * (2.0 * apart + e)) / apart
-    turn = float(np.arcsin(change)) if change < 1.0 else np.pi
-    if apart <= e:
-        return turn
-    return min(turn, _bound_over_face(core, solid, normal, e), _bound_across_bar(core, solid, normal, e))
+    turns = np.where(change < 1.0, np.arcsin(np.minimum(change, 1.0)), np.pi)
+    near = np.flatnonzero(apart > e)
+    if len(near):
+        parts = cores[near], solid, normals[near], e[near]
+        turns[near] = np.minimum(turns[near], np.minimum(_bound_over_faces(*parts), _bound_across_bar(*parts)))
+    return np.asarray(turns)
 
 
-def _bound_over_face(
-    core: Float[np.ndarray, "K 3"], solid: RoundedBody, normal: Float[np.ndarray, "3"], e: float
-) -> float:
-    """Return the angle between a normal and the face's that it stays; half a turn where the core is over no face."""
-    faces = solid.list_faces()
+def _bound_over_faces(
+    cores: Float[np.ndarray, "I K 3"], solid: RoundedBody, normals: Float[np.ndarray, "I 3"], e: Float[np.ndarray, "I"]
+) -> Float[np.ndarray, "I"]:
+    """Return the angles between normals and the face's that they stay; half a turn where a core is over no face."""
+    faces, turns = solid.list_faces(), np.full(len(cores), np.pi)
     if not len(faces):
-        return np.pi
-    face = faces[int((faces[:, :3] @ -normal).argmax())]
-    heights = core @ face[:3] + face[3]
-    if heights.min() <= e:
-        return np.pi
-    low = _clip_below(core, heights, float(heights.min()) + 2.0 * e)
-    if solid.measure_inside(low, face).min() < e:
-        return np.pi
-    return _measure_angle(normal, -face[:3])
+        return turns
+    nearest = (normals @ -faces[:, :3].T).argmax(axis=1)
+    for index in np.unique(nearest):
+        face = faces[index]
+        heights = cores @ face[:3] + face[3]
+        rows = np.flatnonzero((nearest == index) & (heights.min(axis=1) > e))
+        if not len(rows):
+            continue
+        low = _clip_below(cores[rows], heights[rows], heights[rows].min(axis=1) + 2.0 * e[rows])
+        inside = solid.measure_inside(low.reshape(-1, 3), face).reshape(low.shape[:2]).min(axis=1)
+        rows = rows[inside >= e[rows]]
+        turns[rows] = _measure_angles(normals[rows], -face[:3])
+    return turns
 
 
 def _clip_below(
-    points: Float[np.ndarray, "K 3"], heights: Float[np.ndarray, "K"], limit: float
-) -> Float[np.ndarray, "N 3"]:
-    """Return points whose hull has all of a hull's that are no higher than a limit."""
-    is_low = heights <= limit
-    low, high = points[is_low], points[~is_low]
-    share = (limit - heights[is_low][:, None]) / (heights[~is_low] - heights[is_low][:, None])
-    crossings = low[:, None] + share[..., None] * (high - low[:, None])
-    return np.concatenate([low, crossings.reshape(-1, 3)])
+    points: Float[np.ndarray, "I K 3"], heights: Float[np.ndarray, "I K"], limits: Float[np.ndarray, "I"]
+) -> Float[np.ndarray, "I N 3"]:
+    """Return points whose hull has all of a hull's that are no higher than a limit, some of them twice."""
+    n = points.shape[1]
+    lowest = np.take_along_axis(points, heights.argmin(axis=1)[:, None, None], axis=1)
+    low = np.where((heights <= limits[:, None])[..., None], points, lowest)
+    if n == 1:
+        return low
+    first, second = np.triu_indices(n, 1)
+    rise = heights[:, second] - heights[:, first]
+    share = (limits[:, None] - heights[:, first]) / np.where(rise == 0.0, np.inf, rise)
+    crosses = (heights[:, first] <= limits[:, None]) != (heights[:, second] <= limits[:, None])
+    between = points[:, first] + share[..., None] * (points[:, second] - points[:, first])
+    return np.concatenate([low, np.where(crosses[..., None], between, lowest)], axis=1)
 
 
 def _bound_across_bar(
-    core: Float[np.ndarray, "K 3"], solid: RoundedBody, normal: Float[np.ndarray, "3"], e: float
-) -> float:
-    """Return the bound of a rod across a round bar; half a turn where the core is no rod, or an end may be nearest."""
-    bar = solid.find_bar()
-    if bar is None or len(core) != 2:
-        return np.pi
+    cores: Float[np.ndarray, "I K 3"], solid: RoundedBody, normals: Float[np.ndarray, "I 3"], e: Float[np.ndarray, "I"]
+) -> Float[np.ndarray, "I"]:
+    """Return the bounds of a rod across a round bar; half a turn where the core is no rod, or an end may be nearest."""
+    bar, turns = solid.find_bar(), np.full(len(cores), np.pi)
+    if bar is None or cores.shape[1] != 2:
+        return turns
     middle, axis, half = bar
-    length = float(np.linalg.norm(core[1] - core[0]))
-    w = (core[1] - core[0]) / length
-    across = float(np.linalg.norm(np.cross(axis, w)))
+    length = np.linalg.norm(cores[:, 1] - cores[:, 0], axis=1)
+    w = (cores[:, 1] - cores[:, 0]) / length[:, None]
+    across = np.linalg.norm(np.cross(axis, w), axis=1)
     chord = 2.0 * e / length
-    if across <= 2.0 * chord:
-        return np.pi
+    rows = np.flatnonzero(across > 2.0 * chord)
+    w, across, chord, length, e = w[rows], across[rows], chord[rows], length[rows], e[rows]
     # Feet of the common perpendicular, from the middle of the bar and the first end of the rod.
-    between, slant = core[0] - middle, float(axis @ w)
-    on_rod = (slant * float(axis @ between) - float(w @ between)) / across**2
-    on_bar = float(axis @ between) + slant * on_rod
-    towards = on_bar * axis - between - on_rod * w
-    distance = float(np.linalg.norm(towards))
-    moved = (e + distance * chord / across) / (across - chord)
-    if min(on_rod, length - on_rod) < moved or half - abs(on_bar) < e + moved:
-        return np.pi
-    return float(np.arcsin(chord / across)) + _measure_angle(normal, towards)
+    between, slant = cores[rows, 0] - middle, w @ axis
+    on_rod = (slant * (between @ axis) - (w * between).sum(axis=1)) / across**2
+    on_bar = between @ axis + slant * on_rod
+    towards = on_bar[:, None] * axis - between - on_rod[:, None] * w
+    moved = (e + np.linalg.norm(towards, axis=1) * chord / across) / (across - chord)
+    holds = (np.minimum(on_rod, length - on_rod) >= moved) & (half - np.abs(on_bar) >= e + moved)
+    angles = np.arcsin(chord / across) + _measure_angles(normals[rows], towards)
+    turns[rows[holds]] = angles[holds]
+    return turns
 
 
-def _measure_angle(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
+def _measure_angles(first: Float[np.ndarray, "I 3"], second: Float[np.ndarray, "*I 3"]) -> Float[np.ndarray, "I"]:
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1)))
+
+
+def measure_angle(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> float:
+    """Return the angle between two vectors [rad]."""
+    (a, b, c), (x, y, z) = first.tolist(), second.tolist()  # numpy's cross product takes ten times as long
+    return math.atan2(math.hypot(b * z - c * y, c * x - a * z, a * y - b * x), a * x + b * y + c * z)
