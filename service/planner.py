@@ -187,7 +187,8 @@ def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attemp
 
 def _make_motion(task: TaskPlan, request: PlanRequest) -> Motion:
     options, resume = request.options, request.resume
-    timing = TimingSettings(options.velocity_scale, options.acceleration_scale) if options.timed else None
+    scales = options.velocity_scale, options.acceleration_scale, options.jerk_scale
+    timing = TimingSettings(*scales) if options.timed else None
     motion = make_motion(task, timing)
     return motion if resume is None else replace(motion, continues=resume.plan)
 
