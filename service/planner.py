@@ -37,7 +37,7 @@ from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
-from service.verify import Motion, Status, verify
+from service.verify import Motion, Status, VerifySettings, verify
 
 if TYPE_CHECKING:
     from perception import Perceived
@@ -48,6 +48,9 @@ CLEARANCE_RESERVE_M = 5e-3  # beyond a demanded clearance, for the curve between
 GRACE_S = 0.2  # allowed after the time limit to make the motion of the best attempt
 # An explanation may take as long as the search took, within these limits.
 EXPLAIN_LEAST_S, EXPLAIN_MOST_S = 10.0, 60.0
+# Of a motion that the optimiser calls infeasible: one that keeps clear is proven with far fewer intervals, and one that
+# grazes something would take them all before the search goes on.
+CANDIDATE = VerifySettings(max_intervals=6_000)
 VERDICT_OF_INTERRUPT = {
     SolveStatus.TIME_LIMIT: (Verdict.TIME_LIMIT, "the {limit} was reached during '{step}'"),
     SolveStatus.CANCELLED: (Verdict.CANCELLED, "cancelled during '{step}'"),
@@ -169,10 +172,11 @@ def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attemp
             motion = _make_motion(repaired, setup.request)
         attempt.unverified = repaired, motion
         with monitor.step("certificate", 0.85):
-            certificate = verify(motion)
             is_solved = repaired.is_feasible
+            settings = VerifySettings() if is_solved else CANDIDATE
+            certificate = verify(motion, settings)
             if not is_solved and certificate.status is not Status.VIOLATED:
-                whole = certify_whole(setup, motion)
+                whole = certify_whole(setup, motion, settings)
                 if whole is not None and whole.status is not Status.VIOLATED:
                     repaired, certificate = repaired.as_solved(), whole
         attempt.keep_better(repaired, motion, certificate)
@@ -183,7 +187,8 @@ def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attemp
 
 def _make_motion(task: TaskPlan, request: PlanRequest) -> Motion:
     options, resume = request.options, request.resume
-    timing = TimingSettings(options.velocity_scale, options.acceleration_scale) if options.timed else None
+    scales = options.velocity_scale, options.acceleration_scale, options.jerk_scale
+    timing = TimingSettings(*scales) if options.timed else None
     motion = make_motion(task, timing)
     return motion if resume is None else replace(motion, continues=resume.plan)
 

@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from costs.collision import Contacts
-from costs.kinematics import KinematicsEngine, locate_frame, locate_links
+from costs.kinematics import Kinematics, KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.stopping import poll
-from costs.terms import AxisDirection, FramePose
+from costs.terms import AxisDirection, FramePose, NormWithin
 from scopt import Constraint, Residual, Sense
 from service.demands.targets import find_free_axis, make_kept_pose
 from service.errors import RequestError
@@ -31,7 +31,10 @@ PROJECTION_TOLERANCE = 1e-9  # [m, rad]
 CLOSE = 1e-5  # the same within joint limits, of guesses for the optimiser [m, rad]
 LARGEST_STEP = 0.3  # of a coordinate in one step within joint limits, where the holds are out of reach [rad, m]
 AT_WAYPOINTS = 1e-4  # per row, of the optimiser; the spline's projection does the rest [m, rad]
-START_SHARE = 0.5  # of the tolerances at the start, the rest is for the curve
+# Wider tolerances are regions in which the frame moves, narrower ones are held.
+REGION_M, REGION_RAD = 0.02, float(np.deg2rad(3.0))
+REGION_SHARE = 0.9  # of a region for the waypoints, the rest is for the curve
+START_SHARE = 0.5  # of the tolerances at the start of what is held
 DRIFT_SHARE = 0.25  # of the tolerances for the drift between waypoints
 POSITION, ROTATION = (True,) * 3 + (False,) * 3, (False,) * 3 + (True,) * 3  # rows of a frame's pose
 
@@ -135,6 +138,8 @@ def largest_hold_error(
 class KeptPose:
     """A frame's pose relative to another, kept along a whole motion.
 
+    Small tolerances are held: they are room for errors.  Wider ones are regions in which the frame may move.
+
     Attributes:
         link, reference: the frames; no reference for the world.
         held: ``pose_reference_link`` at the start, which the motion holds.
@@ -158,25 +163,54 @@ class KeptPose:
         return f"{self.link} relative to {self.reference or 'the world'}"
 
     @property
+    def is_held(self) -> tuple[bool, bool]:
+        """Whether position and orientation are held, instead of moving within a region."""
+        return self.position_tolerance_m <= REGION_M, self.rotation_tolerance_rad <= REGION_RAD
+
+    @property
     def drift(self) -> float:
         """Largest residual of its holds between waypoints [m, rad]."""
-        return min(DRIFT, DRIFT_SHARE * self.position_tolerance_m, DRIFT_SHARE * self.rotation_tolerance_rad)
+        tolerances = self.position_tolerance_m, self.rotation_tolerance_rad
+        held = [DRIFT_SHARE * most for most, is_held in zip(tolerances, self.is_held, strict=True) if is_held]
+        return min([DRIFT, *held])
 
     def constraints(self, robot: RobotModel, waypoints: Int[np.ndarray, "S"]) -> tuple[Constraint[MotionState], ...]:
-        """Return position and orientation as equalities at the given waypoints."""
+        """Return what is held as equalities at the given waypoints, and the regions as inequalities."""
         position, rotation = self._residuals(robot, waypoints)
         name = "orientation" if self.free_axis is None else "axis"
-        return (
-            Constraint(f"position of {self.name}", position, Sense.EQUAL_ZERO, AT_WAYPOINTS, unit="m"),
-            Constraint(f"{name} of {self.name}", rotation, Sense.EQUAL_ZERO, AT_WAYPOINTS, unit="rad"),
+        parts = (
+            (f"position of {self.name}", position, 3, self.position_tolerance_m, "m"),
+            (
+                f"{name} of {self.name}",
+                rotation,
+                3 if self.free_axis is None else 2,
+                self.rotation_tolerance_rad,
+                "rad",
+            ),
         )
+        constraints = []
+        for is_held, (title, residual, rows, most, unit) in zip(self.is_held, parts, strict=True):
+            if is_held:
+                constraints.append(Constraint(title, residual, Sense.EQUAL_ZERO, AT_WAYPOINTS, unit=unit))
+            elif unit == "m" or most < np.pi:
+                inside = NormWithin(residual, rows, REGION_SHARE * most)
+                constraints.append(Constraint(title, inside, Sense.AT_MOST_ZERO, AT_WAYPOINTS, unit=unit))
+        return tuple(constraints)
 
     def holds(self, robot: RobotModel) -> tuple[Hold, ...]:
         """Return the holds of the curve."""
-        return (
+        parts: tuple[Hold, ...] = (
             lambda waypoints: self._residuals(robot, waypoints)[0],
             lambda waypoints: self._residuals(robot, waypoints)[1],
         )
+        return tuple(hold for hold, is_held in zip(parts, self.is_held, strict=True) if is_held)
+
+    def are_within(self, robot: RobotModel, placed: Kinematics) -> bool:
+        """Return whether every pose is in the regions; what is held is not looked at."""
+        state = MotionState(placed, Contacts.none())
+        everywhere = np.arange(placed.n_waypoints)
+        regions = [one for one in self.constraints(robot, everywhere) if one.sense is Sense.AT_MOST_ZERO]
+        return all(bool(np.all(region.residual.value(state) <= 0.0)) for region in regions)
 
     def target(self) -> RelativePoseTarget:
         """Return the verifier's target."""
@@ -201,10 +235,12 @@ class KeptPose:
     def _residuals(
         self, robot: RobotModel, waypoints: Int[np.ndarray, "S"]
     ) -> tuple[Residual[MotionState], Residual[MotionState]]:
-        position = FramePose(robot, self.link, waypoints, self.held, POSITION, self.reference)
+        """Return the distance from the pose at the start where it is held, from the request's where it is a region."""
+        place, turn = (self.held if is_held else self.wanted for is_held in self.is_held)
+        position = FramePose(robot, self.link, waypoints, place, POSITION, self.reference)
         if self.free_axis is None:
-            return position, FramePose(robot, self.link, waypoints, self.held, ROTATION, self.reference)
-        direction = self.held[:3, :3] @ self.free_axis
+            return position, FramePose(robot, self.link, waypoints, turn, ROTATION, self.reference)
+        direction = turn[:3, :3] @ self.free_axis
         return position, AxisDirection(robot, self.link, waypoints, self.free_axis, direction, self.reference)
 
 
@@ -256,15 +292,20 @@ def _find_problems(
     if joint == (0 if pose.reference is None else locate_frame(robot, pose.reference)[0]):
         yield f"{field}: no joint moves {pose.name}; leave it out"
     distance, angle = pose.errors(pose.held)
-    if distance > START_SHARE * pose.position_tolerance_m:
-        most = 1e3 * START_SHARE * pose.position_tolerance_m
+    shares = [START_SHARE if is_held else REGION_SHARE for is_held in pose.is_held]
+    if distance > shares[0] * pose.position_tolerance_m:
+        most = 1e3 * shares[0] * pose.position_tolerance_m
         yield (
             f"{field}: at the start {pose.name} is {1e3 * distance:.1f} mm off the requested position; "
-            f"expected at most {most:.2g} mm, half of position_tolerance_m"
+            f"expected at most {most:.2g} mm, {_describe_share(shares[0])} of position_tolerance_m"
         )
-    if angle > START_SHARE * pose.rotation_tolerance_rad:
-        most = np.rad2deg(START_SHARE * pose.rotation_tolerance_rad)
+    if angle > shares[1] * pose.rotation_tolerance_rad:
+        most = np.rad2deg(shares[1] * pose.rotation_tolerance_rad)
         yield (
             f"{field}: at the start {pose.name} is {np.rad2deg(angle):.1f} deg off the requested orientation; "
-            f"expected at most {most:.2g} deg, half of rotation_tolerance_deg"
+            f"expected at most {most:.2g} deg, {_describe_share(shares[1])} of rotation_tolerance_deg"
         )
+
+
+def _describe_share(share: float) -> str:
+    return "half" if share == START_SHARE else f"{100.0 * share:.0f} %"

@@ -112,7 +112,7 @@ class MotionSearch:
     @property
     def keeps_holds(self) -> bool:
         """Whether more than free joints has to move: on planted feet the base, with kept poses whatever they need."""
-        return self.solver.body.robot.is_floating or bool(self.solver.body.kept)
+        return self.solver.body.robot.is_floating or self.solver.body.keeps_poses
 
     def count(self, end: Float[np.ndarray, "n"]) -> int:
         """Return the number of waypoints to an end."""
@@ -213,7 +213,7 @@ def _list_to_end(search: MotionSearch, start: Start, end: Float[np.ndarray, "n"]
         case Way.STRAIGHT:
             path = search.fit(straight_path(search.first, end, waypoints))
             yield f"straight line{to}", _solve_paths(search, start.effort, [path])
-        case Way.ON_HOLDS if body.kept:
+        case Way.ON_HOLDS if body.keeps_poses:
             path = body.project_onto_holds(straight_path(search.first, end, waypoints))
             yield start.way.value, _solve_paths(search, start.effort, [path])
         case Way.POSTURES:

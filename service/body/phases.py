@@ -181,7 +181,7 @@ class PhaseSolver:
         free = free_coordinates(body)
         if movable is not None:
             free = np.intersect1d(movable, free)
-        if not len(free) or (body.robot.is_floating and body.kept):
+        if not len(free) or (body.robot.is_floating and body.keeps_poses):
             return None
         carrier = None
         if body.robot.is_floating:

@@ -113,12 +113,16 @@ class SamplingProblem:
         return self.are_configurations_clear(self.place(poses))
 
     def are_configurations_clear(self, q: Float[np.ndarray, "K n"]) -> bool:
-        """Return whether configurations are all clear and balanced."""
-        polygon, margin = self.body.polygon, self.body.aims.balance_margin
-        if self.body.region is not None:  # the optimiser adds the rest of the margin
-            polygon, margin = self.body.region.region.polygon, 0.5 * margin
-        if polygon is not None and polygon.margin(self.body.engine.place(q).com[:, :2]).min() < margin:
-            return False
+        """Return whether configurations are all clear, balanced and in the regions of kept poses."""
+        body, polygon, margin = self.body, self.body.polygon, self.body.aims.balance_margin
+        if body.region is not None:  # the optimiser adds the rest of the margin
+            polygon, margin = body.region.region.polygon, 0.5 * margin
+        if polygon is not None or body.kept:
+            placed = body.engine.place(q)
+            if polygon is not None and polygon.margin(placed.com[:, :2]).min() < margin:
+                return False
+            if not all(kept.are_within(body.robot, placed) for kept in body.kept):
+                return False
         return self.checker.are_clear(q)
 
 
@@ -145,7 +149,7 @@ class HeldProblem(SamplingProblem):
     ) -> HeldProblem:
         """Return the problem of two configurations of a robot that keeps its holds."""
         moving = np.flatnonzero(~find_prescribed(body.robot))
-        if body.kept:
+        if body.keeps_poses:
             return HeldProblem(body, checker, start, end, moving, following=moving)
         base = np.arange(len(BASE_NAMES) if body.robot.is_floating else 0)
         lead = np.union1d(base, np.intersect1d(free_coordinates(body), moving))

@@ -238,6 +238,11 @@ class WholeBody:
         own = contacts.distance[contacts.margin > 0.0]
         return float(own.min(initial=self.sight))
 
+    @property
+    def keeps_poses(self) -> bool:
+        """Whether kept poses are held, so that only some configurations count; regions leave the others free."""
+        return any(any(kept.is_held) for kept in self.kept)
+
     def holds(self) -> tuple[Hold, ...]:
         """Return the holds of every phase: planted links and kept poses."""
         planted: list[Hold] = [

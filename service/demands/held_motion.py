@@ -109,6 +109,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         differences.append("the record waives other checks than the request")
     if recorded.clearance_m != demands.request.options.clearance_m:
         differences.append("the record demands another clearance than the request")
+    jerk_scale = demands.request.options.jerk_scale
+    if recorded.jerk_scale != jerk_scale:
+        differences.append("the record limits the jerk in another way than the request")
     releases = () if task.moved is None else task.moved.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
@@ -123,6 +126,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         mechanism_links=robot.mechanism_links,
         waived=waived,
         clearance_m=demands.request.options.clearance_m,
+        jerk_scale=jerk_scale,
         releases=releases,
         continues=continues,
     )

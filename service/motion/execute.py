@@ -46,7 +46,7 @@ BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s,
 def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     """Make the sampled motion of a task's phases (at least one), without a time law if ``timing`` is None."""
     body = plan.body
-    spline = _fit_spline(plan)
+    spline = _fit_spline(plan, is_smooth=timing is not None and timing.jerk_scale is not None)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
     neighbours = make_neighbour_allowances(body.robot, body.scene, body.nominal)
@@ -66,6 +66,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         ),
         releases=body.releases,
         clearance_m=body.aims.clearance,
+        jerk_scale=None if timing is None else timing.jerk_scale,
     )
     if timing is None:
         is_held = any(phase.holds or _find_body(plan, phase).holds() for phase in plan.phases)
@@ -92,7 +93,7 @@ def _find_body(plan: TaskPlan, phase: PlannedPhase) -> WholeBody:
     return plan.body if phase.body is None else phase.body
 
 
-def _fit_spline(plan: TaskPlan) -> Spline:
+def _fit_spline(plan: TaskPlan, *, is_smooth: bool) -> Spline:
     body, robot = plan.body, plan.body.robot
     standing = [_find_body(plan, phase) for phase in plan.phases]
     paths = [
@@ -100,7 +101,7 @@ def _fit_spline(plan: TaskPlan) -> Spline:
         for phase, own in zip(plan.phases, standing, strict=True)
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
-    return make_spline(body.engine, paths, robot.lower, robot.upper, speed)
+    return make_spline(body.engine, paths, robot.lower, robot.upper, speed, is_smooth=is_smooth)
 
 
 def _place_laws(plan: TaskPlan, borders: Sequence[float]) -> Iterator[TimeLaw]:

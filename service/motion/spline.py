@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import solve_banded
 
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
@@ -69,6 +70,8 @@ def make_spline(
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
     speed: Float[np.ndarray, "n"],
+    *,
+    is_smooth: bool = False,
 ) -> Spline:
     """Make a C1 cubic spline through all phases, with waypoints inserted where a hold would drift.
 
@@ -79,6 +82,8 @@ def make_spline(
         paths: phases in order; each begins where the one before ends.
         lower, upper: (n,) limits that tangents must not cross.
         speed: (n,) natural speed of each coordinate; the path parameter runs in about seconds at these speeds.
+        is_smooth: whether the second derivative is continuous too, as far as limits and holds allow; it leaves the
+            chords further than other tangents do.
     """
     originals: list[np.ndarray] = []
     refined: list[PhasePath] = []
@@ -99,7 +104,7 @@ def make_spline(
         q[1:] = project_onto_holds(engine, q[1:], path.holds)
         for _ in range(MAX_INSERTIONS):
             s = _parametrise(q, speed)
-            v = _compute_tangents(engine, q, s, path.holds, lower, upper)
+            v = _compute_tangents(engine, q, s, path.holds, lower, upper, is_smooth=is_smooth)
             curve = Curve(s, q, v)
             inner = curve((s[:-1] + np.diff(s) * DRIFT_AT[:, None]).ravel())
             errors = largest_hold_error(engine, inner, path.holds).reshape(len(DRIFT_AT), -1)
@@ -111,7 +116,7 @@ def make_spline(
             is_original = np.insert(is_original, drifting + 1, False)
         s = _parametrise(q, speed)
         refined.append(replace(path, q=q))
-        tangents.append(_compute_tangents(engine, q, s, path.holds, lower, upper))
+        tangents.append(_compute_tangents(engine, q, s, path.holds, lower, upper, is_smooth=is_smooth))
         knots.append(s)
         originals.append(is_original)
     return _join_phases(refined, knots, tangents, originals)
@@ -150,17 +155,33 @@ def _compute_tangents(
     holds: Sequence[Hold],
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
+    *,
+    is_smooth: bool,
 ) -> Float[np.ndarray, "T n"]:
-    """Return dq/ds at the waypoints: three-point differences within limits and along the holds; zero at the ends."""
+    """Return dq/ds at the waypoints, within limits and along the holds; zero at the ends.
+
+    They are three-point differences, or those of the cubic spline with a continuous second derivative.
+    """
     poll()
     slopes = np.diff(q, axis=0) / np.diff(s)[:, None]
     tangents = np.zeros_like(q)
     h = np.diff(s)[:, None]
-    tangents[1:-1] = (h[1:] * slopes[:-1] + h[:-1] * slopes[1:]) / (h[1:] + h[:-1])
+    if len(q) > 2:
+        mean = h[1:] * slopes[:-1] + h[:-1] * slopes[1:]
+        width = h[1:] + h[:-1]
+        tangents[1:-1] = _solve_smooth(h[:, 0], 3.0 * mean) if is_smooth else mean / width
     least, most = _tangent_limits(q, h, lower, upper)
     tangents = np.clip(tangents, least, most)
     tangents[1:-1] = _project_tangents(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1])
     return np.asarray(tangents)
+
+
+def _solve_smooth(h: Float[np.ndarray, "T-1"], right: Float[np.ndarray, "T-2 n"]) -> Float[np.ndarray, "T-2 n"]:
+    """Return the inner tangents at which the second derivatives of both sides are equal, for resting ends."""
+    bands = np.zeros((3, len(right)))
+    bands[1] = 2.0 * (h[1:] + h[:-1])
+    bands[0, 1:], bands[2, :-1] = h[:-2], h[2:]
+    return np.asarray(solve_banded((1, 1), bands, right))
 
 
 def _tangent_limits(

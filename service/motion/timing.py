@@ -18,8 +18,10 @@ from jaxtyping import Bool, Float
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
+from service.motion.slowing import limit_jerk, slow_to_limits, stretch_law
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
 from service.verify import (
+    RISE_S,
     Joints,
     Motion,
     Phase,
@@ -32,7 +34,6 @@ from service.verify import (
     list_sample_times,
     make_contact_share,
     make_joints,
-    measure_timed_peaks,
 )
 
 # Shortest duration of a knot interval, for stretches without motion [s].
@@ -57,6 +58,7 @@ class TimingSettings:
 
     Attributes:
         velocity_scale, acceleration_scale: shares of the limits to be used, in (0, 1].
+        jerk_scale: the same of the jerk limits; None for no limit.
         cells_per_interval: least grid cells of the time law per knot interval; a stretch between two rests with few
             knots gets more.
         support_links: planted links; contact forces in the joints between them and the base are unknown here, so their
@@ -67,6 +69,7 @@ class TimingSettings:
 
     velocity_scale: float = 1.0
     acceleration_scale: float = 1.0
+    jerk_scale: float | None = None
     cells_per_interval: int = 6
     support_links: tuple[str, ...] = ()
     use_torques: bool = True
@@ -116,8 +119,10 @@ def time_curve(
         support = _find_support(phases, first, last)
         path.append(cells[1:])
         speed.append(_time_segment(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)[1:])
-    law = TimeLaw.accelerated(np.concatenate(path), np.concatenate(speed))
-    return _slow_to_limits(limited, curve, law)
+    law = slow_to_limits(limited, curve, TimeLaw.accelerated(np.concatenate(path), np.concatenate(speed)))
+    if settings.jerk_scale is None:
+        return law
+    return limit_jerk(limited, curve, law, settings.jerk_scale * robot.acceleration / RISE_S, laws)
 
 
 def slow_until_zmp_inside(
@@ -151,7 +156,7 @@ def slow_until_zmp_inside(
         stretches = [(a, b) for a, b in stretches if factor[a] > 1.0]
         if np.all(factor <= 1.0):
             break
-        law = _stretch_law(law, factor)
+        law = stretch_law(law, factor)
     return law
 
 
@@ -230,26 +235,6 @@ def _scale_limits(robot: RobotModel, settings: TimingSettings) -> RobotModel:
         velocity=robot.velocity * settings.velocity_scale,
         acceleration=robot.acceleration * settings.acceleration_scale,
     )
-
-
-def _stretch_law(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:
-    """Multiply every cell's duration; the factor may only change at rests."""
-    times = np.concatenate([law.times[:1], law.times[0] + np.cumsum(np.diff(law.times) * factor)])
-    return TimeLaw(times, law.path, law.speed / np.append(factor, factor[-1]))
-
-
-def _slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
-    """Slow each stretch between rests until its exact peaks are within the limits."""
-    peaks = measure_timed_peaks(curve, law)
-    excess = np.maximum(
-        (peaks.speed / robot.velocity).max(axis=1), np.sqrt((peaks.acceleration / robot.acceleration).max(axis=1))
-    )
-    rests = np.flatnonzero(law.speed <= 1e-12)
-    factor = np.ones(len(law.times) - 1)
-    for a, b in pairwise(rests):
-        inside = (peaks.s >= law.path[a]) & (peaks.s < law.path[b])
-        factor[a:b] = max(1.0, float(excess[inside].max()))
-    return _stretch_law(law, factor)
 
 
 def _compute_slowdown(

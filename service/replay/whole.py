@@ -6,10 +6,10 @@ from service.demands import compare_pace, hold_to_request
 from service.errors import RequestError
 from service.replay.rebuild import make_setup_demands
 from service.setup.prepare import PlanSetup
-from service.verify import Certificate, Motion, verify
+from service.verify import Certificate, Motion, VerifySettings, verify
 
 
-def certify_whole(setup: PlanSetup, motion: Motion) -> Certificate | None:
+def certify_whole(setup: PlanSetup, motion: Motion, settings: VerifySettings | None = None) -> Certificate | None:
     """Certify a motion for the demands of its request, made anew; None where phases or promises of it are missing."""
     try:
         demands = make_setup_demands(setup)
@@ -18,5 +18,5 @@ def certify_whole(setup: PlanSetup, motion: Motion) -> Certificate | None:
     held = hold_to_request(demands, motion)
     if held.differences:
         return None
-    certificate = verify(held.motion)
+    certificate = verify(held.motion, settings)
     return None if any(compare_pace(setup.request, certificate)) else certificate

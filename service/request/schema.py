@@ -161,6 +161,8 @@ class Options(Section):
         starts: largest number of starting trajectories.
         qp: solver of the convex subproblems.
         velocity_scale, acceleration_scale: share of the robot's limits that is used.
+        jerk_scale: the same of the jerk limits, with which a joint reaches its acceleration limit within 0.1 s; no
+            limit by default.
         timed: whether the motion gets a time law; otherwise only the path is planned and certified.
         escape: whether to escape from a start in collision first instead of refusing it.
         hand_friction: least and largest coefficient between a hand and what it moves: contacts that stick hold at the
@@ -178,6 +180,7 @@ class Options(Section):
     qp: Literal["piqp", "clarabel", "cvxpy"] = "piqp"
     velocity_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.5
     acceleration_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.3
+    jerk_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] | None = None
     timed: bool = True
     escape: bool = False
     hand_friction: tuple[Friction, Friction] = HAND_FRICTION

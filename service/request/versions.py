@@ -67,6 +67,7 @@ ADDED = {
         "LeafChoice.slant_rad",
         "Options.clearance_m",
         "Options.hand_friction",
+        "Options.jerk_scale",
         "SceneRequest.level",
         "SceneRequest.sensor_model",
         "SceneRequest.sensor_sigma",

@@ -39,6 +39,7 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "phases": phases,
         "waived": sorted(motion.waived or ()),
         "clearance_m": motion.clearance_m,
+        "jerk_scale": motion.jerk_scale,
         "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "releases": [asdict(release) for release in motion.releases],
         "continues": motion.continues,
@@ -74,6 +75,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         releases=tuple(_read_release(release) for release in data.get("releases", ())),
         continues=data.get("continues"),
         clearance_m=float(data.get("clearance_m", 0.0)),
+        jerk_scale=None if data.get("jerk_scale") is None else float(data["jerk_scale"]),
     )
 
 

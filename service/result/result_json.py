@@ -133,6 +133,7 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
         },
         "curve": None,
         "clearance_m": result.request.options.clearance_m,
+        "jerk_scale": result.request.options.jerk_scale,
         **{key: [] for key in ("waypoints", "phases", "waived", "movables", "support_polygons", "com", "zmp")},
     }
 

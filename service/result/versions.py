@@ -28,6 +28,7 @@ ADDED: dict[int, dict[str, Any]] = {
     },
     3: {
         "clearance_m": 0.0,
+        "jerk_scale": None,
         "request_format": None,
         "request_defaults": {},
     },

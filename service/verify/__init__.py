@@ -98,6 +98,8 @@ from service.verify.hashes import (
     scene_hash,
 )
 from service.verify.limits import (
+    RISE_S,
+    measure_jerks,
     measure_timed_peaks,
 )
 from service.verify.motion import (
@@ -160,6 +162,7 @@ __all__ = [
     "LEAST_APART_M",
     "LEAST_SHARE",
     "MOST_LEAN_RAD",
+    "RISE_S",
     "STANDING_DEPTH_M",
     "TURNING_DEPTH_M",
     "UNSEEN_KIND",
@@ -234,6 +237,7 @@ __all__ = [
     "measure_angle",
     "measure_beyond_hull",
     "measure_excess",
+    "measure_jerks",
     "measure_lean",
     "measure_timed_peaks",
     "meet",

@@ -19,6 +19,11 @@ from service.verify.validation import check_law
 
 # Errors of the rounded numbers that a difference of two samples is made of, in units of their last place.
 _ROUNDINGS = 16.0
+# Least time in which a joint reaches its acceleration limit, where its jerk is limited at all [s].
+RISE_S = 0.1
+# Over which a change of acceleration counts as jerk: that of a robot's set points [s].
+JERK_WINDOW_S = 0.01
+JERK_STEPS = 5  # between the beginnings of two windows that do not overlap
 SPEED_JUMP = 1e-6  # of a joint between two polynomials that still counts as none [rad/s, m/s]
 
 
@@ -84,6 +89,20 @@ def _measure_polynomial_peaks(curve: PolynomialCurve, law: TimeLaw) -> TimedPeak
     return TimedPeaks(curve.knots[:-1], peaks[0], peaks[1])
 
 
+def measure_jerks(curve: Curve, law: TimeLaw) -> tuple[Float[np.ndarray, "W"], Float[np.ndarray, "W n"]]:
+    """Return path parameters at which windows of ``JERK_WINDOW_S`` begin, and the joints' mean jerk over each.
+
+    A mean counts steps of the acceleration as well; before and after the motion the robot rests [rad/s3, m/s3].
+    """
+    begins = np.arange(-JERK_STEPS, int(np.ceil((law.times[-1] - law.times[0]) / JERK_WINDOW_S * JERK_STEPS)) + 1)
+    times = law.times[0] + JERK_WINDOW_S / JERK_STEPS * np.concatenate([begins, begins[-1] + 1 + np.arange(JERK_STEPS)])
+    s, speed, gain = law.at(times)
+    acceleration = curve(s, 1) * gain[:, None] + curve(s, 2) * speed[:, None] ** 2
+    acceleration[(times < law.times[0]) | (times >= law.times[-1])] = 0.0
+    change = acceleration[JERK_STEPS:] - acceleration[:-JERK_STEPS]
+    return s[: len(change)], np.abs(change) / JERK_WINDOW_S
+
+
 def measure_exported_speeds(curve: Curve, law: TimeLaw, s: Float[np.ndarray, "M"]) -> Float[np.ndarray, "M-1 n"]:
     """Return speeds between neighbouring exported samples, from their times and positions [rad/s, m/s].
 
@@ -125,6 +144,9 @@ def check_timing(prepared: PreparedMotion, settings: VerifySettings) -> Iterator
     peaks = measure_timed_peaks(motion.curve, law)
     yield _limit_check(motion, "speed", peaks.speed / robot.velocity, peaks.s, settings)
     yield _limit_check(motion, "acceleration", peaks.acceleration / robot.acceleration, peaks.s, settings)
+    if motion.jerk_scale is not None:
+        s, jerks = measure_jerks(motion.curve, law)
+        yield _limit_check(motion, "jerk", jerks * RISE_S / robot.acceleration, s, settings, motion.jerk_scale)
     if isinstance(motion.curve, PolynomialCurve):
         yield _jump_check(motion, motion.curve, law)
     if motion.samples is not None:
@@ -134,14 +156,21 @@ def check_timing(prepared: PreparedMotion, settings: VerifySettings) -> Iterator
 
 
 def _limit_check(
-    motion: Motion, kind: str, ratio: Float[np.ndarray, "C n"], s: Float[np.ndarray, "S"], settings: VerifySettings
+    motion: Motion,
+    kind: str,
+    ratio: Float[np.ndarray, "C n"],
+    s: Float[np.ndarray, "S"],
+    settings: VerifySettings,
+    most: float = 1.0,
 ) -> Check:
     cell, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
     value, name = float(ratio[cell, column]), motion.robot.joint_names[column]
     of = "speed limit between exported samples" if kind == "exported" else f"{kind} limit"
     text = f"{name} reaches {100.0 * value:.1f} % of its {of}"
     where = _at(motion, float(s[cell]), (name,))
-    return Check(f"limits.{kind}", value <= 1.0 + settings.limit_tolerance, value, 1.0, "1", text, where, Basis.PROOF)
+    is_ok = value <= most * (1.0 + settings.limit_tolerance)
+    basis = Basis.SAMPLES if kind == "jerk" else Basis.PROOF
+    return Check(f"limits.{kind}", is_ok, value, most, "1", text, where, basis)
 
 
 def _jump_check(motion: Motion, curve: PolynomialCurve, law: TimeLaw) -> Check:

@@ -381,6 +381,7 @@ class Motion:
         releases: rules of the mechanism's latches.
         continues: hash of the certificate of the plan whose task this motion continues, or None.
         clearance_m: demanded distance of the robot from every piece that it may not touch [m].
+        jerk_scale: share of the joints' jerk limits that the timed motion keeps within; None for no limit.
     """
 
     robot: RobotModel
@@ -394,3 +395,4 @@ class Motion:
     releases: tuple[Release, ...] = ()
     continues: str | None = None
     clearance_m: float = 0.0
+    jerk_scale: float | None = None

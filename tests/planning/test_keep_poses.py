@@ -10,6 +10,8 @@ from jacobian import check_jacobian
 from scipy.spatial.transform import Rotation
 from tiny_robots import atlas, contact_free_state, random_configurations
 
+from costs.kinematics import KinematicsEngine
+from scopt import Sense
 from service.body.holds import KeptPose, make_kept_poses, relative_pose
 from service.errors import RequestError
 from service.request.schema import KeepRequest
@@ -92,6 +94,39 @@ def test_the_constraints_have_true_jacobians_and_vanish_at_the_start(reference: 
         check_jacobian(constraint.residual, contact_free_state(robot), x)
         at_start = constraint.residual.value(contact_free_state(robot)(start[None].repeat(3, axis=0)))
         np.testing.assert_allclose(at_start, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("free_axis", ["none", "y"])
+@pytest.mark.parametrize("reference", ["r_hand", None])
+def test_wide_tolerances_are_regions_with_true_jacobians(reference: str | None, free_axis: Any) -> None:
+    robot = atlas()
+    start, wide = robot.postures[READY], {"position_tolerance_m": 0.1, "rotation_tolerance_deg": 150.0}
+    (kept,) = make_kept_poses(robot, start, [KeepRequest("l_hand", reference, free_axis=free_axis, **wide)])
+    assert kept.holds(robot) == ()
+    x = start + 0.3 * random_configurations(robot, np.random.default_rng(5), 6)
+    state = contact_free_state(robot)(x)
+    for constraint, errors, most in zip(
+        kept.constraints(robot, np.arange(6)),
+        zip(*(kept.errors(relative_pose(robot, q, "l_hand", reference)) for q in x), strict=True),
+        (0.1, np.deg2rad(150.0)),
+        strict=True,
+    ):
+        assert constraint.sense is Sense.AT_MOST_ZERO
+        check_jacobian(constraint.residual, contact_free_state(robot), x)
+        np.testing.assert_allclose(constraint.residual.value(state), np.subtract(errors, 0.9 * most), atol=1e-9)
+    engine = KinematicsEngine(robot)
+    for q in x:
+        distance, angle = kept.errors(relative_pose(robot, q, "l_hand", reference))
+        inside = distance <= 0.09 and angle <= np.deg2rad(135.0)
+        assert kept.are_within(robot, engine.place(q[None])) == inside
+
+
+def test_a_region_of_the_place_leaves_the_orientation_held() -> None:
+    kept = _kept(position_tolerance_m=0.5)
+    position, orientation = kept.constraints(atlas(), np.arange(2))
+    assert (position.sense, orientation.sense) == (Sense.AT_MOST_ZERO, Sense.EQUAL_ZERO)
+    assert len(kept.holds(atlas())) == 1
+    assert kept.drift == pytest.approx(0.0005)
 
 
 def test_errors_are_those_of_the_poses_by_hand() -> None:

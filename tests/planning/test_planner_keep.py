@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 from stranger import Stranger
+from tiny_robots import Segment, Z, chain_urdf
 
 from costs.robot import load_robot
 from service.body.holds import relative_pose
@@ -247,3 +248,38 @@ def test_the_beam_of_the_example_gets_over_the_rail():
     assert first[2, 3] < rail.lower[2]
     assert last[0, 3] > rail.lower[0]
     assert last[2, 3] > rail.upper[2]
+
+
+def test_a_cup_stays_upright_on_a_long_way_over_an_obstacle(tmp_path: Path) -> None:
+    """The place is a region of a metre, the tilt one of 20 deg: both are used, and proven between the waypoints."""
+    urdf = tmp_path / "arm.urdf"
+    y, thin = (0.0, 1.0, 0.0), (0.3, 0.05, 0.05)
+    links = [
+        Segment(Z, size=thin),
+        *(Segment(y, (0.3, 0.0, 0.0), thin) for _ in range(3)),
+        Segment(Z, (0.3, 0.0, 0.0), thin),
+    ]
+    urdf.write_text(chain_urdf(links), encoding="utf-8")
+    bent = {"joint2": -0.6, "joint3": 1.0, "joint4": -0.4}
+    pole = {"name": "pole", "type": "box", "size": [0.06, 0.06, 0.4], "position": [1.1, 0.0, 0.05]}
+    request = parse_request(
+        {
+            "robot": {"urdf": str(urdf)},
+            "scene": {"floor": False, "obstacles": [pole]},
+            "start": {"joints": {"joint1": -0.3, **bent}},
+            "goal": {"joints": {"joint1": 0.3, **bent}},
+            "keep": [{"link": "tip", "position_tolerance_m": 1.0, "rotation_tolerance_deg": 20.0, "free_axis": "z"}],
+        }
+    )
+    result = plan(request)
+    assert result.verdict is Verdict.CERTIFIED
+    model, motion = result.robot.model, result.motion
+    data, frame, most, far = model.createData(), model.getFrameId("tip"), 0.0, 0.0
+    poses = []
+    for q in motion.curve(np.linspace(*motion.curve.knots[[0, -1]], 2000)):
+        pin.framesForwardKinematics(model, data, q)
+        poses.append(data.oMf[frame].homogeneous.copy())
+        most = max(most, float(np.arccos(np.clip(poses[-1][:3, 2] @ poses[0][:3, 2], -1.0, 1.0))))
+        far = max(far, float(np.linalg.norm(poses[-1][:3, 3] - poses[0][:3, 3])))
+    assert np.rad2deg(most) <= 20.0
+    assert 0.3 < far <= 1.0

@@ -28,7 +28,7 @@ def places(body: WholeBody, q: np.ndarray, **shift: list[float]) -> tuple[Target
     """Goals for frames where they are at ``q``, shifted by so much."""
     now = locate_links(body.engine, q, list(shift))
     poses = tuple(PoseGoalRequest(frame, tuple(now[frame][:3, 3] + by)) for frame, by in shift.items())
-    return Goal.of(body, GoalRequest(poses=poses)).targets(0.0)
+    return Goal.of(body, GoalRequest(poses=poses)).targets()
 
 
 HANDS = KeepRequest("r_hand", "l_hand")

@@ -203,6 +203,7 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
         clearance_m=setup.request.options.clearance_m,
+        jerk_scale=setup.request.options.jerk_scale,
     )
 
 

@@ -42,6 +42,7 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
     names += [f"release.{release.joint}" for release in motion.releases]
     if motion.law is not None:
         names += ["limits.speed", "limits.acceleration", "limits.rest"]
+        names += ["limits.jerk"] if motion.jerk_scale is not None else []
     elif _is_waived(motion, TIMING):
         waived.append("speeds, accelerations and forces (the motion is untimed)")
     else:

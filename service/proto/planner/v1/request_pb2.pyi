@@ -981,7 +981,7 @@ class Keep(_message.Message):
     def __init__(self, link: _Optional[str] = ..., relative_to: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m")
+    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m", "jerk_scale")
     WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
     TIME_LIMIT_S_FIELD_NUMBER: _ClassVar[int]
     MARGIN_M_FIELD_NUMBER: _ClassVar[int]
@@ -996,6 +996,7 @@ class Options(_message.Message):
     ESCAPE_FIELD_NUMBER: _ClassVar[int]
     HAND_FRICTION_FIELD_NUMBER: _ClassVar[int]
     CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
+    JERK_SCALE_FIELD_NUMBER: _ClassVar[int]
     waypoints: int
     time_limit_s: float
     margin_m: float
@@ -1010,7 +1011,8 @@ class Options(_message.Message):
     escape: bool
     hand_friction: _containers.RepeatedScalarFieldContainer[float]
     clearance_m: float
-    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ..., clearance_m: _Optional[float] = ...) -> None: ...
+    jerk_scale: float
+    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ..., clearance_m: _Optional[float] = ..., jerk_scale: _Optional[float] = ...) -> None: ...
 
 class Resume(_message.Message):
     __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf", "hold", "nominal", "is_compliant")

@@ -1,0 +1,128 @@
+"""Slower time laws of the same curve: within the limits of speed and acceleration, and with a limited jerk."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.curve import Curve, TimeLaw
+from costs.robot.model import RobotModel
+from costs.stopping import poll
+from service.verify import measure_jerks, measure_timed_peaks
+
+REST = 1e-12  # speed along the path that counts as none [1/s]
+# Widths of the filter that are tried, as shares of a stretch's duration.
+WIDTHS = np.geomspace(0.03, 1.0, 8)
+CELL_S = 1e-2  # longest cell of a filtered law [s]
+CELLS = 12  # of the filter's width, at least
+ROUNDS = 8  # of slowing a stretch, which lowers its jerk by the third power but for steps of the curve's bend
+SPARE = 1.002  # more than the estimate asks
+JERK_SHARE = 0.95  # of the limits that is used: where the windows of the measure begin changes with the duration
+
+
+def stretch_law(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:
+    """Multiply every cell's duration; the factor may only change at rests."""
+    times = np.concatenate([law.times[:1], law.times[0] + np.cumsum(np.diff(law.times) * factor)])
+    return TimeLaw(times, law.path, law.speed / np.append(factor, factor[-1]))
+
+
+def slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
+    """Slow each stretch between rests until its exact peaks are within the limits."""
+    peaks = measure_timed_peaks(curve, law)
+    excess = np.maximum(
+        (peaks.speed / robot.velocity).max(axis=1), np.sqrt((peaks.acceleration / robot.acceleration).max(axis=1))
+    )
+    factor = np.ones(len(law.times) - 1)
+    for a, b in _list_stretches(law):
+        inside = (peaks.s >= law.path[a]) & (peaks.s < law.path[b])
+        factor[a:b] = max(1.0, float(excess[inside].max()))
+    return stretch_law(law, factor)
+
+
+def limit_jerk(
+    robot: RobotModel,
+    curve: Curve,
+    law: TimeLaw,
+    jerk: Float[np.ndarray, "n"],
+    kept: Container[tuple[float, float]] = (),
+) -> TimeLaw:
+    """Return the law with the speed along the path filtered by a box and slowed, so that jerk limits hold as well.
+
+    The path stays.  A wider box leaves less jerk to slow away, and takes its width itself: on each stretch between two
+    rests the width is taken whose law ends first.
+
+    Args:
+        robot: with the shares of its limits of speed and acceleration that are used.
+        jerk: (n,) limits [rad/s3, m/s3].
+        kept: path parameters of the ends of stretches that stay as they are.
+    """
+    jerk = JERK_SHARE * jerk
+    path, speed = [law.path[:1]], [np.zeros(1)]
+    for a, b in _list_stretches(law):
+        own = law.cut(float(law.path[a]), float(law.path[b]))
+        if own is None or (float(law.path[a]), float(law.path[b])) in kept:
+            path.append(law.path[a + 1 : b + 1])
+            speed.append(law.speed[a + 1 : b + 1])
+            continue
+        part = curve.cut(curve.find_knots(own.path[0], own.path[-1]))
+        poll()
+        tried = (_slow_to_jerk(robot, part, _filter(own, width), jerk) for width in WIDTHS * own.times[-1])
+        best = min(tried, key=lambda one: float(one.times[-1]))
+        path.append(best.path[1:])
+        speed.append(best.speed[1:])
+    return _slow_across_rests(curve, TimeLaw.accelerated(np.concatenate(path), np.concatenate(speed)), jerk, kept)
+
+
+def _slow_across_rests(
+    curve: Curve, law: TimeLaw, jerk: Float[np.ndarray, "n"], kept: Container[tuple[float, float]]
+) -> TimeLaw:
+    """Slow the stretches on both sides of a rest where their jerks add up."""
+    for _ in range(ROUNDS):
+        s, jerks = measure_jerks(curve, law)
+        excess = (jerks / jerk).max(axis=1)
+        if excess.max() <= 1.0:
+            break
+        factor, first = np.ones(len(law.times) - 1), law.path[0]
+        for a, b in _list_stretches(law):
+            inside = (s >= first) & (s <= law.path[b])
+            if (float(law.path[a]), float(law.path[b])) not in kept:
+                factor[a:b] = max(1.0, SPARE * float(excess[inside].max(initial=0.0)) ** (1.0 / 3.0))
+            first = s[s <= law.path[b]].max(initial=law.path[a])  # the last window reaches into the next stretch
+        law = stretch_law(law, factor)
+    return law
+
+
+def _list_stretches(law: TimeLaw) -> Iterator[tuple[int, int]]:
+    """Yield the grid points of two neighbouring rests."""
+    return pairwise(np.flatnonzero(law.speed <= REST).tolist())
+
+
+def _filter(law: TimeLaw, width: float) -> TimeLaw:
+    """Return a law from rest to rest whose speed is the mean over a width of time of the given law's [s]."""
+    times = law.times - law.times[0]
+    duration = float(times[-1]) + width
+    count = max(int(np.ceil(duration / CELL_S)), int(np.ceil(CELLS * duration / width)))
+    t = np.linspace(0.0, duration, count + 1)
+    ahead, behind = (law.at(np.clip(t + by, 0.0, times[-1]) + law.times[0])[0] for by in (0.0, -width))
+    speed = (ahead - behind) / width
+    speed[[0, -1]] = 0.0
+    # Between the points the speed is read as linear, so that the path follows from it.
+    length = 0.5 * (speed[1:] + speed[:-1]) * (duration / count)
+    path = law.path[0] + np.concatenate([[0.0], np.cumsum(length)]) * ((law.path[-1] - law.path[0]) / length.sum())
+    path[-1] = law.path[-1]
+    moving = np.append(np.diff(path) > 0.0, True)
+    return TimeLaw.accelerated(path[moving], speed[moving])
+
+
+def _slow_to_jerk(robot: RobotModel, curve: Curve, law: TimeLaw, jerk: Float[np.ndarray, "n"]) -> TimeLaw:
+    """Return a law between two rests, slowed evenly until limits of speed, acceleration and jerk hold."""
+    law = slow_to_limits(robot, curve, law)
+    for _ in range(ROUNDS):
+        excess = float((measure_jerks(curve, law)[1] / jerk).max())
+        if excess <= 1.0:
+            break
+        law = stretch_law(law, np.full(len(law.times) - 1, SPARE * excess ** (1.0 / 3.0)))
+    return law
