@@ -193,6 +193,23 @@ class _Balance:
         self._around = _list_tangents(self._normals, self._ways)
         middle = np.mean([meeting.way for _, meeting in touching], axis=0)
         self._across = np.linalg.svd(middle[None])[2][1:] if several else np.zeros((0, 3))
+        # An edge is a sum of normal and tangent, and so is everything that is linear in it.
+        along = np.broadcast_to(self._normals[:, None], self._around.shape)
+        self._of_normals, self._wanted = self._make_rows(along)
+        self._of_tangents = self._make_rows(self._around)[0]
+        self._slacks = slice(1 + len(self._across), len(self._wanted))
+
+    def _make_rows(self, edges: Float[np.ndarray, "S E 3"]) -> tuple[Float[np.ndarray, "r e"], Float[np.ndarray, "r"]]:
+        """Return what unit forces along edges do, row by row, and what is wanted: the push, then upper bounds."""
+        count = edges.shape[0] * edges.shape[1]
+        equal = [(edges * self._ways[:, None]).sum(axis=2).reshape(1, count), self._across @ edges.reshape(count, 3).T]
+        parts = np.einsum("sek,shk->hse", edges, self._held).reshape(-1, count)
+        owned = np.arange(len(self._caps))[:, None] == self._owners
+        pressed = owned[:, :, None] * (edges * self._normals[:, None]).sum(axis=2)
+        is_low, is_high = np.isfinite(self._low), np.isfinite(self._high)
+        rows = np.concatenate([*equal, parts[is_high], -parts[is_low], pressed.reshape(-1, count)])
+        values = np.concatenate([self._high[is_high], -self._low[is_low], self._caps])
+        return rows, np.concatenate([[self._force], np.zeros(len(self._across)), values])
 
     def _list_edges(self, half: float) -> Float[np.ndarray, "S E 3"]:
         """Return the edges of pyramids inside cones of a half-angle, as unit vectors."""
@@ -205,19 +222,11 @@ class _Balance:
         """
         if half <= 0.0:
             return False
-        edges = self._list_edges(half)
-        count = edges.shape[0] * edges.shape[1]
-        equal = [(edges * self._ways[:, None]).sum(axis=2).reshape(1, count), self._across @ edges.reshape(count, 3).T]
-        parts = np.einsum("sek,shk->hse", edges, self._held).reshape(-1, count)
-        owned = np.arange(len(self._caps))[:, None] == self._owners
-        pressed = owned[:, :, None] * (edges * self._normals[:, None]).sum(axis=2)
-        is_low, is_high = np.isfinite(self._low), np.isfinite(self._high)
-        bounded = np.concatenate([parts[is_high], -parts[is_low], pressed.reshape(-1, count)])
-        values = np.concatenate([self._high[is_high], -self._low[is_low], self._caps])
-        free = np.zeros((1 + len(self._across), len(bounded)))
-        matrix = np.block([[np.concatenate(equal), free], [bounded, np.eye(len(bounded))]])
-        wanted = np.concatenate([[self._force], np.zeros(len(self._across)), values])
-        _, rest = nnls(matrix, wanted)
+        count, n_bounds = self._of_normals.shape[1], self._slacks.stop - self._slacks.start
+        matrix = np.zeros((len(self._wanted), count + n_bounds))
+        matrix[:, :count] = np.cos(half) * self._of_normals + np.sin(half) * self._of_tangents
+        matrix[self._slacks, count:] = np.eye(n_bounds)
+        _, rest = nnls(matrix, self._wanted)
         return bool(rest < _REST * self._force)
 
     def holds_about(self, off: float) -> bool:
