@@ -9,11 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from costs.collision import Contacts
-from costs.kinematics import KinematicsEngine
-from costs.robot import load_robot
-from costs.state import MotionState
-from costs.terms import FramePose, JointDifference
+from costs import Contacts, FramePose, JointDifference, KinematicsEngine, MotionState, load_robot
 from scopt import AffineRows, Constraint, Cost, Problem, Residual, Sense, TrustRegionSQP
 
 URDF = """<robot name="arm">

@@ -9,10 +9,7 @@ import sys
 
 import numpy as np
 
-from costs.collision import Contacts
-from costs.kinematics import KinematicsEngine, locate_frame
-from costs.robot import RobotModel, load_robot
-from costs.state import MotionState
+from costs import Contacts, KinematicsEngine, MotionState, RobotModel, load_robot, locate_frame
 from scopt import AffineRows, Cost, Penalty, Residual, check_derivative
 from service import parse_request, plan
 

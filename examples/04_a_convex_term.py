@@ -11,8 +11,7 @@ import sys
 import cvxpy as cp
 import numpy as np
 
-from costs.robot import RobotModel, load_robot
-from costs.state import MotionState
+from costs import MotionState, RobotModel, load_robot
 from scopt import Constraint, ConvexExpression, Cost, Penalty, ProblemError
 from service import parse_request, plan
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from costs.robot import load_robot
+from costs import load_robot
 from perception import inside_hulls, write_pcd
 from perception.simulate import Pose, Room, Scanner, Valve, scan
 

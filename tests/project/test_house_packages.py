@@ -39,13 +39,14 @@ def test_help_loads_no_heavy_library() -> None:
     assert "plan" in done.stdout
 
 
-def test_every_public_name_of_the_service_is_listed_and_can_be_imported() -> None:
-    service = importlib.import_module("service")
-    assert dir(service) == sorted(service.__all__)
-    for name in service.__all__:
-        assert getattr(service, name).__name__ == name
+@pytest.mark.parametrize("package", ["costs", "service"])
+def test_every_public_name_is_listed_and_can_be_imported(package: str) -> None:
+    module = importlib.import_module(package)
+    assert dir(module) == sorted(module.__all__)
+    for name in module.__all__:
+        assert getattr(module, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
-        _ = service.nonsense
+        _ = module.nonsense
 
 
 def test_every_dependency_is_pinned_by_a_plain_version() -> None:
