@@ -67,9 +67,12 @@ ADDED = {
         "LeafChoice.slant_rad",
         "Options.clearance_m",
         "Options.hand_friction",
+        "RobotHandRequest.fingers",
+        "SceneRequest.objects",
         "SceneRequest.level",
         "SceneRequest.sensor_model",
         "SceneRequest.sensor_sigma",
+        "TaskRequest.pick_place",
     ),
 }
 """Fields by the format that brought them: ``CLASS.FIELD``, with the class of the schema that declares the field.

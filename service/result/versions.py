@@ -28,6 +28,8 @@ ADDED: dict[int, dict[str, Any]] = {
     },
     3: {
         "clearance_m": 0.0,
+        "objects": [],
+        "phases[].carriers": [],
         "request_format": None,
         "request_defaults": {},
     },
