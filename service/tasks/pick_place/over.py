@@ -78,8 +78,7 @@ def _follow(
         target[:3, :3] = turns(share).as_matrix()
         # The nearest configuration alone would stay bent: lead it towards the end as well.
         guess = path[-1] + (last - path[-1]) / max(count - len(path), 1)
-        path.append(
-            project_within_limits(body.engine, guess[None], (*body.holds(), _place(body, tool, target)), *reserved)[0]
-        )
+        holds = (*body.holds(), _place(body, tool, target))
+        path.append(project_within_limits(body.engine, guess[None], holds, *reserved)[0])
     q = np.stack(path)
     return np.asarray(q + np.linspace(0.0, 1.0, count)[:, None] * (last - q[-1]))

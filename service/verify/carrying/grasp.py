@@ -19,8 +19,8 @@ from costs.robot.carried import MovableObject
 from costs.work_space import borrow_data
 from service.verify.carrying.carriers import Carrier, Grip
 from service.verify.forces.hand_balance import meet
-from service.verify.forces.pads import find_patch
-from service.verify.forces.rounded import shrink_hull
+from service.verify.forces.pads import PATCH_DEPTH_M, find_patch
+from service.verify.forces.rounded import list_round_contact, shrink_hull
 from service.verify.frame_paths import FramePath
 from service.verify.motion import HandContact, Motion, VerifyError
 from service.verify.prepared_motion import PreparedMotion
@@ -174,7 +174,8 @@ def _lay(
     core, radius = shrink_hull(finger.vertices)
     contact = HandContact(finger.link, "a finger", core, radius, body.link, body.name)
     met = meet(contact, body, pose, 1.0, ())
-    spots = find_patch(core @ pose[0].T + pose[1], body.vertices, met.normal)
+    strip = list_round_contact(body, met.normal, PATCH_DEPTH_M)
+    spots = find_patch(core @ pose[0].T + pose[1], body.vertices if strip is None else strip, met.normal)
     if not len(spots):
         return Pad(finger.link, grip, met.gap, met.normal, met.point[None])
     level = (met.point @ met.normal - spots @ met.normal)[:, None] * met.normal

@@ -11,8 +11,8 @@ from scipy.optimize import linprog
 
 from costs.robot import LinkBody
 from costs.scene import ConvexPiece
-from service.verify.forces.pads import find_patch
-from service.verify.forces.rounded import RoundedBody
+from service.verify.forces.pads import find_contact_corners
+from service.verify.forces.rounded import RoundedBody, list_round_contact
 from service.verify.solids import make_coal_convex
 
 REST_GAP_M = 3e-3  # between an object and what carries it, either way
@@ -62,8 +62,12 @@ def _touch(body: LinkBody, piece: ConvexPiece) -> tuple[Float[np.ndarray, "P 3"]
     normal = np.array(result.normal)
     if abs(apart - solid.radius) > REST_GAP_M:
         return np.zeros((0, 3)), normal
-    spots = find_patch(piece.vertices, body.vertices, normal)
-    return (spots if len(spots) else np.array(result.getNearestPoint1())[None]), normal
+    point = np.array(result.getNearestPoint1())
+    line = list_round_contact(body, normal, 0.0)
+    spots = find_contact_corners(piece.vertices, body.vertices, normal) if line is None else line
+    if not len(spots):
+        return point[None], normal
+    return np.asarray(spots + (point @ normal) * normal), normal
 
 
 def _list_edges(
