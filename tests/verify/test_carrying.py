@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gantry import pick_place_request, write_gantry
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.attack.gantry_files import pick_place_request, write_gantry
 from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotError, load_robot
 from costs.robot.carried import PlacedObject, with_objects
