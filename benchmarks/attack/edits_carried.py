@@ -27,7 +27,7 @@ def an_object_let_go_in_the_air(folder: Folder) -> None:
         _carrier(folder, name).update(link=None, grips=[])
 
 
-@CARRIED.lie("carried", stranger=True)
+@CARRIED.lie("carried")
 def an_object_carried_by_the_column(folder: Folder) -> None:
     for name in HELD:
         _carrier(folder, name)["link"] = "column"

@@ -14,7 +14,7 @@ from costs.primitive import Primitive
 from costs.robot import shapes
 from costs.robot.elements.inertia import LinkInertia
 from costs.robot.errors import RobotError
-from costs.robot.mesh.hull import find_hull_vertices, make_outer_hull
+from costs.robot.mesh.hull import make_outer_hull
 from costs.robot.model import LinkBody, RobotModel
 
 
@@ -24,7 +24,7 @@ class MovableObject:
 
     Attributes:
         name: of its frame and its body in a robot that carries it.
-        vertices: (V, 3) hull in its own frame [m].
+        vertices: (V, 3) of its hull, all of them extreme, in its own frame [m].
         inertia: mass in its own frame.
         start: (4, 4) its pose in the world at the start of a motion.
         exact: the round shape that the hull contains, in its own frame; None for any other shape.
@@ -76,7 +76,7 @@ def with_objects(robot: RobotModel, placed: Sequence[PlacedObject]) -> RobotMode
             model.appendBodyToJoint(joint, inertia, pin.SE3(pose))
         else:
             still.add(item.name)
-        vertices = find_hull_vertices(item.vertices @ pose[:3, :3].T + pose[:3, 3], f"object '{item.name}'")
+        vertices = np.asarray(item.vertices @ pose[:3, :3].T + pose[:3, 3])
         exact = None if item.exact is None else item.exact.move(pose)
         outer = make_outer_hull(vertices) if exact is None else shapes.make_swept_hull(exact, vertices)
         bodies.append(LinkBody(item.name, item.name, joint, vertices, outer, exact))
