@@ -18,7 +18,7 @@ from service.demands.phase import TaskPhase
 from service.errors import RequestError
 from service.request.scene import ObjectRequest
 from service.request.schema import PlanRequest
-from service.request.tasks.pick_place import PickPlaceRequest
+from service.request.tasks.pick_place import PickRequest
 from service.verify import Carrier, Grip, PoseTarget, Target, measure_rest_margin
 
 PAD_DEPTH_M = 3e-3  # of a finger in what it holds
@@ -48,7 +48,7 @@ class PickPlace:
         friction: least coefficient between hands and objects.
     """
 
-    request: PickPlaceRequest
+    request: PickRequest
     given: ObjectRequest
     item: MovableObject
     place: Float[np.ndarray, "4 4"]
@@ -58,7 +58,7 @@ class PickPlace:
     friction: float
 
     @staticmethod
-    def of(section: PickPlaceRequest, request: PlanRequest, robot: RobotModel, scene: Scene) -> PickPlace:
+    def of(section: PickRequest, request: PlanRequest, robot: RobotModel, scene: Scene) -> PickPlace:
         """Read the work of a request.
 
         Raises:
@@ -104,7 +104,7 @@ class PickPlace:
         return PoseTarget(self.item.name, self.place[:3, 3], self.place[:3, :3], position, rotation, at)
 
 
-def choose_grippers(robot: RobotModel, section: PickPlaceRequest) -> tuple[Gripper, ...]:
+def choose_grippers(robot: RobotModel, section: PickRequest) -> tuple[Gripper, ...]:
     """Return the grippers of a robot that a request permits.
 
     Raises:

@@ -21,7 +21,7 @@ class ObjectPlaceRequest(Section):
 
 
 @dataclass(config=SECTION)
-class PickPlaceRequest(TaskSection):
+class PickRequest(TaskSection):
     """Task of taking an object, carrying it, and putting it down where it rests.
 
     Attributes:

@@ -15,7 +15,7 @@ from service.demands.grasping.gripper import Gripper
 from service.demands.pick_place.demand import PickPlaceDemand
 from service.demands.pick_place.work import FIELD, PickPlace, choose_grippers, place_object
 from service.explain.distance import find_out_of_reach
-from service.request.tasks.pick_place import PickPlaceRequest
+from service.request.tasks.pick_place import PickRequest
 from service.setup.checks import describe_overload
 from service.setup.prepare import PlanSetup
 from service.tasks.pick_place.carrying import CarrySequence
@@ -27,7 +27,7 @@ ON_TOP_M = 0.01  # above an object, within which a piece rests on it
 ON_TOP_SHARE = 0.5  # of an object's height that such a piece is above
 
 
-def plan_pick_place(setup: PlanSetup, solver: PhaseSolver, section: PickPlaceRequest) -> Iterator[TaskPlan]:
+def plan_pick_place(setup: PlanSetup, solver: PhaseSolver, section: PickRequest) -> Iterator[TaskPlan]:
     """Yield a plan for one hand and grasp after the other; where none is feasible, the one with most phases.
 
     Raises:

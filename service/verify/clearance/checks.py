@@ -45,7 +45,7 @@ class Clearance:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _Stretch:
     """Clearance of all pairs while nothing changes its carrier.
 
     Attributes:
@@ -82,7 +82,7 @@ def prove_clearance(prepared: PreparedMotion, settings: VerifySettings) -> Clear
     )
 
 
-def _examine_parts(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[_Part]:
+def _examine_parts(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[_Stretch]:
     """Yield the parts of the motion between changes of carriers."""
     placed = [prepared.in_phase(phase) for phase in prepared.phases]
     begins = [k for k, own in enumerate(placed) if k == 0 or own.motion is not placed[k - 1].motion]
@@ -92,7 +92,7 @@ def _examine_parts(prepared: PreparedMotion, settings: VerifySettings) -> Iterat
         edges = prepared.edges[rows[0] : rows[-1] + 2]
         table = collect_pairs(own.motion, own.tree)
         examined = examine_pairs(own, table, edges, prepared.edge_phase[rows], settings)
-        yield _Part(own, examined, _lowest_floors(examined))
+        yield _Stretch(own, examined, _lowest_floors(examined))
 
 
 def _join_columns(parts: Sequence[Stretches]) -> Stretches:
@@ -180,7 +180,7 @@ def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterato
         yield Check("clearance", True, lower, limit, "m", text, where, Basis.UNPROVEN)
 
 
-def _summary_check(parts: Sequence[_Part], smallest: float, names: tuple[str, str] | None) -> Check:
+def _summary_check(parts: Sequence[_Stretch], smallest: float, names: tuple[str, str] | None) -> Check:
     """Make the check of a motion whose pairs are all proven."""
     text = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {round_down(1e3 * smallest, 1)} mm"
     text += f" ({names[0]} and {names[1]})" if names else ""
