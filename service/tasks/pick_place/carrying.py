@@ -66,6 +66,7 @@ class CarrySequence:
         work: the object and its places.
         grasps: of the hands, the leading one first.
         before, held, after: solvers with the object at its start, in the hands, and where it is put.
+        is_patient: whether straight phases are tried in more than one way.
     """
 
     work: PickPlace
@@ -73,6 +74,7 @@ class CarrySequence:
     before: PhaseSolver
     held: PhaseSolver
     after: PhaseSolver
+    is_patient: bool = False
 
     @staticmethod
     def of(solver: PhaseSolver, work: PickPlace, grasps: tuple[Grasp, ...]) -> CarrySequence:
@@ -133,7 +135,8 @@ class CarrySequence:
         if body.polygon is not None and hand.is_line and known is not None:
             count = compiler.count_waypoints(phase)
             led = lead_in_balance(body, hand, known, count, is_backwards=first is None)
-            compiler = replace(compiler, earlier=EarlierMotion({phase.name: led}))
+            solver = compiler.solver if self.is_patient else replace(compiler.solver, most_starts=1)
+            compiler = replace(compiler, solver=solver, earlier=EarlierMotion({phase.name: led}))
         return self._promise(compiler.lead(phase, first, last if not hand.is_line or first is None else None), body)
 
     def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:

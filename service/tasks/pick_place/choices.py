@@ -27,6 +27,7 @@ STEEPEST = 0.4  # largest upward part of the way on which a hand comes
 SEEDS = 2  # configurations from which inverse kinematics starts
 SPANS = (0.5, 0.4, 0.6, 0.3, 0.7, 0.8)  # between two hands on a long object [m]
 OUTSIDE_M = 0.05  # of the centre of mass from the support polygon in a configuration that counts as reached
+INSIDE_RAD = 10.0  # by which a configuration in which links meet counts as farther away, over all joints
 INSIDE_M = 1e-3  # of a hand in what stands around
 SPAN_ROOM_M = 0.05  # of a hand from the end of such an object
 
@@ -105,7 +106,8 @@ def rank_choices(
 ) -> list[tuple[Choice, Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]:
     """Return the choices that are reached at both ends of the way, the nearest to the nominal pose first.
 
-    Each comes with a configuration at either end, in which obstacles and balance are left out.
+    Those whose links would meet something come later.  Each comes with a configuration at either end, in which
+    obstacles and balance are left out.
     """
     poses = locate_links(body.engine, body.nominal, sorted({g.tool for choice in choices for g in choice.grippers}))
     ahead = sorted(choices, key=lambda choice: _measure_turn(work, choice, poses))
@@ -119,7 +121,8 @@ def rank_choices(
         last = _reach(body, choice, work.place, [first, body.nominal])
         if last is not None:
             effort = float(np.abs(first - body.nominal).sum() + np.abs(last - first).sum())
-            ranked.append((effort, choice, first, last))
+            inside = sum(body.measure_nearest(q) < 0.0 for q in (first, last))
+            ranked.append((effort + INSIDE_RAD * inside, choice, first, last))
     ranked.sort(key=lambda entry: entry[0])
     return [(choice, first, last) for _, choice, first, last in ranked]
 

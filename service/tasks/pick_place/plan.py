@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -57,18 +58,22 @@ def plan_pick_place(setup: PlanSetup, solver: PhaseSolver, section: PickRequest)
         return
     demand = PickPlaceDemand(work, grippers)
     unsolved: TaskPlan | None = None
-    for choice, first, last in ranked[:MOST_CHOICES]:
-        sequence = CarrySequence.of(solver, work, choice.grasps)
+    is_found = False
+    for is_patient, (choice, first, last) in product((False, True), ranked[:MOST_CHOICES]):
+        if is_patient and is_found:
+            return
+        sequence = replace(CarrySequence.of(solver, work, choice.grasps), is_patient=is_patient)
         phases, stuck = sequence.plan(first, last)
         notes = (f"{work.item.name} is taken by {choice.describe()}",)
         plan = TaskPlan(body, phases, stuck=stuck, measure=demand.measure, notes=notes, objects=(work.item,))
         if stuck is None:
+            is_found = True
             yield plan
             continue
         if unsolved is None or len(phases) > len(unsolved.phases):
             overload = _describe_weight(sequence, work, choice, first, last)
             unsolved = plan if overload is None else replace(plan, obstacle=(overload,))
-    if unsolved is not None:
+    if unsolved is not None and not is_found:
         yield unsolved
 
 
