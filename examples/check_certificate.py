@@ -21,6 +21,7 @@ import pinocchio as pin
 from replayed_loads import forces, region_margin, touches
 from replayed_mechanism import release
 from replayed_motion import Array, Replay, covers, read_model
+from replayed_objects import held, split
 from replayed_pushes import leaving, pushes
 from replayed_record import hashes, rates, samples, speeds
 from replayed_targets import target
@@ -76,8 +77,8 @@ def separation(a: Array, b: Array, wanted: float) -> float:
     return best
 
 
-def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
-    """Check every pair on the whole curve: by the certificate's rows if there are any, else by bounding boxes."""
+def clearance(replay: Replay, data: dict[str, Any], phases: list[dict[str, Any]]) -> tuple[bool, str]:
+    """Check every pair during some phases: by the certificate's rows if there are any, else by bounding boxes."""
     solids, named = {}, {}
     for body in data["bodies"]:
         frame = replay.model.frames[replay.model.getFrameId(body["link"])]
@@ -100,7 +101,9 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
     if len(solids) < sum(map(len, listed)):
         raise SystemExit("two bodies or pieces have one name, so that the certificate's pairs cannot be told apart")
     proof, rows, sweeps, failed, smallest, n_rows = data["certificate"]["stretches"], {}, {}, [], np.inf, 0
-    edges = np.union1d(replay.edges, np.clip(proof["edges"], replay.edges[0], replay.edges[-1])).tolist()
+    begin, end = replay.samples[phases[0]["first"]], replay.samples[phases[-1]["last"]]
+    edges = np.union1d(replay.edges, np.clip(proof["edges"], replay.edges[0], replay.edges[-1]))
+    edges = edges[(edges >= begin) & (edges <= end)].tolist()
     for p, *row in zip(*(proof[key] for key in ("pair", "first", "last", "distance")), strict=True):
         rows.setdefault(tuple(proof["pairs"][p]), []).append(row)
     for pair in pairs:
@@ -109,7 +112,7 @@ def clearance(replay: Replay, data: dict[str, Any]) -> tuple[bool, str]:
         chain, own = replay.chain(jh, jm, mover), sorted(rows.get(pair, []))
         seen = sweeps.setdefault((pair[0], jh), {})  # shared by all pairs of one mover and one frame
         for a, b in itertools.pairwise(edges):
-            phase = next(p for p in data["phases"] if replay.samples[p["last"]] >= 0.5 * (a + b))
+            phase = next(p for p in phases if replay.samples[p["last"]] >= 0.5 * (a + b))
             depths = [w["depth"] for w in phase["allowances"] if covers(w, named[pair[0]], named[pair[1]])]
             is_own = {named[name][0] for name in pair} == {"robot", "scene"}
             least = max(data["certificate"]["min_clearance_m"] or 0.0, is_own * data.get("clearance_m", 0.0))
@@ -269,9 +272,13 @@ def main(folder: Path) -> int:
     replay = Replay(read_model(folder, data), data)
     claims = [("hashes", *hashes(folder, data)), ("samples", *samples(folder, replay, data))]
     claims += [("rates", *rates(folder, replay, data))]
-    claims += [("speeds", *speeds(replay, data)), ("clearance", *clearance(replay, data))]
+    claims += [("speeds", *speeds(replay, data))]
     claims += [(f"release of {rule['joint']}", *release(replay, rule)) for rule in data["releases"]]
-    for index, phase in enumerate(data["phases"]):
+    parts = list(split(replay, data))
+    claims += [("clearance", *clearance(*part)) for part in parts]
+    for replay, data, phase in ((r, d, phase) for r, d, phases in parts for phase in phases):
+        claims += held(replay, data, phase, closest)
+        index = next(k for k, one in enumerate(data["phases"]) if one is phase)
         claims += [(f"{phase['name']}: {c['link']}", *feet(replay, phase, c)) for c in phase["contacts"]]
         relative = [target for target in phase["targets"] if target["kind"] == "relative_pose"]
         claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]

@@ -23,7 +23,8 @@ def hashes(folder: Path, data: dict[str, Any]) -> Claim:
     """Check the recorded hashes of the request, the URDF, the pieces, the bodies and the promises."""
     canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))
     moved = [(b["name"], b["vertices"] - np.array(m["origin"])) for m in data["movables"] for b in m["bodies"]]
-    bodies = sorted([(b["name"], b["vertices"]) for b in data["bodies"]] + moved, key=lambda b: b[0])
+    own = [(b["name"], b["vertices"]) for b in [*data["bodies"], *(data.get("objects") or [])]]
+    bodies = sorted(own + moved, key=lambda b: b[0])
     proof = data["certificate"]
     expected = {
         "request_hash": (data["request_hash"], _sha(canonical.encode())),
@@ -144,6 +145,11 @@ def _of_promises(data: dict[str, Any]) -> str:
     parts: list[str | Array] = [part for phase in data["phases"] for part in _promises(phase, s)]
     for rule in data["releases"]:
         parts += ["release", rule["joint"], rule["latch"], np.array(rule["latch_at"]), np.array(rule["free_beyond"])]
+    for item in data.get("objects") or []:
+        start = np.eye(4)
+        start[:3, :3], start[:3, 3] = _rotation(item["start"]["quaternion_wxyz"]), item["start"]["position"]
+        parts += ["object", item["name"], start]
+        parts += [np.array(item[key]) for key in ("mass_kg", "centre", "moments")]
     for part in parts:
         if isinstance(part, str):
             content += b"t" + part.encode() + b"\0"
@@ -181,6 +187,10 @@ def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
         yield np.array(one["drift_m"])
     for one in phase["pushes"]:
         yield from _push(one)
+    for one in phase.get("carriers", ()):
+        yield from ("carrier", one["object"], one["link"] or "")
+        for grip in one["grips"]:
+            yield from ("grip", *grip["fingers"], np.array([grip["force_n"], grip["friction"]]))
 
 
 def _push(one: dict[str, Any]) -> Iterator[str | Array]:

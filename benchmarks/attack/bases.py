@@ -15,6 +15,7 @@ import yaml
 
 from benchmarks.attack import judges
 from benchmarks.attack.arm_files import GOAL, START, arm_request, write_arm
+from benchmarks.attack.gantry_files import pick_place_request, write_gantry
 from benchmarks.attack.outcome import Answer
 from scopt import EffortClock
 from service import parse_request, plan, write_result
@@ -101,6 +102,8 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
                 "scene": {"cloud": str(folder / "scan.pcd")},
                 "task": {"valve": valve},
             }
+        case "carried":
+            return pick_place_request(write_gantry(folder))
         case "missed":
             pose = {"link": "l_tool", "position": [0.50, 0.20, 2.40], "position_tolerance_m": 0.001}
             return _atlas("stand", [], goal={"poses": [pose]}, options={"starts": 1, "time_limit_s": 4.0})

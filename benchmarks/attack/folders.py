@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.attack import bases, judges
+from benchmarks.attack.edits_carried import CARRIED
 from benchmarks.attack.edits_certificate import CERTIFICATE
 from benchmarks.attack.edits_contacts import CONTACTS
 from benchmarks.attack.edits_holds import HOLDS
@@ -51,7 +52,19 @@ def attacks() -> list[Attack]:
     """Return edits by kind, texts that are not valid results, replaced files, and scans of something else."""
     edits: list[Edit] = [
         edit
-        for registry in (CERTIFICATE, REQUEST, PROMISES, CONTACTS, HOLDS, INVENTED, LEVER, STANCES, WORLD, MOTION)
+        for registry in (
+            CARRIED,
+            CERTIFICATE,
+            REQUEST,
+            PROMISES,
+            CONTACTS,
+            HOLDS,
+            INVENTED,
+            LEVER,
+            STANCES,
+            WORLD,
+            MOTION,
+        )
         for edit in registry.edits
     ]
     return [

@@ -27,6 +27,7 @@ from service.result.motion_json import motion_from_json, motion_json
 from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
 from service.result.result_json import add_reports
 from service.verify import Motion, VerifyError, verify
+from service.verify.carrying.placing import split_motion
 from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
 
 ROBOT_HERE = "the robot in this folder"
@@ -181,9 +182,9 @@ class Folder:
     def _fit_hashes(self, motion: Motion, robot: RobotModel) -> None:
         hashes = {
             "scene_sha256": scene_hash(motion.scene),
-            "bodies_sha256": bodies_hash(motion.robot),
+            "bodies_sha256": bodies_hash(split_motion(motion)[0].robot),
             "robot_sha256": robot_hash(motion.robot),
-            "promises_sha256": promises_hash(motion.phases, motion.releases),
+            "promises_sha256": promises_hash(motion.phases, motion.releases, objects=motion.objects),
         }
         made = motion_json(motion, robot)
         self.data.update({name: made[name] for name in ("waypoints", "support_polygons", "com", "zmp")})

@@ -59,7 +59,7 @@ class RobotSource:
 
 @dataclass(frozen=True)
 class RobotHand:
-    """Frames of a hand with a rod on its axis, which serves as a hook and as a peg.
+    """Frames of a hand with a rod on its axis, which serves as a hook and as a peg, or with two fingers.
 
     Attributes:
         link: the hand itself, whose front ends at ``stub``.
@@ -68,6 +68,7 @@ class RobotHand:
         peg, stub: frames in the middle of the free rod and where it leaves the hand, parallel to ``tool``; empty where
             the robot has none.
         peg_radius: half the rod's thickness [m].
+        fingers: links of two fingers that close along a straight line; empty where the robot has none.
     """
 
     link: str
@@ -76,6 +77,7 @@ class RobotHand:
     peg: str = ""
     stub: str = ""
     peg_radius: float = 9e-3
+    fingers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

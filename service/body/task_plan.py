@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.collision import Contacts
 from costs.curve import Curve, TimeLaw
+from costs.robot.carried import MovableObject
 from costs.state import MotionState
 from scopt import Problem, Result
 from service.body.holds import Hold
@@ -109,6 +110,7 @@ class TaskPlan:
         notes: choices that were made.
         is_impossible: whether ``obstacle`` holds for every motion, not only for those that were tried.
         pose_graph: poses from which the sequence was chosen (JSON-ready), or None.
+        objects: that hands carry; ``body`` is without them.
     """
 
     body: WholeBody
@@ -120,6 +122,7 @@ class TaskPlan:
     notes: tuple[str, ...] = ()
     is_impossible: bool = False
     pose_graph: Mapping[str, Any] | None = None
+    objects: tuple[MovableObject, ...] = ()
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from costs.robot import RobotModel
+from costs.robot import RobotHand, RobotModel
 
 PEG_RADIUS = 0.009  # [m]
 PEG_FROM_END = 0.03  # of the frame in the middle of the free rod, from the rod's end [m]
@@ -53,16 +53,22 @@ HANDS: Mapping[str, Hand] = {"left": _make_hand("left"), "right": _make_hand("ri
 
 def list_robot_hands(robot: RobotModel) -> tuple[Hand, ...]:
     """Return the hands that a robot declares; those of ``HANDS`` where it declares none, whether it has them or not."""
-    declared = tuple(
-        replace(
-            HANDS[side],
-            link=hand.link,
-            hook=hand.hook,
-            tool=hand.tool,
-            peg=hand.peg,
-            stub=hand.stub,
-            peg_radius=hand.peg_radius,
-        )
-        for side, hand in robot.hands.items()
-    )
+    declared = tuple(_read_hand(hand, HANDS[side]) for side, hand in robot.hands.items())
     return declared or tuple(HANDS.values())
+
+
+def _read_hand(hand: RobotHand, known: Hand) -> Hand:
+    """Return a hand that a robot declares; with fingers the hand is their palm."""
+    made = replace(
+        known,
+        link=hand.link,
+        hook=hand.hook,
+        tool=hand.tool,
+        peg=hand.peg,
+        stub=hand.stub,
+        peg_radius=hand.peg_radius,
+    )
+    if not hand.fingers:
+        return made
+    first, second = hand.fingers
+    return replace(made, palm=hand.link, fingers=(first, second))

@@ -13,6 +13,7 @@ import numpy as np
 
 from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis
+from costs.robot.carried import MovableObject
 from costs.scene import Scene
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.phase import TaskPhase
@@ -115,6 +116,8 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     releases = () if task.moved is None else task.moved.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
+    if not _same(tuple(map(_describe, recorded.objects)), tuple(map(_describe, task.objects))):
+        differences.append("the objects that hands carry are not those of the request")
     continues = None if demands.request.resume is None else demands.request.resume.plan
     if recorded.continues != continues:
         differences.append("the plan that the motion continues is not the request's")
@@ -129,6 +132,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         jerk_scale=jerk_scale,
         releases=releases,
         continues=continues,
+        objects=task.objects,
     )
     return HeldMotion(motion, tuple(differences))
 
@@ -190,6 +194,7 @@ class _Standing:
             loads=demand.loads,
             pushes=demand.pushes,
             pressed=demand.pressed,
+            carriers=demand.carriers,
             regions=phase.regions,  # evidence, which the verifier proves
         )
         if demand.contacts is not None:
@@ -241,7 +246,7 @@ def compare_phase(recorded: Phase, own: Phase, has_own_targets: bool) -> Iterato
     """Yield a sentence for each promise of a recorded phase that is not the request's."""
     if not _same_support(recorded.support, own.support):
         yield f"support of phase '{recorded.name}' are not those of the request"
-    names = ("contacts", "allowances", "loads", "region_margin_m")
+    names = ("contacts", "allowances", "loads", "region_margin_m", "carriers")
     for name in (*names, *(() if has_own_targets else ("targets",))):
         if not _same(getattr(recorded, name), getattr(own, name)):
             yield f"{name} of phase '{recorded.name}' are not those of the request"
@@ -298,6 +303,11 @@ def _scene_difference(recorded: Scene, own: Scene) -> str:
     changed = [name for name in sorted(wanted) if not _same(wanted[name].vertices, written[name].vertices)]
     kinds = [name for name in sorted(wanted) if wanted[name].kind != written[name].kind]
     return f"{', '.join((changed or kinds or ['a piece'])[:3])} of the scene is not where the request has it"
+
+
+def _describe(item: MovableObject) -> tuple[str | float | np.ndarray, ...]:
+    """Return what makes an object."""
+    return item.name, item.vertices, item.start, item.inertia.mass, item.inertia.centre, item.inertia.moments
 
 
 def _rests(motion: Motion, border: float) -> bool:

@@ -17,6 +17,7 @@ from costs.allowance import Allowance
 from service.demands.contacts.stances import StanceContact
 from service.verify import (
     AxisTarget,
+    Carrier,
     HandLoad,
     HandPush,
     JointTarget,
@@ -124,6 +125,7 @@ class TaskPhase:
         pushes: the contacts by which they exert them.
         bears: by joint of the mechanism that stays still, the forces of a hand that it bears by itself [N m, N].
         pressed: parts of the mechanism that hands press.
+        carriers: what carries each of the task's objects.
     """
 
     name: str
@@ -139,6 +141,7 @@ class TaskPhase:
     pushes: tuple[HandPush, ...] = ()
     bears: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pressed: tuple[PressedPart, ...] = ()
+    carriers: tuple[Carrier, ...] = ()
 
     @property
     def hand(self) -> FrameMotion | None:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import Mechanism, RobotModel, with_mechanism
+from costs.robot.carried import MovableObject
 from costs.scene import Scene
 from service.demands.phase import TaskPhase
 from service.request.resume import NominalRequest
@@ -70,6 +71,11 @@ class TaskDemand(ABC):
     def moved(self) -> Mechanism | None:
         """The mechanism that the task moves, if it moves one."""
         return None
+
+    @property
+    def objects(self) -> tuple[MovableObject, ...]:
+        """Objects that hands carry."""
+        return ()
 
     @property
     def feet(self) -> tuple[str, ...] | None:

@@ -20,6 +20,7 @@ from service.verify import (
     make_contact_share,
     make_joints,
     map_axes,
+    share_weight,
 )
 
 _EXACT = 1e3  # weight of the wrench against the size of forces in the least-squares program
@@ -70,6 +71,10 @@ def carry_motion(
         part = part * loaded[:, None]
         wrench -= part
         torque -= np.einsum("sij,si->sj", inverse.jacobians, part) @ map_axes(model, joint)
+    shared = share_weight(
+        motion, phase, q, lambda j, w: np.einsum("sij,si->sj", inverse.jacobians, w) @ map_axes(model, j)
+    )
+    torque = torque if shared is None else torque + shared
     if not phase.contacts:
         return CarriedMotion(torque, np.zeros((len(q), 0, 3)), np.zeros(len(q)))
     share = make_contact_share(motion, phase)

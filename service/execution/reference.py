@@ -13,10 +13,11 @@ from costs.curve import TimeLaw
 from costs.robot import BASE_NAMES, RobotModel
 from service.errors import ResultError
 from service.execution.ground_forces import carry_motion
+from service.execution.hands.grip_forces import GripForces
 from service.execution.hands.load_limits import LoadLimits, limit_loads
 from service.replay.replay import read_motion
 from service.result.folder import read_result, result_path
-from service.verify import Motion, Phase, PlantedContact, find_mechanism_joints, find_times, list_phases
+from service.verify import Motion, Phase, PlantedContact, find_mechanism_joints, find_times, list_phases, split_motion
 
 TABLE_STEP_S = 2e-3  # of desired positions, which are read linearly between
 FORCE_STEP_S = 0.02  # of torques and contact forces
@@ -170,6 +171,7 @@ class PlannedReference:
     def _tabulate_forces(self) -> tuple[Float[np.ndarray, "G n"], dict[str, Float[np.ndarray, "G 6"]]]:
         """Return generalised forces, and contact wrenches by link, on the grid."""
         motion, law, phases = self.motion, self._law, self._planned
+        parts, grips = split_motion(motion), GripForces(motion)
         links = list(dict.fromkeys(contact.link for phase in phases for contact in phase.contacts))
         times: list[np.ndarray] = []
         torques: list[np.ndarray] = []
@@ -182,9 +184,10 @@ class PlannedReference:
             s, speed, gain = law.at(inside)
             q, slope, bend = motion.curve(s), motion.curve(s, 1), motion.curve(s, 2)
             v, a = slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2
-            carried = carry_motion(motion, phase, q, v, a, loaded=self._ramp_loads(k, t), loosened=self._loosen(k, t))
+            loaded, loosened = self._ramp_loads(k, t), self._loosen(k, t)
+            carried = carry_motion(parts[k], phase, q, v, a, loaded=loaded, loosened=loosened)
             times.append(t)
-            torques.append(carried.torque)
+            torques.append(carried.torque + grips.list_torques(k, t, span.begin_s, span.end_s))
             first = 0
             for link in links:
                 contact = next((contact for contact in phase.contacts if contact.link == link), None)

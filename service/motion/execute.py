@@ -28,6 +28,7 @@ from service.verify import (
     SupportPolygon,
     find_times,
     list_waived_checks,
+    split_motion,
 )
 
 SAMPLE_PERIOD_S = 0.01
@@ -67,6 +68,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         releases=body.releases,
         clearance_m=body.aims.clearance,
         jerk_scale=None if timing is None else timing.jerk_scale,
+        objects=plan.objects,
     )
     if timing is None:
         is_held = any(phase.holds or _find_body(plan, phase).holds() for phase in plan.phases)
@@ -74,7 +76,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         return replace(motion, samples=_sample_path(spline.curve, _limit_chords(plan, spline, chord)))
     planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
-    law = time_curve(body.robot, spline.curve, borders, timing, phases, list(_place_laws(plan, borders)))
+    carrying = [part.robot for part in split_motion(motion)]
+    known = list(_place_laws(plan, borders))
+    law = time_curve(body.robot, spline.curve, borders, timing, phases, known, carrying)
     settled = [
         border
         for phase, border in zip(plan.phases, pairwise(borders), strict=True)
@@ -138,6 +142,7 @@ def _make_phase(
         regions=_place_regions(planned, body, s),
         region_margin_m=None if body.region is None else margin,
         pressed=phase.pressed,
+        carriers=phase.carriers,
     )
 
 

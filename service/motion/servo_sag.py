@@ -22,6 +22,7 @@ from service.verify import (
     list_load_cases,
     map_axes,
     outside_polygon,
+    split_motion,
 )
 
 SAMPLES = 12  # in each phase
@@ -91,17 +92,17 @@ def measure_sag(motion: Motion, stiffness: Mapping[str, float], proven_m: float 
     if not robot.is_floating or not sum(float(inertia.mass) for inertia in robot.model.inertias[1:]) > 0.0:
         return None
     largest, at, margin, after, tight, led = 0.0, None, np.inf, np.inf, "", np.inf
-    for phase in motion.phases:
+    for phase, part in zip(motion.phases, split_motion(motion), strict=True):
         if not phase.contacts:
             return None
         s = np.linspace(phase.first, phase.last, SAMPLES)
         q = motion.curve(s)
-        plain, softer = compute_sags(motion, phase, q, stiffness)
+        plain, softer = compute_sags(part, phase, q, stiffness)
         sag = np.linalg.norm(plain[..., :2], axis=2).max(axis=0)
         worst = int(sag.argmax())
         if float(sag[worst]) > largest:
             largest, at = float(sag[worst]), find_time(motion.law, float(s[worst]))
-        inside = _measure_margins(motion, phase, s, q)
+        inside = _measure_margins(part, phase, s, q)
         if inside is None:
             continue
         margin = min(margin, float(inside.min()))

@@ -34,6 +34,7 @@ from service.verify import (
     list_sample_times,
     make_contact_share,
     make_joints,
+    split_motion,
 )
 
 # Shortest duration of a knot interval, for stretches without motion [s].
@@ -83,6 +84,7 @@ def time_curve(
     settings: TimingSettings | None = None,
     phases: Sequence[Phase] = (),
     known: Sequence[TimeLaw] = (),
+    carrying: Sequence[RobotModel] = (),
 ) -> TimeLaw:
     """Make the fastest time law within the limits, at rest at both ends and at ``rest_at`` (path parameters).
 
@@ -94,6 +96,15 @@ def time_curve(
     then hold everywhere: what is missed between those points is corrected by slowing the whole stretch between two
     rests.  Torque limits hold at the grid points, and so does the ZMP where a phase with a support
     polygon covers the stretch, as far as it does at rest.
+
+    Args:
+        robot: whose limits of speed and acceleration count.
+        curve: to be timed.
+        rest_at: path parameters.
+        settings: shares of the limits, and the grid.
+        phases: with the support polygons.
+        known: laws of stretches.
+        carrying: the robot with what it carries in each phase; ``robot`` throughout by default.
 
     Raises:
         TimingError: when a limit is not positive or no law was found.
@@ -116,9 +127,11 @@ def time_curve(
             path.append(kept.path[1:])
             speed.append(kept.speed[1:])
             continue
-        support = _find_support(phases, first, last)
+        number = _find_covering(phases, first, last)
+        support = None if number is None else phases[number].support
+        loaded = limited if number is None or not carrying else _scale_limits(carrying[number], settings)
         path.append(cells[1:])
-        speed.append(_time_segment(limited, curve, cells, torque_rows, support, settings.zmp_reserve_m)[1:])
+        speed.append(_time_segment(loaded, curve, cells, torque_rows, support, settings.zmp_reserve_m)[1:])
     law = slow_to_limits(limited, curve, TimeLaw.accelerated(np.concatenate(path), np.concatenate(speed)))
     if settings.jerk_scale is None:
         return law
@@ -200,11 +213,11 @@ def _find_free_torques(robot: RobotModel, settings: TimingSettings) -> Bool[np.n
     return np.asarray(rows)
 
 
-def _find_support(phases: Sequence[Phase], first: float, last: float) -> SupportPolygon | None:
-    """Return the support polygon of the phase that covers the stretch, if there is exactly one."""
+def _find_covering(phases: Sequence[Phase], first: float, last: float) -> int | None:
+    """Return the number of the phase that covers the stretch, if there is exactly one."""
     slack = 1e-9 * max(1.0, abs(last))
-    covering = [phase for phase in phases if phase.first - slack <= first and last <= phase.last + slack]
-    return covering[0].support if len(covering) == 1 else None
+    covering = [k for k, phase in enumerate(phases) if phase.first - slack <= first and last <= phase.last + slack]
+    return covering[0] if len(covering) == 1 else None
 
 
 def _time_segment(
@@ -242,13 +255,13 @@ def _compute_slowdown(
 ) -> float:
     """Return the factor by which the stretch between two rests must be slowed for balance and torque."""
     needed = 1.0
-    timed = replace(motion, law=law)
-    for phase in motion.phases:
+    for phase, part in zip(motion.phases, split_motion(motion), strict=True):
+        timed = replace(part, law=law)
         start, end = max(first, phase.first), min(last, phase.last)
         if end <= start:
             continue
         if phase.region_margin_m is not None:
-            needed = max(needed, _compute_cone_slowdown(motion, law, phase, start, end, time_step_s))
+            needed = max(needed, _compute_cone_slowdown(part, law, phase, start, end, time_step_s))
             continue
         moving, resting = _compare_with_rest(timed, law, phase, start, end, time_step_s, reserve_m)
         curable = (moving > 0.0) & (resting < -1e-6)

@@ -31,6 +31,7 @@ from service.verify import (
     promises_hash,
     robot_hash,
     scene_hash,
+    split_motion,
 )
 
 TOLERANCE = 1e-6  # of numbers that are written and recomputed [m, rad, s]
@@ -104,9 +105,9 @@ def compare_figures(recorded: Mapping[str, Any], demands: Demands, motion: Motio
 def _check_hashes(data: Mapping[str, Any], recorded: Mapping[str, Any], motion: Motion, version: int) -> Iterator[str]:
     computed = {
         "scene_sha256": scene_hash(motion.scene),
-        "bodies_sha256": bodies_hash(motion.robot),
+        "bodies_sha256": bodies_hash(split_motion(motion)[0].robot),
         "robot_sha256": robot_hash(motion.robot),
-        "promises_sha256": promises_hash(motion.phases, motion.releases, version),
+        "promises_sha256": promises_hash(motion.phases, motion.releases, version, motion.objects),
     }
     for name, value in computed.items():
         if recorded[name] != value:
@@ -243,6 +244,8 @@ def _check_form(data: Mapping[str, Any], motion: Motion, robot: RobotModel) -> I
             yield f"phase {shown(written.get('name'))} is not written as it is read"
         elif phase["pressed"] is None:
             yield f"phase {shown(phase['name'])} does not say what is pressed"
+    if not _is_near(data["objects"], made["objects"]):
+        yield "objects are not written as they are read"
     if not _is_near(data["movables"], made["movables"]):
         yield "movables are not written as they are read"
     if data["robot"]["links_without_shape"] != links_without_shape(robot):

@@ -62,6 +62,9 @@ def check_names(request: PlanRequest, robot: RobotModel, taken: TakenNames) -> N
             names += [name for name in taken.owners if _is_numbered(name, obstacle.name)]
         clashes = [name for name in names if taken.owner(name)]
         problems += [f"scene.obstacles[{index}].name: {_describe_owner(name, taken)}" for name in clashes[:1]]
+    for index, item in enumerate(request.scene.objects):
+        if taken.owner(item.name):
+            problems.append(f"scene.objects[{index}].name: {_describe_owner(item.name, taken)}")
     carried = {item.name: index for index, item in enumerate(request.attached)}
     for name in taken.owners:
         if taken.is_of_mechanism(name):

@@ -15,15 +15,18 @@ Stiffness = Annotated[Number, Field(gt=0.0, le=1e7)]
 
 @dataclass(config=SECTION)
 class RobotHandRequest(Section):
-    """Hand with a straight rod on its axis, which serves as a hook and as a peg; frames are links of the robot.
+    """Hand with a straight rod on its axis, which serves as a hook and as a peg, or with two fingers.
+
+    Frames are links of the robot.
 
     Attributes:
         link: the hand itself.
-        hook: link of the rod, which may touch what is held.
-        tool: frame at the rod's end, z along the hand's axis outwards.
+        hook: link of the rod, which may touch what is held; of a hand with fingers the hand itself.
+        tool: frame at the rod's end, or between the fingers; z along the hand's axis outwards.
         peg, stub: frames in the middle of the free rod and where it leaves the hand, parallel to ``tool``; doors and
             mechanisms need them.
         peg_radius_m: half the rod's thickness.
+        fingers: links of two fingers that slide towards each other along a straight line.
     """
 
     link: Name
@@ -32,6 +35,7 @@ class RobotHandRequest(Section):
     peg: Name | None = None
     stub: Name | None = None
     peg_radius_m: Annotated[Number, Field(gt=0.0, le=0.1)] = 0.009
+    fingers: tuple[Name, Name] | None = None
 
 
 @dataclass(config=SECTION)

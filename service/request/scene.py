@@ -148,6 +148,43 @@ CutRequest = Annotated[
 
 
 @dataclass(config=SECTION)
+class GraspRequest(Section):
+    """Pose of a hand's tool frame in the frame of an object that it holds; the tool's z axis points along the hand."""
+
+    position: Point
+    quaternion_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(config=SECTION, kw_only=True)
+class _Movable:
+    """An object that hands may take: its mass, evenly spread, and grasps by which they may hold it.
+
+    Without grasps they are generated from its shape.
+    """
+
+    mass_kg: Annotated[Number, Field(gt=0.0, le=1000.0)]
+    grasps: Annotated[tuple[GraspRequest, ...], at_most(50)] = ()
+
+
+@dataclass(config=SECTION, kw_only=True)
+class MovableBox(BoxRequest, _Movable):
+    """A box that hands may take."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class MovableCylinder(CylinderRequest, _Movable):
+    """A cylinder that hands may take."""
+
+
+@dataclass(config=SECTION, kw_only=True)
+class MovableConvex(ConvexRequest, _Movable):
+    """A convex hull that hands may take."""
+
+
+ObjectRequest = Annotated[MovableBox | MovableCylinder | MovableConvex, Field(discriminator="type")]
+
+
+@dataclass(config=SECTION)
 class CloudFileRequest(Section):
     """One of several cloud files, with the pose from its points' frame to the world."""
 
@@ -198,6 +235,7 @@ class SceneRequest(Section):
         hint: a point in the world near the object of the task.
         obstacles: shapes with unique names.
         cuts: shapes with unique names that are no obstacles; points of the scan on or inside them do not become pieces.
+        objects: movable objects with unique names; what the task does not move is an obstacle.
         floor: a height [m], or whether there is a floor at 0 (a scan provides its own); by default true for a robot
             with a free base.
     """
@@ -218,6 +256,7 @@ class SceneRequest(Section):
     obstacles: Annotated[tuple[ObstacleRequest, ...], at_most(1000)] = ()
     cuts: Annotated[tuple[CutRequest, ...], at_most(100)] = ()
     floor: Floor | None = None
+    objects: Annotated[tuple[ObjectRequest, ...], at_most(100)] = ()
 
     @property
     def cloud_files(self) -> tuple[CloudFileRequest, ...]:
@@ -236,6 +275,9 @@ class SceneRequest(Section):
         twice = find_repeated(obstacle.name for obstacle in self.obstacles)
         if twice:
             raise PydanticCustomError("obstacles", "obstacle name {name} is given twice", {"name": shown(twice[0])})
+        twice = find_repeated(named.name for named in (*self.obstacles, *self.objects))
+        if twice:
+            raise PydanticCustomError("objects", "object name {name} is given twice", {"name": shown(twice[0])})
         twice = find_repeated(cut.name for cut in self.cuts)
         if twice:
             raise PydanticCustomError("cuts", "cut name {name} is given twice", {"name": shown(twice[0])})

@@ -68,9 +68,12 @@ ADDED = {
         "Options.clearance_m",
         "Options.hand_friction",
         "Options.jerk_scale",
+        "RobotHandRequest.fingers",
+        "SceneRequest.objects",
         "SceneRequest.level",
         "SceneRequest.sensor_model",
         "SceneRequest.sensor_sigma",
+        "TaskRequest.pick_place",
     ),
 }
 """Fields by the format that brought them: ``CLASS.FIELD``, with the class of the schema that declares the field.

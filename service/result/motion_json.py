@@ -11,12 +11,23 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
-from costs.robot import BASE_NAMES, MechanismJoint, Release, RobotModel, read_joint_axis, with_mechanism
+from costs.primitive import Primitive
+from costs.robot import (
+    BASE_NAMES,
+    LinkInertia,
+    MechanismJoint,
+    Release,
+    RobotModel,
+    read_joint_axis,
+    with_mechanism,
+)
+from costs.robot.carried import MovableObject
 from costs.rotation import make_quaternions
 from costs.scene import ConvexPiece, Scene
-from service.result.phase_json import phase_from_json, phase_json, sample_index
+from costs.work_space import borrow_data
+from service.result.phase_json import phase_from_json, phase_json, read_rotation, sample_index, write_rotation
 from service.result.zmp_json import zmp_json
-from service.verify import Motion, find_times
+from service.verify import Motion, find_times, split_motion
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 
@@ -43,11 +54,12 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "releases": [asdict(release) for release in motion.releases],
         "continues": motion.continues,
+        "objects": [_write_object(item) for item in motion.objects],
         "support_polygons": [
             {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
             for phase, zmp_of_phase in zip(standing, zmp_of_phases, strict=True)
         ],
-        "com": _compute_com(robot, q[:, : robot.n]),
+        "com": _compute_com(motion, robot, s, q[:, : robot.n]),
         "zmp": zmp,
     }
 
@@ -76,6 +88,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         continues=data.get("continues"),
         clearance_m=float(data.get("clearance_m", 0.0)),
         jerk_scale=None if data.get("jerk_scale") is None else float(data["jerk_scale"]),
+        objects=tuple(_read_object(item) for item in data.get("objects", ())),
     )
 
 
@@ -157,6 +170,46 @@ def _read_movable(movable: Mapping[str, Any]) -> MechanismJoint:
     )
 
 
+def _write_object(item: MovableObject) -> dict[str, Any]:
+    """Write a movable object: its hull in its own frame, its mass, and its pose at the start."""
+    exact, own = item.exact, item.inertia
+    shape = None
+    if exact is not None:
+        shape = {"kind": exact.kind, "radius": exact.radius, "length": exact.length, **_write_pose(exact.pose)}
+    return {
+        "name": item.name,
+        "vertices": item.vertices.tolist(),
+        "exact": shape,
+        "mass_kg": own.mass,
+        "centre": own.centre.tolist(),
+        "moments": own.moments.tolist(),
+        "start": _write_pose(item.start),
+    }
+
+
+def _read_object(data: Mapping[str, Any]) -> MovableObject:
+    exact = data["exact"]
+    shape = None
+    if exact is not None:
+        shape = Primitive(exact["kind"], float(exact["radius"]), float(exact["length"]), _read_pose(exact))
+    own = LinkInertia(
+        float(data["mass_kg"]), np.array(data["centre"], dtype=float), np.array(data["moments"], dtype=float)
+    )
+    return MovableObject(
+        str(data["name"]), np.array(data["vertices"], dtype=float), own, _read_pose(data["start"]), shape
+    )
+
+
+def _write_pose(pose: Float[np.ndarray, "4 4"]) -> dict[str, list[float]]:
+    return {"position": pose[:3, 3].tolist(), "quaternion_wxyz": write_rotation(pose[:3, :3])}
+
+
+def _read_pose(data: Mapping[str, Any]) -> Float[np.ndarray, "4 4"]:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = read_rotation(data["quaternion_wxyz"]), data["position"]
+    return pose
+
+
 def _write_movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.ndarray, "S n"]) -> dict[str, Any]:
     """Return a mechanism's joint with its link: described in the world with all joints at 0, and its values."""
     augmented, model = motion.robot, motion.robot.model
@@ -188,9 +241,21 @@ def _write_movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.n
     }
 
 
-def _compute_com(robot: RobotModel, q: Float[np.ndarray, "S n"]) -> list[list[float] | None]:
-    """Return the centre of mass in the world at every sample; None if the robot has no masses."""
+def _compute_com(
+    motion: Motion, robot: RobotModel, s: Float[np.ndarray, "S"], q: Float[np.ndarray, "S n"]
+) -> list[list[float] | None]:
+    """Return the centre of mass in the world at every sample, with what hands carry; None if the robot has no masses.
+
+    A mechanism does not count.
+    """
     if not sum(inertia.mass for inertia in robot.model.inertias[1:]) > 0.0:
         return [None] * len(q)
-    data = robot.model.createData()
-    return [pin.centerOfMass(robot.model, data, row).tolist() for row in q]
+    models = [robot.model] * max(len(motion.phases), 1)
+    if motion.objects:
+        models = [part.robot.model for part in split_motion(motion)]
+    lasts = np.array([phase.last for phase in motion.phases[:-1]])
+    rows: list[list[float] | None] = []
+    for at, row in zip(np.searchsorted(lasts, s), q, strict=True):
+        model = models[int(at)]
+        rows.append(pin.centerOfMass(model, borrow_data(model), row).tolist())
+    return rows

@@ -30,6 +30,7 @@ from service.result.result import PlanResult
 from service.result.result_json import to_result_json
 from service.verify import Motion
 from service.viewer import (
+    add_objects,
     list_drawn_frames,
     place_links,
     place_poses,
@@ -102,6 +103,8 @@ def draw_views(
     visuals = [mesh for mesh in read_robot_visuals(robot) if robot.model.existFrame(mesh.link)]
     links = tuple(dict.fromkeys([*list_drawn_frames(robot, data), *(mesh.link for mesh in visuals)]))
     placements = place_links(robot, q[:, : robot.n], links)
+    if motion is not None:
+        placements = add_objects(placements, motion, samples_of(motion))
     pressed = () if motion is None else trace_hand_contacts(motion, samples_of(motion), data)
     write_viewer(data, placements, folder / VIEWER_NAME, place_poses(robot, data), visuals, pressed)
     write_glb(data, placements, folder / GLB_NAME)

@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 from costs.allowance import Allowance, BodyRef
 from service.verify import (
     AxisTarget,
+    Carrier,
     CircleTarget,
+    Grip,
     HandContact,
     HandLoad,
     HandPush,
@@ -52,6 +54,7 @@ def phase_json(phase: Phase, s: Float[np.ndarray, "S"]) -> dict[str, Any]:
         "regions": [_write_region(region, s) for region in phase.regions],
         "region_margin_m": phase.region_margin_m,
         "pressed": None if phase.pressed is None else [asdict(part) for part in phase.pressed],
+        "carriers": [_write_carrier(carrier) for carrier in phase.carriers],
     }
 
 
@@ -77,7 +80,24 @@ def phase_from_json(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> Phase
         regions=tuple(_read_region(region, s) for region in data["regions"]),
         region_margin_m=None if data["region_margin_m"] is None else float(data["region_margin_m"]),
         pressed=_read_pressed(data.get("pressed")),
+        carriers=tuple(_read_carrier(carrier) for carrier in data.get("carriers", ())),
     )
+
+
+def _write_carrier(carrier: Carrier) -> dict[str, Any]:
+    return {
+        "object": carrier.item,
+        "link": carrier.link,
+        "grips": [
+            {"fingers": list(grip.fingers), "force_n": grip.force_n, "friction": grip.friction}
+            for grip in carrier.grips
+        ],
+    }
+
+
+def _read_carrier(data: Mapping[str, Any]) -> Carrier:
+    grips = (Grip(tuple(g["fingers"]), float(g["force_n"]), float(g["friction"])) for g in data["grips"])
+    return Carrier(str(data["object"]), data["link"], tuple(grips))
 
 
 def _read_pressed(parts: Sequence[Mapping[str, Any]] | None) -> tuple[PressedPart, ...] | None:

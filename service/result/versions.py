@@ -29,6 +29,8 @@ ADDED: dict[int, dict[str, Any]] = {
     3: {
         "clearance_m": 0.0,
         "jerk_scale": None,
+        "objects": [],
+        "phases[].carriers": [],
         "request_format": None,
         "request_defaults": {},
     },

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -187,21 +187,41 @@ def find_overloaded_joints(
     No time law makes such a motion possible, however slow. Joints between the base and planted links are left out: what
     they carry depends on the forces at these links.
     """
+    weak, torque = _measure_overload(robot, q, planted)
+    if not weak:
+        return []
+    listed = f"{', '.join(weak[:MOST_NAMED])}{', …' if len(weak) > MOST_NAMED else ''}"
+    return [
+        f"{where}: {_describe_worst(robot, weak, torque)}; if springs or a balance carry that, leave the torque out "
+        f"with robot.torque: {{unchecked: [{listed}]}} or {{check: false}}"
+    ]
+
+
+def describe_overload(robot: RobotModel, q: Float[np.ndarray, "n"], planted: tuple[str, ...]) -> str | None:
+    """Return what the joint that is overloaded most needs at a configuration at rest, as above; None where none is."""
+    weak, torque = _measure_overload(robot, q, planted)
+    return _describe_worst(robot, weak, torque) if weak else None
+
+
+def _measure_overload(
+    robot: RobotModel, q: Float[np.ndarray, "n"], planted: tuple[str, ...]
+) -> tuple[list[str], Float[np.ndarray, "n"]]:
+    """Return the joints that need more than their limit at rest, and the torques of all."""
     still = np.zeros(robot.n)
     torque = np.abs(pin.rnea(robot.model, borrow_data(robot.model), q, still, still))
     torque[_list_carrying(robot, planted)] = 0.0
-    weak = np.flatnonzero((robot.effort > 0.0) & (torque > robot.effort))
-    if not len(weak):
-        return []
-    names = [robot.joint_names[k] for k in weak]
-    worst = int(weak[np.argmax(torque[weak] / robot.effort[weak])])
+    return [robot.joint_names[k] for k in np.flatnonzero((robot.effort > 0.0) & (torque > robot.effort))], torque
+
+
+def _describe_worst(robot: RobotModel, weak: Sequence[str], torque: Float[np.ndarray, "n"]) -> str:
+    """Return what the joint that exceeds its limit most needs."""
+    columns = [robot.joint_names.index(name) for name in weak]
+    worst = columns[int(np.argmax(torque[columns] / robot.effort[columns]))]
     unit = "N" if is_sliding(robot, robot.joint_names[worst]) else "N m"
-    return [
-        f"{where}: {robot.joint_names[worst]} needs {torque[worst]:.4g} {unit} at rest, its effort limit is "
-        f"{robot.effort[worst]:.4g} {unit}; if springs or a balance carry that, leave the torque out with "
-        f"robot.torque: {{unchecked: [{', '.join(names[:MOST_NAMED])}{', …' if len(names) > MOST_NAMED else ''}]}} "
-        "or {check: false}"
-    ]
+    return (
+        f"{robot.joint_names[worst]} needs {torque[worst]:.4g} {unit} at rest, its effort limit is "
+        f"{robot.effort[worst]:.4g} {unit}"
+    )
 
 
 def _list_carrying(robot: RobotModel, planted: tuple[str, ...]) -> list[int]:

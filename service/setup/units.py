@@ -99,6 +99,7 @@ def _places(request: PlanRequest, boxes: Sequence[_Box]) -> Iterator[tuple[str, 
         else:
             yield f"{field}.position", np.array(obstacle.position), box
     points: list[tuple[str, tuple[float, float, float] | None]] = [("scene.hint", request.scene.hint)]
+    points += [(f"scene.objects[{k}].position", item.position) for k, item in enumerate(request.scene.objects)]
     points += [(f"{request.kind.field}.{name}", point) for name, point in request.section.list_points()]
     points += [
         (f"keep[{k}].position", keep.position) for k, keep in enumerate(request.keep) if keep.relative_to is None

@@ -21,7 +21,14 @@ from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
-from service.request.scene import ConvexRequest, CutRequest, MeshRequest, ObstacleRequest, SceneRequest
+from service.request.scene import (
+    ConvexRequest,
+    CutRequest,
+    MeshRequest,
+    ObjectRequest,
+    ObstacleRequest,
+    SceneRequest,
+)
 from service.request.schema import PlanRequest
 from service.scan.meshes import read_solid, split_convex
 from service.start.robot import pose_matrix
@@ -216,31 +223,39 @@ def build_obstacles(
     """
     pieces: list[ConvexPiece] = []
     notes: list[str] = []
-    for index, obstacle in enumerate(request.scene.obstacles):
-        field, pose = f"scene.obstacles[{index}]", _pose(obstacle)
+    given: list[tuple[str, ObstacleRequest | ObjectRequest]] = []
+    given += [(f"scene.obstacles[{index}]", obstacle) for index, obstacle in enumerate(request.scene.obstacles)]
+    # What the task does not carry stays where it is.
+    given += [
+        (f"scene.objects[{index}]", item)
+        for index, item in enumerate(request.scene.objects)
+        if item.name not in request.section.carried
+    ]
+    for where, obstacle in given:
+        pose = _pose(obstacle)
         if isinstance(obstacle, MeshRequest):
             match = matches[obstacle.name] if obstacle.match else None
-            solid = _solid(request, obstacle, f"{field}.file") if match is None else match.solid
+            solid = _solid(request, obstacle, f"{where}.file") if match is None else match.solid
             notes += solid.notes
             if match is not None:
-                pose = _read_match(obstacle, match, f"{field}.match")
+                pose = _read_match(obstacle, match, f"{where}.match")
                 x, y, z = pose[:3, 3]
                 notes.append(f"{obstacle.name} found at ({x:.3f}, {y:.3f}, {z:.3f}), confidence {match.confidence:.2f}")
             name = Path(obstacle.file).name
-            parts: Sequence[np.ndarray] = split_convex(solid, name, f"{field}.file", decompose=obstacle.decompose)
+            parts: Sequence[np.ndarray] = split_convex(solid, name, f"{where}.file", decompose=obstacle.decompose)
         else:
-            parts = [_make_shape(obstacle, field)]
+            parts = [_make_shape(obstacle, where)]
         round_shape = make_round_shape(obstacle.type, obstacle.lengths)
         exact = None if round_shape is None else round_shape.move(pose)
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
-    given = _read_mechanism(request)
-    if given is None:
+    mechanism = _read_mechanism(request)
+    if mechanism is None:
         return tuple(pieces), tuple(notes)
-    notes += (f"task.mechanism.urdf: {note}" for note in (*given.read.notes, *list_overlap_notes(given)))
-    notes += () if request.options.timed else given.list_pace_notes()
-    return (*pieces, *given.pieces), tuple(notes)
+    notes += (f"task.mechanism.urdf: {note}" for note in (*mechanism.read.notes, *list_overlap_notes(mechanism)))
+    notes += () if request.options.timed else mechanism.list_pace_notes()
+    return (*pieces, *mechanism.pieces), tuple(notes)
 
 
 def _place_shape(shape: CutRequest) -> Float[np.ndarray, "V 3"]:
@@ -249,7 +264,7 @@ def _place_shape(shape: CutRequest) -> Float[np.ndarray, "V 3"]:
     return np.asarray(_make_shape(shape, f"scene: {shape.name}") @ pose[:3, :3].T + pose[:3, 3])
 
 
-def _make_shape(shape: CutRequest, field: str) -> Float[np.ndarray, "V 3"]:
+def _make_shape(shape: CutRequest | ObjectRequest, field: str) -> Float[np.ndarray, "V 3"]:
     """Return the corners of a shape in its own frame; round shapes become polytopes."""
     if isinstance(shape, ConvexRequest):
         return _hull(np.array(shape.points), f"{field}.points")
@@ -277,7 +292,7 @@ def _read_match(obstacle: MeshRequest, match: MeshMatch, field: str) -> Float[np
     return match.pose_world_mesh
 
 
-def _pose(obstacle: ObstacleRequest | CutRequest) -> Float[np.ndarray, "4 4"]:
+def _pose(obstacle: ObstacleRequest | ObjectRequest | CutRequest) -> Float[np.ndarray, "4 4"]:
     return pose_matrix(obstacle.position, obstacle.quaternion_wxyz)
 
 

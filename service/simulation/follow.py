@@ -32,6 +32,7 @@ class WorkWatch:
         self._configuration: list[np.ndarray] = []
         self._planned: list[np.ndarray] = []
         self._latched: list[tuple[bool, ...]] = []
+        self._objects: dict[str, list[np.ndarray]] = {name: [] for name in self._robot.model.objects}
         self._after_s = 0.0
         self._fell_at_s: float | None = None
 
@@ -49,6 +50,8 @@ class WorkWatch:
         self._configuration.append(self._robot.configuration())
         self._planned.append(wanted.configuration)
         self._latched.append(self._robot.is_latched)
+        for name, pose in self._robot.locate_objects().items():
+            self._objects[name].append(pose)
         if self._fell_at_s is None and has_fallen(self._robot.pose_world_base, wanted):
             self._fell_at_s = time_s
 
@@ -62,5 +65,6 @@ class WorkWatch:
             np.stack(self._planned),
             np.array(self._latched, dtype=bool).reshape(len(self._times), -1),
             self._fell_at_s,
+            objects={name: np.stack(poses) for name, poses in self._objects.items()},
         )
         return judge(self._reference, seen, self._robot.model.physics)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ class PhysicsModel:
         base_link: the link that carries the inertial unit.
         perturbation: errors of the physics against the plan.
         followers: per joint that follows another one: address of its position, and the follower.
+        objects: address of the pose of each movable object, by name.
     """
 
     mj: Any
@@ -70,6 +71,7 @@ class PhysicsModel:
     base_link: str
     perturbation: Perturbation
     followers: tuple[tuple[int, Follower], ...]
+    objects: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def moved_names(self) -> tuple[str, ...]:
@@ -115,6 +117,7 @@ def build_physics(
     builder = SpecBuilder(mujoco, motion, physics, options, perturbation)
     builder.add_world()
     builder.add_joints()
+    builder.add_objects()
     builder.exclude_pairs()
     table = {**default_stiffness(motion.robot), **(stiffness or {})}
     kp = np.array([table[name] for name in names]) * options.stiffness_scale
@@ -172,4 +175,5 @@ def build_physics(
         base_link=builder.base_link,
         perturbation=perturbation,
         followers=tuple((address(follower.joint)[0], follower) for follower in followers),
+        objects={item.name: address(f"object:{item.name}")[0] for item in motion.objects},
     )

@@ -10,7 +10,14 @@ import numpy as np
 
 from service.result.motion_json import samples_of
 from service.simulation.run import SimulatedRun
-from service.viewer import list_drawn_frames, make_pose_graph, place_links, place_poses, trace_hand_contacts
+from service.viewer import (
+    add_objects,
+    list_drawn_frames,
+    make_pose_graph,
+    place_links,
+    place_poses,
+    trace_hand_contacts,
+)
 from service.viewer.files import replace_file
 from service.viewer.html import render_viewer
 from service.viewer.movables import place_movables
@@ -28,7 +35,7 @@ def write_page(data: Mapping[str, Any], execution: SimulatedRun, report: Mapping
     """
     robot, motion = execution.reference.robot, execution.reference.motion
     frames = list_drawn_frames(robot, data)
-    planned = place_links(robot, motion.curve(samples_of(motion)), frames)
+    planned = add_objects(place_links(robot, motion.curve(samples_of(motion)), frames), motion, samples_of(motion))
     pressed = trace_hand_contacts(motion, samples_of(motion), data)
     payload = make_payload(data, planned, hand_contacts=pressed)
     poses = place_poses(robot, data)
@@ -56,7 +63,8 @@ def _make_simulated(data: Mapping[str, Any], execution: SimulatedRun, frames: tu
         for movable in data["movables"]
     ]
     moved = place_movables(movables, len(rows))
-    poses = np.concatenate([own.poses, moved.poses], axis=1)
+    objects = [record.objects[item.name][rows][:, None] for item in reference.motion.objects]
+    poses = np.concatenate([own.poses, *objects, moved.poses], axis=1)
     size = (len(record.times), 3)
     ground = [
         np.linalg.norm(sum((wrench[:, :3] for wrench in table.values()), start=np.zeros(size)), axis=1)[rows]

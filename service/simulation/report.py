@@ -16,7 +16,7 @@ from service.result.motion_json import file_columns, file_positions
 from service.simulation.cause import LONG_S, SLIP_M, find_cause
 from service.simulation.measures import Frames, list_planted, list_rows, measure_hand_force, measure_slips, smooth
 from service.simulation.run import SimulatedRun
-from service.simulation.verdict import judge, list_goal_frames
+from service.simulation.verdict import judge, list_goal_frames, measure_objects
 from service.verify import list_phases, outside_polygon
 
 SATURATED = 0.999  # share of the effort limit that counts as saturation
@@ -88,6 +88,7 @@ def _report_run(execution: SimulatedRun) -> dict[str, Any]:
         "saturation": saturation,
         "touches": touches,
         "mechanism": [move.to_json() for move in judged.moves],
+        "objects": [asdict(end) for end in measure_objects(reference, record)],
         "balance": _report_balance(execution, frames),
         "track": _write_track(execution),
     }

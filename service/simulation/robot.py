@@ -283,7 +283,12 @@ class SimulatedRobot:
         return [
             (names[second], names[first], force) if is_robot[second] else (names[first], names[second], -force)
             for (first, second), force in zip(pairs.tolist(), forces, strict=True)
+            if is_robot[first] or is_robot[second]  # not of what an object rests on
         ]
+
+    def locate_objects(self) -> dict[str, Float[np.ndarray, "7"]]:
+        """Return the true poses of the movable objects: position, and quaternion w x y z."""
+        return {name: np.array(self.data.qpos[at : at + 7]) for name, at in self.model.objects.items()}
 
     def list_grip_forces(self) -> list[tuple[str, str, Float[np.ndarray, "3"]]]:
         """Return per closed gripper its tool, the link that it holds, and the force on the tool in world axes [N]."""

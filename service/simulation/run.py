@@ -195,6 +195,7 @@ class _Sampler:
         self._planned_wrenches: list[dict[str, np.ndarray]] = []
         self._pairs: _Samples = {}
         self._moved: _Samples = {}
+        self._objects: dict[str, list[np.ndarray]] = {name: [] for name in robot.model.objects}
 
     def look(self, time_s: float, state: ReferenceState) -> None:
         """Record one sample."""
@@ -203,6 +204,8 @@ class _Sampler:
         self._configuration.append(robot.configuration())
         self._planned.append(state.configuration)
         self._latched.append(robot.is_latched)
+        for name, pose in robot.locate_objects().items():
+            self._objects[name].append(pose)
         self._shares.append(robot.torque / robot.model.effort)
         self._wrenches.append(robot.measure_contact_wrenches())
         self._planned_wrenches.append(dict(state.contact_wrenches))
@@ -249,4 +252,5 @@ class _Sampler:
             touches=spread(self._pairs),
             computing_s=computing_s,
             fell_at_s=self.fell_at_s,
+            objects={name: np.stack(poses) for name, poses in self._objects.items()},
         )

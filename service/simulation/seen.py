@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,6 +18,7 @@ class Seen:
         configuration, planned: (S, n) true and planned configurations of the plan's model.
         is_latched: (S, R) whether each release of the motion still holds its joint.
         fell_at_s: when the robot fell, or None.
+        objects: (S, 7) true position and quaternion w x y z of each movable object, by name.
     """
 
     times: Float[np.ndarray, "S"]
@@ -24,3 +26,4 @@ class Seen:
     planned: Float[np.ndarray, "S n"]
     is_latched: Bool[np.ndarray, "S R"]
     fell_at_s: float | None
+    objects: Mapping[str, Float[np.ndarray, "S 7"]] = field(default_factory=dict, kw_only=True)

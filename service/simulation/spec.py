@@ -11,12 +11,13 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotHand, RobotModel, read_joint_axis
+from costs.robot.carried import MovableObject
 from service.demands.resistance import ASSUMED_DENSITY, MechanismPhysics
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
 from service.simulation.perturb import Perturbation
-from service.verify import Motion, find_mechanism_joints
+from service.verify import Motion, find_mechanism_joints, measure_rest_margin, split_motion
 
 TIME_STEP_S = 1e-3
 ARMATURE = 0.1  # of a joint of a robot of the reference mass [kg m^2]
@@ -36,6 +37,8 @@ SPOKE = "/spoke/"  # in the names of a wheel's bodies
 SPOKE_SIZE = (0.01, 0.05, 0.03)  # of an assumed spoke: across, along the radius, along the axis [m]
 SPOKE_APART = 0.01  # nearer places of loads share an assumed spoke [m]
 PEG_RADIUS = RobotHand.peg_radius + 5e-4  # from a peg's middle to what it presses [m]
+PATCH_ARM_M = 5e-3  # mean distance of a pad's patch from its middle, which resists torsion [m]
+BOX_CORNERS = 8
 BASE = "base"  # the joint of a floating base
 
 
@@ -104,6 +107,48 @@ class SpecBuilder:
                 )
             else:
                 self._add_hull(self.spec.worldbody, piece.name, ("world", piece.name), piece.vertices + moved)
+
+    def add_objects(self) -> None:
+        """Add what hands carry as free bodies at their start, on what they rest on."""
+        if not self.motion.objects:
+            return
+        # Hulls touch at several points by default from MuJoCo 4 on; nothing rests on a single one.
+        several = getattr(self.mujoco.mjtEnableBit, "mjENBL_MULTICCD", None)
+        if several is not None:
+            self.spec.option.enableflags |= int(several)
+        first = split_motion(self.motion)[0]
+        bodies = {body.name: body for body in first.robot.bodies}
+        for item in self.motion.objects:
+            centre = item.start[:3, :3] @ item.inertia.centre + item.start[:3, 3]
+            _, names = measure_rest_margin(bodies[item.name], centre, self.motion.scene.pieces)
+            moved = np.mean([self.perturbation.places[name] for name in names] or [np.zeros(3)], axis=0)
+            body = self.spec.worldbody.add_body(
+                name=f"object:{item.name}", pos=item.start[:3, 3] + moved, quat=_quaternion(item.start[:3, :3])
+            )
+            body.explicitinertial = True
+            _set_inertia(body, item.inertia.mass, item.inertia.centre, item.inertia.moments)
+            body.add_freejoint(name=f"object:{item.name}")
+            self._add_shape(body, item)
+
+    def _add_shape(self, body: Any, item: MovableObject) -> None:
+        """Add the shape of an object: a round one as it is, others as hulls."""
+        owner, kind = ("object", item.name), self.mujoco.mjtGeom
+        if item.exact is not None and item.exact.kind == "cylinder":
+            size = [item.exact.radius, 0.5 * item.exact.length, 0.0]
+            pose = item.exact.pose
+            self._add_geom(
+                body, item.name, owner, type=kind.mjGEOM_CYLINDER, size=size, pos=pose[:3, 3],
+                quat=_quaternion(pose[:3, :3]),
+            )  # fmt: skip
+            return
+        low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
+        on_corner = np.isclose(item.vertices, low) | np.isclose(item.vertices, high)
+        if len(item.vertices) == BOX_CORNERS and on_corner.all():
+            self._add_geom(
+                body, item.name, owner, type=kind.mjGEOM_BOX, size=0.5 * (high - low), pos=0.5 * (low + high)
+            )
+            return
+        self._add_hull(body, item.name, owner, item.vertices)
 
     def add_joints(self) -> None:
         """Add a body per joint of robot and mechanism, with its inertia, and a body per link with its shapes."""
@@ -314,16 +359,18 @@ class SpecBuilder:
         kind = owner[0]
         of_world = max(self.options.friction + self.perturbation.friction, 0.0)
         of_hand = HAND_FRICTION if self.options.hand_friction is None else self.options.hand_friction
-        friction = {"robot": SELF_FRICTION, "mechanism": of_hand, "world": of_world}[kind]
+        friction = {"robot": SELF_FRICTION, "mechanism": of_hand, "world": of_world, "object": of_hand}[kind]
+        # A patch of a pad resists torsion with the least friction of hands.
+        torsion = PATCH_ARM_M * friction if kind == "object" else 0.005
         body.add_geom(
             name=f"{kind}:{name}",
-            contype=1 if kind == "robot" else 0,
+            contype=1 if kind in ("robot", "object") else 0,
             conaffinity=1,
-            priority=0 if kind == "robot" else 1,
-            friction=[friction, 0.005, 1e-4],
+            priority={"robot": 0, "object": 2}.get(kind, 1),
+            friction=[friction, torsion, 1e-4],
             density=0.0,
-            condim=3,
-            **{"world": STIFF, "mechanism": HARD, "robot": {}}[kind],
+            condim=4 if kind == "object" else 3,
+            **{"world": STIFF, "mechanism": HARD, "robot": {}, "object": HARD}[kind],
             **fields,
         )
         self.owner_of_geom[f"{kind}:{name}"] = owner

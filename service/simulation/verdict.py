@@ -21,9 +21,10 @@ from service.simulation.travel import (
     measure_moves,
     read_unit,
 )
-from service.verify import Motion, Phase, PoseTarget, list_phases, outside_polygon
+from service.verify import Motion, Phase, PoseTarget, list_phases, outside_polygon, place_frames, split_motion
 
 PLACE_M = 0.02  # of a hand from its goal, and of a contact from its place [m]
+TURNED = float(np.deg2rad(10.0))  # of an object from how it is put down
 REST_S = 0.5  # in which what is at rest moves at most by the following
 REST_COM_M, REST_JOINT = 1e-3, 1e-3  # of the centre of mass [m], of a joint of the mechanism [rad, m]
 
@@ -67,6 +68,7 @@ def judge(reference: PlannedReference, seen: Seen, physics: MechanismPhysics) ->
     if outside is not None and outside > 0.0:
         reasons.append(f"the centre of mass ends {1e3 * outside:.0f} mm outside its feet")
     reasons += _list_misplaced(reference, seen)
+    reasons += _list_lost(reference, seen)
     return Judgement(STOOD if reasons else DONE, tuple(reasons), moves)
 
 
@@ -166,6 +168,50 @@ def _list_misplaced(reference: PlannedReference, seen: Seen) -> Iterator[str]:
         off = float(np.linalg.norm(np.subtract(*(place[model.getFrameId(name)] for place in places))))
         if off > PLACE_M:
             yield f"{name} ends {1e3 * off:.0f} mm from its goal; expected at most {1e3 * PLACE_M:.0f} mm"
+
+
+@dataclass(frozen=True)
+class ObjectEnd:
+    """Where an object is at the end of a run.
+
+    Attributes:
+        name: of the object.
+        off_m: distance from where the plan leaves it.
+        turned_rad: angle from how the plan leaves it.
+        is_at_rest: whether it stays there.
+    """
+
+    name: str
+    off_m: float
+    turned_rad: float
+    is_at_rest: bool
+
+
+def measure_objects(reference: PlannedReference, seen: Seen) -> Iterator[ObjectEnd]:
+    """Yield where each object ends."""
+    if not seen.objects:
+        return
+    last = split_motion(reference.motion)[-1]
+    planned = place_frames(last.robot, seen.planned[-1], list(seen.objects))
+    first = find_row(seen.times, seen.times[-1] - REST_S)
+    for name, poses in seen.objects.items():
+        off = float(np.linalg.norm(poses[-1, :3] - planned[name][:3, 3]))
+        w, x, y, z = poses[-1, 3:]
+        turn = float(np.linalg.norm(pin.log3(planned[name][:3, :3].T @ pin.Quaternion(w, x, y, z).matrix())))
+        moved = float(np.ptp(poses[first:, :3], axis=0).max())
+        yield ObjectEnd(name, off, turn, moved <= REST_COM_M)
+
+
+def _list_lost(reference: PlannedReference, seen: Seen) -> Iterator[str]:
+    """Yield a sentence per object that does not rest where the plan leaves it."""
+    for end in measure_objects(reference, seen):
+        if end.off_m > PLACE_M:
+            yield f"{end.name} ends {1e3 * end.off_m:.0f} mm from its place; expected at most {1e3 * PLACE_M:.0f} mm"
+        elif end.turned_rad > TURNED:
+            most = np.rad2deg(TURNED)
+            yield f"{end.name} ends turned by {np.rad2deg(end.turned_rad):.0f} deg; expected at most {most:.0f} deg"
+        elif not end.is_at_rest:
+            yield f"{end.name} still moves"
 
 
 def list_goal_frames(motion: Motion) -> tuple[str, ...]:

@@ -83,7 +83,12 @@ def add_request_parts(robot: RobotModel, request: PlanRequest) -> RobotModel:
             if frame is not None and frame not in frames:
                 words = f"unknown link {frame!r}; {robot.name} has {would_do(frame, frames)}"
                 raise RequestError(f"robot.hands.{side}.{key}: {words}")
-        hands[side] = RobotHand(hand.link, hand.hook, hand.tool, hand.peg or "", hand.stub or "", hand.peg_radius_m)
+        for finger in hand.fingers or ():
+            if finger not in frames:
+                words = f"unknown link {finger!r}; {robot.name} has {would_do(finger, frames)}"
+                raise RequestError(f"robot.hands.{side}.fingers: {words}")
+        peg, stub = hand.peg or "", hand.stub or ""
+        hands[side] = RobotHand(hand.link, hand.hook, hand.tool, peg, stub, hand.peg_radius_m, hand.fingers or ())
     try:
         resolve_stiffness(robot, request)
     except ValueError as error:

@@ -11,6 +11,7 @@ from service.body.task_plan import TaskPlan
 from service.setup.prepare import PlanSetup
 from service.tasks.kind import find_plan_part
 from service.tasks.leave_start import leave_start
+from service.verify import Carrier
 
 
 def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
@@ -32,7 +33,9 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     solver = replace(solver, body=lead.body)
     try:
         for rest in part.plan(section, setup, solver):
-            phases = (phase.for_body(rest.body) for phase in lead.phases)
+            still = tuple(Carrier(item.name) for item in rest.objects)
+            leading = (phase.for_body(rest.body) for phase in lead.phases)
+            phases = (replace(phase, phase=replace(phase.phase, carriers=still)) for phase in leading)
             yield replace(rest, phases=(*phases, *rest.phases))
     except StaticRegionError as error:
         words = "the ground does not hold the robot under the loads of the task"

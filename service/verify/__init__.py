@@ -6,6 +6,7 @@ Read in this order:
 - ``verifier``: the sequence of checks, and how to add one
 - ``limits``, ``stance_checks``, ``ground``, ``mechanism_checks``: the checks
 - ``targets``: errors of poses, and the checks of targets
+- ``carrying``: what carries movable objects, and whether it holds them
 - ``forces``: equilibrium under the loads of hands, and inverse dynamics
 - ``clearance``: the checks of all pairs that may meet
 - ``coverage``: what was checked, what was left out, and which checks a motion requires
@@ -16,6 +17,27 @@ Read in this order:
 What other folders need is imported from here; nobody else imports its modules.
 """
 
+from service.verify.carrying.carriers import (
+    Carrier,
+    Grip,
+)
+from service.verify.carrying.checks import (
+    REST_MARGIN_M,
+)
+from service.verify.carrying.grasp import (
+    GRAVITY,
+    Held,
+)
+from service.verify.carrying.placing import (
+    place_frames,
+    split_motion,
+)
+from service.verify.carrying.resting import (
+    measure_rest_margin,
+)
+from service.verify.carrying.sharing import (
+    share_weight,
+)
 from service.verify.certificate import (
     Basis,
     Certificate,
@@ -157,17 +179,20 @@ from service.verify.verifier import (
 )
 
 __all__ = [
+    "GRAVITY",
     "GROUND_TOLERANCE_M",
     "HAND_CAP_N",
     "LEAST_APART_M",
     "LEAST_SHARE",
     "MOST_LEAN_RAD",
+    "REST_MARGIN_M",
     "RISE_S",
     "STANDING_DEPTH_M",
     "TURNING_DEPTH_M",
     "UNSEEN_KIND",
     "AxisTarget",
     "Basis",
+    "Carrier",
     "Certificate",
     "Check",
     "CircleTarget",
@@ -176,10 +201,12 @@ __all__ = [
     "DistanceQuery",
     "Exempt",
     "ForwardKinematics",
+    "Grip",
     "Ground",
     "HandContact",
     "HandLoad",
     "HandPush",
+    "Held",
     "HeldJoint",
     "JointTarget",
     "Joints",
@@ -239,15 +266,19 @@ __all__ = [
     "measure_excess",
     "measure_jerks",
     "measure_lean",
+    "measure_rest_margin",
     "measure_timed_peaks",
     "meet",
     "offset_from_target",
     "outside_polygon",
+    "place_frames",
     "promises_hash",
     "robot_hash",
     "round_down",
     "scene_hash",
+    "share_weight",
     "shrink_hull",
+    "split_motion",
     "trace_frame",
     "verify",
 ]

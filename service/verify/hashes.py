@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
+from costs.robot.carried import MovableObject
 from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
@@ -56,8 +57,16 @@ def robot_hash(robot: RobotModel) -> str:
     return "sha256:" + hashlib.sha256(robot.source.urdf.encode()).hexdigest()
 
 
-def promises_hash(phases: Iterable[Phase], releases: Iterable[Release] = (), version: int = FORMAT) -> str:
-    """``sha256:`` of what the phases promise, and of the releases, as a format hashed it (docs/result-format.md)."""
+def promises_hash(
+    phases: Iterable[Phase],
+    releases: Iterable[Release] = (),
+    version: int = FORMAT,
+    objects: Iterable[MovableObject] = (),
+) -> str:
+    """``sha256:`` of what the phases promise, of the releases, and of place and mass of what hands carry.
+
+    As a format hashed it (docs/result-format.md).
+    """
     digest = hashlib.sha256()
     later = frozenset(key for brought, keys in ADDED.items() if brought > version for key in keys)
     for phase in phases:
@@ -76,8 +85,15 @@ def promises_hash(phases: Iterable[Phase], releases: Iterable[Release] = (), ver
             _add(digest, "load", *_parts(load, later))
         for push in phase.pushes:
             _add(digest, "push", *_parts(push, later))
+        for carrier in phase.carriers:
+            _add(digest, "carrier", carrier.item, carrier.link or "")
+            for grip in carrier.grips:
+                _add(digest, "grip", *grip.fingers, np.array([grip.force_n, grip.friction]))
     for release in releases:
         _add(digest, "release", *_parts(release, later))
+    for item in objects:
+        own = item.inertia
+        _add(digest, "object", item.name, item.start, np.array([own.mass]), own.centre, own.moments)
     return "sha256:" + digest.hexdigest()
 
 

@@ -10,9 +10,11 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance
 from costs.curve import Curve, TimeLaw
+from costs.robot.carried import MovableObject
 from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+from service.verify.carrying.carriers import Carrier
 
 FEET_FRICTION = 0.6
 FEET_CAP_N = 5000.0  # at each corner of a sole [N]
@@ -347,6 +349,7 @@ class Phase:
         region_margin_m: how far inside its regions the centre of mass stays, in a phase whose contacts are not soles on
             level ground; None elsewhere.
         pressed: parts of the mechanism that hands press; None where a record of an earlier release does not say it.
+        carriers: what carries each of the motion's objects.
     """
 
     name: str
@@ -361,6 +364,7 @@ class Phase:
     regions: tuple[LoadedRegion, ...] = ()
     region_margin_m: float | None = None
     pressed: tuple[PressedPart, ...] | None = ()
+    carriers: tuple[Carrier, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -382,6 +386,7 @@ class Motion:
         continues: hash of the certificate of the plan whose task this motion continues, or None.
         clearance_m: demanded distance of the robot from every piece that it may not touch [m].
         jerk_scale: share of the joints' jerk limits that the timed motion keeps within; None for no limit.
+        objects: what hands carry; ``robot`` is without them (``carrying.placing.split_motion``).
     """
 
     robot: RobotModel
@@ -396,3 +401,4 @@ class Motion:
     continues: str | None = None
     clearance_m: float = 0.0
     jerk_scale: float | None = None
+    objects: tuple[MovableObject, ...] = ()

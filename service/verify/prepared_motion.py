@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +11,10 @@ from jaxtyping import Float, Int
 
 from costs.stopping import poll
 from costs.work_space import borrow_data
+from service.verify.carrying.placing import split_motion
 from service.verify.curve_bounds import RateBounds, Rates, position_range
 from service.verify.joint_chain import JointTree
-from service.verify.motion import Motion, VerifyError
+from service.verify.motion import Motion, Phase, VerifyError
 from service.verify.timeline import list_phases, split_at_phases
 
 
@@ -86,10 +88,40 @@ def _view_placements(model: pin.Model, data: pin.Data) -> Float[np.ndarray, "J 1
     return view
 
 
+class _KnownPlacements:
+    """Placements of a robot's joints along a curve, computed once per path parameter."""
+
+    def __init__(self, motion: Motion) -> None:
+        self._curve = motion.curve
+        self._forward = ForwardKinematics(motion.robot.model)
+        self._rows: dict[float, int] = {}
+        self._placed = self._forward.at(motion.curve(motion.curve.knots[:0]))
+
+    def at(self, s: Float[np.ndarray, "S"]) -> tuple[Placements, Int[np.ndarray, "S"]]:
+        """Return all placements that are known, and which of their rows belong to these path parameters."""
+        wanted = s.tolist()
+        new = [place for place in dict.fromkeys(wanted) if place not in self._rows]
+        if new:
+            self._append(new)
+        return self._placed, np.array([self._rows[place] for place in wanted], dtype=int)
+
+    def _append(self, new: list[float]) -> None:
+        """Append placements at new path parameters; memory that is full is doubled."""
+        placed, first = self._forward.at(self._curve(np.array(new))), len(self._rows)
+        last = first + len(new)
+        if last > len(self._placed.translation):
+            larger = [np.empty((2 * last, *part.shape[1:])) for part in (placed.rotation, placed.translation)]
+            larger[0][:first], larger[1][:first] = self._placed.rotation[:first], self._placed.translation[:first]
+            self._placed = Placements(larger[0], larger[1])
+        self._placed.rotation[first:last], self._placed.translation[first:last] = placed.rotation, placed.translation
+        self._rows.update(zip(new, range(first, last), strict=True))
+
+
 class PreparedMotion:
     """A motion with what every proof about it uses, prepared once.
 
     Attributes:
+        motion: the motion; that of ``in_phase`` has objects as links of its robot.
         phases: its phases in order, or a single one without promises.
         edges: (E,) knots and phase boundaries in order.
         edge_phase: (E-1,) index of the phase between two neighbouring edges.
@@ -101,8 +133,8 @@ class PreparedMotion:
         """Prepare.
 
         Raises:
-            VerifyError: for phases that do not cover the curve, joints that cannot be verified, or samples that leave
-                out a knot.
+            VerifyError: for phases that do not cover the curve, joints that cannot be verified, samples that leave
+                out a knot, or carriers that the motion lacks.
         """
         self.motion = motion
         self.phases = list_phases(motion)
@@ -110,32 +142,26 @@ class PreparedMotion:
         self.range = low, high = position_range(motion.curve)
         travel = np.maximum(np.abs(low).max(axis=0), np.abs(high).max(axis=0))
         self.tree = JointTree(motion.robot.model, travel, 6 if motion.robot.is_floating else 0)
-        self._forward = ForwardKinematics(motion.robot.model)
         self._rates = Rates(motion.curve, motion.samples)
-        self._rows: dict[float, int] = {}
-        self._placed = self._forward.at(motion.curve(motion.curve.knots[:0]))
+        self._known = _KnownPlacements(motion)
+        self._parts = split_motion(motion)
+
+    def in_phase(self, phase: Phase) -> PreparedMotion:
+        """Return the same with the objects where they are during a phase: coordinates and joints do not change."""
+        number = next(k for k, own in enumerate(self.phases) if own is phase)
+        part = self._parts[number]
+        if part is self.motion:
+            return self
+        placed = copy(self)
+        placed.motion = part
+        return placed
 
     def at(self, s: Float[np.ndarray, "S"]) -> tuple[Placements, Int[np.ndarray, "S"]]:
         """Return joint placements, and which of their rows belong to these path parameters.
 
         Placements are kept: ends of intervals are middles of longer ones, and many proofs use the same poses.
         """
-        wanted = s.tolist()
-        new = [place for place in dict.fromkeys(wanted) if place not in self._rows]
-        if new:
-            self._append(new)
-        return self._placed, np.array([self._rows[place] for place in wanted], dtype=int)
-
-    def _append(self, new: list[float]) -> None:
-        """Append placements at new path parameters; memory that is full is doubled."""
-        placed, first = self._forward.at(self.motion.curve(np.array(new))), len(self._rows)
-        last = first + len(new)
-        if last > len(self._placed.translation):
-            larger = [np.empty((2 * last, *part.shape[1:])) for part in (placed.rotation, placed.translation)]
-            larger[0][:first], larger[1][:first] = self._placed.rotation[:first], self._placed.translation[:first]
-            self._placed = Placements(larger[0], larger[1])
-        self._placed.rotation[first:last], self._placed.translation[first:last] = placed.rotation, placed.translation
-        self._rows.update(zip(new, range(first, last), strict=True))
+        return self._known.at(s)
 
     def over(self, first: Float[np.ndarray, "I"], last: Float[np.ndarray, "I"]) -> RateBounds:
         """Return bounds of the curve's derivatives on intervals, none of which may cross a knot."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from costs.stopping import never, stops_when
+from service.verify.carrying.checks import check_carriers
 from service.verify.certificate import Basis, Certificate, Check, Coverage, Status
 from service.verify.clearance.checks import prove_clearance
 from service.verify.coverage.checks import check_coverage
@@ -63,7 +64,7 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
     checks = list(_run_checks(prepared, settings))
     clearance = prove_clearance(prepared, settings)
     checks += clearance.checks
-    coverage, against = check_coverage(prepared, clearance.table, checks, settings)
+    coverage, against = check_coverage(prepared, clearance.tables, checks, settings)
     checks += against
     balance = [check.value for check in checks if check.name.startswith("balance.")]
     return Certificate(
@@ -75,9 +76,9 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
         clearance.exempt,
         clearance.stretches,
         scene_hash(motion.scene),
-        bodies_hash(motion.robot),
+        bodies_hash(prepared.in_phase(prepared.phases[0]).motion.robot),
         robot_hash(motion.robot),
-        promises_hash(prepared.phases, motion.releases),
+        promises_hash(prepared.phases, motion.releases, objects=motion.objects),
         _notes(prepared, coverage),
         gaps=clearance.gaps,
         coverage=coverage,
@@ -89,8 +90,10 @@ def _run_checks(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[
     for motion_check in MOTION_CHECKS:
         yield from motion_check(prepared, settings)
     for phase in prepared.phases:
+        placed = prepared.in_phase(phase)
         for phase_check in PHASE_CHECKS:
-            yield from phase_check(prepared, phase, settings)
+            yield from phase_check(placed, phase, settings)
+        yield from check_carriers(prepared, phase, settings)
 
 
 def _status(checks: list[Check]) -> Status:

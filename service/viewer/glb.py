@@ -13,6 +13,7 @@ from jaxtyping import Float, Shaped
 from service.viewer.files import replace_file
 from service.viewer.hulls import make_convex_mesh
 from service.viewer.movables import make_local_bodies, place_movables
+from service.viewer.objects import list_object_bodies
 from service.viewer.payload import sample_times, select_samples
 from service.viewer.placements import LinkPlacements
 
@@ -56,10 +57,9 @@ def _add_links(
     if len(kept) == 0:
         return []
     moving = []
+    bodies = (*(result.get("bodies") or []), *list_object_bodies(result))
     for column, link in enumerate(placements.links):
-        shapes = [
-            (body["vertices"], _choose_material(link)) for body in result.get("bodies") or [] if body["link"] == link
-        ]
+        shapes = [(body["vertices"], _choose_material(link)) for body in bodies if body["link"] == link]
         if shapes:
             poses = placements.poses[kept, column]
             moving.append((writer.add_node(link, shapes, poses[0]), poses))

@@ -14,6 +14,7 @@ from costs.robot import VisualMesh
 from service.viewer.forces import find_holding_forces, list_contact_points, sum_loads
 from service.viewer.hulls import make_convex_mesh
 from service.viewer.movables import is_prismatic, make_local_bodies, place_movables, read_angles
+from service.viewer.objects import list_object_bodies
 from service.viewer.placements import LinkPlacements
 from service.viewer.proof import ClearanceTrack, trace_clearance
 
@@ -51,6 +52,7 @@ def make_payload(
     poses = np.concatenate([placements.poses[kept], moved.poses[kept]], axis=1) if len(times) else placements.poses
     com = _read_rows(result, "com", len(times), 3)
     proof = trace_clearance(result) if len(times) else None
+    objects = {item["name"] for item in _get_list(result, "objects")}
     return {
         **_summarize(result),
         "checks": _place_checks(result, proof),
@@ -62,7 +64,11 @@ def make_payload(
         "links": [*placements.links, *(moved.links if len(times) else ())],
         "positions": quantize(poses[..., :3]),
         "rotations": pack(np.round(poses[..., 3:] * 32767.0), "i2"),
-        "bodies": [{"name": b["name"], "link": b["link"], "hull": pack_hull(b)} for b in _get_list(result, "bodies")],
+        "bodies": [
+            {"name": b["name"], "link": b["link"], "hull": pack_hull(b)}
+            for b in (*_get_list(result, "bodies"), *list_object_bodies(result))
+            if b["link"] in placements.links or b["name"] not in objects
+        ],
         "visuals": [_make_visual(mesh) for mesh in visuals if mesh.link in placements.links],
         "pieces": [_make_piece(piece) for piece in _get_list(result, "pieces")],
         "movables": [_make_movable(movable, len(times), kept) for movable in movables],

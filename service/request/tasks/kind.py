@@ -53,6 +53,11 @@ class TaskSection(Section):
         return None
 
     @property
+    def carried(self) -> tuple[str, ...]:
+        """Names of the scene's objects that it moves; the others are obstacles."""
+        return ()
+
+    @property
     def detected(self) -> tuple[str, ...]:
         """Kinds of objects to find in the scan: what the task moves, whose points are no obstacles."""
         return ()

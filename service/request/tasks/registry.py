@@ -16,6 +16,7 @@ from service.request.tasks.door import DoorRequest
 from service.request.tasks.egress import EgressRequest
 from service.request.tasks.kind import ENTRY_POINTS, TaskKind, TaskSection
 from service.request.tasks.mechanism import MechanismRequest
+from service.request.tasks.pick_place import PickRequest
 from service.request.tasks.reach import GoalRequest
 from service.request.tasks.trajopt import ProblemSection
 from service.request.tasks.valve import ValveRequest
@@ -28,6 +29,7 @@ SHIPPED = (
     TaskKind("mechanism", MechanismRequest, "service.demands.mechanism.kind:PART", "service.tasks.mechanism.kind:PART"),
     TaskKind("contacts", ContactsRequest, "service.demands.contacts.kind:PART", "service.tasks.contacts.kind:PART"),
     TaskKind("egress", EgressRequest, "service.demands.egress.kind:PART", "service.tasks.egress.kind:PART"),
+    TaskKind("pick_place", PickRequest, "service.demands.pick_place.kind:PART", "service.tasks.pick_place.kind:PART"),
     TaskKind("trajopt", ProblemSection, "service.trajopt.kind:PART", "service.tasks.trajopt.kind:PART"),
 )
 REACH = TaskKind(
@@ -95,6 +97,7 @@ class TaskRequest(Section):
     egress: EgressRequest | None = None
     trajopt: PlainData | None = None
     mechanism: MechanismRequest | None = None
+    pick_place: PickRequest | None = None
 
     def __post_init__(self) -> None:
         require_exactly_one(self, tuple(TASKS))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -31,7 +32,7 @@ class Clearance:
         exempt: pairs allowed to touch that came near enough to matter.
         stretches: the proof.
         gaps: intervals on which it leaves a pair open.
-        table: the pairs of bodies that were examined.
+        tables: the pairs of bodies that were examined, one for each set of carriers of the motion's objects.
     """
 
     checks: tuple[Check, ...]
@@ -40,27 +41,84 @@ class Clearance:
     exempt: tuple[Exempt, ...]
     stretches: Stretches
     gaps: Gaps
-    table: PairTable
+    tables: tuple[PairTable, ...]
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Clearance of all pairs while nothing changes its carrier.
+
+    Attributes:
+        prepared: the motion with its objects as they are carried.
+        examined: the pairs on these intervals.
+        lowest: (I,) smallest floor of the pairs that the search did not examine [m].
+    """
+
+    prepared: PreparedMotion
+    examined: Examination
+    lowest: Float[np.ndarray, "I"]
 
 
 def prove_clearance(prepared: PreparedMotion, settings: VerifySettings) -> Clearance:
     """Prove or refute that every pair keeps clear, or within its allowed depth, along the whole motion."""
-    table = collect_pairs(prepared.motion, prepared.tree)
-    examined = examine_pairs(prepared, table, prepared.edges, prepared.edge_phase, settings)
-    lowest = _lowest_floors(examined)
-    smallest, pair = _min_clearance(examined, lowest, settings)
-    checks = [*_refuted_checks(prepared, examined), *_unproven_checks(prepared, examined)]
+    parts = list(_examine_parts(prepared, settings))
+    smallest, pair = min(
+        (_min_clearance(part.examined, part.lowest, settings) for part in parts),
+        key=lambda found: np.nan_to_num(found[0], nan=np.inf),
+    )
+    checks = [check for part in parts for check in _refuted_checks(part.prepared, part.examined)]
+    checks += [check for part in parts for check in _unproven_checks(part.prepared, part.examined)]
     if not checks:
-        checks = [_summary_check(prepared, examined, smallest, pair)]
-    checks += check_start(prepared, examined.table, settings)
+        checks = [_summary_check(parts, smallest, pair)]
+    checks += check_start(parts[0].prepared, parts[0].examined.table, settings)
     return Clearance(
         tuple(checks),
         smallest,
         pair,
-        _list_exempt(examined, prepared.phases),
-        _proof_columns(examined, lowest),
-        list_gaps(examined),
-        examined.table,
+        tuple(exempt for part in parts for exempt in _list_exempt(part.examined, prepared.phases)),
+        _join_columns([_proof_columns(part.examined, part.lowest) for part in parts]),
+        _join_gaps([list_gaps(part.examined) for part in parts]),
+        tuple(part.examined.table for part in parts),
+    )
+
+
+def _examine_parts(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[_Stretch]:
+    """Yield the parts of the motion between changes of carriers."""
+    placed = [prepared.in_phase(phase) for phase in prepared.phases]
+    begins = [k for k, own in enumerate(placed) if k == 0 or own.motion is not placed[k - 1].motion]
+    for first, last in pairwise([*begins, len(placed)]):
+        rows = np.flatnonzero((prepared.edge_phase >= first) & (prepared.edge_phase < last))
+        own = placed[first]
+        edges = prepared.edges[rows[0] : rows[-1] + 2]
+        table = collect_pairs(own.motion, own.tree)
+        examined = examine_pairs(own, table, edges, prepared.edge_phase[rows], settings)
+        yield _Stretch(own, examined, _lowest_floors(examined))
+
+
+def _join_columns(parts: Sequence[Stretches]) -> Stretches:
+    """Return the proofs of parts of a motion as one; neighbouring parts share an edge."""
+    if len(parts) == 1:
+        return parts[0]
+    starts = np.cumsum([0, *(len(part.pairs) for part in parts)]).tolist()
+    return Stretches(
+        tuple(chain.from_iterable(part.pairs for part in parts)),
+        (*chain.from_iterable(part.edges[:-1] for part in parts), parts[-1].edges[-1]),
+        tuple(chain.from_iterable(part.floors for part in parts)),
+        tuple(start + pair for start, part in zip(starts, parts, strict=False) for pair in part.pair),
+        *(
+            tuple(chain.from_iterable(getattr(part, name) for part in parts))
+            for name in ("first", "last", "distance", "bound")
+        ),
+    )
+
+
+def _join_gaps(parts: Sequence[Gaps]) -> Gaps:
+    """Return the gaps of parts of a motion as one."""
+    starts = np.cumsum([0, *(len(part.pairs) for part in parts)]).tolist()
+    return Gaps(
+        tuple(chain.from_iterable(part.pairs for part in parts)),
+        tuple(start + pair for start, part in zip(starts, parts, strict=False) for pair in part.pair),
+        *(tuple(chain.from_iterable(getattr(part, name) for part in parts)) for name in ("first", "last", "lower")),
     )
 
 
@@ -122,17 +180,16 @@ def _unproven_checks(prepared: PreparedMotion, examined: Examination) -> Iterato
         yield Check("clearance", True, lower, limit, "m", text, where, Basis.UNPROVEN)
 
 
-def _summary_check(
-    prepared: PreparedMotion, examined: Examination, smallest: float, names: tuple[str, str] | None
-) -> Check:
+def _summary_check(parts: Sequence[_Stretch], smallest: float, names: tuple[str, str] | None) -> Check:
     """Make the check of a motion whose pairs are all proven."""
     text = "no pair is checked" if np.isnan(smallest) else f"clearance is at least {round_down(1e3 * smallest, 1)} mm"
     text += f" ({names[0]} and {names[1]})" if names else ""
     is_touching = any(
-        distance < 0.0 and not _rests_on_floor(prepared, examined.table, pair, prepared.phases[phase])
-        for (pair, phase), distance in examined.proof.deepest.items()
+        distance < 0.0 and not _rests_on_floor(part.prepared, part.examined.table, pair, part.prepared.phases[phase])
+        for part in parts
+        for (pair, phase), distance in part.examined.proof.deepest.items()
     )
-    demanded = prepared.motion.clearance_m
+    demanded = parts[0].prepared.motion.clearance_m
     text += f", {1e3 * demanded:g} mm from the world as demanded" if demanded else ""
     text += ", pairs that may touch aside" if is_touching else ""
     return Check("clearance", True, smallest, 0.0, "m", text, None, Basis.PROOF)

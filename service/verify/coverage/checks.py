@@ -22,12 +22,12 @@ from service.verify.prepared_motion import PreparedMotion
 
 
 def check_coverage(
-    prepared: PreparedMotion, table: PairTable, checks: Sequence[Check], settings: VerifySettings
+    prepared: PreparedMotion, tables: Sequence[PairTable], checks: Sequence[Check], settings: VerifySettings
 ) -> tuple[Coverage, tuple[Check, ...]]:
     """Return what was checked, an unproven check for everything that rules out a certificate, and pressed parts.
 
     Args:
-        table: pairs of bodies whose clearance was examined.
+        tables: pairs of bodies whose clearance was examined, one for each set of carriers of the motion's objects.
         checks: that were made.
         settings: of the proofs that pairs left out keep apart.
     """
@@ -37,11 +37,13 @@ def check_coverage(
     left_out = find_left_out_pairs(prepared, tree, settings)
     shapeless = find_shapeless_links(prepared, tree)
     own = [link for link in tree.joint if link not in motion.mechanism_links]
-    n_link_pairs, n_piece_pairs = _count_pairs(table)
+    counts = [_count_pairs(table) for table in tables]
+    n_link_pairs, n_piece_pairs = (max(count[kind] for count in counts) for kind in (0, 1))
+    objects = tuple(item.name for item in motion.objects)
     starts_inside = sum(check.name.startswith("start.") for check in checks)
     waived = (*required.waived, *([f"{starts_inside} pairs that overlap at the start"] if starts_inside else []))
     coverage = Coverage(
-        tuple(link for link in own if link in tree.shaped),
+        (*(link for link in own if link in tree.shaped), *objects),
         tuple(item.link for item in shapeless if item.link not in tree.shaped),
         shapeless,
         n_link_pairs,

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot.model import BASE_NAMES
+from service.verify.carrying.checks import list_carrier_checks
 from service.verify.certificate import Basis, Check
 from service.verify.forces.hand_contacts import list_moving_joints
 from service.verify.ground import find_standing_contacts
@@ -60,6 +61,7 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
         elif not any(part.source == "assumed" for part in phase.pressed or ()):  # a check of its own says so
             names += [f"{check}.{phase.name}.{joint}" for joint in moving for check in ("hand_touch", "hand_contact")]
         names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
+        names += list_carrier_checks(phase, is_timed=motion.law is not None)
         if not motion.robot.is_floating:
             continue
         names += [f"planted.{phase.name}.{contact.link}" for contact in phase.contacts]

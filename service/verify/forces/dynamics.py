@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from costs.curve import TimeLaw
 from costs.stopping import poll
 from costs.work_space import borrow_data
+from service.verify.carrying.sharing import share_weight
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.contact_forces import ContactShare, Joints, list_unit_wrenches
 from service.verify.forces.hand_loads import list_load_cases
@@ -89,8 +90,11 @@ def compute_forces(
     a = slope * gain[:, None] + bend * speed[:, None] ** 2
     stands = bool(phase.contacts) or phase.support is not None
     shares = torques and bool(phase.contacts)
-    inverse = compute_inverse_dynamics(motion, q, v, a, has_jacobians=shares or (torques and bool(phase.loads)))
+    is_loaded = torques and bool(phase.loads or any(len(carrier.grips) > 1 for carrier in phase.carriers))
+    inverse = compute_inverse_dynamics(motion, q, v, a, has_jacobians=shares or is_loaded)
     torque, jacobians = inverse.torque, inverse.jacobians
+    shared = share_weight(motion, phase, q, lambda j, w: _carried_torques(model, j, w, jacobians)) if torques else None
+    torque = torque if shared is None else torque + shared
     wrench = inverse.wrench if stands else np.full((len(times), 6), np.nan)
     cases = list_load_cases(motion.robot, q, phase.loads)
     ground = np.stack([wrench - case.wrench for case in cases])

@@ -26,21 +26,41 @@ def find_patch(
         body: corners of the body, in the same frame.
         normal: (3,) unit, from the pad to the body.
     """
-    basis = np.linalg.svd(normal[None])[2][1:]
-    faces = [
-        points[points @ towards >= (points @ towards).max() - PATCH_DEPTH_M] @ basis.T
-        for points, towards in ((pad, normal), (body, -normal))
-    ]
-    outlines = [_list_corners(face) for face in faces]
-    if not all(len(outline) for outline in outlines):
-        return np.zeros((0, 3))
-    corners = _list_corners(_intersect(*outlines))
+    corners, basis = _find_common(pad, body, normal)
     if not len(corners):
         return np.zeros((0, 3))
     middle, radius = _measure_middle(corners)
     beside = corners - middle
     size = np.linalg.norm(beside, axis=1, keepdims=True)
     return np.asarray((middle + np.minimum(1.0, radius / size) * beside) @ basis)
+
+
+def find_contact_corners(
+    lower: Float[np.ndarray, "K 3"], upper: Float[np.ndarray, "V 3"], normal: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "P 3"]:
+    """Return the corners of the area in which two bodies touch, beside each other along it; none of a single point.
+
+    Args:
+        lower, upper: corners of the bodies.
+        normal: (3,) unit, from the first to the second.
+    """
+    corners, basis = _find_common(lower, upper, normal)
+    return np.asarray(corners @ basis)
+
+
+def _find_common(
+    first: Float[np.ndarray, "K 3"], second: Float[np.ndarray, "V 3"], normal: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "P 2"], Float[np.ndarray, "2 3"]]:
+    """Return the corners that the foremost faces of two bodies have in common, and the axes that they are along."""
+    basis = np.linalg.svd(normal[None])[2][1:]
+    faces = [
+        points[points @ towards >= (points @ towards).max() - PATCH_DEPTH_M] @ basis.T
+        for points, towards in ((first, normal), (second, -normal))
+    ]
+    outlines = [_list_corners(face) for face in faces]
+    if not all(len(outline) for outline in outlines):
+        return np.zeros((0, 2)), basis
+    return _list_corners(_intersect(*outlines)), basis
 
 
 def _measure_middle(corners: Float[np.ndarray, "P 2"]) -> tuple[Float[np.ndarray, "2"], float]:

@@ -18,6 +18,7 @@ ROUND_ROUNDING_M = 2e-3  # of an edge of a shape that is known to be round
 BOX_ROUNDING_M = 2e-3  # of an edge of a box, and of what has no more corners
 BOX_CORNERS = 8
 SAME_FACE = 1e-6  # sine of the angle between facets of one face
+FLAT_END = 0.7  # cosine between a cylinder's axis and the normal of a contact from which its end is touched
 ROUNDED_SHARE = 0.45  # of a body's least thickness
 
 
@@ -119,6 +120,31 @@ def shrink_hull(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "
     moved[:, 3] += radius
     corners = HalfspaceIntersection(moved, middle).intersections
     return corners[ConvexHull(corners).vertices], radius
+
+
+def list_round_contact(
+    body: LinkBody, normal: Float[np.ndarray, "3"], depth_m: float
+) -> Float[np.ndarray, "P 3"] | None:
+    """Return the points of a round side that something flat touches; None where what it touches is flat.
+
+    Args:
+        body: that is touched.
+        normal: (3,) unit, into the body.
+        depth_m: by which what touches gives way, so that a line becomes a strip [m].
+    """
+    exact = body.exact
+    if exact is None:
+        return None
+    axis = exact.pose[:3, 2]
+    if exact.kind == "cylinder" and abs(axis @ normal) > FLAT_END:
+        return None
+    inwards = normal if exact.kind == "sphere" else normal - (normal @ axis) * axis
+    inwards = inwards / np.linalg.norm(inwards)
+    along = np.zeros((1, 3)) if exact.kind == "sphere" else 0.5 * exact.length * np.array([[-1.0], [1.0]]) * axis
+    half = np.sqrt(max(2.0 * exact.radius * depth_m - depth_m**2, 0.0))
+    aside = half * np.cross(axis, inwards)
+    middle = exact.pose[:3, 3] - exact.radius * inwards
+    return np.asarray(np.concatenate([middle + along - aside, middle + along + aside]))
 
 
 def measure_beyond_hull(points: Float[np.ndarray, "K 3"], vertices: Float[np.ndarray, "V 3"]) -> float:

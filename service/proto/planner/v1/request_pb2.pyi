@@ -30,6 +30,14 @@ class FreeAxis(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     FREE_AXIS_Y: _ClassVar[FreeAxis]
     FREE_AXIS_Z: _ClassVar[FreeAxis]
 
+class CarryingHand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    CARRYING_HAND_UNSPECIFIED: _ClassVar[CarryingHand]
+    CARRYING_HAND_LEFT: _ClassVar[CarryingHand]
+    CARRYING_HAND_RIGHT: _ClassVar[CarryingHand]
+    CARRYING_HAND_AUTO: _ClassVar[CarryingHand]
+    CARRYING_HAND_BOTH: _ClassVar[CarryingHand]
+
 class HoldMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     HOLD_MODE_UNSPECIFIED: _ClassVar[HoldMode]
@@ -151,6 +159,11 @@ FREE_AXIS_NONE: FreeAxis
 FREE_AXIS_X: FreeAxis
 FREE_AXIS_Y: FreeAxis
 FREE_AXIS_Z: FreeAxis
+CARRYING_HAND_UNSPECIFIED: CarryingHand
+CARRYING_HAND_LEFT: CarryingHand
+CARRYING_HAND_RIGHT: CarryingHand
+CARRYING_HAND_AUTO: CarryingHand
+CARRYING_HAND_BOTH: CarryingHand
 HOLD_MODE_UNSPECIFIED: HoldMode
 HOLD_MODE_HOOK: HoldMode
 HOLD_MODE_GRASP: HoldMode
@@ -311,20 +324,22 @@ class RobotServo(_message.Message):
     def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class RobotHand(_message.Message):
-    __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m")
+    __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m", "fingers")
     LINK_FIELD_NUMBER: _ClassVar[int]
     HOOK_FIELD_NUMBER: _ClassVar[int]
     TOOL_FIELD_NUMBER: _ClassVar[int]
     PEG_FIELD_NUMBER: _ClassVar[int]
     STUB_FIELD_NUMBER: _ClassVar[int]
     PEG_RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    FINGERS_FIELD_NUMBER: _ClassVar[int]
     link: str
     hook: str
     tool: str
     peg: str
     stub: str
     peg_radius_m: float
-    def __init__(self, link: _Optional[str] = ..., hook: _Optional[str] = ..., tool: _Optional[str] = ..., peg: _Optional[str] = ..., stub: _Optional[str] = ..., peg_radius_m: _Optional[float] = ...) -> None: ...
+    fingers: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, link: _Optional[str] = ..., hook: _Optional[str] = ..., tool: _Optional[str] = ..., peg: _Optional[str] = ..., stub: _Optional[str] = ..., peg_radius_m: _Optional[float] = ..., fingers: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ContactPatch(_message.Message):
     __slots__ = ("link", "points", "normal", "kind", "friction", "force_cap_n")
@@ -405,20 +420,46 @@ class PoseGoal(_message.Message):
     def __init__(self, link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
 
 class Task(_message.Message):
-    __slots__ = ("valve", "door", "egress", "trajopt", "contacts", "mechanism")
+    __slots__ = ("valve", "door", "egress", "trajopt", "contacts", "mechanism", "pick_place")
     VALVE_FIELD_NUMBER: _ClassVar[int]
     DOOR_FIELD_NUMBER: _ClassVar[int]
     EGRESS_FIELD_NUMBER: _ClassVar[int]
     TRAJOPT_FIELD_NUMBER: _ClassVar[int]
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
     MECHANISM_FIELD_NUMBER: _ClassVar[int]
+    PICK_PLACE_FIELD_NUMBER: _ClassVar[int]
     valve: Valve
     door: Door
     egress: Egress
     trajopt: _struct_pb2.Struct
     contacts: Contacts
     mechanism: Mechanism
-    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ...) -> None: ...
+    pick_place: PickPlace
+    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., pick_place: _Optional[_Union[PickPlace, _Mapping]] = ...) -> None: ...
+
+class PickPlace(_message.Message):
+    __slots__ = ("object", "to", "hand", "grip_n", "lift_m", "opening_m")
+    OBJECT_FIELD_NUMBER: _ClassVar[int]
+    TO_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    GRIP_N_FIELD_NUMBER: _ClassVar[int]
+    LIFT_M_FIELD_NUMBER: _ClassVar[int]
+    OPENING_M_FIELD_NUMBER: _ClassVar[int]
+    object: str
+    to: ObjectPlace
+    hand: CarryingHand
+    grip_n: float
+    lift_m: float
+    opening_m: float
+    def __init__(self, object: _Optional[str] = ..., to: _Optional[_Union[ObjectPlace, _Mapping]] = ..., hand: _Optional[_Union[CarryingHand, str]] = ..., grip_n: _Optional[float] = ..., lift_m: _Optional[float] = ..., opening_m: _Optional[float] = ...) -> None: ...
+
+class ObjectPlace(_message.Message):
+    __slots__ = ("position", "quaternion_wxyz")
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Contacts(_message.Message):
     __slots__ = ("surfaces", "start", "stances", "finish")
@@ -807,7 +848,7 @@ class PlaneSide(_message.Message):
     def __init__(self, link: _Optional[str] = ..., normal: _Optional[_Iterable[float]] = ..., limit: _Optional[float] = ..., point: _Optional[_Iterable[float]] = ..., weight: _Optional[float] = ...) -> None: ...
 
 class SceneSpec(_message.Message):
-    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file", "cuts", "level", "sensor_model", "sensor_sigma")
+    __slots__ = ("cloud", "unit", "apply_viewpoint", "sensor", "topic", "message", "hint", "obstacles", "floor", "method", "unknown", "file", "cuts", "level", "sensor_model", "sensor_sigma", "objects")
     CLOUD_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
     APPLY_VIEWPOINT_FIELD_NUMBER: _ClassVar[int]
@@ -824,6 +865,7 @@ class SceneSpec(_message.Message):
     LEVEL_FIELD_NUMBER: _ClassVar[int]
     SENSOR_MODEL_FIELD_NUMBER: _ClassVar[int]
     SENSOR_SIGMA_FIELD_NUMBER: _ClassVar[int]
+    OBJECTS_FIELD_NUMBER: _ClassVar[int]
     cloud: Cloud
     unit: LengthUnit
     apply_viewpoint: bool
@@ -840,7 +882,40 @@ class SceneSpec(_message.Message):
     level: bool
     sensor_model: SensorModel
     sensor_sigma: float
-    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ..., cuts: _Optional[_Iterable[_Union[Cut, _Mapping]]] = ..., level: bool = ..., sensor_model: _Optional[_Union[SensorModel, str]] = ..., sensor_sigma: _Optional[float] = ...) -> None: ...
+    objects: _containers.RepeatedCompositeFieldContainer[MovableObject]
+    def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ..., cuts: _Optional[_Iterable[_Union[Cut, _Mapping]]] = ..., level: bool = ..., sensor_model: _Optional[_Union[SensorModel, str]] = ..., sensor_sigma: _Optional[float] = ..., objects: _Optional[_Iterable[_Union[MovableObject, _Mapping]]] = ...) -> None: ...
+
+class MovableObject(_message.Message):
+    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "mass_kg", "grasps")
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    SIZE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    MASS_KG_FIELD_NUMBER: _ClassVar[int]
+    GRASPS_FIELD_NUMBER: _ClassVar[int]
+    type: Shape
+    name: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    size: _containers.RepeatedScalarFieldContainer[float]
+    radius: float
+    height: float
+    points: _containers.RepeatedCompositeFieldContainer[Point]
+    mass_kg: float
+    grasps: _containers.RepeatedCompositeFieldContainer[Grasp]
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., mass_kg: _Optional[float] = ..., grasps: _Optional[_Iterable[_Union[Grasp, _Mapping]]] = ...) -> None: ...
+
+class Grasp(_message.Message):
+    __slots__ = ("position", "quaternion_wxyz")
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
+    position: _containers.RepeatedScalarFieldContainer[float]
+    quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Cloud(_message.Message):
     __slots__ = ("file", "files")

@@ -1,0 +1,83 @@
+"""A gantry of our own: three slides, a turning hand that points down, and two fingers; it plans in a second."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+FINGER_M, REACH_M = 0.06, 0.04  # length of a finger, and how far each opens
+GRIP_N = 100.0  # effort of a finger
+
+
+def _box(size: str, at: str) -> str:
+    return f'<origin xyz="{at}"/><geometry><box size="{size}"/></geometry>'
+
+
+def _link(name: str, mass: float, size: str, at: str = "0 0 0") -> str:
+    inertia = f'<inertia ixx="{mass * 1e-3}" iyy="{mass * 1e-3}" izz="{mass * 1e-3}" ixy="0" ixz="0" iyz="0"/>'
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{at}"/><mass value="{mass}"/>{inertia}</inertial>'
+        f"<collision>{_box(size, at)}</collision></link>"
+    )
+
+
+def _joint(name: str, kind: str, parent: str, child: str, at: str, axis: str, limit: tuple[float, float, float]) -> str:
+    low, high, effort = limit
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{at}"/>'
+        f'<axis xyz="{axis}"/><limit lower="{low}" upper="{high}" velocity="1" effort="{effort}"/></joint>'
+    )
+
+
+def write_gantry(folder: Path, *, follows: bool = False) -> Path:
+    """Write its URDF; with ``follows`` the second finger follows the first one."""
+    parts = [
+        _link("base", 5.0, "0.1 0.1 0.1", "0 0 2.2"),
+        _link("bridge", 2.0, "0.08 0.08 0.08"),
+        _link("trolley", 2.0, "0.08 0.08 0.08"),
+        _link("column", 2.0, "0.06 0.06 0.8", "0 0 -0.4"),
+        _link("hand", 1.0, "0.12 0.04 0.06", "0 0 -0.03"),
+        _link("finger_1", 0.1, f"0.014 0.02 {FINGER_M}", f"0.007 0 {-0.5 * FINGER_M}"),
+        _link("finger_2", 0.1, f"0.014 0.02 {FINGER_M}", f"-0.007 0 {-0.5 * FINGER_M}"),
+        '<link name="tool"/>',
+        _joint("x", "prismatic", "base", "bridge", "0 0 2.1", "1 0 0", (-1.0, 1.0, 500.0)),
+        _joint("y", "prismatic", "bridge", "trolley", "0 0 -0.1", "0 1 0", (-1.0, 1.0, 500.0)),
+        _joint("z", "prismatic", "trolley", "column", "0 0 -0.08", "0 0 1", (-1.0, 0.0, 500.0)),
+        _joint("yaw", "revolute", "column", "hand", "0 0 -0.85", "0 0 1", (-3.1, 3.1, 50.0)),
+        _joint("grip_1", "prismatic", "hand", "finger_1", "0.004 0 -0.06", "1 0 0", (0.0, REACH_M, GRIP_N)),
+        _joint("grip_2", "prismatic", "hand", "finger_2", "-0.004 0 -0.06", "-1 0 0", (0.0, REACH_M, GRIP_N)),
+        '<joint name="tool_joint" type="fixed"><parent link="hand"/><child link="tool"/>'
+        f'<origin xyz="0 0 {-0.06 - FINGER_M + 0.02}" rpy="3.141592653589793 0 0"/></joint>',
+    ]
+    text = "".join(parts)
+    if follows:
+        text = text.replace(
+            '<joint name="grip_2" type="prismatic">', '<joint name="grip_2" type="prismatic"><mimic joint="grip_1"/>'
+        )
+    path = folder / "gantry.urdf"
+    path.write_text(f'<robot name="gantry">{text}</robot>', encoding="utf-8")
+    return path
+
+
+TABLE = {"type": "box", "name": "table", "size": [0.8, 0.8, 0.1], "position": [0.0, 0.0, 0.35]}
+BLOCK = {"type": "box", "name": "block", "size": [0.05, 0.05, 0.08], "mass_kg": 0.5, "position": [0.1, -0.2, 0.44]}
+
+
+def pick_place_request(urdf: Path, *, follows: bool = False, **changes: Any) -> dict[str, Any]:
+    """Return a request to move a block on a table; ``changes`` are of the section, the block or the scene.
+
+    Args:
+        urdf: of the gantry.
+        changes: fields of the section; ``block`` changes those of the object, ``obstacles`` are added.
+    """
+    block = {**copy.deepcopy(BLOCK), **changes.pop("block", {})}
+    obstacles = [copy.deepcopy(TABLE), *changes.pop("obstacles", ())]
+    hand = {"link": "hand", "hook": "hand", "tool": "tool", "fingers": ["finger_1", "finger_2"]}
+    section = {"object": "block", "to": {"position": [-0.1, 0.2, 0.44]}, "grip_n": 40.0, **changes}
+    return {
+        "robot": {"urdf": str(urdf), "hands": {"right": hand}},
+        "start": {"joints": {"z": -0.1, "grip_1": 0.01, **({} if follows else {"grip_2": 0.01})}},
+        "scene": {"floor": 0.0, "obstacles": obstacles, "objects": [block]},
+        "task": {"pick_place": section},
+    }

@@ -1,0 +1,1 @@
+"""Objects that hands take: their shape and mass, grippers, and grasps."""

@@ -1,0 +1,79 @@
+"""A request's movable objects with shape, mass and start."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from costs.primitive import make_round_shape
+from costs.robot import LinkInertia, shapes
+from costs.robot.carried import MovableObject
+from service.errors import RequestError
+from service.request.scene import ConvexRequest, ObjectRequest
+from service.request.schema import PlanRequest
+
+
+def find_object(request: PlanRequest, name: str, field: str) -> tuple[ObjectRequest, MovableObject]:
+    """Return one of a request's objects, as given and as a body.
+
+    Raises:
+        RequestError: there is none of that name, or its points have no volume.
+    """
+    for index, item in enumerate(request.scene.objects):
+        if item.name == name:
+            return item, make_object(item, f"scene.objects[{index}]")
+    known = ", ".join(item.name for item in request.scene.objects) or "no object; give scene.objects"
+    raise RequestError(f"{field}: unknown object {name!r}; the scene has {known}")
+
+
+def make_pose(
+    position: tuple[float, float, float], quaternion_wxyz: tuple[float, float, float, float]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the (4, 4) pose of a request's position [m] and quaternion."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
+    pose[:3, 3] = position
+    return pose
+
+
+def make_object(item: ObjectRequest, field: str) -> MovableObject:
+    """Return an object as a body.
+
+    Raises:
+        RequestError: its points have no volume.
+    """
+    if isinstance(item, ConvexRequest):
+        points = np.array(item.points)
+        try:
+            vertices = points[ConvexHull(points).vertices]
+        except QhullError:
+            raise RequestError(
+                f"{field}.points: the {len(points)} points lie in a plane; expected four that span a volume"
+            ) from None
+    else:
+        vertices = shapes.make_points(item.type, item.lengths)
+    exact = make_round_shape(item.type, item.lengths)
+    return MovableObject(
+        item.name,
+        vertices,
+        spread_mass(vertices, item.mass_kg),
+        make_pose(item.position, item.quaternion_wxyz),
+        exact,
+    )
+
+
+def spread_mass(vertices: Float[np.ndarray, "V 3"], mass: float) -> LinkInertia:
+    """Return the inertia of a hull of even density: the sum of the tetrahedra over its triangles."""
+    hull = ConvexHull(vertices)
+    inside = vertices.mean(axis=0)
+    corners = vertices[hull.simplices] - inside
+    volumes = np.abs(np.linalg.det(corners)) / 6.0
+    share = mass * volumes / volumes.sum()
+    centre = share @ corners.sum(axis=1) / (4.0 * mass)
+    # Second moments of a tetrahedron with a corner at the origin: (sum x)(sum x)^T + sum x x^T over 20.
+    sums = corners.sum(axis=1)
+    second = np.einsum("t,ti,tj->ij", share, sums, sums) + np.einsum("t,tki,tkj->ij", share, corners, corners)
+    second = second / 20.0 - mass * np.outer(centre, centre)
+    return LinkInertia(mass, inside + centre, np.trace(second) * np.eye(3) - second)

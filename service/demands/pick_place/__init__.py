@@ -1,0 +1,1 @@
+"""Demands of taking an object and putting it elsewhere."""

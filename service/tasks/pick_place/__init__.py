@@ -1,0 +1,1 @@
+"""Planning of taking an object and putting it elsewhere."""

@@ -1,0 +1,216 @@
+"""Choices of hands and grasps for taking an object: what suits it, and what inverse kinematics reaches at both ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from costs.kinematics import locate_frame, locate_links
+from costs.robot import RobotModel
+from costs.terms import FramePose
+from service.body.holds import Hold
+from service.body.inverse_kinematics import solve_holds
+from service.body.seeds import posture_guesses
+from service.body.whole_body import WholeBody
+from service.demands.grasping.grasps import Grasp, close_on, generate_poses, list_grasps
+from service.demands.grasping.gripper import Gripper
+from service.demands.pick_place.work import PickPlace
+from service.verify import CoalSolid, DistanceQuery, make_coal_convex
+
+REACHED = 5e-3  # largest residual of a pose that counts as reached [m, rad]
+MOST_TRIED = 48  # grasps whose poses inverse kinematics looks for
+STEEPEST = 0.4  # largest upward part of the way on which a hand comes
+SEEDS = 2  # configurations from which inverse kinematics starts
+SPANS = (0.5, 0.4, 0.6, 0.3, 0.7, 0.8)  # between two hands on a long object [m]
+OUTSIDE_M = 0.05  # of the centre of mass from the support polygon in a configuration that counts as reached
+INSIDE_RAD = 10.0  # by which a configuration in which links meet counts as farther away, over all joints
+INSIDE_M = 1e-3  # of a hand in what stands around
+SPAN_ROOM_M = 0.05  # of a hand from the end of such an object
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Grasps of one hand or of two that carry an object together, the leading one first."""
+
+    grasps: tuple[Grasp, ...]
+
+    @property
+    def grippers(self) -> tuple[Gripper, ...]:
+        """The hands."""
+        return tuple(grasp.gripper for grasp in self.grasps)
+
+    def describe(self) -> str:
+        """Return the choice in words."""
+        words = [f"the {grasp.gripper.side} hand" for grasp in self.grasps]
+        numbered = [f"grasp {grasp.number}" for grasp in self.grasps if grasp.number is not None]
+        return " and ".join(words) + (f" at {' and '.join(numbered)}" if numbered else "")
+
+
+def list_choices(work: PickPlace, grippers: Sequence[Gripper]) -> tuple[list[Choice], tuple[str, ...]]:
+    """Return the grasps that suit the hands, and phrases why others do not."""
+    section, refused = work.request, list[str]()
+    if section.hand == "both":
+        return _list_pairs(work, grippers)
+    choices = []
+    for gripper in grippers:
+        grasps, reasons = list_grasps(work.item, gripper, work.given.grasps, section.opening_m)
+        choices += [Choice((grasp,)) for grasp in grasps]
+        refused += reasons
+    return choices, tuple(dict.fromkeys(refused))
+
+
+def _list_pairs(work: PickPlace, grippers: Sequence[Gripper]) -> tuple[list[Choice], tuple[str, ...]]:
+    """Return grasps of two hands beside each other along the longest side of an object, either leading."""
+    first, second = grippers
+    size = np.ptp(work.item.vertices, axis=0)
+    length, axis = float(size.max()), np.eye(3)[int(size.argmax())]
+    choices, refused = [], list[str]()
+    for span in SPANS:
+        if span > length - 2.0 * SPAN_ROOM_M:
+            continue
+        for sense in (1.0, -1.0):
+            offsets = ((first, 0.5 * sense * span), (second, -0.5 * sense * span))
+            sides = [list(_list_beside(work, gripper, axis, offset)) for gripper, offset in offsets]
+            refused += [reason for side in sides for reason in side if isinstance(reason, str)]
+            for one in sides[0]:
+                for other in sides[1]:
+                    if isinstance(one, str) or isinstance(other, str):
+                        continue
+                    if np.allclose(one.along, other.along):
+                        choices.append(Choice((one, other)))
+    if not choices and not refused:
+        refused.append(f"{1e3 * length:.0f} mm long; two hands need {1e3 * (min(SPANS) + 2 * SPAN_ROOM_M):.0f} mm")
+    return choices, tuple(dict.fromkeys(refused))
+
+
+def _list_beside(
+    work: PickPlace, gripper: Gripper, axis: Float[np.ndarray, "3"], offset: float
+) -> Iterator[Grasp | str]:
+    """Yield the grasps across an axis of an object, off its middle; phrases for those that do not suit the hand."""
+    for pose in generate_poses(work.item, gripper):
+        closing, along = pose[:3, :3] @ gripper.closing, pose[:3, 2]
+        if max(abs(closing @ axis), abs(along @ axis)) > 1e-6:
+            continue
+        moved = pose.copy()
+        moved[:3, 3] += offset * axis
+        made = close_on(work.item, gripper, moved, work.request.opening_m)
+        yield made if isinstance(made, str) else Grasp(gripper, moved, *made)
+
+
+def rank_choices(
+    body: WholeBody, work: PickPlace, choices: Sequence[Choice]
+) -> list[tuple[Choice, Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]:
+    """Return the choices that are reached at both ends of the way, the nearest to the nominal pose first.
+
+    Those whose links would meet something come later.  Each comes with a configuration at either end, in which
+    obstacles and balance are left out.
+    """
+    poses = locate_links(body.engine, body.nominal, sorted({g.tool for choice in choices for g in choice.grippers}))
+    ahead = sorted(choices, key=lambda choice: _measure_turn(work, choice, poses))
+    ranked = []
+    for choice in ahead[:MOST_TRIED]:
+        if any(_comes_from_below(work, choice, end) for end in (work.item.start, work.place)):
+            continue
+        first = _reach(body, choice, work.item.start, [body.nominal, *(q for _, q in posture_guesses(body)[1:])])
+        if first is None:
+            continue
+        last = _reach(body, choice, work.place, [first, body.nominal])
+        if last is not None:
+            effort = float(np.abs(first - body.nominal).sum() + np.abs(last - first).sum())
+            inside = sum(body.measure_nearest(q) < 0.0 for q in (first, last))
+            ranked.append((effort + INSIDE_RAD * inside, choice, first, last))
+    ranked.sort(key=lambda entry: entry[0])
+    return [(choice, first, last) for _, choice, first, last in ranked]
+
+
+def hold_grasps(body: WholeBody, choice: Choice, pose_world_item: Float[np.ndarray, "4 4"]) -> tuple[Hold, ...]:
+    """Return the holds of the choice's tools on an object at a pose."""
+    return tuple(
+        lambda waypoints, grasp=grasp: FramePose(
+            body.robot, grasp.gripper.tool, waypoints, pose_world_item @ grasp.pose_object_tool
+        )
+        for grasp in choice.grasps
+    )
+
+
+def _reach(
+    body: WholeBody,
+    choice: Choice,
+    pose_world_item: Float[np.ndarray, "4 4"],
+    guesses: Sequence[Float[np.ndarray, "n"]],
+) -> Float[np.ndarray, "n"] | None:
+    """Return a configuration with the tools on an object; None where none of the guesses leads to one.
+
+    One with the centre of mass over the middle of the feet comes first.
+    """
+    fixed = np.zeros(body.robot.n, dtype=bool)
+    holds = (*body.holds(), *hold_grasps(body, choice, pose_world_item))
+    for more in dict.fromkeys((body.hold_in_balance(), ())):
+        found, error = solve_holds(body, np.array(guesses[:SEEDS]), (*holds, *more), fixed)
+        best = int(error.argmin())
+        if error[best] < REACHED and _measure_outside(body, found[best]) < OUTSIDE_M:
+            return np.asarray(found[best])
+    return None
+
+
+def _measure_outside(body: WholeBody, q: Float[np.ndarray, "n"]) -> float:
+    """Return how far the centre of mass is outside the support polygon [m]; negative infinity without one."""
+    if body.polygon is None:
+        return -np.inf
+    com = body.engine.place(q[None]).com[0, :2]
+    return float((body.polygon.normals @ com - body.polygon.offsets).max())
+
+
+def find_blocked(body: WholeBody, work: PickPlace, choice: Choice) -> str | None:
+    """Return which part of an open hand would be inside what stands around the object, where it is or is put."""
+    query, robot = DistanceQuery(), body.robot
+    for end, where in ((work.item.start, "where it is"), (work.place, "where it is put")):
+        for grasp in choice.grasps:
+            pose = end @ grasp.pose_object_tool
+            for name, points in list_hand_shapes(robot, grasp):
+                own = points @ pose[:3, :3].T + pose[:3, 3]
+                low, high = own.min(axis=0), own.max(axis=0)
+                for piece in body.scene.pieces:
+                    if np.any(piece.lower > high) or np.any(piece.upper < low):
+                        continue
+                    solids = [make_coal_convex(own)], [CoalSolid.of_piece(piece).convex]
+                    depth = -float(query.closest(solids[0], np.eye(3)[None], np.zeros((1, 3)), solids[1])[0][0])
+                    if depth > INSIDE_M:
+                        which = "the grasps" if grasp.number is None else f"grasp {grasp.number}"
+                        inside = f"{name} {1e3 * depth:.0f} mm inside {piece.name}"
+                        return f"{which} of {work.item.name} would have {inside} {where}"
+    return None
+
+
+def list_hand_shapes(robot: RobotModel, grasp: Grasp) -> Iterator[tuple[str, Float[np.ndarray, "V 3"]]]:
+    """Yield the bodies of an open hand and its fingers by name, in the tool frame [m]."""
+    model = robot.model
+    data, q = model.createData(), np.zeros(robot.n)
+    for joint, value in grasp.opened.items():
+        q[robot.joint_names.index(joint)] = value
+    pin.framesForwardKinematics(model, data, q)
+    tool = data.oMf[model.getFrameId(grasp.gripper.tool)]
+    fingers = {locate_frame(robot, finger)[0] for finger in grasp.gripper.fingers}
+    palms = {grasp.gripper.link, grasp.gripper.front}
+    for part in robot.bodies:
+        if part.joint in fingers or part.link in palms:
+            place = tool.actInv(data.oMi[part.joint])
+            yield part.name, part.vertices @ place.rotation.T + place.translation
+
+
+def _comes_from_below(work: PickPlace, choice: Choice, pose: Float[np.ndarray, "4 4"]) -> bool:
+    return any(float((pose[:3, :3] @ grasp.along)[2]) > STEEPEST for grasp in choice.grasps)
+
+
+def _measure_turn(work: PickPlace, choice: Choice, poses: dict[str, Float[np.ndarray, "4 4"]]) -> float:
+    """Return how far the tools are turned and moved from where they are to the object."""
+    total = 0.0
+    for grasp in choice.grasps:
+        own, wanted = poses[grasp.gripper.tool], work.item.start @ grasp.pose_object_tool
+        turn = np.arccos(np.clip(0.5 * (np.trace(own[:3, :3].T @ wanted[:3, :3]) - 1.0), -1.0, 1.0))
+        total += float(turn) + float(np.linalg.norm(own[:3, 3] - wanted[:3, 3]))
+    return total / len(choice.grasps)

@@ -1,0 +1,165 @@
+"""Checks of movable objects in a phase: what carries them holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from costs.robot.carried import MovableObject
+from service.verify.carrying.carriers import Carrier
+from service.verify.carrying.grasp import GRAVITY, GripBalance, Held
+from service.verify.carrying.resting import measure_rest_margin
+from service.verify.certificate import Basis, Check, Where
+from service.verify.forces.dynamics import list_sample_times
+from service.verify.motion import Phase, VerifySettings
+from service.verify.phase_proof import PhaseProof
+from service.verify.prepared_motion import PreparedMotion
+from service.verify.timeline import find_time
+
+PAD_GAP_M = 2e-3  # between a pad and what it holds
+STILL_M = 1.5e-3  # by which a finger may move against what it holds
+REST_MARGIN_M = 5e-3  # of the centre of mass of a resting object, to any side
+_RESOLUTION_M, _SHARE_RESOLUTION = 2e-4, 0.02
+
+
+def list_carrier_checks(phase: Phase, *, is_timed: bool) -> tuple[str, ...]:
+    """Return the names of the checks that a phase's carriers require."""
+    names = []
+    for carrier in phase.carriers:
+        kinds = ("rests",) if carrier.link is None else ("grip", "carried", *(("swung",) if is_timed else ()))
+        names += [f"{kind}.{phase.name}.{carrier.item}" for kind in kinds]
+    return tuple(names)
+
+
+def check_carriers(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
+    """Check that each object rests where the world carries it, and does not slip where a hand does.
+
+    Args:
+        prepared: of the whole motion.
+
+    Raises:
+        VerifyError: a carrier names no grip, or a finger that the robot does not have.
+    """
+    items = {item.name: item for item in prepared.motion.objects}
+    placed = prepared.in_phase(phase)
+    for carrier in phase.carriers:
+        item = items[carrier.item]
+        if carrier.link is None:
+            yield _check_rest(placed, phase, item)
+        else:
+            yield from _check_grips(placed, phase, item, carrier, settings)
+
+
+def _check_rest(prepared: PreparedMotion, phase: Phase, item: MovableObject) -> Check:
+    motion = prepared.motion
+    body = next(body for body in motion.robot.bodies if body.name == item.name)
+    frame = motion.robot.model.frames[motion.robot.model.getFrameId(item.name)]
+    centre = np.asarray(frame.placement.act(item.inertia.centre))
+    margin, names = measure_rest_margin(body, centre, motion.scene.pieces)
+    margin = max(margin, -1.0)
+    where = Where(phase.first, find_time(motion.law, phase.first), _point(centre), (item.name, *names))
+    text = f"{item.name} rests on {' and '.join(names)} during {phase.name}, {1e3 * margin:.0f} mm inside what holds it"
+    if margin < REST_MARGIN_M:
+        text = f"{item.name} does not rest during {phase.name}: nothing is below it"
+        if names:
+            text = f"{item.name} does not rest on {' and '.join(names)} during {phase.name}: its weight is not held"
+    return Check(
+        f"rests.{phase.name}.{item.name}", margin >= REST_MARGIN_M, margin, REST_MARGIN_M, "m", text, where, Basis.PROOF
+    )
+
+
+def _check_grips(
+    prepared: PreparedMotion, phase: Phase, item: MovableObject, carrier: Carrier, settings: VerifySettings
+) -> Iterator[Check]:
+    held, proof = Held(prepared, item, carrier), PhaseProof(prepared, phase, settings)
+    pads = held.list_pads(phase.first)
+    fingers = tuple(pad.finger for pad in pads)
+    centre = held.centre
+    where = Where(phase.first, find_time(prepared.motion.law, phase.first), None, (*fingers, item.name))
+    farthest = max(pads, key=lambda pad: abs(pad.gap))
+    off = abs(farthest.gap)
+    name, hands = f"grip.{phase.name}.{item.name}", " and ".join(fingers)
+    if off > PAD_GAP_M:
+        side = "off" if farthest.gap > 0.0 else "inside"
+        text = f"{farthest.finger} is {1e3 * off:.1f} mm {side} {item.name}, which it is to hold during {phase.name}"
+        yield Check(name, False, off, PAD_GAP_M, "m", text, where, Basis.SAMPLES)
+        return
+    paths = held.list_paths(settings.rounding)
+    first = [path.at(np.array([phase.first]))[0][0] for path in paths]
+
+    def drift(s: np.ndarray) -> np.ndarray:
+        offs = [np.linalg.norm(path.at(s)[0] - at, axis=2).max(axis=1) for path, at in zip(paths, first, strict=True)]
+        return np.asarray(np.max(offs, axis=0))
+
+    def deviation(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        return np.asarray(np.max([path.point_deviation(begin, end) for path in paths], axis=0))
+
+    still = proof.bound_convex(drift, deviation, STILL_M, _RESOLUTION_M)
+    text = f"{hands} keep their place on {item.name} during {phase.name}"
+    failure = f"{hands} move by {1e3 * still.sampled:.1f} mm on {item.name} during {phase.name}"
+    yield proof.check(name, still, STILL_M, "m", text, None, names=(*fingers, item.name), failure=failure)
+    balance, weight = GripBalance(pads, centre), GRAVITY * item.inertia.mass
+    most = float(np.linalg.norm(balance.find_force_shares(weight)))
+    chain = prepared.tree.chain(0, held.body.joint, np.zeros((1, 3)))
+    turning = replace(chain, reach=np.where(chain.is_revolute, 1.0, 0.0))
+    known: dict[float, float] = {}
+
+    def share(s: np.ndarray) -> np.ndarray:
+        new = [place for place in dict.fromkeys(s.tolist()) if place not in known]
+        for place, down in zip(new, held.find_down(np.array(new)), strict=True):
+            known[place] = balance.find_share(np.concatenate([-weight * down, np.zeros(3)]))
+        return np.array([known[place] for place in s.tolist()])
+
+    def more(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        over = prepared.over(begin, end)
+        return np.asarray(most * (turning.deviation(over) + turning.sampling_slack(over, settings.rounding)))
+
+    weighed = proof.bound_convex(share, more, 1.0, _SHARE_RESOLUTION)
+    grip = min(grip.force_n for grip in carrier.grips)
+    what = f"{item.name} of {item.inertia.mass:g} kg during {phase.name}"
+    text = f"{hands} hold {what} with {100.0 * weighed.bound:.0f} % of {grip:g} N"
+    failure = f"{hands} do not hold {what}: {_describe_need(weighed.sampled, grip)}"
+    name, names = f"carried.{phase.name}.{item.name}", (*fingers, item.name)
+    yield proof.check(name, weighed, 1.0, "1", text, None, names=names, failure=failure)
+    if prepared.motion.law is not None:
+        yield _check_swing(prepared, phase, held, balance, grip, settings)
+
+
+def _check_swing(
+    prepared: PreparedMotion, phase: Phase, held: Held, balance: GripBalance, grip: float, settings: VerifySettings
+) -> Check:
+    """Check at samples that the grips also hold what accelerates the object."""
+    motion, law = prepared.motion, prepared.motion.law
+    assert law is not None
+    times = list_sample_times(motion, law, phase.first, phase.last, 5.0 * settings.time_step_s)
+    s, speed, gain = law.at(times)
+    slope, bend = motion.curve(s, 1), motion.curve(s, 2)
+    states = zip(
+        motion.curve(s), slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2, strict=True
+    )
+    wrenches = np.array([held.find_moving_wrench(*state) for state in states])
+    # Wrenches that differ little need nearly the same: one of each kind.
+    _, chosen = np.unique(np.round(wrenches / 0.05), axis=0, return_index=True)
+    shares = np.array([balance.find_share(wrenches[k]) for k in chosen])
+    worst = int(shares.argmax())
+    value, row = float(shares[worst]), int(chosen[worst])
+    item = held.item
+    where = Where(float(s[row]), float(times[row]), None, (item.name,))
+    text = f"the grip holds {item.name} as it moves during {phase.name} ({len(times)} samples)"
+    if value > 1.0:
+        text = f"the grip lets {item.name} slip as it moves during {phase.name}: {_describe_need(value, grip)}"
+    value = min(value, 1e3)
+    return Check(f"swung.{phase.name}.{item.name}", value <= 1.0, value, 1.0, "1", text, where, Basis.SAMPLES)
+
+
+def _describe_need(share: float, grip: float) -> str:
+    if not np.isfinite(share):
+        return "no forces inside their friction cones balance its weight"
+    return f"each finger would have to press with {share * grip:.0f} N instead of {grip:g}"
+
+
+def _point(place: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = place.tolist()
+    return x, y, z

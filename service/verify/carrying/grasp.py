@@ -1,0 +1,190 @@
+"""Proof that a carried object does not slip: pads lie on it, stay there, and hold its weight inside their cones.
+
+While an object is carried nothing of the contact changes but the direction of gravity, as seen from the object.  The
+least force per finger that a wrench needs is a linear program; as a function of the wrench it is convex and grows in
+proportion to it, so that its value between two poses is at most that at one of them plus what the difference needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.optimize import linprog
+
+from costs.robot import LinkBody
+from costs.robot.carried import MovableObject
+from costs.work_space import borrow_data
+from service.verify.carrying.carriers import Carrier, Grip
+from service.verify.forces.hand_balance import meet
+from service.verify.forces.pads import PATCH_DEPTH_M, find_patch
+from service.verify.forces.rounded import list_round_contact, shrink_hull
+from service.verify.frame_paths import FramePath
+from service.verify.motion import HandContact, Motion, VerifyError
+from service.verify.prepared_motion import PreparedMotion
+
+GRAVITY = 9.81
+SIDES = 8  # of the pyramids inside friction cones
+ARM_M = 0.05  # a moment of 1 N m counts like a force of 1 / 0.05 N in the program
+
+
+@dataclass(frozen=True)
+class Pad:
+    """A finger's surface on an object, in the frame of the joint that carries the object.
+
+    Attributes:
+        finger: link.
+        grip: by which it presses.
+        gap: between the surfaces, negative inside [m].
+        normal: (3,) unit, into the object.
+        points: (P, 3) at which it presses [m].
+    """
+
+    finger: str
+    grip: Grip
+    gap: float
+    normal: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "P 3"]
+
+
+class Held:
+    """An object in the grips of its carrier during a phase."""
+
+    def __init__(self, prepared: PreparedMotion, item: MovableObject, carrier: Carrier) -> None:
+        """Prepare.
+
+        Args:
+            prepared: with the object as a link of the robot.
+            item: the object.
+            carrier: of the phase.
+
+        Raises:
+            VerifyError: the carrier names no grip, or a finger that the robot does not have.
+        """
+        if not carrier.grips:
+            raise VerifyError(f"'{carrier.link}' carries '{item.name}' without a grip")
+        self.prepared, self.item, self.carrier = prepared, item, carrier
+        robot = prepared.motion.robot
+        self.body = next(body for body in robot.bodies if body.name == item.name)
+        self.frame = robot.model.frames[robot.model.getFrameId(item.name)]
+        self.centre = self.frame.placement.act(item.inertia.centre)
+        self.fingers = [
+            (grip, body)
+            for grip in carrier.grips
+            for finger in grip.fingers
+            for body in _find_bodies(prepared.motion, finger)
+        ]
+
+    def list_pads(self, s: float) -> tuple[Pad, ...]:
+        """Return how each finger's nearest body lies on the object at a path parameter."""
+        placed, rows = self.prepared.at(np.array([s]))
+        pads: dict[str, Pad] = {}
+        for grip, body in self.fingers:
+            turned, moved = placed.relative(self.body.joint, body.joint, rows)
+            pad = _lay(grip, body, self.body, (turned[0], moved[0]))
+            if pad.finger not in pads or pad.gap < pads[pad.finger].gap:
+                pads[pad.finger] = pad
+        return tuple(pads.values())
+
+    def list_paths(self, rounding: float) -> list[FramePath]:
+        """Return the paths of the fingers' bodies as seen from the object."""
+        model = self.prepared.motion.robot.model
+        paths = []
+        for _, body in self.fingers:
+            placement = model.frames[model.getFrameId(body.link)].placement
+            points = (body.vertices - placement.translation) @ placement.rotation
+            paths.append(FramePath.of(self.prepared, body.link, points, rounding, self.item.name))
+        return paths
+
+    def find_down(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S 3"]:
+        """Return the direction of gravity in the frame of the joint that carries the object."""
+        placed, rows = self.prepared.at(s)
+        return np.asarray(-placed.rotation[rows, self.body.joint][:, 2])
+
+    def find_moving_wrench(
+        self, q: Float[np.ndarray, "n"], v: Float[np.ndarray, "n"], a: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "6"]:
+        """Return the force and the moment about its centre of mass that a state demands [N, N m]."""
+        model = self.prepared.motion.robot.model
+        data, item = borrow_data(model), self.item
+        pin.forwardKinematics(model, data, q, v, a)
+        joint = self.body.joint
+        speed, gain = data.v[joint], data.a[joint]
+        turn = np.array(self.frame.placement.rotation)
+        moments = turn @ item.inertia.moments @ turn.T
+        linear = gain.linear + np.cross(speed.angular, speed.linear)
+        linear = linear + np.cross(gain.angular, self.centre)
+        linear = linear + np.cross(speed.angular, np.cross(speed.angular, self.centre))
+        up = np.array(data.oMi[joint].rotation)[2]
+        force = item.inertia.mass * (linear + GRAVITY * up)
+        moment = moments @ gain.angular + np.cross(speed.angular, moments @ speed.angular)
+        return np.concatenate([force, moment])
+
+
+class GripBalance:
+    """Forces inside the cones of pads that hold a wrench, and the least share of the grips that they need."""
+
+    def __init__(self, pads: tuple[Pad, ...], centre: Float[np.ndarray, "3"]) -> None:
+        """Prepare for wrenches about ``centre``, in the frame of the pads."""
+        edges, presses = [], []
+        for number, pad in enumerate(pads):
+            basis = np.linalg.svd(pad.normal[None])[2][1:]
+            angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
+            around = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ basis
+            forces = pad.normal + pad.grip.friction * around
+            for point in pad.points:
+                arms = np.cross(point - centre, forces)
+                edges.append(np.concatenate([forces, arms / ARM_M], axis=1))
+                press = np.zeros((SIDES, len(pads)))
+                press[:, number] = 1.0 / pad.grip.force_n
+                presses.append(press)
+        self._edges = np.concatenate(edges).T if edges else np.zeros((6, 0))
+        self._presses = np.concatenate(presses).T if presses else np.zeros((0, 0))
+
+    def find_share(self, wrench: Float[np.ndarray, "6"]) -> float:
+        """Return the least share of every finger's force that holds a wrench; infinite where none does."""
+        count = self._edges.shape[1]
+        if count == 0:
+            return float("inf")
+        wanted = np.concatenate([wrench[:3], wrench[3:] / ARM_M])
+        caps = np.hstack([self._presses, -np.ones((len(self._presses), 1))])
+        found = linprog(
+            np.append(np.zeros(count), 1.0),
+            A_ub=caps,
+            b_ub=np.zeros(len(caps)),
+            A_eq=np.hstack([self._edges, np.zeros((6, 1))]),
+            b_eq=wanted,
+            bounds=(0.0, None),
+            method="highs",
+        )
+        return float(found.x[-1]) if found.status == 0 and found.x is not None else float("inf")
+
+    def find_force_shares(self, force_n: float) -> Float[np.ndarray, "3"]:
+        """Return the largest share that a force of a size needs along each axis, in either sense."""
+        unit = np.eye(6)[:3] * force_n
+        return np.array([max(self.find_share(row), self.find_share(-row)) for row in unit])
+
+
+def _lay(
+    grip: Grip, finger: LinkBody, body: LinkBody, pose: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
+) -> Pad:
+    """Return how a finger's body lies on an object, given its pose in the frame of the object's joint."""
+    core, radius = shrink_hull(finger.vertices)
+    contact = HandContact(finger.link, "a finger", core, radius, body.link, body.name)
+    met = meet(contact, body, pose, 1.0, ())
+    strip = list_round_contact(body, met.normal, PATCH_DEPTH_M)
+    spots = find_patch(core @ pose[0].T + pose[1], body.vertices if strip is None else strip, met.normal)
+    if not len(spots):
+        return Pad(finger.link, grip, met.gap, met.normal, met.point[None])
+    level = (met.point @ met.normal - spots @ met.normal)[:, None] * met.normal
+    return Pad(finger.link, grip, met.gap, met.normal, spots + level)
+
+
+def _find_bodies(motion: Motion, finger: str) -> list[LinkBody]:
+    """Return the bodies of a finger (VerifyError where it has none)."""
+    bodies = [body for body in motion.robot.bodies if body.link == finger]
+    if not bodies:
+        raise VerifyError(f"the robot has no link '{finger}' with a shape, which is to hold an object")
+    return bodies
