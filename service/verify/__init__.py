@@ -66,6 +66,7 @@ from service.verify.forces.hand_loads import (
     LoadCase,
     bound_coordinate,
     list_load_cases,
+    list_offsets,
 )
 from service.verify.forces.loaded_balance import (
     Ground,
@@ -104,6 +105,8 @@ from service.verify.limits import (
 )
 from service.verify.motion import (
     HAND_CAP_N,
+    HAND_DRIFT_M,
+    WORLD,
     AxisTarget,
     CircleTarget,
     HandContact,
@@ -111,17 +114,20 @@ from service.verify.motion import (
     HandPush,
     HeldJoint,
     JointTarget,
+    JointWayTarget,
     LoadedRegion,
     Motion,
     Phase,
     PlantedContact,
     PoseTarget,
     PressedPart,
+    Profile,
     RelativePoseTarget,
     SupportPolygon,
     Target,
     VerifyError,
     VerifySettings,
+    WayTarget,
 )
 from service.verify.polygons import (
     describe_inside,
@@ -147,6 +153,9 @@ from service.verify.targets.pose_errors import (
     measure_lean,
     offset_from_target,
 )
+from service.verify.targets.ways import (
+    evaluate_profile,
+)
 from service.verify.timeline import (
     find_time,
     find_times,
@@ -159,6 +168,7 @@ from service.verify.verifier import (
 __all__ = [
     "GROUND_TOLERANCE_M",
     "HAND_CAP_N",
+    "HAND_DRIFT_M",
     "LEAST_APART_M",
     "LEAST_SHARE",
     "MOST_LEAN_RAD",
@@ -166,6 +176,7 @@ __all__ = [
     "STANDING_DEPTH_M",
     "TURNING_DEPTH_M",
     "UNSEEN_KIND",
+    "WORLD",
     "AxisTarget",
     "Basis",
     "Certificate",
@@ -182,6 +193,7 @@ __all__ = [
     "HandPush",
     "HeldJoint",
     "JointTarget",
+    "JointWayTarget",
     "Joints",
     "LoadCase",
     "LoadedRegion",
@@ -193,6 +205,7 @@ __all__ = [
     "PoseTarget",
     "PreparedMotion",
     "PressedPart",
+    "Profile",
     "PushPath",
     "RelativePoseTarget",
     "Status",
@@ -201,6 +214,7 @@ __all__ = [
     "Target",
     "VerifyError",
     "VerifySettings",
+    "WayTarget",
     "Where",
     "bodies_hash",
     "bound_coordinate",
@@ -210,6 +224,7 @@ __all__ = [
     "describe_failure",
     "describe_gap",
     "describe_inside",
+    "evaluate_profile",
     "find_ground_gaps",
     "find_jamming_angle",
     "find_limited_joints",
@@ -226,6 +241,7 @@ __all__ = [
     "link_vertices",
     "list_levers",
     "list_load_cases",
+    "list_offsets",
     "list_phases",
     "list_position_demands",
     "list_sample_times",
