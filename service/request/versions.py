@@ -71,6 +71,7 @@ ADDED = {
         "SceneRequest.level",
         "SceneRequest.sensor_model",
         "SceneRequest.sensor_sigma",
+        "TaskRequest.steps",
     ),
 }
 """Fields by the format that brought them: ``CLASS.FIELD``, with the class of the schema that declares the field.
