@@ -1,4 +1,4 @@
-"""Ways of frames: closed forms of lines, arcs and screws, their nearest points, and the term that keeps a frame on one."""
+"""Ways of frames: closed forms of lines, arcs and screws, nearest points, and the term that keeps a frame on one."""
 
 import numpy as np
 import pytest

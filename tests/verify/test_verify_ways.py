@@ -1,4 +1,4 @@
-"""Ways of frames and of joints: proven along the whole curve, and refuted where a motion leaves them or does not go on."""
+"""Ways of frames and of joints: proven along the whole curve, and refuted where a motion leaves them or stops short."""
 
 from __future__ import annotations
 

@@ -50,6 +50,11 @@ def compile_step(robot: RobotModel, scene: Scene, step: StepRequest, name: str) 
     Raises:
         RequestError: the robot has no such hand, frame or link.
     """
+    for own in (step.move, step.screw, step.touch):
+        if own is not None and (own.hand or own.frame):
+            find_frames(robot, own.hand, own.frame)
+    if step.body is not None and not robot.is_floating:
+        raise RequestError(f"body: the base of '{robot.name}' is fixed; a step of the body needs a robot on feet")
     if step.move is not None:
         return (PhaseMaker(name, partial(_make_move, robot, step.move, name)),)
     if step.screw is not None:
@@ -275,8 +280,6 @@ def find_carrying_link(robot: RobotModel, frame: str) -> str:
 
 
 def _make_body(robot: RobotModel, body: BodyStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
-    if not robot.is_floating:
-        raise RequestError(f"body: the base of '{robot.name}' is fixed; a step of the body needs a robot on feet")
     upright = robot.link_groups.get(UPRIGHT_GROUP, ())
     base = next(
         frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == 1

@@ -400,7 +400,7 @@ class StepRequest(Section):
 
 
 STEP_KINDS = ("move", "screw", "follow", "touch", "press", "mechanism", "body", *ENDING)
-Steps = Annotated[tuple[StepRequest, ...], Field(min_length=1), at_most(MAX_STEPS)]
+Steps = Annotated[tuple[StepRequest, ...], at_most(MAX_STEPS)]
 
 
 @plain_dataclass(frozen=True)

@@ -12,10 +12,16 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.state import MotionState
-from costs.terms import AxisDirection, FramePose, Joined, JointTarget, OnGuide
-from scopt import Constraint, Residual, Sense
+from costs.terms import JointTarget
+from scopt import Constraint, Sense
 from service.body.effort import Effort
-from service.body.holds import POSITION, ROTATION, Hold, KeptPose, find_prescribed, project_onto_holds
+from service.body.holds import (
+    Hold,
+    KeptPose,
+    find_prescribed,
+    largest_hold_error,
+    project_onto_holds,
+)
 from service.body.inverse_kinematics import solve_holds
 from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_world_region
@@ -24,18 +30,17 @@ from service.body.phases import PhaseSolver
 from service.body.starts import DIRECT, Way, choose_policy
 from service.body.task_plan import KeptCurve, PlannedPhase, Solved
 from service.body.whole_body import WholeBody
-from service.demands.steps.phases import KEPT_M, KEPT_RAD, Led, PhaseMaker, StepPhase
+from service.demands.steps.phases import KEPT_M, KEPT_RAD, PhaseMaker, StepPhase
 from service.setup.prepare import PlanSetup
 from service.tasks.reach.goal import Goal
 from service.tasks.reach.goal_poses import GoalEnds
 from service.tasks.steps.profiles import find_least_duration, make_profile
+from service.tasks.steps.ways import FOLLOWED, count_waypoints, explain_break, hold_share, measure_led, stay_on
 
-WAY_STEP_M, WAY_STEP_RAD = 0.04, float(np.deg2rad(12.0))  # of a frame between two waypoints
-LEAST_WAYPOINTS, MOST_WAYPOINTS = 6, 60
 STRAIGHT_WAYPOINTS = 12
 PLACE_TOLERANCE, TURN_TOLERANCE = 2e-4, 1e-3  # at a waypoint [m, rad]
 FOLLOW_STEPS = 15  # of Newton's method from one waypoint to the next
-FOLLOWED = 1e-3  # largest residual of a waypoint that follows its way
+FAR_OFF = 0.03  # of a frame from the end of its way, with nothing but joint limits in the way [m, rad]
 MOST_BEGINS = 6  # poses from which a path is tried
 RESTORABLE = 20.0
 DEPTH_RESERVE = 1e-3
@@ -93,7 +98,7 @@ class StepSolver:
         ends = GoalEnds(stage.solver, Goal.of(stage.solver.body, free.goal))
         for q in islice(ends.find_all(), MOST_BEGINS):
             made = self.make(path, q)
-            holds = (*stage.solver.body.holds(), *(_hold_share(stage.solver.body, led, 0.0) for led in made.led))
+            holds = (*stage.solver.body.holds(), *(hold_share(stage.solver.body, led, 0.0) for led in made.led))
             yield project_onto_holds(stage.solver.body.engine, q[None], holds)[0]
 
     def solve_free(
@@ -166,13 +171,22 @@ class StepSolver:
         """Return a phase whose frames are on their ways between the waypoints, too."""
         stage = _Stage.of(self.solver, self.setup.robot, made, at)
         count = count_waypoints(made.led)
+        _, path = next(stage.list_led_paths(made, at, count))
+        if stage.measure_miss(path) > FAR_OFF:  # no obstacle or balance is to blame, and no optimiser helps
+            reasons = tuple(explain_break(stage.body, made.led, path))
+            followed = max(stage.count_followed(path), 2)
+            return [stage.plan(path[:followed], is_feasible=False)], Tried(made.name, reasons)
         paths = {Way.GIVEN: lambda: stage.list_led_paths(made, at, count)}
         solve = partial(_solve_led, stage, made)
         search = MotionSearch(
             made.name, stage.solver, solve, at, NoEnd(), DIRECT, paths, restorable=RESTORABLE, is_sampled=False
         )
         solved = find_motion(search)
-        return stage.finish(solved, partial(solve, stage.solver))
+        phases, tried = stage.finish(solved, partial(solve, stage.solver))
+        if tried is None:
+            return phases, None
+        reasons = tuple(explain_break(stage.body, made.led, path))
+        return phases, Tried(made.name, reasons) if reasons else tried
 
 
 @dataclass(frozen=True)
@@ -220,7 +234,7 @@ class _Stage:
     def list_holds(self) -> tuple[Hold, ...]:
         """Return what the curve keeps besides planted links: ways, kept poses, locked joints."""
         robot = self.body.robot
-        holds: list[Hold] = [partial(_stay_on, robot, led) for led in self.made.led]
+        holds: list[Hold] = [partial(stay_on, robot, led) for led in self.made.led]
         for pose in self.kept:
             holds += pose.holds(robot)
         if self.locked:
@@ -253,13 +267,26 @@ class _Stage:
             made.demand(robot, first, last),
             q,
             is_feasible,
-            holds=self.list_holds(),
+            holds=self.list_holds() if is_feasible else (),  # a curve cannot be brought onto what is out of reach
             resolve=resolve,  # type: ignore[arg-type]
             regions=self.find_regions(len(q)),
             values=np.zeros((len(q), 0)) if made.loads else None,
             limits=tuple((led.frame, led.speed_m_s) for led in made.led if led.speed_m_s is not None),
             duration_s=None if made.profile != "any" else made.duration_s,
         )
+
+    def count_followed(self, path: Float[np.ndarray, "T n"]) -> int:
+        """Return how many waypoints at equal shares have their frames on their ways."""
+        for k, (q, share) in enumerate(zip(path, np.linspace(0.0, 1.0, len(path)), strict=True)):
+            holds = [hold_share(self.body, led, share) for led in self.made.led]
+            if largest_hold_error(self.body.engine, q[None], holds)[0] > FOLLOWED:
+                return k
+        return len(path)
+
+    def measure_miss(self, path: Float[np.ndarray, "T n"]) -> float:
+        """Return how far frames are from the ends of their ways at the end of a path [m, rad]."""
+        holds = [hold_share(self.body, led, 1.0) for led in self.made.led]
+        return float(largest_hold_error(self.body.engine, path[-1:], holds)[0])
 
     def list_led_paths(
         self, made: StepPhase, at: Float[np.ndarray, "n"], count: int
@@ -274,7 +301,7 @@ class _Stage:
                 share = k / (count - 1)
                 step = path[k - 1] - path[k - 2] if k > 1 else np.zeros(len(at))
                 start = np.where(fixed, at, path[k - 1] + step)
-                holds = (*body.holds(), *(_hold_share(body, led, share) for led in made.led), *balance)
+                holds = (*body.holds(), *(hold_share(body, led, share) for led in made.led), *balance)
                 found, error = solve_holds(body, start[None], holds, fixed, FOLLOW_STEPS)
                 if error[0] > FOLLOWED and k > 1:
                     found, _ = solve_holds(body, path[[k - 1]], holds, fixed, 2 * FOLLOW_STEPS)
@@ -284,63 +311,13 @@ class _Stage:
                 return
 
 
-def count_waypoints(led: Sequence[Led]) -> int:
-    """Return the number of waypoints of ways."""
-    length = max((own.guide.length for own in led), default=0.0)
-    turn = max((max(own.guide.turned, abs(own.guide.angle)) for own in led), default=0.0)
-    steps = max(length / WAY_STEP_M, turn / WAY_STEP_RAD)
-    return int(np.clip(np.ceil(steps) + 1, LEAST_WAYPOINTS, MOST_WAYPOINTS))
-
-
-def _stay_on(robot: object, led: Led, waypoints: np.ndarray) -> OnGuide:
-    return OnGuide(
-        robot,  # type: ignore[arg-type]
-        led.frame,
-        waypoints,
-        led.guide,
-        led.free_axis,
-        turns_freely=led.turns_freely,
-        moves_freely=led.moves_freely,
-    )
-
-
-def _hold_share(body: WholeBody, led: Led, share: float) -> Hold:
-    """Return the hold of a frame at a share of its way."""
-    pose = led.guide.poses(np.array([share]))[0]
-    return lambda waypoints: Joined([term for _, term, _ in _measure(body, led, waypoints, pose[None])])
-
-
-def _measure(
-    body: WholeBody, led: Led, waypoints: np.ndarray, poses: Float[np.ndarray, "#S 4 4"]
-) -> list[tuple[str, Residual[MotionState], str]]:
-    """Return name, residual and unit of what a led frame keeps at poses."""
-    robot = body.robot
-    terms: list[tuple[str, Residual[MotionState], str]] = []
-    if not led.moves_freely:
-        terms.append((f"place of {led.frame}", FramePose(robot, led.frame, waypoints, poses, POSITION), "m"))
-    if led.turns_freely:
-        return terms
-    if led.free_axis is None:
-        terms.append((f"orientation of {led.frame}", FramePose(robot, led.frame, waypoints, poses, ROTATION), "rad"))
-        return terms
-    axis = led.free_axis
-    directions = poses[:, :3, :3] @ axis
-    if np.ptp(directions, axis=0).max() < 1e-9:
-        leans: Residual[MotionState] = AxisDirection(robot, led.frame, waypoints, axis, directions[0])
-    else:
-        each = zip(waypoints.tolist(), directions, strict=True)
-        leans = Joined([AxisDirection(robot, led.frame, [k], axis, way) for k, way in each])
-    terms.append((f"axis of {led.frame}", leans, "rad"))
-    return terms
-
-
 def _solve_led(stage: _Stage, made: StepPhase, solver: PhaseSolver, path: Path) -> Solved:
     """Solve a phase with its frames at equal shares of their ways."""
     count = len(path)
     waypoints, shares = np.arange(1, count), np.linspace(0.0, 1.0, count)[1:]
     constraints: list[Constraint[MotionState]] = []
     for led in made.led:
-        for name, term, unit in _measure(stage.body, led, waypoints, led.guide.poses(shares)):
+        for name, term, unit in measure_led(stage.body, led, waypoints, led.guide.poses(shares)):
             tolerance = PLACE_TOLERANCE if unit == "m" else TURN_TOLERANCE
             constraints.append(Constraint(name, term, Sense.EQUAL_ZERO, tolerance, unit=unit))
     touches = tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in made.touches)
