@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +27,7 @@ from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_world_region
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
-from service.body.starts import DIRECT, Way, choose_policy
+from service.body.starts import DIRECT, End, Way, choose_policy
 from service.body.task_plan import KeptCurve, PlannedPhase, Solved
 from service.body.whole_body import WholeBody
 from service.demands.steps.phases import KEPT_M, KEPT_RAD, PhaseMaker, StepPhase
@@ -96,7 +96,8 @@ class StepSolver:
         stage = _Stage.of(self.solver, self.setup.robot, free, at)
         assert free.goal is not None
         ends = GoalEnds(stage.solver, Goal.of(stage.solver.body, free.goal))
-        for q in islice(ends.find_all(), MOST_BEGINS):
+        found = chain(ends.find(End.FIRST, 0), ends.find(End.OTHERS, 0))
+        for q in islice(found, MOST_BEGINS):
             made = self.make(path, q)
             holds = (*stage.solver.body.holds(), *(hold_share(stage.solver.body, led, 0.0) for led in made.led))
             yield project_onto_holds(stage.solver.body.engine, q[None], holds)[0]

@@ -76,7 +76,7 @@ def explain_break(body: WholeBody, led: Sequence[Led], path: Float[np.ndarray, "
     """Yield a sentence where inverse kinematics alone leaves the ways: out of reach, at joint limits, or by a jump."""
     robot, shares = body.robot, np.linspace(0.0, 1.0, len(path))
     lower, upper = (bound[0] for bound in body.bounds(1, {}))
-    remedy = "along: free looks for a way without the line; a free_axis gives it more room"
+    remedy = "a shorter way or a free_axis would help"
     for own in led:
         each = zip(path, shares, strict=True)
         error = np.array([largest_hold_error(body.engine, q[None], [hold_share(body, own, s)])[0] for q, s in each])
