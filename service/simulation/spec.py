@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from costs.robot import RobotHand, RobotModel, read_joint_axis
 from service.demands.resistance import ASSUMED_DENSITY, MechanismPhysics
-from service.demands.resistance import MechanismPhysics
 from service.demands.stance import UNSETTLED
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
