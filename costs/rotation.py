@@ -109,3 +109,16 @@ def make_quaternions(yaw_pitch_roll: Float[np.ndarray, "m 3"]) -> Float[np.ndarr
     (cz, cy, cx), (sz, sy, sx) = np.cos(half).T, np.sin(half).T
     cc, ss, cs, sc = cz * cy, sz * sy, cz * sy, sz * cy
     return np.stack([cc * cx + ss * sx, cc * sx - ss * cx, cs * cx + sc * sx, sc * cx - cs * sx], axis=1)
+
+
+def turn_towards(
+    rotation: Float[np.ndarray, "S 3 3"], wanted: Float[np.ndarray, "S 3 3"], axis: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "S 3 3"]:
+    """Return orientations turned about an axis of their own (3,) so that they are nearest to others."""
+    off = rotation.transpose(0, 2, 1) @ wanted
+    sine = np.array([off[:, 2, 1] - off[:, 1, 2], off[:, 0, 2] - off[:, 2, 0], off[:, 1, 0] - off[:, 0, 1]]).T @ axis
+    cosine = np.trace(off, axis1=1, axis2=2) - np.einsum("i,sij,j->s", axis, off, axis)
+    angle = np.arctan2(sine, cosine)
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    turns = np.eye(3) + np.sin(angle)[:, None, None] * cross + (1.0 - np.cos(angle))[:, None, None] * (cross @ cross)
+    return np.asarray(rotation @ turns)

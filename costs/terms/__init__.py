@@ -8,6 +8,7 @@ from costs.terms.equilibrium import ContactForce, Equilibrium, FrictionPyramid, 
 from costs.terms.held_torque import HeldTorque
 from costs.terms.joint import JointDifference, JointTarget
 from costs.terms.joint_torque import JointTorque, StaticTorque
+from costs.terms.on_guide import OnGuide
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
 from costs.terms.wrappers import Between, Joined, Masked, NormWithin, Positive, Scaled, Widened, WithinTolerance
@@ -33,6 +34,7 @@ __all__ = [
     "Masked",
     "MechanismBalance",
     "NormWithin",
+    "OnGuide",
     "PairClearance",
     "PointHalfSpace",
     "Positive",

@@ -17,7 +17,7 @@ from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
 from costs.static_region import StaticRegion, find_static_region
 from costs.stopping import poll
-from service.verify import Ground, HandLoad, PlantedContact, find_tilts
+from service.verify import Ground, HandLoad, PlantedContact, find_tilts, list_offsets
 
 LONGEST_STRETCH = np.deg2rad(45.0)  # of a revolute joint that one region covers
 STILL = 1e-9
@@ -72,6 +72,37 @@ def plan_regions(
         region = _find_region(_Question(ground, weight / GRAVITY, wrenches, drift, tilts))
         regions.append(PlannedRegion(first, last, region, region.shift_m * feet_drift / drift + hands))
     return tuple(regions)
+
+
+def plan_world_region(
+    robot: RobotModel, contacts: Sequence[PlantedContact], loads: tuple[HandLoad, ...], count: int
+) -> PlannedRegion:
+    """Return where the feet hold the robot on a phase of ``count`` waypoints while the world pushes its hands.
+
+    Args:
+        robot: the robot.
+        contacts: planted feet.
+        loads: on the world (``service.verify.WORLD``).
+        count: of the waypoints.
+
+    Raises:
+        StaticRegionError: some load can be held nowhere.
+    """
+    weight = measure_weight(robot)
+    drift = max(contact.tolerance_m for contact in contacts)
+    corners = []
+    for load in loads:
+        slides = [np.zeros(3)] if load.slide is None else [-load.slide, load.slide]
+        points = [load.place + slide + off for slide in slides for off in list_offsets(load)]
+        corners.append([np.concatenate([-load.force, np.cross(point, -load.force)]) for point in points])
+    wrenches = [np.zeros(6)]
+    for choice in product(*corners):
+        for share in product((0.0, 1.0), repeat=len(loads)):
+            wrenches.append(np.sum([s * part for s, part in zip(share, choice, strict=True)], axis=0))
+    ground = WorldContacts(*Ground.under(tuple(contacts)))
+    unique = np.unique(np.stack(wrenches), axis=0)
+    region = _find_region(_Question(ground, weight / GRAVITY, unique, drift, find_tilts(tuple(contacts))))
+    return PlannedRegion(0, count - 1, region, region.shift_m)
 
 
 def plan_contact_region(robot: RobotModel, contacts: Sequence[PlantedContact]) -> PlannedRegion:

@@ -62,6 +62,8 @@ class PlannedPhase:
         values: (T, k) of the mechanism's joints at those waypoints, its last coordinates.
         body: the robot on this phase's contacts, where they are not those of the whole motion.
         kept: its curve, if that is known already: its knots are the waypoints.
+        limits: frame and largest speed of its origin [m/s], of frames that move at a given speed.
+        duration_s: of the phase, where it is to take longer than the fastest law; None for that.
     """
 
     phase: TaskPhase
@@ -76,6 +78,8 @@ class PlannedPhase:
     values: Float[np.ndarray, "T k"] | None = None
     body: WholeBody | None = None
     kept: KeptCurve | None = None
+    limits: tuple[tuple[str, float], ...] = ()
+    duration_s: float | None = None
 
     @property
     def name(self) -> str:

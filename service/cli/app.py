@@ -15,6 +15,8 @@ import typer
 from service.cli.bench import bench_command
 from service.cli.certify import certify_command
 from service.cli.export import export_command
+from service.cli.motions.move import move_app
+from service.cli.motions.task import task_app
 from service.cli.plan import plan_command, verify_command, view_command
 from service.cli.request import request_command
 from service.cli.review import review_command
@@ -61,6 +63,8 @@ app.command("certify", epilog=LOCAL_EXIT_CODES)(certify_command)
 app.command("simulate", epilog=SIMULATION_EXIT_CODES)(simulate_command)
 app.command("track", epilog=TRACK_EXIT_CODES)(track_command)
 app.command("stance")(stance_command)
+app.add_typer(task_app, name="task", epilog=LOCAL_EXIT_CODES)
+app.add_typer(move_app, name="move", epilog=LOCAL_EXIT_CODES)
 app.command("view")(view_command)
 app.command("export")(export_command)
 app.command("bench")(bench_command)

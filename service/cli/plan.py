@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from costs.stopping import stops_when
-from costs.threads import use_all_cores
 from service.cli.command import command
+from service.cli.motions.planning import plan_and_write
 from service.cli.options import Json
-from service.cli.report import list_files, print_result
+from service.cli.report import print_result
 from service.cli.run import cancellable, consoles, print_json, progress
 
 if TYPE_CHECKING:
@@ -98,46 +98,20 @@ def plan_command(
             "--robot, --srdf, --package-root, --floating-base, --scene, --start, --time-limit, --untimed and "
             "--no-torque go with --trajopt; a request holds all of them"
         )
-    stdout, stderr = consoles()
-    with progress(stderr, "read request") as report, cancellable(stderr) as should_stop:
-        report("read request", 0.0)
-        around = None
+
+    def read() -> tuple[PlanRequest, Surroundings | None]:
         if trajopt:
             from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
             files = TrajoptFiles(*paths, time_limit, is_timed=not untimed, checks_torque=not no_torque)
-            plan_request = _see(load_trajopt_request(request, files), cloud)
-        elif from_phase is not None:
-            plan_request, around = _read_rest(request, from_phase, state, cloud, adjust or [], is_compliant=compliant)
-        else:
-            from service.request.file import load_request
+            return _see(load_trajopt_request(request, files), cloud), None
+        if from_phase is not None:
+            return _read_rest(request, from_phase, state, cloud, adjust or [], is_compliant=compliant)
+        from service.request.file import load_request
 
-            plan_request = _see(load_request(request), cloud)
-        from service.planner import plan
-        from service.result.folder import RESULT_NAME, check_folder
-        from service.result.output import write_result
-        from service.result.result import Verdict
-        from service.result.result_json import summary_json
+        return _see(load_request(request), cloud), None
 
-        check_folder(folder)
-        use_all_cores()
-        result = plan(plan_request, on_progress=report, should_stop=should_stop, around=around)
-        # Ctrl-C may come when the plan is about to end by itself: it is cancelled all the same.
-        is_kept = (result.verdict is Verdict.CANCELLED or should_stop()) and (folder / RESULT_NAME).is_file()
-        if is_kept:
-            result = dataclasses.replace(result, verdict=Verdict.CANCELLED)
-        written = None
-        if not is_kept:
-            report("write result", 1.0)
-            written = write_result(result, folder)
-    summary = summary_json(result)
-    if written is None:
-        stderr.print(f"{folder} keeps its earlier result", markup=False, soft_wrap=True)
-    if as_json:
-        print_json({**summary, **({} if written is None else written.to_json())})
-    else:
-        print_result(stdout, summary, list_files(written, summary))
-    return str(result.verdict.value)
+    return plan_and_write(read, folder, as_json=as_json)
 
 
 def _check_rest_options(phase: str | None, state: Path | None, adjust: Sequence[str], *, is_compliant: bool) -> None:

@@ -80,9 +80,9 @@ class DemandPart(ABC, Generic[S]):
         """Yield a line for each part of a given object that could not be built."""
         yield from ()
 
-    def read_mechanism(self, section: S) -> GivenMechanism | None:
-        """Return the mechanism that the request gives by a URDF."""
-        return None
+    def read_mechanisms(self, section: S) -> tuple[GivenMechanism, ...]:
+        """Return the mechanisms that the request gives by a URDF."""
+        return ()
 
     def read_physics(self, section: S) -> MechanismPhysics:
         """Return what the moved mechanism opposes to a hand."""

@@ -69,7 +69,7 @@ class RecordedTask:
             problems.append(f"the phases are {', '.join(names[n_before:])}; the task has {wanted}")
         for name in names[n_before:]:
             specs.append(next((spec for spec in chosen if spec.name == name), None))
-        problems += _find_moved_joints(task.mechanism, recorded, specs)
+        problems += find_moved_joints(task.mechanism, recorded, specs)
         return RecordedTask(tuple(specs), tuple(problems))
 
     def map_specs(self, change: Callable[[Sequence[TaskPhase]], Sequence[TaskPhase]]) -> RecordedTask:
@@ -115,7 +115,7 @@ class MechanismDemand(TaskDemand):
         return kept
 
 
-def _find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[TaskPhase | None]) -> Iterator[str]:
+def find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[TaskPhase | None]) -> Iterator[str]:
     """Yield a sentence where the mechanism does not start as demanded, or moves in a phase that leaves it still."""
     curve, k = motion.curve, len(mechanism.joints)
     start = mechanism.start

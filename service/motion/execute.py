@@ -17,7 +17,7 @@ from service.body.task_plan import KeptCurve, PlannedPhase, TaskPlan
 from service.body.whole_body import WholeBody
 from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
-from service.motion.timing import TimingSettings, slow_until_zmp_inside, time_curve
+from service.motion.timing import Pace, TimingSettings, keep_durations, slow_until_zmp_inside, time_curve
 from service.start.standing import FEET_GROUP
 from service.verify import (
     Basis,
@@ -76,15 +76,21 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         return replace(motion, samples=_sample_path(spline.curve, _limit_chords(plan, spline, chord)))
     planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
     timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
+    paces = [
+        Pace(first, last, phase.limits, phase.duration_s)
+        for phase, (first, last) in zip(plan.phases, pairwise(borders), strict=True)
+        if phase.kept is None or phase.kept.law is None
+    ]
     carrying = [part.robot for part in split_motion(motion)]
     known = list(_place_laws(plan, borders))
-    law = time_curve(body.robot, spline.curve, borders, timing, phases, known, carrying)
+    law = time_curve(body.robot, spline.curve, borders, timing, phases, known, carrying, paces)
     settled = [
         border
         for phase, border in zip(plan.phases, pairwise(borders), strict=True)
         if phase.kept is not None and phase.kept.is_settled
     ]
     law = slow_until_zmp_inside(replace(motion, law=law), reserve_m=ZMP_RESERVE, settled=settled)
+    law = keep_durations(law, paces)
     # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
     is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
     chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf
@@ -153,13 +159,13 @@ def _place_regions(phase: PlannedPhase, body: WholeBody, s: Float[np.ndarray, "T
         return (LoadedRegion(float(s[0]), float(s[-1]), region.vertices, region.wrenches, region.witnesses),)
     if phase.values is None:
         return ()
-    mechanism = phase.q[:, -phase.values.shape[1] :]
-    borders = []
-    for waypoint in (0, *(planned.last for planned in phase.regions)):
-        off = np.abs(mechanism - phase.values[waypoint]).max(axis=1)
-        borders.append(
-            float(s[int(off.argmin())]) if 0 < waypoint < len(phase.values) - 1 else float(s[-1 if waypoint else 0])
-        )
+    borders = [float(s[0])]
+    for planned in phase.regions:
+        if planned.last >= len(phase.values) - 1:
+            borders.append(float(s[-1]))
+            continue
+        off = np.abs(phase.q[:, -phase.values.shape[1] :] - phase.values[planned.last]).max(axis=1)
+        borders.append(float(s[int(off.argmin())]))
     return tuple(
         LoadedRegion(first, last, planned.region.vertices, planned.region.wrenches, planned.region.witnesses)
         for planned, first, last in zip(phase.regions, borders[:-1], borders[1:], strict=True)

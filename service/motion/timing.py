@@ -35,6 +35,7 @@ from service.verify import (
     make_contact_share,
     make_joints,
     split_motion,
+    trace_frame,
 )
 
 # Shortest duration of a knot interval, for stretches without motion [s].
@@ -46,11 +47,30 @@ _TRIED, _LEAST_PART = 12, 1e-3
 # Where contacts change: share of the torque limits beyond which a motion is slowed, and shares to which, the first that
 # the contacts allow.
 _WANTED_SHARE, _SLOWED_SHARES = 0.95, (0.93, 0.98)
+_CELLS_BESIDE_REST = 50  # in the knot intervals beside a rest, where a frame has a given speed
+_SAME_POINT = 1e-3  # of the shortest knot interval, within which two grid points are one
+_RATE_STEP = 1e-3  # of the shortest knot interval, for the rate of a frame
 _NEAR_REST = np.array([0.01, 0.03, 0.1, 0.3])
 
 
 class TimingError(ValueError):
     """A curve that cannot be timed; the message says why."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Pace of a stretch between two rests.
+
+    Attributes:
+        first, last: path parameters of the rests.
+        limits: frame and largest speed of its origin [m/s].
+        duration_s: that the stretch takes, if the fastest law is shorter; None for the fastest.
+    """
+
+    first: float
+    last: float
+    limits: tuple[tuple[str, float], ...] = ()
+    duration_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +105,7 @@ def time_curve(
     phases: Sequence[Phase] = (),
     known: Sequence[TimeLaw] = (),
     carrying: Sequence[RobotModel] = (),
+    paces: Sequence[Pace] = (),
 ) -> TimeLaw:
     """Make the fastest time law within the limits, at rest at both ends and at ``rest_at`` (path parameters).
 
@@ -115,6 +136,11 @@ def time_curve(
         raise TimingError("speed and acceleration limits must be positive to time a curve")
     rests = [float(s) for s in rest_at if curve.knots[0] < s < curve.knots[-1]]
     grid = _make_grid(curve, rests, settings.cells_per_interval)
+    for pace in paces:
+        if pace.limits:
+            more = _refine_ends(curve, pace)
+            apart = np.abs(more[:, None] - grid).min(axis=1) > _SAME_POINT * np.diff(curve.knots).min()
+            grid = np.unique(np.concatenate([grid, more[apart]]))
     ends = np.concatenate([[0], np.searchsorted(grid, np.unique(rests)), [len(grid) - 1]]).astype(int)
     torque_rows = _find_free_torques(robot, settings) if settings.use_torques else np.zeros(robot.n, dtype=bool)
     laws = {(float(law.path[0]), float(law.path[-1])): law for law in known}
@@ -131,11 +157,22 @@ def time_curve(
         support = None if number is None else phases[number].support
         loaded = limited if number is None or not carrying else _scale_limits(carrying[number], settings)
         path.append(cells[1:])
-        speed.append(_time_segment(loaded, curve, cells, torque_rows, support, settings.zmp_reserve_m)[1:])
+        limits = [limit for pace in paces if (pace.first, pace.last) == (first, last) for limit in pace.limits]
+        speed.append(_time_segment(loaded, curve, cells, torque_rows, support, settings.zmp_reserve_m, limits)[1:])
     law = slow_to_limits(limited, curve, TimeLaw.accelerated(np.concatenate(path), np.concatenate(speed)))
     if settings.jerk_scale is None:
         return law
     return limit_jerk(limited, curve, law, settings.jerk_scale * robot.acceleration / RISE_S, laws)
+
+
+def keep_durations(law: TimeLaw, paces: Sequence[Pace]) -> TimeLaw:
+    """Return a law whose stretches last as long as their paces say, where they are faster."""
+    factor = np.ones(len(law.times) - 1)
+    for pace in paces:
+        if pace.duration_s is not None:
+            inside = (law.path[:-1] >= pace.first) & (law.path[1:] <= pace.last)
+            factor[inside] = max(1.0, pace.duration_s / float(np.diff(law.times)[inside].sum()))
+    return stretch_law(law, factor)
 
 
 def slow_until_zmp_inside(
@@ -199,6 +236,14 @@ def _make_grid(curve: Curve, rests: Sequence[float], least_cells: int) -> Float[
     return np.unique(np.concatenate([grid, behind.ravel(), before.ravel()]))
 
 
+def _refine_ends(curve: Curve, pace: Pace) -> Float[np.ndarray, "C"]:
+    """Return more grid points beside both rests of a stretch with a given speed, where a frame's rate rises from 0."""
+    knots = curve.knots[curve.find_knots(pace.first, pace.last)]
+    share = np.arange(1, _CELLS_BESIDE_REST) / _CELLS_BESIDE_REST
+    ends = ((knots[0], knots[1]), (knots[-2], knots[-1]))
+    return np.concatenate([first + share * (last - first) for first, last in ends])
+
+
 def _find_free_torques(robot: RobotModel, settings: TimingSettings) -> Bool[np.ndarray, "n"]:
     """Return coordinates whose torque follows from the motion alone: not the base or a planted link's chain."""
     model = robot.model
@@ -227,18 +272,31 @@ def _time_segment(
     torque_rows: Bool[np.ndarray, "n"],
     support: SupportPolygon | None,
     reserve_m: float,
+    limits: Sequence[tuple[str, float]] = (),
 ) -> Float[np.ndarray, "M"]:
     """Return ds/dt on the grid from rest to rest; without force limits where these leave no law."""
     cells = Cells.of(curve, grid)
     shortest = np.diff(curve.knots).min() / _SHORTEST_KNOT_TIME
     slope = np.abs(curve(grid, 1)) / robot.velocity
-    limit = np.minimum(1.0 / np.maximum(slope.max(axis=1), 1e-12), shortest) ** 2
+    fastest = np.minimum(1.0 / np.maximum(slope.max(axis=1), 1e-12), shortest)
+    for frame, most in limits:
+        fastest = np.minimum(fastest, most / np.maximum(_measure_rates(robot, curve, grid, frame), 1e-12))
+    limit = fastest**2
     rows = list(motion_rows(robot, cells))
     for more in (list(force_rows(robot, curve, cells, torque_rows, support, reserve_m)), []):
         speed = fastest_speed(Limits(rows + more, limit), np.diff(grid))
         if np.all(speed[1:-1] > 0.0):
             return speed
     raise TimingError(f"no time law found between s = {grid[0]} and s = {grid[-1]}")
+
+
+def _measure_rates(robot: RobotModel, curve: Curve, s: Float[np.ndarray, "M"], frame: str) -> Float[np.ndarray, "M"]:
+    """Return how fast a frame's origin moves per path parameter [m]."""
+    step = _RATE_STEP * np.diff(curve.knots).min()
+    before, after = np.maximum(s - step, curve.knots[0]), np.minimum(s + step, curve.knots[-1])
+    _, first = trace_frame(robot.model, frame, curve(before))
+    _, last = trace_frame(robot.model, frame, curve(after))
+    return np.asarray(np.linalg.norm(last - first, axis=1) / (after - before))
 
 
 def _scale_limits(robot: RobotModel, settings: TimingSettings) -> RobotModel:

@@ -156,8 +156,8 @@ def select_scanned(request: PlanRequest, recorded: Scene) -> tuple[ConvexPiece, 
     if not has_scan(request):
         return ()
     own = {obstacle.name for obstacle in request.scene.obstacles}
-    given = find_demand_part(request).read_mechanism(request.section)
-    own |= set() if given is None else {piece.name for piece in given.pieces}
+    mechanisms = find_demand_part(request).read_mechanisms(request.section)
+    own |= {piece.name for given in mechanisms for piece in given.pieces}
     parts = {piece.name for piece in find_recorded_obstacles(request, recorded)}
     return tuple(piece for piece in recorded.pieces if piece.name not in own | parts)
 

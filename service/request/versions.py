@@ -74,6 +74,7 @@ ADDED = {
         "SceneRequest.sensor_model",
         "SceneRequest.sensor_sigma",
         "TaskRequest.pick_place",
+        "TaskRequest.steps",
     ),
 }
 """Fields by the format that brought them: ``CLASS.FIELD``, with the class of the schema that declares the field.

@@ -21,6 +21,7 @@ from service.verify import (
     HandPush,
     HeldJoint,
     JointTarget,
+    JointWayTarget,
     LoadedRegion,
     Phase,
     PlantedContact,
@@ -29,6 +30,7 @@ from service.verify import (
     RelativePoseTarget,
     SupportPolygon,
     Target,
+    WayTarget,
 )
 
 FORCE_DIGITS = 8  # of the witnesses in newtons, as they are written
@@ -320,6 +322,38 @@ _TARGETS: Mapping[str, tuple[type[Target], Mapping[str, _Codec]]] = {
             "rotation_tolerance_deg": _ANGLE,
             "free_axis": _or_null(_VECTOR),
             "slide": _or_null(_VECTOR),
+        },
+    ),
+    "way": (
+        WayTarget,
+        {
+            "frame": _TEXT,
+            "position": _VECTOR,
+            "quaternion_wxyz": _ROTATION,
+            "centre": _VECTOR,
+            "axis": _VECTOR,
+            "angle_rad": _NUMBER,
+            "shift": _VECTOR,
+            "turn_rad": _VECTOR,
+            "tolerance_m": _Codec(
+                lambda value, s: _finite(value), lambda data, s: np.inf if data is None else float(data)
+            ),
+            "rotation_tolerance_deg": _FREE_ANGLE,
+            "free_axis": _or_null(_VECTOR),
+            "speed_m_s": _or_null(_NUMBER),
+            "speed_share": _NUMBER,
+            "ramp_m": _NUMBER,
+        },
+    ),
+    "joint_way": (
+        JointWayTarget,
+        {
+            "joints": _Codec(lambda value, s: list(value), lambda data, s: tuple(data)),
+            "first": _VECTOR,
+            "last": _VECTOR,
+            "tolerance": _NUMBER,
+            "profile": _TEXT,
+            "duration_s": _or_null(_NUMBER),
         },
     ),
     "joint": (JointTarget, {"joint": _TEXT, "value": _NUMBER, "tolerance": _NUMBER, "at": _SAMPLE}),

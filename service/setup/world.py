@@ -124,8 +124,7 @@ def _perceive_scan(
     start = _recall_start(request.resume, robot, start)
     x, y = (float(start[0]), float(start[1])) if robot.is_floating else (0.0, 0.0)
     known = load_match_meshes(request)
-    given = _read_mechanism(request)
-    moved = [] if given is None else given.place_bodies()  # what the scan shows of it is known already
+    moved = [body for given in _read_mechanisms(request) for body in given.place_bodies()]  # shown, and known already
     own = [vertices for _, vertices in place_bodies(robot, start)]
     taken_out = [_place_shape(shape) for shape in scene.taken_out]
     try:
@@ -250,12 +249,11 @@ def build_obstacles(
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
-    mechanism = _read_mechanism(request)
-    if mechanism is None:
-        return tuple(pieces), tuple(notes)
-    notes += (f"task.mechanism.urdf: {note}" for note in (*mechanism.read.notes, *list_overlap_notes(mechanism)))
-    notes += () if request.options.timed else mechanism.list_pace_notes()
-    return (*pieces, *mechanism.pieces), tuple(notes)
+    for given in _read_mechanisms(request):
+        notes += (f"task.mechanism.urdf: {note}" for note in (*given.read.notes, *list_overlap_notes(given)))
+        notes += () if request.options.timed else given.list_pace_notes()
+        pieces += given.pieces
+    return tuple(pieces), tuple(notes)
 
 
 def _place_shape(shape: CutRequest) -> Float[np.ndarray, "V 3"]:
@@ -271,9 +269,9 @@ def _make_shape(shape: CutRequest | ObjectRequest, field: str) -> Float[np.ndarr
     return shapes.make_points(shape.type, shape.lengths)
 
 
-def _read_mechanism(request: PlanRequest) -> GivenMechanism | None:
-    """Return the mechanism that the request's task gives by its URDF, if it does."""
-    return find_demand_part(request).read_mechanism(request.section)
+def _read_mechanisms(request: PlanRequest) -> tuple[GivenMechanism, ...]:
+    """Return the mechanisms that the request's task gives by a URDF."""
+    return find_demand_part(request).read_mechanisms(request.section)
 
 
 def _solid(request: PlanRequest, obstacle: MeshRequest, field: str) -> Solid:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxtyping import Float
 from costs.robot import RobotHand, RobotModel, read_joint_axis
 from costs.robot.carried import MovableObject
 from service.demands.resistance import ASSUMED_DENSITY, MechanismPhysics
+from service.demands.stance import UNSETTLED
 from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
@@ -32,6 +34,8 @@ SELF_FRICTION = 0.5  # between links of the robot
 HAND_FRICTION = 0.3  # between a hand and a mechanism, where no request says it
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
 LEAST_VOLUME = 1e-9  # of a hull that gets a shape [m^3]
+CUT_M = 0.01  # depth in a piece from which on a link is taken to cut it, not to touch it [m]
+CUTS = 2  # of MuJoCo's contact types: such links meet the robot, not the world
 IMU = "imu"
 SPOKE = "/spoke/"  # in the names of a wheel's bodies
 SPOKE_SIZE = (0.01, 0.05, 0.03)  # of an assumed spoke: across, along the radius, along the axis [m]
@@ -195,6 +199,16 @@ class SpecBuilder:
             )
         at_base = [body.link for body in self.robot.bodies if body.joint == (1 if self.robot.is_floating else 0)]
         self.base_link = at_base[0] if at_base else ""
+
+    @cached_property
+    def cutting(self) -> frozenset[str]:
+        """Links that the plan lets into pieces deeper than anything that touches: they pass through the world."""
+        phases = [phase for phase in self.motion.phases if phase.name not in UNSETTLED]
+        planted = {contact.link for phase in phases for contact in phase.contacts}
+        deep = [own for phase in phases for own in phase.allowances if own.depth > CUT_M]
+        into_world = (own for own in deep if "scene" in (own.first.owner, own.second.owner))
+        links = {ref.link for own in into_world for ref in (own.first, own.second) if ref.link is not None}
+        return frozenset(links - planted)
 
     def exclude_pairs(self) -> None:
         """Exclude the pairs of links that the robot's description leaves out."""
@@ -364,7 +378,7 @@ class SpecBuilder:
         torsion = PATCH_ARM_M * friction if kind == "object" else 0.005
         body.add_geom(
             name=f"{kind}:{name}",
-            contype=1 if kind in ("robot", "object") else 0,
+            contype=(CUTS if owner[1] in self.cutting else 1) if kind in ("robot", "object") else 0,
             conaffinity=1,
             priority={"robot": 0, "object": 2}.get(kind, 1),
             friction=[friction, torsion, 1e-4],

@@ -88,6 +88,7 @@ from service.verify.forces.hand_loads import (
     LoadCase,
     bound_coordinate,
     list_load_cases,
+    list_offsets,
 )
 from service.verify.forces.loaded_balance import (
     Ground,
@@ -126,6 +127,8 @@ from service.verify.limits import (
 )
 from service.verify.motion import (
     HAND_CAP_N,
+    HAND_DRIFT_M,
+    WORLD,
     AxisTarget,
     CircleTarget,
     HandContact,
@@ -133,17 +136,20 @@ from service.verify.motion import (
     HandPush,
     HeldJoint,
     JointTarget,
+    JointWayTarget,
     LoadedRegion,
     Motion,
     Phase,
     PlantedContact,
     PoseTarget,
     PressedPart,
+    Profile,
     RelativePoseTarget,
     SupportPolygon,
     Target,
     VerifyError,
     VerifySettings,
+    WayTarget,
 )
 from service.verify.polygons import (
     describe_inside,
@@ -169,6 +175,9 @@ from service.verify.targets.pose_errors import (
     measure_lean,
     offset_from_target,
 )
+from service.verify.targets.ways import (
+    evaluate_profile,
+)
 from service.verify.timeline import (
     find_time,
     find_times,
@@ -182,6 +191,7 @@ __all__ = [
     "GRAVITY",
     "GROUND_TOLERANCE_M",
     "HAND_CAP_N",
+    "HAND_DRIFT_M",
     "LEAST_APART_M",
     "LEAST_SHARE",
     "MOST_LEAN_RAD",
@@ -190,6 +200,7 @@ __all__ = [
     "STANDING_DEPTH_M",
     "TURNING_DEPTH_M",
     "UNSEEN_KIND",
+    "WORLD",
     "AxisTarget",
     "Basis",
     "Carrier",
@@ -209,6 +220,7 @@ __all__ = [
     "Held",
     "HeldJoint",
     "JointTarget",
+    "JointWayTarget",
     "Joints",
     "LoadCase",
     "LoadedRegion",
@@ -220,6 +232,7 @@ __all__ = [
     "PoseTarget",
     "PreparedMotion",
     "PressedPart",
+    "Profile",
     "PushPath",
     "RelativePoseTarget",
     "Status",
@@ -228,6 +241,7 @@ __all__ = [
     "Target",
     "VerifyError",
     "VerifySettings",
+    "WayTarget",
     "Where",
     "bodies_hash",
     "bound_coordinate",
@@ -237,6 +251,7 @@ __all__ = [
     "describe_failure",
     "describe_gap",
     "describe_inside",
+    "evaluate_profile",
     "find_ground_gaps",
     "find_jamming_angle",
     "find_limited_joints",
@@ -253,6 +268,7 @@ __all__ = [
     "link_vertices",
     "list_levers",
     "list_load_cases",
+    "list_offsets",
     "list_phases",
     "list_position_demands",
     "list_sample_times",

@@ -136,6 +136,8 @@ def _parts(
         elif isinstance(promise, HandPush) and item.name in ("contacts", "held"):
             for part in value:
                 yield from _parts(part, later)
+        elif isinstance(value, tuple) and value and isinstance(value[0], str):
+            yield from value
         else:
             yield value if isinstance(value, str) else np.empty(0) if value is None else np.asarray(value, dtype=float)
 

@@ -20,6 +20,7 @@ FEET_FRICTION = 0.6
 FEET_CAP_N = 5000.0  # at each corner of a sole [N]
 # From the place of a load to where the hand really presses: the tolerance of its place, its lean and its thickness [m].
 HAND_DRIFT_M = 0.02
+WORLD = "universe"  # link of a load that the hand puts on the world
 HAND_CAP_N = 2000.0  # of a contact of a hand, along its normal [N]
 
 
@@ -196,6 +197,68 @@ class RelativePoseTarget:
 
 
 @dataclass(frozen=True)
+class WayTarget:
+    """A frame moves along a way from its beginning to its end, during the whole phase.
+
+    The way is a line (``angle`` 0), an arc or a screw about an axis, on which the frame turns in equal shares
+    (``costs.guide.Guide``).
+
+    Attributes:
+        frame: frame of the robot's model.
+        position: (3,) of its origin at the beginning, in the world [m].
+        rotation: (3, 3) rotation_world_frame at the beginning.
+        centre, axis: (3,) point and unit direction of the axis about which the origin is carried [m].
+        angle: by which it is carried about the axis [rad].
+        shift: (3,) by which it moves besides, along the axis where ``angle`` is not 0 [m].
+        turn: (3,) rotation vector in the world by which the frame turns on the whole way [rad].
+        tolerance_m: greatest distance of the origin from the place that belongs to its share of the way.
+        rotation_tolerance_rad: greatest angle off the orientation that belongs to it; infinite for any orientation.
+        free_axis: (3,) unit axis in the frame about which it may turn, or None.
+        speed_m_s: of the origin between the ramps at both ends; None for any.
+        speed_share: by which it may be off, relative to it.
+        ramp_m: length of the way at each end on which the speed rises and falls.
+    """
+
+    frame: str
+    position: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"]
+    centre: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    angle: float
+    shift: Float[np.ndarray, "3"]
+    turn: Float[np.ndarray, "3"]
+    tolerance_m: float
+    rotation_tolerance_rad: float
+    free_axis: Float[np.ndarray, "3"] | None = None
+    speed_m_s: float | None = None
+    speed_share: float = 0.05
+    ramp_m: float = 0.0
+
+
+Profile = Literal["any", "cubic", "quintic"]
+
+
+@dataclass(frozen=True)
+class JointWayTarget:
+    """Joints move on a straight line of configurations during the whole phase; equal ends keep them where they are.
+
+    Attributes:
+        joints: their names.
+        first, last: (k,) their values at both ends [rad, m].
+        tolerance: greatest distance of a joint from the line [rad, m].
+        profile: of the share that is done over time, at rest at both ends: the polynomial of degree 3 or 5, or ``any``.
+        duration_s: of the phase; None for any.
+    """
+
+    joints: tuple[str, ...]
+    first: Float[np.ndarray, "k"]
+    last: Float[np.ndarray, "k"]
+    tolerance: float
+    profile: Profile = "any"
+    duration_s: float | None = None
+
+
+@dataclass(frozen=True)
 class JointTarget:
     """A joint reaches a value at path parameter ``at`` [rad, m]."""
 
@@ -328,7 +391,7 @@ class LoadedRegion:
     witnesses: Float[np.ndarray, "V W C 3"]
 
 
-Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | JointTarget
+Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | WayTarget | JointWayTarget | JointTarget
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,14 @@ from service.verify.motion import (
     AxisTarget,
     CircleTarget,
     JointTarget,
+    JointWayTarget,
     Motion,
     Phase,
     PoseTarget,
     RelativePoseTarget,
     Target,
     VerifyError,
+    WayTarget,
 )
 
 # Errors of directions and rotations written as decimal numbers.
@@ -134,9 +136,8 @@ def _validate_phase(phase: Phase) -> None:
         _not_negative(f"region margin of phase '{phase.name}'", phase.region_margin_m)
     _validate_contacts(phase)
     for target in phase.targets:
-        of = target.joint if isinstance(target, JointTarget) else target.frame
-        what = f"target of '{of}' in phase '{phase.name}'"
-        at = None if isinstance(target, CircleTarget | RelativePoseTarget) else target.at
+        what = f"target of '{_name_subject(target)}' in phase '{phase.name}'"
+        at = target.at if isinstance(target, JointTarget | PoseTarget | AxisTarget) else None
         slack = _BORDER_TOLERANCE * max(1.0, abs(phase.last))
         if at is not None and not phase.first - slack <= at <= phase.last + slack:
             raise VerifyError(f"the {what} is at {at}, outside the phase ({phase.first} to {phase.last})")
@@ -145,8 +146,15 @@ def _validate_phase(phase: Phase) -> None:
             # An infinite tolerance frees; NaN must not.
             if not np.all(np.asarray(tolerance) >= 0.0):
                 raise VerifyError(f"the {what} needs tolerances that are not negative, got {tolerance}")
-        if isinstance(target, PoseTarget | RelativePoseTarget) and target.rotation is not None:
+        if isinstance(target, PoseTarget | RelativePoseTarget | WayTarget) and target.rotation is not None:
             _rigid(what, target.rotation)
+
+
+def _name_subject(target: Target) -> str:
+    """Return the joint, the joints or the frame that a target is about."""
+    if isinstance(target, JointTarget):
+        return target.joint
+    return ", ".join(target.joints) if isinstance(target, JointWayTarget) else target.frame
 
 
 def _validate_contacts(phase: Phase) -> None:
@@ -200,24 +208,51 @@ def _places(target: Target) -> Iterator[np.ndarray | float]:
             )
         yield target.position
         return
+    if isinstance(target, JointWayTarget):
+        if not len(target.joints) == len(target.first) == len(target.last):
+            raise VerifyError(f"the way of the joints {', '.join(target.joints)} needs two values for each joint")
+        yield target.first
+        yield target.last
+        yield 1.0 if target.duration_s is None else target.duration_s
+        return
     if isinstance(target, CircleTarget):
         yield target.centre
         yield target.radius
+    if isinstance(target, WayTarget):
+        yield target.position
+        yield target.centre
+        yield target.angle
+        yield target.shift
+        yield target.turn
+        yield 1.0 if target.speed_m_s is None else target.speed_m_s
     if isinstance(target, RelativePoseTarget):
         yield target.position
         yield target.position_tolerance_m  # what is kept is not free
         yield 0.0 if target.slide is None else target.slide
         yield target.rotation_tolerance_rad
-    for axis in (target.free_axis,) if isinstance(target, RelativePoseTarget) else (target.axis, target.frame_axis):
+    for axis in _list_axes(target):
         if axis is not None:
             if not abs(np.linalg.norm(axis) - 1.0) <= _UNIT_TOLERANCE:
                 raise VerifyError(f"axes of the target of '{target.frame}' must be unit vectors, got {axis}")
             yield axis
 
 
+def _list_axes(
+    target: CircleTarget | AxisTarget | RelativePoseTarget | WayTarget,
+) -> tuple[np.ndarray | None, ...]:
+    """Return the directions of a target, which are unit vectors."""
+    if isinstance(target, RelativePoseTarget):
+        return (target.free_axis,)
+    if isinstance(target, WayTarget):
+        return target.axis, target.free_axis
+    return target.axis, target.frame_axis
+
+
 def _tolerances(target: Target) -> tuple[np.ndarray | float, ...]:
-    if isinstance(target, JointTarget):
+    if isinstance(target, JointTarget | JointWayTarget):
         return (target.tolerance,)
+    if isinstance(target, WayTarget):
+        return target.tolerance_m, target.rotation_tolerance_rad, target.speed_share, target.ramp_m
     if isinstance(target, PoseTarget):
         return target.position_tolerance_m, target.rotation_tolerance
     if isinstance(target, RelativePoseTarget):

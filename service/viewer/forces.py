@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
+from service.verify import WORLD
 from service.viewer.placements import LinkPlacements
 
 _OUTSIDE_M = 1e-6
@@ -42,6 +43,10 @@ def sum_loads(phase: Mapping[str, Any], moved: LinkPlacements) -> Float[np.ndarr
     """
     total = np.zeros((len(moved.poses), 6))
     for load in phase.get("loads") or []:
+        if load["link"] == WORLD:
+            force, point = -np.asarray(load["force_n"], dtype=float), np.asarray(load["place"], dtype=float)
+            total += np.concatenate([force, np.cross(point, force)])
+            continue
         if load["link"] not in moved.links:
             raise ValueError(f"phase {phase.get('name')!r}: a load acts on {load['link']!r}, which is no movable")
         poses = moved.poses[:, moved.links.index(load["link"])]

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from service.cli.app import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("tutorial.md",)
+PAGES = ("tutorial.md", "tasks.md")
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', flags=re.MULTILINE | re.DOTALL)
 MAY_FAIL = " || true"
 
@@ -51,6 +51,7 @@ def test_a_tutorial_does_what_it_says(page: str, tmp_path: Path, monkeypatch: py
     n_checked = 0
     for kind, title, content in BLOCK.findall((ROOT / "docs" / page).read_text()):
         if title:
+            Path(title).parent.mkdir(exist_ok=True)
             Path(title).write_text(content)
         elif kind == "shell":
             printed = "".join(run(line) for line in content.splitlines())

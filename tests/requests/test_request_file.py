@@ -249,7 +249,7 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
         ),
         (
             "robot: {name: a}\ntask: {valv: {}}",
-            "task: unknown key 'valv'; expected valve, door, contacts, egress, trajopt",
+            "task: unknown key 'valv'; expected valve, …",
         ),
         (
             "robot: {name: a}\ntask: {valve: {hand: lft}}",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
-from costs.robot import RobotModel
+from costs.robot import LinkInertia, RobotModel
 from costs.scene import ConvexPiece
 from service.demands.kind import DemandPart, Shown
 from service.demands.mechanism.demand import GivenMechanismDemand, make_mechanism_rest
@@ -39,25 +39,30 @@ class MechanismDemandPart(DemandPart[MechanismRequest]):
         """Yield a line for each moving part that is inside what stands still."""
         yield from list_mechanism_problems(read_given_mechanism(section), obstacles)
 
-    def read_mechanism(self, section: MechanismRequest) -> GivenMechanism:
+    def read_mechanisms(self, section: MechanismRequest) -> tuple[GivenMechanism, ...]:
         """Return the mechanism of the URDF."""
-        return read_given_mechanism(section)
+        return (read_given_mechanism(section),)
 
     def read_physics(self, section: MechanismRequest) -> MechanismPhysics:
         """Return masses and damping of the URDF, and everything else as the plan's loads have it."""
-        moved = read_given_mechanism(section).moved
-        joints = {
-            joint.name: Resistance(friction=joint.friction, damping=joint.damping, rest=joint.start)
-            for joint in moved.joints
-        }
-        for name, spring in moved.springs.items():
-            joints[name] = replace(joints[name], preload=spring.preload, stiffness=spring.stiffness)
-        inertias = {
-            joint.name: replace(joint.inertia, centre=joint.inertia.centre - joint.origin)
-            for joint in moved.joints
-            if joint.inertia is not None
-        }
-        return MechanismPhysics(joints, inertias=inertias)
+        return read_given_physics((read_given_mechanism(section),))
+
+
+def read_given_physics(mechanisms: Iterable[GivenMechanism]) -> MechanismPhysics:
+    """Return masses and damping of mechanisms, and everything else as the plan's loads have it."""
+    joints: dict[str, Resistance] = {}
+    inertias: dict[str, LinkInertia] = {}
+    for given in mechanisms:
+        moved = given.moved
+        for joint in moved.joints:
+            resistance = Resistance(friction=joint.friction, damping=joint.damping, rest=joint.start)
+            spring = moved.springs.get(joint.name)
+            if spring is not None:
+                resistance = replace(resistance, preload=spring.preload, stiffness=spring.stiffness)
+            joints[joint.name] = resistance
+            if joint.inertia is not None:
+                inertias[joint.name] = replace(joint.inertia, centre=joint.inertia.centre - joint.origin)
+    return MechanismPhysics(joints, inertias=inertias)
 
 
 PART = MechanismDemandPart()

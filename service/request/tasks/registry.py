@@ -18,6 +18,7 @@ from service.request.tasks.kind import ENTRY_POINTS, TaskKind, TaskSection
 from service.request.tasks.mechanism import MechanismRequest
 from service.request.tasks.pick_place import PickRequest
 from service.request.tasks.reach import GoalRequest
+from service.request.tasks.steps import Steps, StepsSection
 from service.request.tasks.trajopt import ProblemSection
 from service.request.tasks.valve import ValveRequest
 
@@ -30,6 +31,7 @@ SHIPPED = (
     TaskKind("contacts", ContactsRequest, "service.demands.contacts.kind:PART", "service.tasks.contacts.kind:PART"),
     TaskKind("egress", EgressRequest, "service.demands.egress.kind:PART", "service.tasks.egress.kind:PART"),
     TaskKind("pick_place", PickRequest, "service.demands.pick_place.kind:PART", "service.tasks.pick_place.kind:PART"),
+    TaskKind("steps", StepsSection, "service.demands.steps.kind:PART", "service.tasks.steps.kind:PART"),
     TaskKind("trajopt", ProblemSection, "service.trajopt.kind:PART", "service.tasks.trajopt.kind:PART"),
 )
 REACH = TaskKind(
@@ -98,6 +100,7 @@ class TaskRequest(Section):
     trajopt: PlainData | None = None
     mechanism: MechanismRequest | None = None
     pick_place: PickRequest | None = None
+    steps: Steps | None = None
 
     def __post_init__(self) -> None:
         require_exactly_one(self, tuple(TASKS))
@@ -111,4 +114,4 @@ class TaskRequest(Section):
     def section(self) -> TaskSection:
         """The section of its kind."""
         section = getattr(self, self.kind.name)
-        return section if isinstance(section, TaskSection) else ProblemSection(section)
+        return section if isinstance(section, TaskSection) else self.kind.section(section)  # type: ignore[call-arg]

@@ -14,7 +14,7 @@ from costs.curve import Curve
 from costs.robot.model import RobotModel
 from costs.work_space import borrow_data
 from service.verify.forces.equilibrium import list_slid_loads, list_turned_loads
-from service.verify.motion import HandLoad, Motion, VerifyError
+from service.verify.motion import WORLD, HandLoad, Motion, VerifyError
 
 STILL = 1e-5  # by which a joint at rest may be off [rad, m]
 
@@ -95,6 +95,8 @@ def _corners_of(
     while above > 0:
         chain.add(above)
         above = int(model.parents[above])
+    if load.link == WORLD:
+        slides = [slide + off for slide in slides for off in list_offsets(load)]
     for slide in slides:
         point = pose.rotation @ (load.place + slide) + pose.translation
         if moving is None:
@@ -112,6 +114,21 @@ def _corners_of(
             yield list_turned_loads(force, point, turned, np.array(data.oMi[moving].translation), *span)
         else:
             yield list_slid_loads(force, point, data.oMi[moving].rotation @ axis[:3], *span)
+
+
+def list_offsets(load: HandLoad) -> Float[np.ndarray, "4 3"]:
+    """Return corners of a square across a load on the world that holds all places within its drift [m]."""
+    axis = load.force / np.linalg.norm(load.force)
+    side = np.eye(3)[int(np.abs(axis).argmin())]
+    x = side - (side @ axis) * axis
+    x /= np.linalg.norm(x)
+    y = np.cross(axis, x)
+    return np.asarray(load.drift_m * np.array([x + y, x - y, y - x, -x - y]))
+
+
+def list_drifting(loads: tuple[HandLoad, ...]) -> tuple[HandLoad, ...]:
+    """Return the loads whose drift counts beside their wrenches: that of loads on the world is in these already."""
+    return tuple(load for load in loads if load.link != WORLD)
 
 
 @dataclass(frozen=True)
@@ -144,7 +161,9 @@ def list_load_cases(
         for index, load in enumerate(loads):
             pose = data.oMf[model.getFrameId(load.link)]
             place = load.place
-            if load.slide is not None:
+            if load.link == WORLD:
+                place = _bring_near(load, data.oMf[model.getFrameId(load.tool)].translation)
+            elif load.slide is not None:
                 place = _slide_to(
                     load, pose.rotation.T @ (data.oMf[model.getFrameId(load.tool)].translation - pose.translation)
                 )
@@ -156,6 +175,13 @@ def list_load_cases(
         parts = tuple((joints[i], wrenches[i]) for i in range(len(loads)) if share[i])
         cases.append(LoadCase(np.sum([part for _, part in parts], axis=0) if parts else np.zeros((len(q), 6)), parts))
     return tuple(cases)
+
+
+def _bring_near(load: HandLoad, tool: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return where a load on the world acts: at the tool, no farther from its place or slide than its drift [m]."""
+    near = load.place if load.slide is None else _slide_to(load, tool)
+    off = np.asarray(tool - near)
+    return np.asarray(near + off * min(1.0, load.drift_m / max(float(np.linalg.norm(off)), 1e-12)))
 
 
 def _slide_to(load: HandLoad, tool: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

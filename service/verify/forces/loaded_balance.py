@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.equilibrium import EquilibriumProof, RecordedRegion, prove_equilibrium
-from service.verify.forces.hand_loads import list_load_wrenches
+from service.verify.forces.hand_loads import list_drifting, list_load_wrenches
 from service.verify.frame_paths import MassPath, find_mechanism_joints
 from service.verify.motion import (
     LoadedRegion,
@@ -169,11 +169,12 @@ def _prove(motion: Motion, phase: Phase, region: LoadedRegion, mass: float) -> t
     loads = list_load_wrenches(motion, phase.loads, region.first, region.last)
     feet_drift = max((contact.tolerance_m for contact in contacts), default=0.0)
     # The feet's horizontal forces are at least the hands', so their drift covers the yaw moment of the hands' drift.
-    hand_drift = max((load.drift_m for load in phase.loads), default=0.0)
+    drifting = list_drifting(phase.loads)
+    hand_drift = max((load.drift_m for load in drifting), default=0.0)
     drift = feet_drift + hand_drift
     tilts = find_tilts(contacts)
     proof = prove_equilibrium(recorded, mass, loads, GRAVITY, drift_m=drift, tilt_rad=tilts)
-    hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in phase.loads) / (mass * GRAVITY)
+    hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in drifting) / (mass * GRAVITY)
     return proof, proof.shift_m * feet_drift / drift + hands if drift > 0.0 else 0.0
 
 

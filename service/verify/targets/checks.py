@@ -20,10 +20,12 @@ from service.verify.motion import (
     AxisTarget,
     CircleTarget,
     JointTarget,
+    JointWayTarget,
     Phase,
     PoseTarget,
     RelativePoseTarget,
     VerifySettings,
+    WayTarget,
 )
 from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
 from service.verify.prepared_motion import PreparedMotion
@@ -39,6 +41,7 @@ from service.verify.targets.pose_errors import (
     measure_lean,
     offset_from_target,
 )
+from service.verify.targets.ways import check_joint_way, check_way
 
 
 def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettings) -> Iterator[Check]:
@@ -51,6 +54,10 @@ def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettin
             yield from _pose_checks(proof, target)
         elif isinstance(target, RelativePoseTarget):
             yield from _relative_pose_checks(proof, target)
+        elif isinstance(target, WayTarget):
+            yield from check_way(proof, target)
+        elif isinstance(target, JointWayTarget):
+            yield from check_joint_way(proof, target)
         elif isinstance(target, CircleTarget):
             yield _circle_check(proof, target)
             if target.frame_axis is not None:

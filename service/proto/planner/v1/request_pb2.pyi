@@ -38,6 +38,63 @@ class CarryingHand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     CARRYING_HAND_AUTO: _ClassVar[CarryingHand]
     CARRYING_HAND_BOTH: _ClassVar[CarryingHand]
 
+class StepHand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STEP_HAND_UNSPECIFIED: _ClassVar[StepHand]
+    STEP_HAND_LEFT: _ClassVar[StepHand]
+    STEP_HAND_RIGHT: _ClassVar[StepHand]
+    STEP_HAND_BOTH: _ClassVar[StepHand]
+
+class Along(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    ALONG_UNSPECIFIED: _ClassVar[Along]
+    ALONG_FREE: _ClassVar[Along]
+    ALONG_LINE: _ClassVar[Along]
+    ALONG_ARC: _ClassVar[Along]
+    ALONG_JOINT_LINEAR: _ClassVar[Along]
+    ALONG_JOINT_CUBIC: _ClassVar[Along]
+    ALONG_JOINT_QUINTIC: _ClassVar[Along]
+
+class StepFreeAxis(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STEP_FREE_AXIS_UNSPECIFIED: _ClassVar[StepFreeAxis]
+    STEP_FREE_AXIS_NONE: _ClassVar[StepFreeAxis]
+    STEP_FREE_AXIS_X: _ClassVar[StepFreeAxis]
+    STEP_FREE_AXIS_Y: _ClassVar[StepFreeAxis]
+    STEP_FREE_AXIS_Z: _ClassVar[StepFreeAxis]
+    STEP_FREE_AXIS_ALL: _ClassVar[StepFreeAxis]
+
+class OtherHand(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    OTHER_HAND_UNSPECIFIED: _ClassVar[OtherHand]
+    OTHER_HAND_KEEP: _ClassVar[OtherHand]
+    OTHER_HAND_LOCK: _ClassVar[OtherHand]
+    OTHER_HAND_FREE: _ClassVar[OtherHand]
+
+class StepAxes(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STEP_AXES_UNSPECIFIED: _ClassVar[StepAxes]
+    STEP_AXES_WORLD: _ClassVar[StepAxes]
+    STEP_AXES_HAND: _ClassVar[StepAxes]
+
+class CircleSense(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    CIRCLE_SENSE_UNSPECIFIED: _ClassVar[CircleSense]
+    CIRCLE_SENSE_CLOCKWISE: _ClassVar[CircleSense]
+    CIRCLE_SENSE_COUNTER_CLOCKWISE: _ClassVar[CircleSense]
+
+class ToolTurn(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    TOOL_TURN_UNSPECIFIED: _ClassVar[ToolTurn]
+    TOOL_TURN_FREE: _ClassVar[ToolTurn]
+    TOOL_TURN_KEEP: _ClassVar[ToolTurn]
+
+class BodyHands(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    BODY_HANDS_UNSPECIFIED: _ClassVar[BodyHands]
+    BODY_HANDS_STAY: _ClassVar[BodyHands]
+    BODY_HANDS_ALONG: _ClassVar[BodyHands]
+
 class HoldMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     HOLD_MODE_UNSPECIFIED: _ClassVar[HoldMode]
@@ -164,6 +221,39 @@ CARRYING_HAND_LEFT: CarryingHand
 CARRYING_HAND_RIGHT: CarryingHand
 CARRYING_HAND_AUTO: CarryingHand
 CARRYING_HAND_BOTH: CarryingHand
+STEP_HAND_UNSPECIFIED: StepHand
+STEP_HAND_LEFT: StepHand
+STEP_HAND_RIGHT: StepHand
+STEP_HAND_BOTH: StepHand
+ALONG_UNSPECIFIED: Along
+ALONG_FREE: Along
+ALONG_LINE: Along
+ALONG_ARC: Along
+ALONG_JOINT_LINEAR: Along
+ALONG_JOINT_CUBIC: Along
+ALONG_JOINT_QUINTIC: Along
+STEP_FREE_AXIS_UNSPECIFIED: StepFreeAxis
+STEP_FREE_AXIS_NONE: StepFreeAxis
+STEP_FREE_AXIS_X: StepFreeAxis
+STEP_FREE_AXIS_Y: StepFreeAxis
+STEP_FREE_AXIS_Z: StepFreeAxis
+STEP_FREE_AXIS_ALL: StepFreeAxis
+OTHER_HAND_UNSPECIFIED: OtherHand
+OTHER_HAND_KEEP: OtherHand
+OTHER_HAND_LOCK: OtherHand
+OTHER_HAND_FREE: OtherHand
+STEP_AXES_UNSPECIFIED: StepAxes
+STEP_AXES_WORLD: StepAxes
+STEP_AXES_HAND: StepAxes
+CIRCLE_SENSE_UNSPECIFIED: CircleSense
+CIRCLE_SENSE_CLOCKWISE: CircleSense
+CIRCLE_SENSE_COUNTER_CLOCKWISE: CircleSense
+TOOL_TURN_UNSPECIFIED: ToolTurn
+TOOL_TURN_FREE: ToolTurn
+TOOL_TURN_KEEP: ToolTurn
+BODY_HANDS_UNSPECIFIED: BodyHands
+BODY_HANDS_STAY: BodyHands
+BODY_HANDS_ALONG: BodyHands
 HOLD_MODE_UNSPECIFIED: HoldMode
 HOLD_MODE_HOOK: HoldMode
 HOLD_MODE_GRASP: HoldMode
@@ -420,7 +510,7 @@ class PoseGoal(_message.Message):
     def __init__(self, link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
 
 class Task(_message.Message):
-    __slots__ = ("valve", "door", "egress", "trajopt", "contacts", "mechanism", "pick_place")
+    __slots__ = ("valve", "door", "egress", "trajopt", "contacts", "mechanism", "pick_place", "steps", "use")
     VALVE_FIELD_NUMBER: _ClassVar[int]
     DOOR_FIELD_NUMBER: _ClassVar[int]
     EGRESS_FIELD_NUMBER: _ClassVar[int]
@@ -428,6 +518,9 @@ class Task(_message.Message):
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
     MECHANISM_FIELD_NUMBER: _ClassVar[int]
     PICK_PLACE_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    USE_FIELD_NUMBER: _ClassVar[int]
+    WITH_FIELD_NUMBER: _ClassVar[int]
     valve: Valve
     door: Door
     egress: Egress
@@ -435,7 +528,9 @@ class Task(_message.Message):
     contacts: Contacts
     mechanism: Mechanism
     pick_place: PickPlace
-    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., pick_place: _Optional[_Union[PickPlace, _Mapping]] = ...) -> None: ...
+    steps: _containers.RepeatedCompositeFieldContainer[Step]
+    use: str
+    def __init__(self, valve: _Optional[_Union[Valve, _Mapping]] = ..., door: _Optional[_Union[Door, _Mapping]] = ..., egress: _Optional[_Union[Egress, _Mapping]] = ..., trajopt: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., pick_place: _Optional[_Union[PickPlace, _Mapping]] = ..., steps: _Optional[_Iterable[_Union[Step, _Mapping]]] = ..., use: _Optional[str] = ..., **kwargs) -> None: ...
 
 class PickPlace(_message.Message):
     __slots__ = ("object", "to", "hand", "grip_n", "lift_m", "opening_m")
@@ -460,6 +555,243 @@ class ObjectPlace(_message.Message):
     position: _containers.RepeatedScalarFieldContainer[float]
     quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Step(_message.Message):
+    __slots__ = ("name", "move", "screw", "follow", "touch", "press", "mechanism", "body", "wait", "check", "look")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    MOVE_FIELD_NUMBER: _ClassVar[int]
+    SCREW_FIELD_NUMBER: _ClassVar[int]
+    FOLLOW_FIELD_NUMBER: _ClassVar[int]
+    TOUCH_FIELD_NUMBER: _ClassVar[int]
+    PRESS_FIELD_NUMBER: _ClassVar[int]
+    MECHANISM_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    WAIT_FIELD_NUMBER: _ClassVar[int]
+    CHECK_FIELD_NUMBER: _ClassVar[int]
+    LOOK_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    move: StepMove
+    screw: Screw
+    follow: Follow
+    touch: Touch
+    press: Press
+    mechanism: Mechanism
+    body: BodyMove
+    wait: str
+    check: str
+    look: str
+    def __init__(self, name: _Optional[str] = ..., move: _Optional[_Union[StepMove, _Mapping]] = ..., screw: _Optional[_Union[Screw, _Mapping]] = ..., follow: _Optional[_Union[Follow, _Mapping]] = ..., touch: _Optional[_Union[Touch, _Mapping]] = ..., press: _Optional[_Union[Press, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., body: _Optional[_Union[BodyMove, _Mapping]] = ..., wait: _Optional[str] = ..., check: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
+
+class StepMove(_message.Message):
+    __slots__ = ("joints", "posture", "poses", "by", "arc", "hand", "frame", "along", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg")
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
+    POSES_FIELD_NUMBER: _ClassVar[int]
+    BY_FIELD_NUMBER: _ClassVar[int]
+    ARC_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    ALONG_FIELD_NUMBER: _ClassVar[int]
+    FREE_AXIS_FIELD_NUMBER: _ClassVar[int]
+    OTHER_HAND_FIELD_NUMBER: _ClassVar[int]
+    SPEED_M_S_FIELD_NUMBER: _ClassVar[int]
+    DURATION_S_FIELD_NUMBER: _ClassVar[int]
+    TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    joints: _containers.ScalarMap[str, float]
+    posture: str
+    poses: _containers.RepeatedCompositeFieldContainer[PoseGoal]
+    by: Shift
+    arc: Arc
+    hand: StepHand
+    frame: str
+    along: Along
+    free_axis: StepFreeAxis
+    other_hand: OtherHand
+    speed_m_s: float
+    duration_s: float
+    tolerance_m: float
+    rotation_tolerance_deg: float
+    def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., posture: _Optional[str] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., by: _Optional[_Union[Shift, _Mapping]] = ..., arc: _Optional[_Union[Arc, _Mapping]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., along: _Optional[_Union[Along, str]] = ..., free_axis: _Optional[_Union[StepFreeAxis, str]] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., speed_m_s: _Optional[float] = ..., duration_s: _Optional[float] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ...) -> None: ...
+
+class Shift(_message.Message):
+    __slots__ = ("translation", "rotation_deg", "axes")
+    TRANSLATION_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_DEG_FIELD_NUMBER: _ClassVar[int]
+    AXES_FIELD_NUMBER: _ClassVar[int]
+    translation: _containers.RepeatedScalarFieldContainer[float]
+    rotation_deg: _containers.RepeatedScalarFieldContainer[float]
+    axes: StepAxes
+    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation_deg: _Optional[_Iterable[float]] = ..., axes: _Optional[_Union[StepAxes, str]] = ...) -> None: ...
+
+class Arc(_message.Message):
+    __slots__ = ("centre", "axis", "angle_deg", "turns")
+    CENTRE_FIELD_NUMBER: _ClassVar[int]
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_DEG_FIELD_NUMBER: _ClassVar[int]
+    TURNS_FIELD_NUMBER: _ClassVar[int]
+    centre: _containers.RepeatedScalarFieldContainer[float]
+    axis: _containers.RepeatedScalarFieldContainer[float]
+    angle_deg: float
+    turns: bool
+    def __init__(self, centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., angle_deg: _Optional[float] = ..., turns: bool = ...) -> None: ...
+
+class Screw(_message.Message):
+    __slots__ = ("axis", "centre", "axes", "translation_m", "rotation_deg", "hand", "frame", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg")
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    CENTRE_FIELD_NUMBER: _ClassVar[int]
+    AXES_FIELD_NUMBER: _ClassVar[int]
+    TRANSLATION_M_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_DEG_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    FREE_AXIS_FIELD_NUMBER: _ClassVar[int]
+    OTHER_HAND_FIELD_NUMBER: _ClassVar[int]
+    SPEED_M_S_FIELD_NUMBER: _ClassVar[int]
+    DURATION_S_FIELD_NUMBER: _ClassVar[int]
+    TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    axis: _containers.RepeatedScalarFieldContainer[float]
+    centre: _containers.RepeatedScalarFieldContainer[float]
+    axes: StepAxes
+    translation_m: float
+    rotation_deg: float
+    hand: StepHand
+    frame: str
+    free_axis: StepFreeAxis
+    other_hand: OtherHand
+    speed_m_s: float
+    duration_s: float
+    tolerance_m: float
+    rotation_tolerance_deg: float
+    def __init__(self, axis: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axes: _Optional[_Union[StepAxes, str]] = ..., translation_m: _Optional[float] = ..., rotation_deg: _Optional[float] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., free_axis: _Optional[_Union[StepFreeAxis, str]] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., speed_m_s: _Optional[float] = ..., duration_s: _Optional[float] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ...) -> None: ...
+
+class Face(_message.Message):
+    __slots__ = ("point", "normal", "pieces")
+    POINT_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    PIECES_FIELD_NUMBER: _ClassVar[int]
+    point: _containers.RepeatedScalarFieldContainer[float]
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    pieces: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, point: _Optional[_Iterable[float]] = ..., normal: _Optional[_Iterable[float]] = ..., pieces: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Circle(_message.Message):
+    __slots__ = ("centre", "radius_m", "angle_deg", "begin_deg", "sense")
+    CENTRE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_DEG_FIELD_NUMBER: _ClassVar[int]
+    BEGIN_DEG_FIELD_NUMBER: _ClassVar[int]
+    SENSE_FIELD_NUMBER: _ClassVar[int]
+    centre: _containers.RepeatedScalarFieldContainer[float]
+    radius_m: float
+    angle_deg: float
+    begin_deg: float
+    sense: CircleSense
+    def __init__(self, centre: _Optional[_Iterable[float]] = ..., radius_m: _Optional[float] = ..., angle_deg: _Optional[float] = ..., begin_deg: _Optional[float] = ..., sense: _Optional[_Union[CircleSense, str]] = ...) -> None: ...
+
+class Follow(_message.Message):
+    __slots__ = ("face", "circle", "polyline", "hand", "frame", "depth_m", "tilt_deg", "tilt_towards", "turn", "approach_m", "speed_m_s", "thrust_n", "touch_depth_m", "other_hand", "tolerance_m", "rotation_tolerance_deg")
+    FACE_FIELD_NUMBER: _ClassVar[int]
+    CIRCLE_FIELD_NUMBER: _ClassVar[int]
+    POLYLINE_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    TILT_DEG_FIELD_NUMBER: _ClassVar[int]
+    TILT_TOWARDS_FIELD_NUMBER: _ClassVar[int]
+    TURN_FIELD_NUMBER: _ClassVar[int]
+    APPROACH_M_FIELD_NUMBER: _ClassVar[int]
+    SPEED_M_S_FIELD_NUMBER: _ClassVar[int]
+    THRUST_N_FIELD_NUMBER: _ClassVar[int]
+    TOUCH_DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    OTHER_HAND_FIELD_NUMBER: _ClassVar[int]
+    TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    face: Face
+    circle: Circle
+    polyline: _containers.RepeatedCompositeFieldContainer[Point]
+    hand: StepHand
+    frame: str
+    depth_m: float
+    tilt_deg: float
+    tilt_towards: _containers.RepeatedScalarFieldContainer[float]
+    turn: ToolTurn
+    approach_m: float
+    speed_m_s: float
+    thrust_n: float
+    touch_depth_m: float
+    other_hand: OtherHand
+    tolerance_m: float
+    rotation_tolerance_deg: float
+    def __init__(self, face: _Optional[_Union[Face, _Mapping]] = ..., circle: _Optional[_Union[Circle, _Mapping]] = ..., polyline: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., depth_m: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., tilt_towards: _Optional[_Iterable[float]] = ..., turn: _Optional[_Union[ToolTurn, str]] = ..., approach_m: _Optional[float] = ..., speed_m_s: _Optional[float] = ..., thrust_n: _Optional[float] = ..., touch_depth_m: _Optional[float] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ...) -> None: ...
+
+class Touch(_message.Message):
+    __slots__ = ("direction", "window_m", "force_n", "axes", "pieces", "hand", "frame", "free_axis", "other_hand", "speed_m_s", "tolerance_m", "rotation_tolerance_deg")
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    WINDOW_M_FIELD_NUMBER: _ClassVar[int]
+    FORCE_N_FIELD_NUMBER: _ClassVar[int]
+    AXES_FIELD_NUMBER: _ClassVar[int]
+    PIECES_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    FREE_AXIS_FIELD_NUMBER: _ClassVar[int]
+    OTHER_HAND_FIELD_NUMBER: _ClassVar[int]
+    SPEED_M_S_FIELD_NUMBER: _ClassVar[int]
+    TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    direction: _containers.RepeatedScalarFieldContainer[float]
+    window_m: _containers.RepeatedScalarFieldContainer[float]
+    force_n: float
+    axes: StepAxes
+    pieces: _containers.RepeatedScalarFieldContainer[str]
+    hand: StepHand
+    frame: str
+    free_axis: StepFreeAxis
+    other_hand: OtherHand
+    speed_m_s: float
+    tolerance_m: float
+    rotation_tolerance_deg: float
+    def __init__(self, direction: _Optional[_Iterable[float]] = ..., window_m: _Optional[_Iterable[float]] = ..., force_n: _Optional[float] = ..., axes: _Optional[_Union[StepAxes, str]] = ..., pieces: _Optional[_Iterable[str]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., free_axis: _Optional[_Union[StepFreeAxis, str]] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., speed_m_s: _Optional[float] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ...) -> None: ...
+
+class Press(_message.Message):
+    __slots__ = ("at", "normal", "force_n", "travel_m", "size_m", "height_m", "hand")
+    AT_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    FORCE_N_FIELD_NUMBER: _ClassVar[int]
+    TRAVEL_M_FIELD_NUMBER: _ClassVar[int]
+    SIZE_M_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_M_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    at: _containers.RepeatedScalarFieldContainer[float]
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    force_n: float
+    travel_m: float
+    size_m: float
+    height_m: float
+    hand: Hand
+    def __init__(self, at: _Optional[_Iterable[float]] = ..., normal: _Optional[_Iterable[float]] = ..., force_n: _Optional[float] = ..., travel_m: _Optional[float] = ..., size_m: _Optional[float] = ..., height_m: _Optional[float] = ..., hand: _Optional[_Union[Hand, str]] = ...) -> None: ...
+
+class BodyMove(_message.Message):
+    __slots__ = ("pelvis_m", "pelvis_rpy_deg", "torso_rpy_deg", "hands", "duration_s")
+    PELVIS_M_FIELD_NUMBER: _ClassVar[int]
+    PELVIS_RPY_DEG_FIELD_NUMBER: _ClassVar[int]
+    TORSO_RPY_DEG_FIELD_NUMBER: _ClassVar[int]
+    HANDS_FIELD_NUMBER: _ClassVar[int]
+    DURATION_S_FIELD_NUMBER: _ClassVar[int]
+    pelvis_m: _containers.RepeatedScalarFieldContainer[float]
+    pelvis_rpy_deg: _containers.RepeatedScalarFieldContainer[float]
+    torso_rpy_deg: _containers.RepeatedScalarFieldContainer[float]
+    hands: BodyHands
+    duration_s: float
+    def __init__(self, pelvis_m: _Optional[_Iterable[float]] = ..., pelvis_rpy_deg: _Optional[_Iterable[float]] = ..., torso_rpy_deg: _Optional[_Iterable[float]] = ..., hands: _Optional[_Union[BodyHands, str]] = ..., duration_s: _Optional[float] = ...) -> None: ...
 
 class Contacts(_message.Message):
     __slots__ = ("surfaces", "start", "stances", "finish")

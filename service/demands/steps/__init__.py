@@ -1,0 +1,1 @@
+"""Demands of a list of steps."""
