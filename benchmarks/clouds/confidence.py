@@ -40,10 +40,11 @@ from perception.view import widen
 _WEIGHTS = Path(__file__).parents[2] / "perception" / "detect" / "engine" / "weights.csv"
 _VARIANTS = ("dense/solid/camera", "sparse/solid_sparse")
 # Signs that a weight may have, so that few examples cannot turn evidence for an object into evidence against it.
-_SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1), strict=True))
+_SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1, 1), strict=True))
 # Templates whose shape says little (a leaf is a flat face) keep their detector's rating as an input.
 _RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam"})
 _SEARCHED = frozenset({"drill"})  # templates of the engine's own search, which are not flat and have a front
+_OF_SEARCH = frozenset({"flat_share", "flats_share", "margin"})  # inputs of these alone
 _RIDGE, _RIDGE_OWN = 0.1, 0.1
 _FOLDS = 5
 _FEWEST = 4, 2  # right and wrong hits
@@ -208,12 +209,14 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
     own = np.eye(k)[of]
     rated = own * np.array([name in _RATED for name in names])
     searched = np.isin(table.template[used], list(_SEARCHED)).astype(float)[:, None]
-    design = np.concatenate([x[:, :10], x[:, 10:13] * searched, rated * x[:, 13:14], own, np.ones((len(x), 1))], axis=1)
+    n_common = n - 1
+    common = np.where([name in _OF_SEARCH for name in INPUTS[:-1]], searched, 1.0) * x[:, :-1]
+    design = np.concatenate([common, rated * x[:, -1:], own, np.ones((len(x), 1))], axis=1)
     size = design.shape[1]
     ridge = np.full(size, _RIDGE)
-    ridge[13 : 13 + k] = _RIDGE_OWN
+    ridge[n_common : n_common + k] = _RIDGE_OWN
     ridge[-1] = 1e-3
-    bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:13]]
+    bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:-1]]
     bounds += [(0.0, None)] * k + [(None, None)] * (k + 1)
 
     def loss(w: Float[np.ndarray, "W"]) -> tuple[float, Float[np.ndarray, "W"]]:
@@ -226,10 +229,12 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
     weights = {}
     for i, name in enumerate(names):
         row = np.zeros(n + 1)
-        row[0] = w[13 + k + i] + w[-1]
-        row[1:11] = w[:10]
-        row[11:14] = w[10:13] if name in _SEARCHED else 0.0
-        row[14] = w[13 + i]
+        row[0] = w[n_common + k + i] + w[-1]
+        row[1:n] = [
+            0.0 if key in _OF_SEARCH and name not in _SEARCHED else value
+            for key, value in zip(INPUTS[:-1], w[:n_common], strict=True)
+        ]
+        row[n] = w[n_common + i]
         weights[name] = row
     return names, weights
 

@@ -21,6 +21,7 @@ from costs.stopping import Stopped, poll
 from perception.detect.beam.detector import detect_beam
 from perception.detect.door.detector import detect_door
 from perception.detect.drill.detector import detect_drill
+from perception.detect.engine.verdict import rate
 from perception.detect.hose.detector import detect_hose
 from perception.detect.lever import detect_lever
 from perception.detect.panel.detector import detect_panel
@@ -140,8 +141,7 @@ def detect_each(
         poll()
         try:
             wide = wide or widen(view)
-            if detector.needs_faces or detector.needs_index:
-                index = index or sight_index(wide.cloud)
+            index = index or sight_index(wide.cloud)
             if detector.needs_faces:
                 faces = faces or FacesInSight.of(wide, hint, index)
                 hits = detector.find(wide, hint, faces)
@@ -156,6 +156,7 @@ def detect_each(
                 raise
             on_failure(kind, error)
             continue
+        hits = [rate(hit, index, is_hinted=hint is not None) for hit in hits]
         hits = sorted(settle_overlaps(hits), key=lambda hit: -hit.confidence)
         yield kind, [hit for hit in hits if _is_in_reach(hit, view)]
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from costs.stopping import poll
-from perception.detect.engine.primitives import Primitive, nearest
+from perception.detect.engine.primitives import Primitive, nearest, nearest_part
 from perception.detect.engine.region import Region
 from perception.detect.engine.template import Template
 
@@ -187,7 +187,7 @@ def _normal_equations(
     sigma = float(np.hypot(region.sigma, template.model_sigma))
     solids = template.solids(fits.sizes)
     ends = fits.local(region.ends)
-    at_end = nearest(solids, ends)
+    at_end, end_part = nearest_part(solids, ends)
     through, depth = deepest(template, fits, solids, region, sigma)
     kernel = max(gate, 2.0 * sigma)
     near = np.abs(at_end) < 3.0 * kernel
@@ -198,7 +198,8 @@ def _normal_equations(
     at = np.concatenate([ends, through], axis=1)
     residual = np.concatenate([at_end, inside], axis=1)
     weight = np.concatenate([weight_end, weight_in], axis=1) / (sigma**2 * _CORRELATED)
-    jacobian = _jacobian(template, fits, solids, at, with_sizes=with_sizes)
+    part = np.concatenate([end_part, nearest_part(solids, through)[1]], axis=1)
+    jacobian = _jacobian(template, fits, solids, at, part, weight > 0.0, with_sizes=with_sizes)
     weighted = jacobian * weight[..., None]
     information = weighted.transpose(0, 2, 1) @ jacobian
     gradient = (weighted.transpose(0, 2, 1) @ residual[..., None])[..., 0]
@@ -214,23 +215,34 @@ def _jacobian(
     fits: Hypotheses,
     solids: Sequence[Primitive],
     at: Float[np.ndarray, "B M 3"],
+    part: Int[np.ndarray, "B M"],
+    counts: Bool[np.ndarray, "B M"],
     *,
     with_sizes: bool = True,
 ) -> Float[np.ndarray, "B M D"]:
-    """Return the derivatives of the distance at places by turn, shift (both of the world) and sizes."""
-    base = nearest(solids, at)
-    gradient = np.stack([(nearest(solids, at + _STEP * axis) - base) / _STEP for axis in np.eye(3)], axis=-1)
-    towards = gradient @ fits.rotation.transpose(0, 2, 1)
-    arm = at @ fits.rotation.transpose(0, 2, 1)
-    turn = -np.cross(arm, towards)
-    by_size = []
-    for i in range(len(template.sizes) if with_sizes else 0):
-        sizes = fits.sizes.copy()
-        sizes[:, i] += _STEP
-        by_size.append((nearest(template.solids(sizes), at) - base) / _STEP)
-    if not with_sizes:
-        by_size = [np.zeros(base.shape)] * len(template.sizes)
-    return np.concatenate([turn, -towards, *(one[..., None] for one in by_size)], axis=-1)
+    """Return the derivatives of the distance at places by turn, shift (both of the world) and sizes.
+
+    Args:
+        part: nearest part of each place, whose distance is derived.
+        counts: places whose derivatives are needed; those of others are zero.
+    """
+    n_sizes = len(template.sizes) if with_sizes else 0
+    jacobian = np.zeros((*at.shape[:2], 6 + len(template.sizes)))
+    larger = [template.solids(fits.sizes + _STEP * step) for step in np.eye(len(template.sizes))[:n_sizes]]
+    for k, solid in enumerate(solids):
+        rows, cells = np.nonzero(counts & (part == k))
+        if not len(rows):
+            continue
+        places, mine = at[rows, cells][:, None], solid.take(rows)
+        base = mine.distance(places)[:, 0]
+        local = np.stack([(mine.distance(places + _STEP * axis)[:, 0] - base) / _STEP for axis in np.eye(3)], axis=-1)
+        to_world = fits.rotation[rows]
+        towards = np.einsum("kij,kj->ki", to_world, local)
+        arm = np.einsum("kij,kj->ki", to_world, places[:, 0])
+        jacobian[rows, cells, :3], jacobian[rows, cells, 3:6] = -np.cross(arm, towards), -towards
+        for i, bigger in enumerate(larger):
+            jacobian[rows, cells, 6 + i] = (bigger[k].take(rows).distance(places)[:, 0] - base) / _STEP
+    return jacobian
 
 
 def _add_priors(

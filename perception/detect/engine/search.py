@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from costs.stopping import poll
 from perception.detect.engine.refine import Hypotheses, join, rate_roughly, refine
 from perception.detect.engine.region import Mounting, Region, gather
-from perception.detect.engine.rivals import flat_shares
+from perception.detect.engine.rivals import flat_shares, lead_over_rivals
 from perception.detect.engine.score import FEATURES, Evidence, weigh
 from perception.detect.engine.template import Template
 from perception.sightlines import SightIndex
@@ -164,6 +164,7 @@ def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -
                 (
                     *flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma))),
                     margin(template, refined.hypotheses, region),
+                    lead_over_rivals(template, refined.hypotheses, region),
                 ),
             ),
             float(evidence.gain[0]),

@@ -122,4 +122,7 @@ class Template:
 
 def columns(*values: Float[np.ndarray, "B"] | float) -> Float[np.ndarray, "B 3"]:
     """Return coordinates as rows; a number counts for all rows."""
-    return np.asarray(np.stack(np.broadcast_arrays(*values), axis=-1), dtype=float)
+    rows = np.empty((max(np.size(value) for value in values), len(values)))
+    for i, value in enumerate(values):
+        rows[:, i] = value
+    return rows

@@ -35,19 +35,22 @@ INPUTS = (
     "flat_share",
     "flats_share",
     "margin",
+    "lead",
     "rating",
 )
 """Names of the inputs of the logistic curve, in order."""
 PREFIX = "ray_"
 """Prefix of the features among a detection's residuals."""
 _ODDS_OF_A_CLICK = 1.0  # by which a hint raises the logarithm of the odds: a person saw the object there
-_MOST_RATING = 3.0
+_MOST_RATING, _MOST_LEAD = 3.0, 1.5
 _UNSEEN = 0.05  # confidence of a hit that few rays pass
 
 
 def rate(hit: Detection, index: SightIndex, *, is_hinted: bool) -> Detection:
     """Return a hit with its calibrated confidence and its features among the residuals."""
-    found = judge(template_of(hit), hit, index)
+    found = _features_of(hit)
+    if found is None:
+        found = judge(template_of(hit), hit, index)
     if found is None:
         confidence, shown = min(_UNSEEN, hit.confidence), {}
     else:
@@ -69,7 +72,7 @@ def confidence_of(name: str, features: Float[np.ndarray, "F"], rating: float, *,
     weights = _read_weights().get(name)
     if weights is None:
         return rating
-    score = weights["bias"] + sum(weights[key] * value for key, value in inputs_of(features, rating).items())
+    score = weights["bias"] + sum(weights.get(key, 0.0) * value for key, value in inputs_of(features, rating).items())
     return float(1.0 / (1.0 + np.exp(-(score + (_ODDS_OF_A_CLICK if is_hinted else 0.0)))))
 
 
@@ -91,8 +94,16 @@ def inputs_of(features: Float[np.ndarray, "F"], rating: float) -> dict[str, floa
         "flat_share": by_name["flat_share"],
         "flats_share": by_name["flats_share"],
         "margin": by_name["margin"],
+        "lead": float(np.clip(by_name["lead"], -_MOST_LEAD, _MOST_LEAD)),
         "rating": float(np.clip(np.log(odds / (1.0 - odds)), -_MOST_RATING, _MOST_RATING)),
     }
+
+
+def _features_of(hit: Detection) -> Float[np.ndarray, "F"] | None:
+    """Return the features that a hit of the engine's own search carries; None for others."""
+    if PREFIX + FEATURES[0] not in hit.residuals:
+        return None
+    return np.array([hit.residuals[PREFIX + name] for name in FEATURES])
 
 
 @cache

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from perception import Cloud, detect, make_view
-from perception.detect.engine.primitives import Box, Capsule, Cylinder, Torus
+from perception.detect.engine.primitives import Box, Capsule, Cylinder, Torus, nearest_part
 from perception.detect.engine.refine import Hypotheses, _jacobian, refine
 from perception.detect.engine.region import Mounting, gather
 from perception.detect.engine.score import FEATURES, weigh
@@ -106,7 +106,9 @@ def test_derivatives_by_pose_and_sizes_agree_with_central_differences() -> None:
     fits = Hypotheses.of(rotation, place, sizes, np.array([0.0, 0.0, 1.0]))
     world = place + rng.uniform(-0.15, 0.15, (40, 3))
     at = fits.local(world)
-    jacobian = _jacobian(DRILL, fits, DRILL.solids(sizes), at)[0]
+    solids = DRILL.solids(sizes)
+    part = nearest_part(solids, at)[1]
+    jacobian = _jacobian(DRILL, fits, solids, at, part, np.ones(part.shape, dtype=bool))[0]
 
     def distance(step: np.ndarray) -> np.ndarray:
         turned = Rotation.from_rotvec(step[None, :3]).as_matrix() @ rotation

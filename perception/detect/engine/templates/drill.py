@@ -11,6 +11,7 @@ from perception.detect.engine.template import Looseness, Part, Size, Template, c
 Sizes = dict[str, Float[np.ndarray, "B"]]
 _CATALOGUE = "catalogue pictures of 12 and 18 V drills: 170 to 260 mm high, 150 to 240 mm long, body 50 to 68 mm wide"
 SOLE = 0.05  # height of the battery [m]
+LYING = 0.035  # height of the body's axis over a support that it lies on [m]
 
 
 def _build(s: Sizes) -> tuple[Part, ...]:
@@ -63,3 +64,13 @@ DRILL = Template(
     middle=lambda s: columns(0.02, 0.0, 0.5 * (SOLE + s["grip"] + 2.0 * s["body_radius"])),
     model_sigma=0.005,
 )
+
+
+def lie(side: float) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation of a drill that lies on its left (1) or right (-1) side, its chuck along x."""
+    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -side], [0.0, side, 0.0]])
+
+
+# A short and a long grip: rough scores need the height of the body within about 2 cm.
+START_SIZES = np.stack([DRILL.usual, DRILL.usual])
+START_SIZES[:, 0] = 0.09, 0.125
