@@ -30,9 +30,10 @@ from benchmarks.clouds.errors import errors, is_lookalike, is_right, matched
 from benchmarks.clouds.others import other_cases
 from benchmarks.tables import print_table
 from perception import KINDS, Cloud, Reach, detect_each, make_view, read_cloud
+from perception.detect.engine.hits import PREFIX
 from perception.detect.engine.kinds import name_of
 from perception.detect.engine.score import FEATURES
-from perception.detect.engine.verdict import INPUTS, PREFIX, inputs_of, rate
+from perception.detect.engine.verdict import INPUTS, inputs_of, rate
 from perception.sightlines import sight_index
 from perception.simulate.scenes import Truth
 from perception.view import widen

@@ -6,17 +6,15 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.drill.standing import cluster_sites
-from perception.detect.engine.score import FEATURES
-from perception.detect.engine.search import Fit, search
+from perception.detect.engine.hits import as_detection
+from perception.detect.engine.search import search
 from perception.detect.engine.supports import standing_sites
-from perception.detect.engine.templates.drill import DRILL, LYING, SOLE, START_SIZES, lie
+from perception.detect.engine.templates.drill import DRILL
 from perception.detect.shared.detection import Detection
 from perception.sightlines import SightIndex, sight_index
 from perception.view import View
 
-_N_YAWS = 16
 _TALL = (0.045, 0.3)  # height over the support in which a drill has points [m]
-_MOST_POINTS = 200
 
 
 def detect_drill(
@@ -33,23 +31,8 @@ def detect_drill(
     if not len(view.obstacles):
         return []
     index = index or sight_index(view.cloud)
-    postures, lifts = np.stack([np.eye(3), lie(1.0), lie(-1.0)]), np.array([0.0, LYING, LYING])
-    sites = standing_sites(view, DRILL, postures, lifts, _N_YAWS, _TALL, hint, START_SIZES)
+    starts = DRILL.starts
+    assert starts is not None
+    sites = standing_sites(view, DRILL, starts.postures, starts.lifts, starts.n_turns, _TALL, hint, starts.sizes)
     sites += cluster_sites(view, hint, index)
-    return [_as_detection(fit) for fit in search(DRILL, sites, index)]
-
-
-def _as_detection(fit: Fit) -> Detection:
-    """Return a fitted drill as a detection; its confidence is set by ``perception.detect.engine.verdict``."""
-    one = fit.hypotheses
-    sizes = DRILL.named(one.sizes)
-    grip = float(sizes["grip"][0])
-    pose = np.eye(4)
-    pose[:3, :3] = one.rotation[0]
-    pose[:3, 3] = one.place[0] + (SOLE + 0.5 * grip) * one.rotation[0][:, 2]
-    residuals = {f"ray_{name}": float(value) for name, value in zip(FEATURES, fit.features, strict=True)}
-    residuals |= fit.spreads
-    points = fit.points[:: max(1, len(fit.points) // _MOST_POINTS)]
-    return Detection(
-        "drill", pose, {"grip_length": grip, "body_length": float(sizes["body"][0])}, 0.5, residuals, points
-    )
+    return [as_detection(fit) for fit in search(DRILL, sites, index)]

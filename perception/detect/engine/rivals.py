@@ -15,8 +15,8 @@ from perception.detect.engine.region import Region
 from perception.detect.engine.score import Evidence, weigh
 from perception.detect.engine.template import Looseness, Part, Size, Template, columns
 
-_RAYS = 300
-_GATES = (0.025, 0.018, 0.012, 0.01)  # of the refinement of a rival [m]
+_RAYS = 200
+_GATES = (0.025, 0.015, 0.01)  # of the refinement of a rival [m]
 _THIN = 0.008  # least half extent of a rival to begin with [m]
 _LEAST, _MOST, _SPREAD = 0.004, 1.5, 1.0  # limits and spread of a rival's half extents, which have no usual value [m]
 _FEWEST_RAYS = 8

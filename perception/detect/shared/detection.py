@@ -49,6 +49,7 @@ class Detection:
         residuals: quality of the model's fit, by name: lengths [m], except names that end in ``_rad``,
             ``_share`` (0 to 1), ``_ratio`` or ``_score`` and names that begin with ``n_`` (counts).
         points: (K, 3) sample of the points that the detection is based on [m].
+        doubts: what speaks against it, in sentences, most weighty first.
         model: of an object that ``perceive`` removes from the pieces; None for all others.
     """
 
@@ -59,3 +60,4 @@ class Detection:
     residuals: Mapping[str, float]
     points: Float[np.ndarray, "K 3"]
     model: Model | None = None
+    doubts: tuple[str, ...] = ()

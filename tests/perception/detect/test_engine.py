@@ -12,6 +12,7 @@ from perception import Cloud, detect, make_view
 from perception.detect.engine.primitives import Box, Capsule, Cylinder, Torus, nearest_part
 from perception.detect.engine.refine import Hypotheses, _jacobian, refine
 from perception.detect.engine.region import Mounting, gather
+from perception.detect.engine.rivals import lead_over_rivals
 from perception.detect.engine.score import FEATURES, weigh
 from perception.detect.engine.search import Site, search
 from perception.detect.engine.template import Looseness, Part, Size, Template, columns
@@ -205,3 +206,19 @@ def test_a_light_switch_is_fitted_by_a_template_of_a_few_lines() -> None:
     fit = search(SWITCH, [Site(np.array([1.0, 0.0, 1.1]), wall, begun)], index)[0]
     assert fit.hypotheses.place[0] == pytest.approx([1.0, 0.0, 1.1], abs=0.005)
     assert fit.hypotheses.sizes[0] == pytest.approx([0.1, 0.1], abs=0.01)
+
+
+def test_a_box_is_explained_better_by_a_box_than_by_a_drill() -> None:
+    room = [box((-5.0, -5.0, -0.1), (5.0, 5.0, 0.0)), box((0.5, -0.6, TOP - 0.03), (1.2, 0.6, TOP))]
+    index = sight_index(scan([*room, box((0.72, 0.07, TOP), (0.9, 0.13, TOP + 0.22))], SENSOR, SCANNER, 0))
+    drill_index = sight_index(scan_of_drill())
+    leads = []
+    for rays, yaw in ((index, 0.0), (drill_index, 70.0)):
+        rotation = Rotation.from_euler("z", [yaw], degrees=True).as_matrix()
+        begun = Hypotheses.of(rotation, rows(0.8, 0.1, TOP), DRILL.usual[None], np.array([0.0, 0.0, 1.0]))
+        region = gather(
+            rays, np.array([0.8, 0.1, TOP + 0.1]), 0.22, Mounting(np.eye(3), rows(0.8, 0.1, TOP)[0], 0.004), 600
+        )
+        fit = refine(DRILL, begun, region, (0.02, 0.015, 0.01, 0.01)).hypotheses
+        leads.append(lead_over_rivals(DRILL, fit, region))
+    assert leads[0] < -0.5 < 0.0 < leads[1]
