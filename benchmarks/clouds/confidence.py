@@ -33,7 +33,7 @@ from perception import KINDS, Cloud, Reach, detect_each, make_view, read_cloud
 from perception.detect.engine.hits import PREFIX
 from perception.detect.engine.kinds import CLICKED, name_of
 from perception.detect.engine.score import FEATURES
-from perception.detect.engine.verdict import INPUTS, inputs_of, rate
+from perception.detect.engine.verdict import INPUTS, heed, inputs_of, rate
 from perception.sightlines import sight_index
 from perception.simulate.scenes import Truth
 from perception.view import widen
@@ -43,8 +43,10 @@ _VARIANTS = ("dense/solid/camera", "sparse/solid_sparse")
 # Signs that a weight may have, so that few examples cannot turn evidence for an object into evidence against it.
 _SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1, 1), strict=True))
 # Rows of the engine's own search: these alone are compared with rivals and with the other direction, since their
-# templates have all that is about the object; the others have the rating of their detector.
+# templates have all that is about the object.
 _SEARCHED = frozenset(chain.from_iterable(CLICKED.values()))
+# Templates whose shape says little (a leaf is a flat face) have their detector's rating as an input.
+_RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam", "lever"})
 _OF_SEARCH = frozenset({"flat_share", "flats_share", "margin", "lead"})
 _RIDGE, _RIDGE_OWN = 0.1, 0.1
 _FOLDS = 5
@@ -218,7 +220,7 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
     x, y = table.inputs[used], table.right[used].astype(float)
     of = np.array([names.index(name) for name in table.template[used]])
     own = np.eye(k)[of]
-    rated = own * np.array([name not in _SEARCHED for name in names])
+    rated = own * np.array([name in _RATED for name in names])
     n_common = n - 1
     applies = np.array([[_applies(key, name) for key in INPUTS[:-1]] for name in names])
     common = applies[of] * x[:, :-1]
@@ -266,7 +268,15 @@ def predict(table: Table, weights: dict[str, Float[np.ndarray, "I1"]]) -> Float[
     # A template without a row keeps its rating, which enters as the logarithm of the odds.
     as_rated = np.append(np.zeros(len(INPUTS)), 1.0)
     rows = np.array([weights.get(name, as_rated) for name in table.template])
-    return np.asarray(1.0 / (1.0 + np.exp(-(rows[:, 0] + (rows[:, 1:] * table.inputs).sum(axis=1)))))
+    fitted = 1.0 / (1.0 + np.exp(-(rows[:, 0] + (rows[:, 1:] * table.inputs).sum(axis=1))))
+    rating = 1.0 / (1.0 + np.exp(-table.inputs[:, -1]))
+    own = np.isin(table.template, list(_SEARCHED))
+    return np.array(
+        [
+            value if is_own else heed(float(value), float(rated))
+            for value, rated, is_own in zip(fitted, rating, own, strict=True)
+        ]
+    )
 
 
 def print_calibration(table: Table, held: Float[np.ndarray, "N"]) -> None:

@@ -43,6 +43,7 @@ from perception.view import View, widen
 ENTRY_POINTS = "scopt_detectors"
 _MOSTLY = 0.5
 _MOST_AT_CLICK = 4
+_ALSO = {"valve": ("wheel",)}  # detectors that find part of a kind about a click within a second
 
 
 def _find_added() -> Iterator[tuple[str, Detector]]:
@@ -191,6 +192,9 @@ def detect_at(
             around = around or Surroundings.of(view.near.points, np.median(view.near.starts, axis=0), click)
             for name, template in CLICKED[kind].items():
                 hits += [rate_fit(name, fit) for fit in fit_at(template, around, index)]
+            for other in _ALSO.get(kind, ()):
+                for _, more in detect_each((other,), view, click, on_failure=on_failure):
+                    hits += more
         is_sure = any(hit.confidence >= CONFIDENT for hit in hits)
         if kind not in CLICKED or (len(kinds) == 1 and not is_sure):
             for _, more in detect_each((kind,), view, click, on_kind, on_failure):

@@ -30,11 +30,9 @@ _TEMPLATES = {
 KINDS = frozenset(template.kind for template in _TEMPLATES.values())
 """Kinds with a template."""
 CLICKED: Mapping[str, Mapping[str, Template]] = {
-    "beam": {"beam at a click": BEAM},
     "drill": {"drill": DRILL},
-    "hose": {"hose at a click": HOSE},
     "lever": {"lever at a click": LEVER},
-    "valve": {"wheel at a click": WHEEL, "lever valve at a click": LEVER_ON_PIPE},
+    "valve": {"lever valve at a click": LEVER_ON_PIPE},
 }
 """Templates that are fitted about a click, by kind and by the name of their row of weights."""
 

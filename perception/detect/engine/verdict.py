@@ -21,7 +21,7 @@ from perception.detect.engine.judge import judge
 from perception.detect.engine.kinds import KINDS, name_of, template_of
 from perception.detect.engine.score import FEATURES
 from perception.detect.engine.search import Fit
-from perception.detect.shared.detection import Detection
+from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.sightlines import SightIndex
 
 INPUTS = (
@@ -51,14 +51,15 @@ def rate(hit: Detection, index: SightIndex, *, is_hinted: bool) -> Detection:
     """Return a detector's hit with its calibrated confidence, its doubts, and its features among the residuals."""
     if hit.kind not in KINDS:
         return hit
-    found = _features_of(hit)
-    if found is None:
-        found = judge(template_of(hit), hit, index)
+    searched = _features_of(hit)
+    found = judge(template_of(hit), hit, index) if searched is None else searched
     if found is None:
         confidence, shown, doubts = min(_UNSEEN, hit.confidence), {}, ("few rays pass it",)
     else:
         name = name_of(hit)
         confidence = confidence_of(name, found, hit.confidence, is_hinted=is_hinted)
+        if searched is None:
+            confidence = heed(confidence, hit.confidence)
         shown = {PREFIX + name: float(value) for name, value in zip(FEATURES, found, strict=True)}
         doubts = doubts_of(name, found, hit.confidence)
     model: Any = hit.model
@@ -68,13 +69,22 @@ def rate(hit: Detection, index: SightIndex, *, is_hinted: bool) -> Detection:
     return replace(hit, confidence=confidence, residuals=residuals, model=model, doubts=doubts)
 
 
+def heed(confidence: float, rating: float) -> float:
+    """Return a confidence that does not exceed a low rating of the detector.
+
+    The detector knows what the rays about a hit do not show: a wheel before a seat steers, a bar of a frame goes on.
+    """
+    return confidence if rating >= CONFIDENT else min(confidence, rating)
+
+
 def rate_fit(name: str, fit: Fit) -> Detection:
     """Return a fit about a click as a detection with its calibrated confidence and its doubts.
 
     Args:
         name: of its row of weights.
     """
-    confidence = confidence_of(name, fit.features, UNRATED, is_hinted=True)
+    # Clicks at random points are among the examples of these rows: a click says no more than the curve knows.
+    confidence = confidence_of(name, fit.features, UNRATED, is_hinted=False)
     return replace(as_detection(fit), confidence=confidence, doubts=doubts_of(name, fit.features, UNRATED))
 
 

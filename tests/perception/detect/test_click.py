@@ -9,10 +9,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from perception import CONFIDENT, Detection, View, detect_at, make_view
+from perception.detect.engine.click import fit_at
 from perception.detect.engine.doubts import list_doubts
 from perception.detect.engine.primitives import Box, Capsule, Cylinder, Primitive, Torus, nearest, nearest_part
 from perception.detect.engine.surroundings import Surroundings
-from perception.simulate import Mesh, Pose, Scanner, box, scan
+from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
+from perception.sightlines import sight_index
+from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.scenes.loose import Drill
 
 TOP = 0.8
@@ -101,3 +104,36 @@ def test_what_weighs_most_against_a_hit_is_named_first() -> None:
         "a box, a cylinder or a solid block explains the rays as well",
     )
     assert list_doubts(weights, usual, usual, {"explained_share": 0.95}) == ()
+
+
+def _nothing(s: dict[str, np.ndarray]) -> np.ndarray:
+    return 0.0 * s["radius"]
+
+
+EXTINGUISHER = Template(
+    kind="extinguisher",
+    sizes=(
+        Size("radius", 0.05, 0.1, 0.075, 0.012, "EN 3: 110 to 190 mm across"),
+        Size("height", 0.25, 0.6, 0.45, 0.08, "EN 3: 300 to 620 mm high"),
+    ),
+    build=lambda s: (
+        Part("body", Cylinder(columns(_nothing(s), 0.0, 0.0), columns(_nothing(s), 0.0, s["height"]), s["radius"])),
+    ),
+    hollows=lambda s: (),
+    mount="support",
+    looseness=Looseness(tilt=0.03, height=0.008),
+    reach=0.1,
+    extent="height",
+    middle=lambda s: columns(_nothing(s), 0.0, 0.5 * s["height"]),
+    model_sigma=0.003,
+    starts=Starts(sizes=np.array([[0.075, 0.45]]), over=(0.03, 0.8), lifts=np.zeros(1), n_turns=1),
+)
+
+
+def test_a_kind_of_one_template_is_found_by_a_click() -> None:
+    floor, body = box((-3.0, -3.0, -0.1), (3.0, 3.0, 0.0)), cylinder((1.0, 0.2, 0.0), (1.0, 0.2, 0.4), 0.065, 48)
+    cloud = scan([floor, body], Pose((0.0, 0.0, 1.3), pitch=0.8), SCANNER, 0)
+    around = Surroundings.of(cloud.points, cloud.origin, np.array([0.95, 0.25, 0.3]))
+    fit = fit_at(EXTINGUISHER, around, sight_index(cloud))[0]
+    assert fit.hypotheses.place[0, :2] == pytest.approx([1.0, 0.2], abs=0.01)
+    assert fit.hypotheses.sizes[0] == pytest.approx([0.065, 0.4], abs=0.02)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from perception.detect.engine.primitives import Box
-from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
+from perception.detect.engine.template import Looseness, Part, Size, Template, columns
 
 _TIMBER = "dressed timber, EN 1313-1 and PS 20: 19 to 140 mm thick, 38 to 290 mm wide"
 
@@ -30,5 +28,4 @@ BEAM = Template(
     reach=1.6,
     middle=lambda s: columns(0.0 * s["width"], 0.0, 0.0),
     model_sigma=0.003,
-    starts=Starts(sizes=np.array([[0.5, 0.09, 0.04]]), n_turns=40, spread=0, n_spins=2, near=0.1, is_slender=True),
 )

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from perception.detect.engine.primitives import Box, Cylinder
-from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
+from perception.detect.engine.template import Looseness, Part, Size, Template, columns
 
 _HOSES = "hose couplings of 25 to 110 mm (Storz D to A, NST 1.5 to 4 inch)"
 
@@ -23,5 +21,4 @@ HOSE = Template(
     reach=0.16,
     middle=lambda s: columns(0.0 * s["radius"], 0.0, -0.06),
     model_sigma=0.004,
-    starts=Starts(sizes=np.array([[0.025], [0.045]]), n_turns=40, spread=2, near=0.07),
 )

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.engine.primitives import Torus
-from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
+from perception.detect.engine.template import Looseness, Part, Size, Template, columns
 
 Sizes = dict[str, Float[np.ndarray, "B"]]
 _HANDWHEELS = "EN 12570 and makers' lists of handwheels: 80 to 600 mm across, rims 10 to 40 mm thick"
@@ -24,6 +24,4 @@ WHEEL = Template(
     reach=0.35,
     middle=lambda s: columns(0.0 * s["rim_radius"], 0.0, 0.0),
     model_sigma=0.003,
-    starts=Starts(sizes=np.array([[r, 0.011] for r in (0.08, 0.13, 0.2)]), n_turns=40, spread=2, near=0.15),
-    show=lambda s: {**s, "outer_radius": s["rim_radius"] + s["tube_radius"]},
 )
