@@ -29,7 +29,7 @@ from benchmarks.clouds.cases import Case, simulated_cases
 from benchmarks.clouds.errors import errors, is_lookalike, is_right, matched
 from benchmarks.clouds.others import other_cases
 from benchmarks.tables import print_table
-from perception import KINDS, Cloud, Reach, detect_each, make_view, read_cloud
+from perception import CONFIDENT, KINDS, Cloud, Reach, detect_each, make_view, read_cloud
 from perception.detect.engine.hits import PREFIX
 from perception.detect.engine.kinds import CLICKED, name_of
 from perception.detect.engine.score import FEATURES
@@ -77,10 +77,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, nargs="*", default=(100, 101))
     parser.add_argument("--real", type=Path, help="folder of recorded clouds with their truth")
     parser.add_argument("--only", default="")
+    parser.add_argument("--dry", action="store_true", help="print the tables of a fit and write no weights")
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     chosen = parser.parse_args(arguments)
     if chosen.what == "fit":
-        _fit_all(_read(chosen.table))
+        _fit_all(_read(chosen.table), is_kept=not chosen.dry)
         return
     for case, source, kinds in chain(list_simulated(chosen.seeds), list_recorded(chosen.real) if chosen.real else ()):
         if chosen.only in case.name:
@@ -185,7 +186,7 @@ def _read(path: Path) -> Table:
     )
 
 
-def _fit_all(table: Table) -> None:
+def _fit_all(table: Table, *, is_kept: bool) -> None:
     """Fit on all sources and write the weights; print what fits without each fold say about that fold."""
     fold = np.array([zlib.crc32(source.encode()) % _FOLDS for source in table.source])
     held = np.zeros(len(fold))
@@ -193,6 +194,8 @@ def _fit_all(table: Table) -> None:
         _, weights = fit(table, fold != k)
         held[fold == k] = predict(table, weights)[fold == k]
     print_calibration(table, held)
+    if not is_kept:
+        return
     names, weights = fit(table, np.ones(len(fold), dtype=bool))
     _write("weights.csv", ["bias", *INPUTS], weights)
     usual = {name: table.right & (table.template == name) for name in names}
@@ -289,21 +292,21 @@ def print_calibration(table: Table, held: Float[np.ndarray, "N"]) -> None:
             error += gap * mine.mean()
             rows.append((f"{low:.1f}", str(mine.sum()), f"{held[mine].mean():.2f}", f"{table.right[mine].mean():.2f}"))
     print_table(f"held out; expected error {error:.3f}", ("confidence from", "hits", "mean", "right"), rows)
+    is_simulated = np.array([source.rsplit("/")[-1].isdigit() or source.startswith("sim") for source in table.source])
     rows = []
     for name in np.unique(table.template):
-        mine = table.template == name
-        sure = mine & (held >= 0.5)
-        rows.append(
-            (
-                name,
-                str(mine.sum()),
-                str(table.right[mine].sum()),
-                str(sure.sum()),
-                str((sure & table.right).sum()),
-                str((mine & ~sure & table.right).sum()),
-            )
-        )
-    print_table("by template", ("template", "hits", "right", "confident", "right of these", "right but unsure"), rows)
+        row = [str(name)]
+        for these in (~is_simulated, is_simulated):
+            mine = these & (table.template == name)
+            sure = mine & (held >= CONFIDENT)
+            row += [str(mine.sum()), str(table.right[mine].sum()), str(sure.sum()), str((sure & table.right).sum())]
+        rows.append(row)
+    columns = [
+        f"{what}, {origin}"
+        for origin in ("recorded", "simulated")
+        for what in ("hits", "right", "sure", "sure and right")
+    ]
+    print_table("by template, each held out", ("template", *columns), rows)
 
 
 if __name__ == "__main__":
