@@ -153,7 +153,7 @@ def _gather(case: Case, source: str, kinds: Sequence[str], table: Path) -> None:
     index = sight_index(widen(view).cloud)
     lines = []
     for kind, found in detect_each(kinds, view, on_failure=lambda kind, error: print(case.name, kind, error)):
-        hits = [rate(hit, index, is_hinted=False) for hit in found]
+        hits = [rate(hit, index) for hit in found]
         outcome = matched(kind, hits, case.truth, case.lookalikes)
         of_hit = {id(hit): truth for truth, hit in outcome.pairs if hit is not None}
         for hit in hits:

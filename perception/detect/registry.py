@@ -161,7 +161,7 @@ def detect_each(
                 raise
             on_failure(kind, error)
             continue
-        hits = [rate(hit, index, is_hinted=hint is not None) for hit in hits]
+        hits = [rate(hit, index) for hit in hits]
         hits = sorted(settle_overlaps(hits), key=lambda hit: -hit.confidence)
         yield kind, [hit for hit in hits if _is_in_reach(hit, view)]
 

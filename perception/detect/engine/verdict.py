@@ -42,12 +42,11 @@ INPUTS = (
     "rating",
 )
 """Names of the inputs of the logistic curve, in order."""
-_ODDS_OF_A_CLICK = 1.0  # by which a hint raises the logarithm of the odds: a person saw the object there
 _MOST_RATING, _MOST_LEAD = 3.0, 1.5
 _UNSEEN = 0.05  # confidence of a hit that few rays pass
 
 
-def rate(hit: Detection, index: SightIndex, *, is_hinted: bool) -> Detection:
+def rate(hit: Detection, index: SightIndex) -> Detection:
     """Return a detector's hit with its calibrated confidence, its doubts, and its features among the residuals."""
     if hit.kind not in KINDS:
         return hit
@@ -57,7 +56,7 @@ def rate(hit: Detection, index: SightIndex, *, is_hinted: bool) -> Detection:
         confidence, shown, doubts = min(_UNSEEN, hit.confidence), {}, ("few rays pass it",)
     else:
         name = name_of(hit)
-        confidence = confidence_of(name, found, hit.confidence, is_hinted=is_hinted)
+        confidence = confidence_of(name, found, hit.confidence)
         if searched is None:
             confidence = heed(confidence, hit.confidence)
         shown = {PREFIX + name: float(value) for name, value in zip(FEATURES, found, strict=True)}
@@ -83,12 +82,11 @@ def rate_fit(name: str, fit: Fit) -> Detection:
     Args:
         name: of its row of weights.
     """
-    # Clicks at random points are among the examples of these rows: a click says no more than the curve knows.
-    confidence = confidence_of(name, fit.features, UNRATED, is_hinted=False)
+    confidence = confidence_of(name, fit.features, UNRATED)
     return replace(as_detection(fit), confidence=confidence, doubts=doubts_of(name, fit.features, UNRATED))
 
 
-def confidence_of(name: str, features: Float[np.ndarray, "F"], rating: float, *, is_hinted: bool) -> float:
+def confidence_of(name: str, features: Float[np.ndarray, "F"], rating: float) -> float:
     """Return the confidence that a template's features stand for, 0 to 1.
 
     Args:
@@ -98,7 +96,7 @@ def confidence_of(name: str, features: Float[np.ndarray, "F"], rating: float, *,
     if weights is None:
         return rating
     score = weights["bias"] + sum(weights[key] * value for key, value in inputs_of(features, rating).items())
-    return float(1.0 / (1.0 + np.exp(-(score + (_ODDS_OF_A_CLICK if is_hinted else 0.0)))))
+    return float(1.0 / (1.0 + np.exp(-score)))
 
 
 def doubts_of(name: str, features: Float[np.ndarray, "F"], rating: float) -> tuple[str, ...]:

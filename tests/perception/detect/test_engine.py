@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from perception import Cloud, detect, make_view
+from perception import CONFIDENT, Cloud, detect, make_view
 from perception.detect.engine.primitives import Box, Capsule, Cylinder, Torus, nearest_part
 from perception.detect.engine.refine import Hypotheses, _jacobian, refine
 from perception.detect.engine.region import Mounting, gather
@@ -141,7 +141,7 @@ def test_a_rim_is_fitted_to_two_millimetres_from_two_centimetres_off() -> None:
 def rate_best(cloud: Cloud) -> Detection:
     """The best drill of a cloud, rated by the engine."""
     view = make_view(cloud)
-    return rate(detect("drill", view)[0], sight_index(widen(view).cloud), is_hinted=False)
+    return rate(detect("drill", view)[0], sight_index(widen(view).cloud))
 
 
 def test_last_digits_and_order_do_not_change_a_confidence() -> None:
@@ -162,9 +162,7 @@ def test_rays_that_pass_an_object_lower_its_confidence() -> None:
     passed[FEATURES.index("solid_share")] -= 0.5
     passed[FEATURES.index("past_share")] += 0.5
     passed[FEATURES.index("gain")] -= 2.0
-    assert confidence_of("drill", passed, 0.5, is_hinted=False) < 0.1 * confidence_of(
-        "drill", features, 0.5, is_hinted=False
-    )
+    assert confidence_of("drill", passed, 0.5) < CONFIDENT < confidence_of("drill", features, 0.5)
 
 
 def test_an_object_moved_aside_loses_its_evidence() -> None:
