@@ -52,6 +52,7 @@ def rate(hit: Detection, index: SightIndex) -> Detection:
         return hit
     searched = _features_of(hit)
     found = judge(template_of(hit), hit, index) if searched is None else searched
+    doubts: tuple[str, ...]
     if found is None:
         confidence, shown, doubts = min(_UNSEEN, hit.confidence), {}, ("few rays pass it",)
     else:

@@ -161,7 +161,9 @@ def test_rays_that_pass_an_object_lower_its_confidence() -> None:
     passed = features.copy()
     passed[FEATURES.index("solid_share")] -= 0.5
     passed[FEATURES.index("past_share")] += 0.5
-    passed[FEATURES.index("gain")] -= 2.0
+    # A ray that passes tells against the object and not against its rivals.
+    for name in ("gain", "lead"):
+        passed[FEATURES.index(name)] -= 2.0
     assert confidence_of("drill", passed, 0.5) < CONFIDENT < confidence_of("drill", features, 0.5)
 
 
