@@ -18,7 +18,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-tasks bench-starts bench-egress bench-physics bench-faults attack mutants gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-clouds bench-tasks bench-starts bench-egress bench-physics bench-faults attack mutants gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -31,6 +31,7 @@ help:
 	@echo "make client    the wheel of scopt-client, a client without the planner, in dist"
 	@echo "make bench     speed and memory, as a table"
 	@echo "make bench-service  the service under load and whatever is sent to it, as a table; half an hour"
+	@echo "make bench-clouds  detection on recorded and simulated clouds"
 	@echo "make bench-tasks    doors and valves, given and from simulated scans, certified or not, as tables; an hour"
 	@echo "make bench-starts   which starts of the search lead to motions, and what each costs, as tables; some minutes"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
@@ -102,6 +103,13 @@ bench: $(READY)
 
 bench-service: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.service
+
+# Confidences of scenes held out, what is found about clicks, numbers set by hand, reliability on fresh seeds.
+bench-clouds: $(READY)
+	$(BIN)/python -m benchmarks.clouds.confidence fit benchmarks/clouds/confidence.csv --dry
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.clouds.clicks $(BENCH_ARGS)
+	$(BIN)/python -m benchmarks.clouds.hand_set
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.clouds.reliability --seeds 7 --every 9 --picture out/reliability.svg
 
 # BENCH_ARGS="--count 4" takes a quick look, BENCH_ARGS=--long adds random stances.
 bench-tasks: $(READY)

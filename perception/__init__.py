@@ -18,7 +18,7 @@ from perception.cleaning.clean import Reach, inside_hulls, voxel_downsample
 from perception.cleaning.outliers import inliers
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
-from perception.detect import KINDS, detect, detect_each, detect_kinds
+from perception.detect import KINDS, detect, detect_at, detect_each, detect_kinds
 from perception.detect.door.bodies import door_bodies
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening, read_door
@@ -75,6 +75,7 @@ __all__ = [
     "choose_opening",
     "count_seen_parts",
     "detect",
+    "detect_at",
     "detect_each",
     "detect_kinds",
     "detect_valves",

@@ -2,7 +2,7 @@
 
 ``gather`` searches scans and appends one line per hit to a table: its scan, source, template, features, and whether it
 is right.  ``fit`` fits one logistic curve per template with common weights for what all kinds share, writes
-``perception/detect/engine/weights.csv``, and prints errors of scenes held out by source.
+``weights.csv`` and ``usual.csv`` of ``perception/detect/engine``, and prints errors of scenes held out by source.
 
 From the checkout's root: ``python -m benchmarks.clouds.confidence gather TABLE.csv [--seeds 100 101] [--real FOLDER]``
 and ``... fit TABLE.csv``.  A real folder has clouds with a JSON file of the truth beside each.
@@ -14,7 +14,7 @@ import argparse
 import csv
 import json
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -29,21 +29,25 @@ from benchmarks.clouds.cases import Case, simulated_cases
 from benchmarks.clouds.errors import errors, is_lookalike, is_right, matched
 from benchmarks.clouds.others import other_cases
 from benchmarks.tables import print_table
-from perception import KINDS, Cloud, Reach, detect_each, make_view, read_cloud
-from perception.detect.engine.kinds import name_of
+from perception import CONFIDENT, KINDS, Cloud, Reach, detect_each, make_view, read_cloud
+from perception.detect.engine.hits import PREFIX
+from perception.detect.engine.kinds import CLICKED, name_of
 from perception.detect.engine.score import FEATURES
-from perception.detect.engine.verdict import INPUTS, PREFIX, inputs_of, rate
+from perception.detect.engine.verdict import INPUTS, heed, inputs_of, rate
 from perception.sightlines import sight_index
 from perception.simulate.scenes import Truth
 from perception.view import widen
 
-_WEIGHTS = Path(__file__).parents[2] / "perception" / "detect" / "engine" / "weights.csv"
+_TABLES = Path(__file__).parents[2] / "perception" / "detect" / "engine"
 _VARIANTS = ("dense/solid/camera", "sparse/solid_sparse")
 # Signs that a weight may have, so that few examples cannot turn evidence for an object into evidence against it.
-_SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1), strict=True))
-# Templates whose shape says little (a leaf is a flat face) keep their detector's rating as an input.
-_RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam"})
-_SEARCHED = frozenset({"drill"})  # templates of the engine's own search, which are not flat and have a front
+_SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1, 1), strict=True))
+# Rows of the engine's own search: these alone are compared with rivals and with the other direction, since their
+# templates have all that is about the object.
+_SEARCHED = frozenset(chain.from_iterable(CLICKED.values()))
+# Templates whose shape says little (a leaf is a flat face) have their detector's rating as an input.
+_RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam", "lever"})
+_OF_SEARCH = frozenset({"flat_share", "flats_share", "margin", "lead"})
 _RIDGE, _RIDGE_OWN = 0.1, 0.1
 _FOLDS = 5
 _FEWEST = 4, 2  # right and wrong hits
@@ -73,39 +77,41 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, nargs="*", default=(100, 101))
     parser.add_argument("--real", type=Path, help="folder of recorded clouds with their truth")
     parser.add_argument("--only", default="")
+    parser.add_argument("--dry", action="store_true", help="print the tables of a fit and write no weights")
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
     chosen = parser.parse_args(arguments)
     if chosen.what == "fit":
-        _fit_all(_read(chosen.table))
+        _fit_all(_read(chosen.table), is_kept=not chosen.dry)
         return
-    for case, source, kinds in chain(_simulated(chosen.seeds), _recorded(chosen.real) if chosen.real else ()):
+    for case, source, kinds in chain(list_simulated(chosen.seeds), list_recorded(chosen.real) if chosen.real else ()):
         if chosen.only in case.name:
             _gather(case, source, [kind for kind in kinds if kind in chosen.kinds], chosen.table)
 
 
-def _simulated(seeds: Sequence[int]) -> Iterator[tuple[Case, str, Sequence[str]]]:
+def list_simulated(seeds: Sequence[int]) -> Iterator[tuple[Case, str, Sequence[str]]]:
+    """Yield simulated scans, each with its source and the kinds to search."""
     for seed in seeds:
         for case in (*simulated_cases(_VARIANTS, seed), *other_cases(_VARIANTS, seed)):
             shown = sorted({truth.kind for truth in case.truth})
             yield case, f"{case.name.split(':')[0]}/{seed}", shown or KINDS
 
 
-def _recorded(folder: Path) -> Iterator[tuple[Case, str, Sequence[str]]]:
-    """Yield recorded clouds, each also turned by a degree and lifted by 3 cm."""
+def list_recorded(folder: Path, moves: Sequence[int] = (0, 1, -1)) -> Iterator[tuple[Case, str, Sequence[str]]]:
+    """Yield recorded clouds, each turned by the moves in degrees and lifted by 3 cm per degree."""
     for path in sorted(folder.glob("*.json")):
         document = json.loads(path.read_text())
         truth = tuple(read_truth(document))
-        for degrees, lift in ((0.0, 0.0), (1.0, 0.03), (-1.0, -0.03)):
+        for degrees in moves:
             move = np.eye(4)
             move[:3, :3] = Rotation.from_euler("xy", [degrees, -degrees], degrees=True).as_matrix()
-            move[2, 3] = lift
+            move[2, 3] = 0.03 * degrees
             load = partial(_read_moved, path.with_suffix(".ply"), move)
             moved = tuple(replace(one, pose_world_object=move @ one.pose_world_object) for one in truth)
             reach = Reach(radius=float(document.get("reach") or 4.0), top=4.0)
             unknown = frozenset({"door lever": ("lever", "door")}.get(document["kind"], ())) | set(
                 document.get("excuse", ())
             )
-            case = Case(f"{path.stem}:{degrees:+.0f}", "dense", load, moved, reach=reach)
+            case = Case(f"{path.stem}:{degrees:+d}", "dense", load, moved, reach=reach)
             yield case, document["source"], [kind for kind in KINDS if kind not in unknown or truth]
 
 
@@ -147,7 +153,7 @@ def _gather(case: Case, source: str, kinds: Sequence[str], table: Path) -> None:
     index = sight_index(widen(view).cloud)
     lines = []
     for kind, found in detect_each(kinds, view, on_failure=lambda kind, error: print(case.name, kind, error)):
-        hits = [rate(hit, index, is_hinted=False) for hit in found]
+        hits = [rate(hit, index) for hit in found]
         outcome = matched(kind, hits, case.truth, case.lookalikes)
         of_hit = {id(hit): truth for truth, hit in outcome.pairs if hit is not None}
         for hit in hits:
@@ -180,7 +186,7 @@ def _read(path: Path) -> Table:
     )
 
 
-def _fit_all(table: Table) -> None:
+def _fit_all(table: Table, *, is_kept: bool) -> None:
     """Fit on all sources and write the weights; print what fits without each fold say about that fold."""
     fold = np.array([zlib.crc32(source.encode()) % _FOLDS for source in table.source])
     held = np.zeros(len(fold))
@@ -188,18 +194,29 @@ def _fit_all(table: Table) -> None:
         _, weights = fit(table, fold != k)
         held[fold == k] = predict(table, weights)[fold == k]
     print_calibration(table, held)
+    if not is_kept:
+        return
     names, weights = fit(table, np.ones(len(fold), dtype=bool))
-    with _WEIGHTS.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["template", "bias", *INPUTS])
-        for name in names:
-            writer.writerow([name, *(f"{value:.4f}" for value in weights[name])])
+    _write("weights.csv", ["bias", *INPUTS], weights)
+    usual = {name: table.right & (table.template == name) for name in names}
+    _write("usual.csv", INPUTS, {name: table.inputs[of].mean(axis=0) for name, of in usual.items() if of.any()})
+
+
+def _write(file: str, columns: Sequence[str], values: Mapping[str, Float[np.ndarray, "C"]]) -> None:
+    """Write a table of the engine, one row per template."""
+    with (_TABLES / file).open("w", newline="") as opened:
+        writer = csv.writer(opened, lineterminator="\n")
+        writer.writerow(["template", *columns])
+        for name, row in values.items():
+            writer.writerow([name, *(f"{value:.4f}" for value in row)])
 
 
 def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str, Float[np.ndarray, "I1"]]]:
     """Return the templates and their weights, bias first: weights of all, and a bias and rating of each's own."""
     names = [
-        str(name) for name in np.unique(table.template) if _is_enough(table.right[used & (table.template == name)])
+        str(name)
+        for name in np.unique(table.template)
+        if _is_enough(name, table.right[used & (table.template == name)])
     ]
     used = used & np.isin(table.template, names)
     n, k = len(INPUTS), len(names)
@@ -207,13 +224,15 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
     of = np.array([names.index(name) for name in table.template[used]])
     own = np.eye(k)[of]
     rated = own * np.array([name in _RATED for name in names])
-    searched = np.isin(table.template[used], list(_SEARCHED)).astype(float)[:, None]
-    design = np.concatenate([x[:, :10], x[:, 10:13] * searched, rated * x[:, 13:14], own, np.ones((len(x), 1))], axis=1)
+    n_common = n - 1
+    applies = np.array([[_applies(key, name) for key in INPUTS[:-1]] for name in names])
+    common = applies[of] * x[:, :-1]
+    design = np.concatenate([common, rated * x[:, -1:], own, np.ones((len(x), 1))], axis=1)
     size = design.shape[1]
     ridge = np.full(size, _RIDGE)
-    ridge[13 : 13 + k] = _RIDGE_OWN
+    ridge[n_common : n_common + k] = _RIDGE_OWN
     ridge[-1] = 1e-3
-    bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:13]]
+    bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:-1]]
     bounds += [(0.0, None)] * k + [(None, None)] * (k + 1)
 
     def loss(w: Float[np.ndarray, "W"]) -> tuple[float, Float[np.ndarray, "W"]]:
@@ -226,17 +245,25 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
     weights = {}
     for i, name in enumerate(names):
         row = np.zeros(n + 1)
-        row[0] = w[13 + k + i] + w[-1]
-        row[1:11] = w[:10]
-        row[11:14] = w[10:13] if name in _SEARCHED else 0.0
-        row[14] = w[13 + i]
+        row[0] = w[n_common + k + i] + w[-1]
+        row[1:n] = applies[i] * w[:n_common]
+        row[n] = w[n_common + i]
         weights[name] = row
     return names, weights
 
 
-def _is_enough(right: Bool[np.ndarray, "K"]) -> bool:
-    """Return whether hits of a template are enough to fit its curve; without, its detector's rating stays."""
-    return bool(right.sum() >= _FEWEST[0] and (~right).sum() >= _FEWEST[1])
+def _applies(key: str, name: str) -> bool:
+    """Return whether a template's curve has an input."""
+    return key not in _OF_SEARCH or name in _SEARCHED
+
+
+def _is_enough(name: str, right: Bool[np.ndarray, "K"]) -> bool:
+    """Return whether hits of a template are enough for a curve; without, its detector's rating stays.
+
+    A fit of the engine's own search has no other rating; what all kinds share then says most.
+    """
+    few = (0, _FEWEST[1]) if name in _SEARCHED else _FEWEST
+    return bool(right.sum() >= few[0] and (~right).sum() >= few[1])
 
 
 def predict(table: Table, weights: dict[str, Float[np.ndarray, "I1"]]) -> Float[np.ndarray, "N"]:
@@ -244,7 +271,15 @@ def predict(table: Table, weights: dict[str, Float[np.ndarray, "I1"]]) -> Float[
     # A template without a row keeps its rating, which enters as the logarithm of the odds.
     as_rated = np.append(np.zeros(len(INPUTS)), 1.0)
     rows = np.array([weights.get(name, as_rated) for name in table.template])
-    return np.asarray(1.0 / (1.0 + np.exp(-(rows[:, 0] + (rows[:, 1:] * table.inputs).sum(axis=1)))))
+    fitted = 1.0 / (1.0 + np.exp(-(rows[:, 0] + (rows[:, 1:] * table.inputs).sum(axis=1))))
+    rating = 1.0 / (1.0 + np.exp(-table.inputs[:, -1]))
+    own = np.isin(table.template, list(_SEARCHED))
+    return np.array(
+        [
+            value if is_own else heed(float(value), float(rated))
+            for value, rated, is_own in zip(fitted, rating, own, strict=True)
+        ]
+    )
 
 
 def print_calibration(table: Table, held: Float[np.ndarray, "N"]) -> None:
@@ -257,21 +292,21 @@ def print_calibration(table: Table, held: Float[np.ndarray, "N"]) -> None:
             error += gap * mine.mean()
             rows.append((f"{low:.1f}", str(mine.sum()), f"{held[mine].mean():.2f}", f"{table.right[mine].mean():.2f}"))
     print_table(f"held out; expected error {error:.3f}", ("confidence from", "hits", "mean", "right"), rows)
+    is_simulated = np.array([source.rsplit("/")[-1].isdigit() or source.startswith("sim") for source in table.source])
     rows = []
     for name in np.unique(table.template):
-        mine = table.template == name
-        sure = mine & (held >= 0.5)
-        rows.append(
-            (
-                name,
-                str(mine.sum()),
-                str(table.right[mine].sum()),
-                str(sure.sum()),
-                str((sure & table.right).sum()),
-                str((mine & ~sure & table.right).sum()),
-            )
-        )
-    print_table("by template", ("template", "hits", "right", "confident", "right of these", "right but unsure"), rows)
+        row = [str(name)]
+        for these in (~is_simulated, is_simulated):
+            mine = these & (table.template == name)
+            sure = mine & (held >= CONFIDENT)
+            row += [str(mine.sum()), str(table.right[mine].sum()), str(sure.sum()), str((sure & table.right).sum())]
+        rows.append(row)
+    columns = [
+        f"{what}, {origin}"
+        for origin in ("recorded", "simulated")
+        for what in ("hits", "right", "sure", "sure and right")
+    ]
+    print_table("by template, each held out", ("template", *columns), rows)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.clouds.absent import ABSENT, Maker
 from benchmarks.clouds.cases import Case
+from benchmarks.clouds.decoys import DECOYS
 from perception import wheel_basis
 from perception.simulate import Caster, join_meshes
 from perception.simulate.scenes import SimulatedScene, Truth
@@ -260,6 +261,7 @@ MAKERS: Mapping[str, Maker] = {
     "none_tyres": _tyres,
     "none_grating": _grating,
     **ABSENT,
+    **DECOYS,
 }
 
 

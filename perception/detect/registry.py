@@ -21,10 +21,14 @@ from costs.stopping import Stopped, poll
 from perception.detect.beam.detector import detect_beam
 from perception.detect.door.detector import detect_door
 from perception.detect.drill.detector import detect_drill
+from perception.detect.engine.click import fit_at
+from perception.detect.engine.kinds import CLICKED
+from perception.detect.engine.surroundings import Surroundings
+from perception.detect.engine.verdict import rate, rate_fit
 from perception.detect.hose.detector import detect_hose
 from perception.detect.lever import detect_lever
 from perception.detect.panel.detector import detect_panel
-from perception.detect.shared.detection import Detection
+from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.shared.detector import Detector
 from perception.detect.shared.faces import FacesInSight
 from perception.detect.shared.overlap import settle_overlaps
@@ -38,6 +42,8 @@ from perception.view import View, widen
 
 ENTRY_POINTS = "scopt_detectors"
 _MOSTLY = 0.5
+_MOST_AT_CLICK = 4
+_ALSO = {"valve": ("wheel",)}  # detectors that find part of a kind about a click within a second
 
 
 def _find_added() -> Iterator[tuple[str, Detector]]:
@@ -140,8 +146,7 @@ def detect_each(
         poll()
         try:
             wide = wide or widen(view)
-            if detector.needs_faces or detector.needs_index:
-                index = index or sight_index(wide.cloud)
+            index = index or sight_index(wide.cloud)
             if detector.needs_faces:
                 faces = faces or FacesInSight.of(wide, hint, index)
                 hits = detector.find(wide, hint, faces)
@@ -156,8 +161,45 @@ def detect_each(
                 raise
             on_failure(kind, error)
             continue
+        hits = [rate(hit, index) for hit in hits]
         hits = sorted(settle_overlaps(hits), key=lambda hit: -hit.confidence)
         yield kind, [hit for hit in hits if _is_in_reach(hit, view)]
+
+
+def detect_at(
+    kinds: Sequence[str],
+    view: View,
+    click: Float[np.ndarray, "3"],
+    on_kind: Callable[[str], None] = lambda _: None,
+    on_failure: Callable[[str, Exception], None] | None = None,
+) -> Iterator[tuple[str, list[Detection]]]:
+    """Fit objects where a person clicked, and yield each kind with its best few fits, sure or not.
+
+    Kinds that the engine has no fit for are found by their detectors near the click; so is a single kind of which no
+    fit is confident.
+
+    Args:
+        kinds, view, on_kind, on_failure: see ``detect_each``.
+        click: (3,) a point on the object or within about 10 cm of it [m].
+    """
+    around: Surroundings | None = None
+    index: SightIndex | None = None
+    for kind in kinds:
+        hits: list[Detection] = []
+        if kind in CLICKED and len(view.near.points):
+            on_kind(kind)
+            index = index or sight_index(view.cloud)
+            around = around or Surroundings.of(view.near.points, np.median(view.near.starts, axis=0), click)
+            for name, template in CLICKED[kind].items():
+                hits += [rate_fit(name, fit) for fit in fit_at(template, around, index)]
+            for other in _ALSO.get(kind, ()):
+                for _, more in detect_each((other,), view, click, on_failure=on_failure):
+                    hits += more
+        is_sure = any(hit.confidence >= CONFIDENT for hit in hits)
+        if kind not in CLICKED or (len(kinds) == 1 and not is_sure):
+            for _, more in detect_each((kind,), view, click, on_kind, on_failure):
+                hits += more
+        yield kind, sorted(settle_overlaps(hits), key=lambda hit: -hit.confidence)[:_MOST_AT_CLICK]
 
 
 def _is_in_reach(hit: Detection, view: View) -> bool:

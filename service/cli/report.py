@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from service.result.folder import ResultFiles
 
 SEEN_TOUCH_M = 1e-4  # smaller overlaps are those of feet that rest on a floor
-HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit")
+HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit", "against it")
 MARGIN_SLACK = 1e-7  # of the last digit, so that a written decimal stays itself
 NAMED_LINKS = 3  # links without shape that are named in the verdict's line
 SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/cli/test_cli_report.py compares them)
@@ -257,6 +257,7 @@ def make_hit_row(hit: Mapping[str, Any]) -> tuple[str, ...]:
         _format_position(hit["pose_world_object"]),
         _format_values(hit["sizes"]),
         _format_values(dict(list(hit["residuals"].items())[:1])),
+        "; ".join(hit.get("doubts", ())),
     )
 
 

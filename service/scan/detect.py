@@ -15,7 +15,16 @@ import numpy as np
 
 from costs.progress import tells_progress
 from costs.stopping import Stopped, poll, stops_when
-from perception import Detection, PerceptionError, View, detect_each, find_matches, make_view, settle_overlaps
+from perception import (
+    Detection,
+    PerceptionError,
+    View,
+    detect_at,
+    detect_each,
+    find_matches,
+    make_view,
+    settle_overlaps,
+)
 from perception.solids.match import KnownMesh, locate
 from service.errors import RequestError, ServiceError, would_do
 from service.json_data import to_json_data
@@ -160,13 +169,21 @@ def search_objects(
     on_step: OnStep,
     search: Search,
 ) -> None:
-    """Add each kind and its hits, best first, to ``search``; a failed detector does not stop the others."""
+    """Add each kind and its hits, best first, to ``search``; a failed detector does not stop the others.
+
+    With a hint, the best few fits of each kind there are added, sure or not, each with what speaks against it.
+    """
     place = None if hint is None else np.array(hint)
 
     def announce(kind: str) -> None:
         on_step(f"look for {kind}")
 
-    for kind, hits in detect_each(kinds, view, place, on_kind=announce, on_failure=search.fail):
+    found = (
+        detect_each(kinds, view, on_kind=announce, on_failure=search.fail)
+        if place is None
+        else detect_at(kinds, view, place, on_kind=announce, on_failure=search.fail)
+    )
+    for kind, hits in found:
         search.hits.extend(hits)
         search.kinds.append(kind)
 
@@ -238,4 +255,5 @@ def encode_hit(hit: Detection) -> dict[str, Any]:
         "pose_world_object": to_json_data(np.asarray(hit.pose_world_object, dtype=float)),
         "sizes": to_json_data(dict(hit.sizes)),
         "residuals": to_json_data(dict(hit.residuals)),
+        "doubts": list(hit.doubts),
     }

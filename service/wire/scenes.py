@@ -37,6 +37,7 @@ def detections_to_messages(hits: Iterable[Mapping[str, Any]]) -> list[Detection]
             pose_world_object=np.ravel(hit["pose_world_object"]),
             sizes=_numbers(hit["sizes"]),
             residuals=_numbers(hit["residuals"]),
+            doubts=hit.get("doubts", ()),
         )
         for hit in hits
     ]

@@ -177,4 +177,4 @@ def test_of_residuals_a_table_shows_how_far_points_lie_off() -> None:
         "kind": "beam", "confidence": 0.5, "pose_world_object": np.eye(4).tolist(), "sizes": {"length": 1.5},
         "residuals": {"rms": 0.01, "air_share": 0.5},
     }  # fmt: skip
-    assert make_hit_row(hit) == ("beam", "0.50", "0.000 0.000 0.000", "length 1.5", "rms 0.01")
+    assert make_hit_row(hit) == ("beam", "0.50", "0.000 0.000 0.000", "length 1.5", "rms 0.01", "")

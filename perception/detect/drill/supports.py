@@ -13,15 +13,12 @@ from scipy.spatial import cKDTree
 
 from costs.stopping import poll
 from perception.cleaning.clean import nearest, voxel_downsample
-from perception.detect.shared.arithmetic import sum_about
+from perception.detect.engine.supports import level_heights
 from perception.sightlines import SightIndex
 from perception.view import View
 
 _VOXEL = 0.012
-_LAYER = 0.01
 _CELL = 0.03
-_LEAST_CELLS = 40
-_APART = 0.08
 _OVER = (0.018, 0.36)
 _LINK, _LINK_UP = 0.025, 0.12
 _WIDE = 0.5
@@ -79,31 +76,6 @@ def _on_board(points: Float[np.ndarray, "N 3"], level: float) -> Bool[np.ndarray
     wide = ndimage.uniform_filter(grid, size=5, mode="constant") > _WIDE
     mask[near] = wide[tuple(cells.T)]
     return mask
-
-
-def level_heights(points: Float[np.ndarray, "N 3"]) -> list[float]:
-    """Return heights at which points fill a level area of at least about 4 square decimetres, lowest first [m]."""
-    poll()
-    if not len(points):
-        return []
-    bottom = float(points[:, 2].min())
-    layer = np.floor((points[:, 2] - bottom) / _LAYER).astype(np.int64)
-    cells = np.floor(points[:, :2] / _CELL).astype(np.int64)
-    distinct = np.unique(np.column_stack([layer, cells]), axis=0)
-    area = np.bincount(distinct[:, 0], minlength=int(layer.max()) + 1).astype(float)
-    # Range noise spreads a surface over two or three layers; walls fill all layers alike.
-    thick = sum_about(area, (1.0, 1.0, 1.0))
-    beyond = sum_about(area, (0.5, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5))
-    excess = thick - 1.5 * beyond
-    heights: list[float] = []
-    for i in np.argsort(-excess, kind="stable").tolist():
-        if excess[i] < _LEAST_CELLS:
-            break
-        near = points[np.abs(points[:, 2] - bottom - (i + 0.5) * _LAYER) < 1.5 * _LAYER, 2]
-        height = float(np.median(near))
-        if all(abs(height - other) > _APART for other in heights):
-            heights.append(height)
-    return sorted(heights)
 
 
 def _link(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "K 3"]]:

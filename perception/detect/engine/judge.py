@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from perception.detect.engine.refine import Hypotheses
 from perception.detect.engine.region import gather
-from perception.detect.engine.rivals import flat_shares
+from perception.detect.engine.rivals import flat_shares, lead_over_rivals
 from perception.detect.engine.score import weigh
 from perception.detect.engine.template import Template
 from perception.detect.shared.detection import Detection
@@ -32,8 +32,9 @@ def judge(template: Template, hit: Detection, index: SightIndex) -> Float[np.nda
     weight = np.exp(np.clip((evidence.gain - evidence.gain.max()) / 10.0, -30.0, 0.0))
     hits = region.ends[evidence.hit[0]]
     rivals = flat_shares(hits, float(np.hypot(region.sigma, template.model_sigma)))
+    lead = lead_over_rivals(template, fits.select([0]), region)
     # A detector that places objects itself has compared both directions.
-    return np.append(weight @ evidence.features / weight.sum(), (*rivals, 0.0))
+    return np.append(weight @ evidence.features / weight.sum(), (*rivals, 0.0, lead))
 
 
 def _reach(hit: Detection, middle: Float[np.ndarray, "3"]) -> float:

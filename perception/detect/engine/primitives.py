@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 _TINY = 1e-12
 
@@ -17,6 +17,10 @@ class Primitive(Protocol):
 
     def distance(self, at: Float[np.ndarray, "B N 3"]) -> Float[np.ndarray, "B N"]:
         """Return the distance of each place to the surface, negative inside [m]."""
+        ...
+
+    def take(self, rows: Int[np.ndarray, "K"]) -> Primitive:
+        """Return the primitive of some of the objects, which may repeat."""
         ...
 
 
@@ -42,6 +46,10 @@ class Capsule:
         offset -= share[..., None] * way[:, None]
         return np.asarray(np.sqrt(np.einsum("bni,bni->bn", offset, offset)) - self.radius[:, None])
 
+    def take(self, rows: Int[np.ndarray, "K"]) -> Capsule:
+        """Return the primitive of some of the objects, which may repeat."""
+        return Capsule(self.first[rows], self.last[rows], self.radius[rows])
+
 
 @dataclass(frozen=True)
 class Box:
@@ -63,6 +71,10 @@ class Box:
         return np.asarray(
             np.sqrt(np.einsum("bni,bni->bn", outside, outside)) + np.minimum(beyond.max(axis=2), 0.0) - self.rounding
         )
+
+    def take(self, rows: Int[np.ndarray, "K"]) -> Box:
+        """Return the primitive of some of the objects, which may repeat."""
+        return Box(self.centre[rows], self.half[rows], self.rounding)
 
 
 @dataclass(frozen=True)
@@ -92,6 +104,10 @@ class Cylinder:
             np.hypot(np.maximum(aside, 0.0), np.maximum(along, 0.0)) + np.minimum(np.maximum(aside, along), 0.0)
         )
 
+    def take(self, rows: Int[np.ndarray, "K"]) -> Cylinder:
+        """Return the primitive of some of the objects, which may repeat."""
+        return Cylinder(self.first[rows], self.last[rows], self.radius[rows])
+
 
 @dataclass(frozen=True)
 class Torus:
@@ -111,6 +127,10 @@ class Torus:
         aside = np.hypot(at[..., 0], at[..., 1]) - self.radius[:, None]
         return np.asarray(np.hypot(aside, at[..., 2] - self.height[:, None]) - self.tube[:, None])
 
+    def take(self, rows: Int[np.ndarray, "K"]) -> Torus:
+        """Return the primitive of some of the objects, which may repeat."""
+        return Torus(self.height[rows], self.radius[rows], self.tube[rows])
+
 
 def nearest(parts: Sequence[Primitive], at: Float[np.ndarray, "B N 3"]) -> Float[np.ndarray, "B N"]:
     """Return the distance of each place to the nearest of the parts [m]."""
@@ -118,3 +138,16 @@ def nearest(parts: Sequence[Primitive], at: Float[np.ndarray, "B N 3"]) -> Float
     for part in parts[1:]:
         np.minimum(least, part.distance(at), out=least)
     return least
+
+
+def nearest_part(
+    parts: Sequence[Primitive], at: Float[np.ndarray, "B N 3"]
+) -> tuple[Float[np.ndarray, "B N"], Int[np.ndarray, "B N"]]:
+    """Return the distance of each place to the nearest of the parts [m], and that part's number."""
+    least = parts[0].distance(at)
+    number = np.zeros(least.shape, dtype=np.int64)
+    for i, part in enumerate(parts[1:], 1):
+        there = part.distance(at)
+        nearer = there < least
+        least[nearer], number[nearer] = there[nearer], i
+    return least, number

@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from costs.stopping import poll
-from perception.detect.engine.primitives import Primitive, nearest
+from perception.detect.engine.primitives import Primitive, nearest, nearest_part
 from perception.detect.engine.region import Region
 from perception.detect.engine.template import Template
 
 _STEP = 1e-4  # of finite differences [m]
 _SAMPLES, _FEW_SAMPLES = 8, 4  # along a ray through an object
 _ROUGHLY = 0.018  # distance of a point that lies on a rough fit [m]
+_BESIDE = 0.045  # up to which a point lies beside it [m]
 _FREE = 1e3  # standard deviation of what no mount holds
 _DAMPING = 1e-2  # of Levenberg's steps, as a share of the information
 _TURN_FLOOR, _SHIFT_FLOOR = 10.0, 100.0  # information added to a turn [1/rad^2] and a shift [1/m^2] in each step
@@ -101,14 +102,8 @@ class Refined:
     information: Float[np.ndarray, "B D D"]
 
 
-def refine(
-    template: Template, begun: Hypotheses, region: Region, gates: Sequence[float], *, with_sizes: bool = True
-) -> Refined:
-    """Return hypotheses after one Levenberg step per gate [m], and their costs.
-
-    Args:
-        with_sizes: whether the sizes are fitted as well as the poses.
-    """
+def refine(template: Template, begun: Hypotheses, region: Region, gates: Sequence[float]) -> Refined:
+    """Return hypotheses after one Levenberg step per gate [m], and their costs."""
     fits = begun
     # Without a floor, a turn about an axis of symmetry would take the whole step.
     floor = np.array([*[_TURN_FLOOR] * 3, *[_SHIFT_FLOOR] * 3, *[1.0] * len(template.sizes)])
@@ -116,13 +111,13 @@ def refine(
     cost = np.full(len(fits), np.inf)
     for gate in gates:
         poll()
-        information, gradient, cost = _normal_equations(template, fits, region, gate, with_sizes)
+        information, gradient, cost = _normal_equations(template, fits, region, gate)
         diagonal = _DAMPING * np.einsum("bii->bi", information) + floor
         damped = information + np.einsum("bi,ij->bij", diagonal, np.eye(len(floor)))
         step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
         fits = _move(template, fits, step)
     if gates:
-        information, _, cost = _normal_equations(template, fits, region, gates[-1], with_sizes)
+        information, _, cost = _normal_equations(template, fits, region, gates[-1])
     return Refined(fits, cost, information)
 
 
@@ -139,7 +134,7 @@ def rate_ends(template: Template, fits: Hypotheses, ends: Float[np.ndarray, "N 3
     """Return the number of points on each object, less those beside it."""
     at_end = np.abs(nearest(template.solids(fits.sizes), fits.local(ends)))
     is_on = np.exp(-((at_end / _ROUGHLY) ** 2))
-    beside = np.where(at_end < 4.0 * _ROUGHLY, 1.0 - is_on, 0.0)
+    beside = np.where(at_end < _BESIDE, 1.0 - is_on, 0.0)
     return np.asarray((is_on - 0.7 * beside).sum(axis=1))
 
 
@@ -181,13 +176,13 @@ def deepest(
 
 
 def _normal_equations(
-    template: Template, fits: Hypotheses, region: Region, gate: float, with_sizes: bool
+    template: Template, fits: Hypotheses, region: Region, gate: float
 ) -> tuple[Float[np.ndarray, "B D D"], Float[np.ndarray, "B D"], Float[np.ndarray, "B"]]:
     """Return information, gradient and cost of all rows: ends of rays, space passed, usual sizes, mount."""
     sigma = float(np.hypot(region.sigma, template.model_sigma))
     solids = template.solids(fits.sizes)
     ends = fits.local(region.ends)
-    at_end = nearest(solids, ends)
+    at_end, end_part = nearest_part(solids, ends)
     through, depth = deepest(template, fits, solids, region, sigma)
     kernel = max(gate, 2.0 * sigma)
     near = np.abs(at_end) < 3.0 * kernel
@@ -198,7 +193,8 @@ def _normal_equations(
     at = np.concatenate([ends, through], axis=1)
     residual = np.concatenate([at_end, inside], axis=1)
     weight = np.concatenate([weight_end, weight_in], axis=1) / (sigma**2 * _CORRELATED)
-    jacobian = _jacobian(template, fits, solids, at, with_sizes=with_sizes)
+    part = np.concatenate([end_part, nearest_part(solids, through)[1]], axis=1)
+    jacobian = _jacobian(template, fits, solids, at, part, weight > 0.0)
     weighted = jacobian * weight[..., None]
     information = weighted.transpose(0, 2, 1) @ jacobian
     gradient = (weighted.transpose(0, 2, 1) @ residual[..., None])[..., 0]
@@ -214,23 +210,31 @@ def _jacobian(
     fits: Hypotheses,
     solids: Sequence[Primitive],
     at: Float[np.ndarray, "B M 3"],
-    *,
-    with_sizes: bool = True,
+    part: Int[np.ndarray, "B M"],
+    counts: Bool[np.ndarray, "B M"],
 ) -> Float[np.ndarray, "B M D"]:
-    """Return the derivatives of the distance at places by turn, shift (both of the world) and sizes."""
-    base = nearest(solids, at)
-    gradient = np.stack([(nearest(solids, at + _STEP * axis) - base) / _STEP for axis in np.eye(3)], axis=-1)
-    towards = gradient @ fits.rotation.transpose(0, 2, 1)
-    arm = at @ fits.rotation.transpose(0, 2, 1)
-    turn = -np.cross(arm, towards)
-    by_size = []
-    for i in range(len(template.sizes) if with_sizes else 0):
-        sizes = fits.sizes.copy()
-        sizes[:, i] += _STEP
-        by_size.append((nearest(template.solids(sizes), at) - base) / _STEP)
-    if not with_sizes:
-        by_size = [np.zeros(base.shape)] * len(template.sizes)
-    return np.concatenate([turn, -towards, *(one[..., None] for one in by_size)], axis=-1)
+    """Return the derivatives of the distance at places by turn, shift (both of the world) and sizes.
+
+    Args:
+        part: nearest part of each place, whose distance is derived.
+        counts: places whose derivatives are needed; those of others are zero.
+    """
+    jacobian = np.zeros((*at.shape[:2], 6 + len(template.sizes)))
+    larger = [template.solids(fits.sizes + _STEP * step) for step in np.eye(len(template.sizes))]
+    for k, solid in enumerate(solids):
+        rows, cells = np.nonzero(counts & (part == k))
+        if not len(rows):
+            continue
+        places, mine = at[rows, cells][:, None], solid.take(rows)
+        base = mine.distance(places)[:, 0]
+        local = np.stack([(mine.distance(places + _STEP * axis)[:, 0] - base) / _STEP for axis in np.eye(3)], axis=-1)
+        to_world = fits.rotation[rows]
+        towards = np.einsum("kij,kj->ki", to_world, local)
+        arm = np.einsum("kij,kj->ki", to_world, places[:, 0])
+        jacobian[rows, cells, :3], jacobian[rows, cells, 3:6] = -np.cross(arm, towards), -towards
+        for i, bigger in enumerate(larger):
+            jacobian[rows, cells, 6 + i] = (bigger[k].take(rows).distance(places)[:, 0] - base) / _STEP
+    return jacobian
 
 
 def _add_priors(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from perception.sightlines import SightIndex
+from perception.sightlines import SightIndex, Sightlines
 
 _NOISE_POINTS, _NOISE_NEIGHBOURS = 80, 10
 _NOISE = (0.0015, 0.02)  # limits of the noise [m]
@@ -151,3 +151,8 @@ def _spread(
     order = np.lexsort((away, flat))
     first = np.concatenate([[True], flat[order][1:] != flat[order][:-1]])
     return np.asarray(order[first])
+
+
+def rays_of(region: Region) -> Sightlines:
+    """Return the region's rays."""
+    return Sightlines(region.start, region.way, region.length)

@@ -97,6 +97,7 @@ FEATURES = (
     "flat_share",
     "flats_share",
     "margin",
+    "lead",
 )
 """Names of what a hit's confidence depends on, in order."""
 
@@ -106,7 +107,7 @@ class Evidence:
     """Evidence of rays for B objects.
 
     Attributes:
-        features: (B, F) in the order of ``FEATURES``, without the last three, which compare with rivals.
+        features: (B, F) in the order of ``FEATURES``, without the last four, which compare with rivals.
         gain: (B,) sum of the log-likelihood ratio of the rays against clutter.
         hit: (B, N) which rays ended on the object.
     """

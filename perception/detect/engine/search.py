@@ -10,23 +10,56 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.stopping import poll
-from perception.detect.engine.refine import Hypotheses, join, rate_roughly, refine
+from perception.detect.engine.refine import Hypotheses, deepest, join, rate_roughly, refine
 from perception.detect.engine.region import Mounting, Region, gather
-from perception.detect.engine.rivals import flat_shares
+from perception.detect.engine.rivals import flat_shares, lead_over_rivals
 from perception.detect.engine.score import FEATURES, Evidence, weigh
 from perception.detect.engine.template import Template
 from perception.sightlines import SightIndex
 
-_ROUGH_RAYS, _MIDDLE_RAYS, _FINE_RAYS, _AVERAGE_RAYS = 100, 400, 600, 300
-_KEPT_HERE, _KEPT_MIDDLE = 4, 5
-# Rays, hypotheses and gates [m] of each pass, and whether it fits sizes.
-_PASSES = ((100, 48, (0.03, 0.025, 0.02), True), (200, 14, (0.02, 0.015, 0.012, 0.01), True))
-_FEWEST = 8
+_ROUGH_RAYS, _MIDDLE_RAYS, _FINE_RAYS, _AVERAGE_RAYS = 100, 1200, 600, 300
+_WIDE_RAYS, _CLOSE = 2400, 0.06  # rays about a fit, and how near those of its evidence pass it [m]
+_FEWEST, _FEWEST_RAYS = 8, 12
 _FINE_GATES = (0.012, 0.01, 0.01, 0.008, 0.008)
 _MOST_TURN, _MOST_SHIFT, _SOFT = 0.1, 0.01, 10.0  # of the poses averaged over: [rad], [m], units of gain
 # Where a fit that points the other way begins, along the object [m], and the gates of its refinement [m].
 _AHEAD, _TURNED_GATES = np.array([-0.03, 0.0, 0.03]), (0.025, 0.02, 0.015, 0.01)
 _SAME_PLACE, _SAME_TURN = 0.03, 0.4  # [m], [rad]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One refinement of all hypotheses.
+
+    Attributes:
+        n_rays: rays of each site.
+        n_kept: hypotheses that are refined.
+        gates: of its steps [m].
+    """
+
+    n_rays: int
+    n_kept: int
+    gates: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much a search tries.
+
+    Attributes:
+        kept_here: hypotheses of each site that are refined at all.
+        n_fine: fits that are finished on all rays.
+    """
+
+    kept_here: int
+    passes: tuple[Pass, ...]
+    n_fine: int
+
+
+WHOLE = Effort(4, (Pass(100, 48, (0.03, 0.025, 0.02)), Pass(200, 14, (0.02, 0.015, 0.012, 0.01))), 5)
+"""Of a search of many places in a scan."""
+CLICK = Effort(32, (Pass(100, 32, (0.03, 0.025, 0.02)), Pass(150, 10, (0.02, 0.015, 0.012, 0.01))), 3)
+"""Of a search about a click."""
 
 
 @dataclass(frozen=True)
@@ -85,17 +118,19 @@ class Fit:
         }
 
 
-def search(template: Template, sites: Sequence[Site], index: SightIndex, most: int = 6) -> list[Fit]:
+def search(
+    template: Template, sites: Sequence[Site], index: SightIndex, most: int = 6, effort: Effort = WHOLE
+) -> list[Fit]:
     """Return the fits that the rays support best, at most ``most``, best first."""
     regions = {i: region for i, site in enumerate(sites) if (region := _gather(template, site, index)) is not None}
     scored: list[tuple[float, int, Hypotheses]] = []
     for i, region in regions.items():
         poll()
         scores = rate_roughly(template, sites[i].begun, region.balance(_ROUGH_RAYS))
-        best = np.argsort(-scores, kind="stable")[:_KEPT_HERE]
+        best = np.argsort(-scores, kind="stable")[: effort.kept_here]
         scored += [(float(scores[k]), i, sites[i].begun.select([k])) for k in best]
-    for settings in _PASSES:
-        scored = _refine_best(template, scored, regions, *settings)
+    for one_pass in effort.passes:
+        scored = _refine_best(template, scored, regions, one_pass)
     fine: list[Fit] = []
     kept: list[Hypotheses] = []
     for _, i, one in scored:
@@ -103,7 +138,7 @@ def search(template: Template, sites: Sequence[Site], index: SightIndex, most: i
             continue
         kept.append(one)
         fine += finish(template, one, sites[i], index)
-        if len(kept) == _KEPT_MIDDLE:
+        if len(kept) == effort.n_fine:
             break
     return drop_same(sorted(fine, key=lambda fit: -fit.gain))[:most]
 
@@ -127,18 +162,15 @@ def _refine_best(
     template: Template,
     scored: list[tuple[float, int, Hypotheses]],
     regions: dict[int, Region],
-    n_rays: int,
-    n_kept: int,
-    gates: Sequence[float],
-    with_sizes: bool,
+    one_pass: Pass,
 ) -> list[tuple[float, int, Hypotheses]]:
     """Return the best hypotheses of each site refined, with their gains, best first."""
-    scored = sorted(scored, key=lambda one: -one[0])[:n_kept]
+    scored = sorted(scored, key=lambda one: -one[0])[: one_pass.n_kept]
     better: list[tuple[float, int, Hypotheses]] = []
     for i in dict.fromkeys(i for _, i, _ in scored):
-        region = regions[i].balance(n_rays)
+        region = regions[i].balance(one_pass.n_rays)
         begun = join([one for _, j, one in scored if j == i])
-        fits = refine(template, begun, region, gates, with_sizes=with_sizes).hypotheses
+        fits = refine(template, begun, region, one_pass.gates).hypotheses
         # Near objects are thinned more than far ones: count all their rays.
         gains = weigh(template, fits, region).gain * regions[i].loose_share(region)
         better += [(float(gain), i, fits.select([k])) for k, gain in enumerate(gains)]
@@ -148,10 +180,17 @@ def _refine_best(
 def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -> list[Fit]:
     """Return the fit of a hypothesis on the rays about it, with covariance and evidence; none without rays."""
     middle = one.place[0] + one.rotation[0] @ template.middle(template.named(one.sizes))[0]
-    region = gather(index, middle, 1.2 * float(template.radii(one.sizes)[0]), site.mounting, _FINE_RAYS)
-    if len(region) < 12:
+    region = gather(index, middle, 1.2 * float(template.radii(one.sizes)[0]), site.mounting, _WIDE_RAYS)
+    region = region.select(
+        np.flatnonzero(deepest(template, one, template.solids(one.sizes), region, 0.0)[1][0] < _CLOSE)
+    )
+    region = region.thin(_FINE_RAYS)
+    if len(region) < _FEWEST_RAYS:
         return []
     refined = refine(template, one, region, _FINE_GATES)
+    way, margin = turn_back(template, refined.hypotheses, region)
+    if way is not refined.hypotheses:
+        refined = refine(template, way, region, _FINE_GATES)
     evidence = weigh(template, refined.hypotheses, region)
     hits = evidence.hit[0] & ~region.is_other
     covariance = np.linalg.inv(refined.information[0] + 1e-6 * np.eye(refined.information.shape[1]))
@@ -163,7 +202,8 @@ def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -
                 average_features(template, refined.hypotheses, covariance, region, evidence),
                 (
                     *flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma))),
-                    margin(template, refined.hypotheses, region),
+                    margin,
+                    lead_over_rivals(template, refined.hypotheses, region),
                 ),
             ),
             float(evidence.gain[0]),
@@ -175,8 +215,11 @@ def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -
     ]
 
 
-def margin(template: Template, fit: Hypotheses, region: Region) -> float:
-    """Return by how much a fit explains the rays better than the best fit that points the other way, as a logarithm."""
+def turn_back(template: Template, fit: Hypotheses, region: Region) -> tuple[Hypotheses, float]:
+    """Return the fit, or the best one that points the other way if that explains the rays better, and the margin.
+
+    The margin is the logarithm of how much better the one explains them than the other.
+    """
     few = region.thin(_AVERAGE_RAYS)
     middle = fit.rotation[0] @ template.middle(template.named(fit.sizes))[0]
     back = fit.rotation @ np.diag([-1.0, -1.0, 1.0])
@@ -186,7 +229,9 @@ def margin(template: Template, fit: Hypotheses, region: Region) -> float:
     begun = Hypotheses.of(np.repeat(back, n, axis=0), place, np.repeat(fit.sizes, n, axis=0), fit.normal[0])
     others = refine(template, begun, few, _TURNED_GATES).hypotheses
     gains = weigh(template, join([fit, others]), few).gain
-    return float(np.log1p(max(float(gains[0] - gains[1:].max()), 0.0)))
+    best = int(np.argmax(gains))
+    lead = float(gains[0] - gains[1:].max())
+    return (fit if best == 0 else others.select([best - 1])), float(np.log1p(abs(lead)))
 
 
 def average_features(

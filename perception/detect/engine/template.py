@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -60,6 +60,37 @@ class Looseness:
 
 
 @dataclass(frozen=True)
+class Starts:
+    """Where fits of a kind begin.
+
+    Attributes:
+        sizes: (K, S) sizes to begin with [m].
+        over: heights over a support or face in which the object has points [m].
+        postures: (P, 3, 3) orientations on the plane, its normal along z, before the turn about it.
+        lifts: (P,) height of the origin over the plane in each posture; NaN where the points have it [m].
+        n_turns: turns about the normal, or without a plane directions of the axis ``spread``.
+        spread: axis of the object that is led to all directions.
+        n_spins: turns about it.
+        near: radius in which points are averaged to a place [m].
+        is_slender: whether the x axis may follow the points about a place.
+    """
+
+    sizes: Float[np.ndarray, "K S"]
+    over: tuple[float, float] = (0.0, 0.0)
+    postures: Float[np.ndarray, "P 3 3"] = field(default_factory=lambda: np.eye(3)[None])
+    lifts: Float[np.ndarray, "P"] = field(default_factory=lambda: np.array([np.nan]))
+    n_turns: int = 16
+    spread: int = 0
+    n_spins: int = 1
+    near: float = 0.1
+    is_slender: bool = False
+
+
+def _at_own_origin(sizes: dict[str, Float[np.ndarray, "B"]]) -> Float[np.ndarray, "B 3"]:
+    return np.zeros((len(next(iter(sizes.values()))), 3))
+
+
+@dataclass(frozen=True)
 class Template:
     """A kind of object.
 
@@ -74,6 +105,9 @@ class Template:
         extent: size half of which adds to ``reach``; empty if none does.
         middle: centre of the object by sizes, (B, 3) [m].
         model_sigma: how far real surfaces are from the parts' [m].
+        starts: where fits begin about a click; None: nowhere.
+        origin: of the frame that users see, by sizes, in the template's [m].
+        show: sizes that users see, by the template's.
     """
 
     kind: str
@@ -86,6 +120,9 @@ class Template:
     middle: Callable[[dict[str, Float[np.ndarray, "B"]]], Float[np.ndarray, "B 3"]]
     model_sigma: float
     extent: str = ""
+    starts: Starts | None = None
+    origin: Callable[[dict[str, Float[np.ndarray, "B"]]], Float[np.ndarray, "B 3"]] = _at_own_origin
+    show: Callable[[dict[str, float]], dict[str, float]] = dict
 
     def named(self, sizes: Float[np.ndarray, "B S"]) -> dict[str, Float[np.ndarray, "B"]]:
         """Return the sizes by name."""
@@ -122,4 +159,7 @@ class Template:
 
 def columns(*values: Float[np.ndarray, "B"] | float) -> Float[np.ndarray, "B 3"]:
     """Return coordinates as rows; a number counts for all rows."""
-    return np.asarray(np.stack(np.broadcast_arrays(*values), axis=-1), dtype=float)
+    rows = np.empty((max(np.size(value) for value in values), len(values)))
+    for i, value in enumerate(values):
+        rows[:, i] = value
+    return rows

@@ -47,8 +47,10 @@ class Detection:
             and ``n_...``.
         confidence: 0 to 1; act on detections of 0.5 and more.
         residuals: quality of the model's fit, by name: lengths [m], except names that end in ``_rad``,
-            ``_share`` (0 to 1), ``_ratio`` or ``_score`` and names that begin with ``n_`` (counts).
+            ``_share`` (0 to 1), ``_ratio`` or ``_score`` and names that begin with ``n_`` (counts) or ``ray_``
+            (evidence of the rays, without a unit).
         points: (K, 3) sample of the points that the detection is based on [m].
+        doubts: what speaks against it, in sentences, most weighty first.
         model: of an object that ``perceive`` removes from the pieces; None for all others.
     """
 
@@ -59,3 +61,4 @@ class Detection:
     residuals: Mapping[str, float]
     points: Float[np.ndarray, "K 3"]
     model: Model | None = None
+    doubts: tuple[str, ...] = ()

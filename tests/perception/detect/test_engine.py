@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from perception import Cloud, detect, make_view
-from perception.detect.engine.primitives import Box, Capsule, Cylinder, Torus
+from perception import CONFIDENT, Cloud, detect, make_view
+from perception.detect.engine.primitives import Box, Capsule, Cylinder, Torus, nearest_part
 from perception.detect.engine.refine import Hypotheses, _jacobian, refine
 from perception.detect.engine.region import Mounting, gather
+from perception.detect.engine.rivals import lead_over_rivals
 from perception.detect.engine.score import FEATURES, weigh
 from perception.detect.engine.search import Site, search
 from perception.detect.engine.template import Looseness, Part, Size, Template, columns
@@ -106,7 +107,9 @@ def test_derivatives_by_pose_and_sizes_agree_with_central_differences() -> None:
     fits = Hypotheses.of(rotation, place, sizes, np.array([0.0, 0.0, 1.0]))
     world = place + rng.uniform(-0.15, 0.15, (40, 3))
     at = fits.local(world)
-    jacobian = _jacobian(DRILL, fits, DRILL.solids(sizes), at)[0]
+    solids = DRILL.solids(sizes)
+    part = nearest_part(solids, at)[1]
+    jacobian = _jacobian(DRILL, fits, solids, at, part, np.ones(part.shape, dtype=bool))[0]
 
     def distance(step: np.ndarray) -> np.ndarray:
         turned = Rotation.from_rotvec(step[None, :3]).as_matrix() @ rotation
@@ -138,7 +141,7 @@ def test_a_rim_is_fitted_to_two_millimetres_from_two_centimetres_off() -> None:
 def rate_best(cloud: Cloud) -> Detection:
     """The best drill of a cloud, rated by the engine."""
     view = make_view(cloud)
-    return rate(detect("drill", view)[0], sight_index(widen(view).cloud), is_hinted=False)
+    return rate(detect("drill", view)[0], sight_index(widen(view).cloud))
 
 
 def test_last_digits_and_order_do_not_change_a_confidence() -> None:
@@ -158,10 +161,10 @@ def test_rays_that_pass_an_object_lower_its_confidence() -> None:
     passed = features.copy()
     passed[FEATURES.index("solid_share")] -= 0.5
     passed[FEATURES.index("past_share")] += 0.5
-    passed[FEATURES.index("gain")] -= 2.0
-    assert confidence_of("drill", passed, 0.5, is_hinted=False) < 0.1 * confidence_of(
-        "drill", features, 0.5, is_hinted=False
-    )
+    # A ray that passes tells against the object and not against its rivals.
+    for name in ("gain", "lead"):
+        passed[FEATURES.index(name)] -= 2.0
+    assert confidence_of("drill", passed, 0.5) < CONFIDENT < confidence_of("drill", features, 0.5)
 
 
 def test_an_object_moved_aside_loses_its_evidence() -> None:
@@ -203,3 +206,19 @@ def test_a_light_switch_is_fitted_by_a_template_of_a_few_lines() -> None:
     fit = search(SWITCH, [Site(np.array([1.0, 0.0, 1.1]), wall, begun)], index)[0]
     assert fit.hypotheses.place[0] == pytest.approx([1.0, 0.0, 1.1], abs=0.005)
     assert fit.hypotheses.sizes[0] == pytest.approx([0.1, 0.1], abs=0.01)
+
+
+def test_a_box_is_explained_better_by_a_box_than_by_a_drill() -> None:
+    room = [box((-5.0, -5.0, -0.1), (5.0, 5.0, 0.0)), box((0.5, -0.6, TOP - 0.03), (1.2, 0.6, TOP))]
+    index = sight_index(scan([*room, box((0.72, 0.07, TOP), (0.9, 0.13, TOP + 0.22))], SENSOR, SCANNER, 0))
+    drill_index = sight_index(scan_of_drill())
+    leads = []
+    for rays, yaw in ((index, 0.0), (drill_index, 70.0)):
+        rotation = Rotation.from_rotvec([[0.0, 0.0, np.radians(yaw)]]).as_matrix()
+        begun = Hypotheses.of(rotation, rows(0.8, 0.1, TOP), DRILL.usual[None], np.array([0.0, 0.0, 1.0]))
+        region = gather(
+            rays, np.array([0.8, 0.1, TOP + 0.1]), 0.22, Mounting(np.eye(3), rows(0.8, 0.1, TOP)[0], 0.004), 600
+        )
+        fit = refine(DRILL, begun, region, (0.02, 0.015, 0.01, 0.01)).hypotheses
+        leads.append(lead_over_rivals(DRILL, fit, region))
+    assert leads[0] < 0.0 < leads[1]

@@ -6,11 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.engine.primitives import Box, Capsule
-from perception.detect.engine.template import Looseness, Part, Size, Template, columns
+from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
 
 Sizes = dict[str, Float[np.ndarray, "B"]]
 _CATALOGUE = "catalogue pictures of 12 and 18 V drills: 170 to 260 mm high, 150 to 240 mm long, body 50 to 68 mm wide"
 SOLE = 0.05  # height of the battery [m]
+LYING = 0.035  # height of the body's axis over a support that it lies on [m]
 
 
 def _build(s: Sizes) -> tuple[Part, ...]:
@@ -44,6 +45,16 @@ def _hollows(s: Sizes) -> tuple[Box, ...]:
     )
 
 
+def lie(side: float) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation of a drill that lies on its left (1) or right (-1) side, its chuck along x."""
+    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -side], [0.0, side, 0.0]])
+
+
+def _start_sizes() -> Float[np.ndarray, "2 7"]:
+    """Return a short and a long grip: rough scores need the height of the body within about 2 cm."""
+    return np.array([[grip, 0.185, 0.055, 0.029, 0.0, 0.003, 0.038] for grip in (0.09, 0.125)])
+
+
 DRILL = Template(
     kind="drill",
     sizes=(
@@ -62,4 +73,13 @@ DRILL = Template(
     reach=0.17,
     middle=lambda s: columns(0.02, 0.0, 0.5 * (SOLE + s["grip"] + 2.0 * s["body_radius"])),
     model_sigma=0.005,
+    starts=Starts(
+        sizes=_start_sizes(),
+        over=(0.02, 0.3),
+        postures=np.stack([np.eye(3), lie(1.0), lie(-1.0)]),
+        lifts=np.array([0.0, LYING, LYING]),
+        n_turns=16,
+    ),
+    origin=lambda s: columns(0.0 * s["grip"], 0.0, SOLE + 0.5 * s["grip"]),
+    show=lambda s: {"grip_length": s["grip"], "body_length": s["body"]},
 )

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.detect.engine.primitives import Capsule
-from perception.detect.engine.template import Looseness, Part, Size, Template, columns
+from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
 
 Sizes = dict[str, Float[np.ndarray, "B"]]
 _DOORS = "DIN 18255 door levers: 100 to 145 mm long, 16 to 25 mm thick, 45 to 75 mm from the leaf"
@@ -37,4 +37,12 @@ LEVER = Template(
     extent="length",
     middle=lambda s: columns(0.5 * s["length"], 0.0, -0.3 * s["stand_off"]),
     model_sigma=0.003,
+    starts=Starts(
+        sizes=np.array([[0.13, 0.01, 0.055], [0.2, 0.012, 0.06]]),
+        over=(0.02, 0.13),
+        n_turns=24,
+        near=0.07,
+        is_slender=True,
+    ),
+    show=lambda s: {name: s[name] for name in ("length", "radius")},
 )

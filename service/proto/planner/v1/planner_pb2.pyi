@@ -347,7 +347,7 @@ class Piece(_message.Message):
     def __init__(self, name: _Optional[str] = ..., kind: _Optional[str] = ..., vertices: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Detection(_message.Message):
-    __slots__ = ("kind", "confidence", "pose_world_object", "sizes", "residuals")
+    __slots__ = ("kind", "confidence", "pose_world_object", "sizes", "residuals", "doubts")
     class SizesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -367,12 +367,14 @@ class Detection(_message.Message):
     POSE_WORLD_OBJECT_FIELD_NUMBER: _ClassVar[int]
     SIZES_FIELD_NUMBER: _ClassVar[int]
     RESIDUALS_FIELD_NUMBER: _ClassVar[int]
+    DOUBTS_FIELD_NUMBER: _ClassVar[int]
     kind: str
     confidence: float
     pose_world_object: _containers.RepeatedScalarFieldContainer[float]
     sizes: _containers.ScalarMap[str, float]
     residuals: _containers.ScalarMap[str, float]
-    def __init__(self, kind: _Optional[str] = ..., confidence: _Optional[float] = ..., pose_world_object: _Optional[_Iterable[float]] = ..., sizes: _Optional[_Mapping[str, float]] = ..., residuals: _Optional[_Mapping[str, float]] = ...) -> None: ...
+    doubts: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, kind: _Optional[str] = ..., confidence: _Optional[float] = ..., pose_world_object: _Optional[_Iterable[float]] = ..., sizes: _Optional[_Mapping[str, float]] = ..., residuals: _Optional[_Mapping[str, float]] = ..., doubts: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class DetectRequest(_message.Message):
     __slots__ = ("clouds", "kind", "hint", "objects")

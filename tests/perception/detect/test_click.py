@@ -1,0 +1,139 @@
+"""Fits about a click: planes there, places, best fits with what speaks against them, and their rivals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from perception import CONFIDENT, Detection, View, detect_at, make_view
+from perception.detect.engine.click import fit_at
+from perception.detect.engine.doubts import list_doubts
+from perception.detect.engine.primitives import Box, Capsule, Cylinder, Primitive, Torus, nearest, nearest_part
+from perception.detect.engine.surroundings import Surroundings
+from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
+from perception.sightlines import sight_index
+from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
+from perception.simulate.scenes.loose import Drill
+
+TOP = 0.8
+SENSOR = Pose((0.1, 0.0, 1.5), pitch=0.7)
+SCANNER = Scanner(n_beams=541, fan_deg=160.0, n_lines=70)
+DRILL = Drill((0.8, 0.1, TOP), np.radians(70.0))
+
+
+def view_of(*meshes: Mesh) -> View:
+    table = [box((-5.0, -5.0, -0.1), (5.0, 5.0, 0.0)), box((0.5, -0.6, TOP - 0.03), (1.2, 0.6, TOP))]
+    return make_view(scan([*table, *meshes], SENSOR, SCANNER, 0))
+
+
+@pytest.fixture(scope="module")
+def drills() -> tuple[np.ndarray, list[Detection]]:
+    """The true pose of a drill, and the fits about a click 6 cm beside it."""
+    built = DRILL.build()
+    truth = built.truth[0].pose_world_object
+    click = truth[:3, 3] + (0.03, -0.03, 0.04)
+    ((_, hits),) = detect_at(("drill",), view_of(*built.meshes), click)
+    return truth, hits
+
+
+def test_a_drill_near_a_click_is_fitted_to_15_mm_and_5_deg(drills: tuple[np.ndarray, list[Detection]]) -> None:
+    truth, hits = drills
+    assert hits[0].confidence >= CONFIDENT
+    assert np.linalg.norm(hits[0].pose_world_object[:3, 3] - truth[:3, 3]) < 0.015
+    assert hits[0].pose_world_object[:3, 0] @ truth[:3, 0] > np.cos(np.radians(5.0))
+
+
+def test_few_fits_are_returned_best_first_and_the_worse_ones_say_what_is_against_them(
+    drills: tuple[np.ndarray, list[Detection]],
+) -> None:
+    _, hits = drills
+    confidences = [hit.confidence for hit in hits]
+    assert 1 <= len(hits) <= 4
+    assert confidences == sorted(confidences, reverse=True)
+    assert all(hit.doubts for hit in hits if hit.confidence < 0.3)
+
+
+def test_a_carton_at_a_click_is_no_drill() -> None:
+    view = view_of(box((0.75, 0.0, TOP), (0.85, 0.15, TOP + 0.2)))
+    for _, hits in detect_at(("drill", "hose"), view, np.array([0.76, 0.05, TOP + 0.1])):
+        assert all(hit.confidence < CONFIDENT for hit in hits)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-1.2, 1.2), st.floats(0.0, 6.2))
+def test_a_wall_and_a_table_are_the_planes_about_a_click(lean: float, yaw: float) -> None:
+    rng = np.random.default_rng(0)
+    turn = Rotation.from_euler("zy", [yaw, 0.3 * lean]).as_matrix()
+    wall = np.column_stack([rng.normal(0.0, 0.001, 3000), rng.uniform(-0.4, 0.4, 3000), rng.uniform(0.05, 0.6, 3000)])
+    table = np.column_stack([rng.uniform(-0.4, 0.4, (4000, 2)), rng.normal(0.0, 0.001, 4000)])
+    click, sensor = np.array([0.05, 0.0, 0.1]), np.array([0.0, 0.0, 3.0]) - 2.0 * turn[:, 0]
+    around = Surroundings.of(np.concatenate([wall @ turn.T, table]), sensor, click)
+    assert around.supports[0].point[2] == pytest.approx(0.0, abs=0.003)
+    assert any(abs(face.frame[2] @ turn[:, 0]) > 0.999 for face in around.faces)
+    assert all((sensor - plane.point) @ plane.frame[2] > 0.0 for plane in around.planes)
+
+
+PARTS: list[Primitive] = [
+    Capsule(np.array([[0.0, 0.0, 0.0]]), np.array([[0.1, 0.0, 0.0]]), np.array([0.02])),
+    Box(np.array([[0.0, 0.1, 0.0]]), np.array([[0.03, 0.02, 0.05]]), 0.004),
+    Cylinder(np.array([[0.0, 0.0, 0.1]]), np.array([[0.0, 0.05, 0.15]]), np.array([0.03])),
+    Torus(np.array([0.02]), np.array([0.1]), np.array([0.01])),
+]
+
+
+@given(st.lists(st.tuples(*[st.floats(-0.3, 0.3)] * 3), min_size=1, max_size=8))
+def test_the_nearest_part_is_the_one_whose_distance_is_the_least(places: list[tuple[float, float, float]]) -> None:
+    at = np.array([places])
+    least, number = nearest_part(PARTS, at)
+    assert least == pytest.approx(nearest(PARTS, at))
+    for i, k in enumerate(number[0]):
+        alone = PARTS[k].take(np.zeros(1, dtype=np.int64)).distance(at[:, i : i + 1])
+        assert alone[0, 0] == pytest.approx(least[0, i])
+
+
+def test_what_weighs_most_against_a_hit_is_named_first() -> None:
+    weights = {"bias": -3.0, "explained_share": 10.0, "lead": 2.0, "n_hits": 1.0}
+    usual = {"explained_share": 0.95, "lead": 0.5, "n_hits": 5.0}
+    inputs = {"explained_share": 0.6, "lead": -0.5, "n_hits": 4.9}
+    doubts = list_doubts(weights, usual, inputs, {"explained_share": 0.6})
+    assert doubts == (
+        "40% of the points about it do not lie on it",
+        "a box, a cylinder or a solid block explains the rays as well",
+    )
+    assert list_doubts(weights, usual, usual, {"explained_share": 0.95}) == ()
+
+
+def _nothing(s: dict[str, np.ndarray]) -> np.ndarray:
+    return 0.0 * s["radius"]
+
+
+EXTINGUISHER = Template(
+    kind="extinguisher",
+    sizes=(
+        Size("radius", 0.05, 0.1, 0.075, 0.012, "EN 3: 110 to 190 mm across"),
+        Size("height", 0.25, 0.6, 0.45, 0.08, "EN 3: 300 to 620 mm high"),
+    ),
+    build=lambda s: (
+        Part("body", Cylinder(columns(_nothing(s), 0.0, 0.0), columns(_nothing(s), 0.0, s["height"]), s["radius"])),
+    ),
+    hollows=lambda s: (),
+    mount="support",
+    looseness=Looseness(tilt=0.03, height=0.008),
+    reach=0.1,
+    extent="height",
+    middle=lambda s: columns(_nothing(s), 0.0, 0.5 * s["height"]),
+    model_sigma=0.003,
+    starts=Starts(sizes=np.array([[0.075, 0.45]]), over=(0.03, 0.8), lifts=np.zeros(1), n_turns=1),
+)
+
+
+def test_a_kind_of_one_template_is_found_by_a_click() -> None:
+    floor, body = box((-3.0, -3.0, -0.1), (3.0, 3.0, 0.0)), cylinder((1.0, 0.2, 0.0), (1.0, 0.2, 0.4), 0.065, 48)
+    cloud = scan([floor, body], Pose((0.0, 0.0, 1.3), pitch=0.8), SCANNER, 0)
+    around = Surroundings.of(cloud.points, cloud.origin, np.array([0.95, 0.25, 0.3]))
+    fit = fit_at(EXTINGUISHER, around, sight_index(cloud))[0]
+    assert fit.hypotheses.place[0, :2] == pytest.approx([1.0, 0.2], abs=0.01)
+    assert fit.hypotheses.sizes[0] == pytest.approx([0.065, 0.4], abs=0.02)
