@@ -39,7 +39,7 @@ from service.demands.pick_place.work import (
     PickPlace,
     place_object,
 )
-from service.tasks.chain import Attempt, solve_phases
+from service.tasks.chain import PhaseMotion, solve_phases
 from service.tasks.hints import PhaseHints
 from service.tasks.phase_compiler import PhaseCompiler
 from service.tasks.pick_place.over import lead_in_balance, list_ways_over
@@ -128,7 +128,7 @@ class CarrySequence:
 
     def lead(
         self, phase: TaskPhase, first: Float[np.ndarray, "n"] | None, last: Float[np.ndarray, "n"] | None
-    ) -> Attempt:
+    ) -> PhaseMotion:
         """Solve a phase that leads hands from its first configuration, backwards from its last, or between both."""
         compiler, hand = self._compile(phase), phase.frames[0]
         body, known = compiler.solver.body, first if first is not None else last
@@ -139,7 +139,7 @@ class CarrySequence:
             compiler = replace(compiler, solver=solver, earlier=EarlierMotion({phase.name: led}))
         return self._promise(compiler.lead(phase, first, last if not hand.is_line or first is None else None), body)
 
-    def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> Attempt:
+    def join(self, phase: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> PhaseMotion:
         """Solve a phase between two configurations; an object is led over what is between them first."""
         compiler = self._compile(phase)
         body, tool = compiler.solver.body, self.grasps[0].gripper.tool
@@ -155,7 +155,7 @@ class CarrySequence:
             drawn=np.flatnonzero(body.engine.topology.supports[moved].any(axis=0)),
         )
         solved = find_motion(search)
-        made = Attempt(solved.x, lambda: compiler.finish(phase, solved), Stuck.at(phase.name, solved))
+        made = PhaseMotion(solved.x, lambda: compiler.finish(phase, solved), Stuck.at(phase.name, solved))
         return self._promise(made, body)
 
     def _compile(self, phase: TaskPhase) -> PhaseCompiler:
@@ -166,7 +166,7 @@ class CarrySequence:
             solver = replace(solver, body=replace(solver.body, kept=()))
         return PhaseCompiler(solver, hints=_give_hints)
 
-    def _promise(self, attempt: Attempt, body: WholeBody) -> Attempt:
+    def _promise(self, attempt: PhaseMotion, body: WholeBody) -> PhaseMotion:
         """Return an attempt whose phase promises what the task demands of it, not how the planner went about it."""
 
         def plan() -> PlannedPhase:
