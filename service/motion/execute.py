@@ -176,8 +176,11 @@ def _limit_chords(plan: TaskPlan, spline: Spline, chord: float) -> Float[np.ndar
     """Return the chord tolerance of the samples on each knot interval, smaller at changing contacts and near things."""
     chords = np.full(len(spline.curve.knots) - 1, chord)
     for phase, first, last in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True):
-        if _find_body(plan, phase).region is not None:
+        own = _find_body(plan, phase)
+        if own.region is not None:
             chords[first:last] = np.minimum(chords[first:last], CONTACT_CHORD)
+        if own.kept:
+            chords[first:last] = np.minimum(chords[first:last], HELD_CHORD_SHARE * own.drift())
         if phase.is_tight:
             chords[first:last] = np.minimum(chords[first:last], TIGHT_CHORD)
     return chords

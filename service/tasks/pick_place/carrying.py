@@ -66,7 +66,7 @@ class CarrySequence:
         work: the object and its places.
         grasps: of the hands, the leading one first.
         before, held, after: solvers with the object at its start, in the hands, and where it is put.
-        is_patient: whether straight phases are tried in more than one way.
+        is_patient: whether straight phases are tried in more than one way, and sampled paths on feet.
     """
 
     work: PickPlace
@@ -153,6 +153,7 @@ class CarrySequence:
             paths={**search.paths, **ways},
             vias=lambda: [(name, self._keep_fingers(q, first)) for name, q in (vias or list)()],
             drawn=np.flatnonzero(body.engine.topology.supports[moved].any(axis=0)),
+            is_sampled=self.is_patient or body.polygon is None,  # a standing robot needs trees seldom
         )
         solved = find_motion(search)
         made = PhaseMotion(solved.x, lambda: compiler.finish(phase, solved), Stuck.at(phase.name, solved))
