@@ -283,7 +283,9 @@ def main(folder: Path) -> int:
         relative = [target for target in phase["targets"] if target["kind"] == "relative_pose"]
         claims += [(f"{phase['name']}: {t['frame']} kept", *kept(replay, phase, t)) for t in relative]
         others = [target for target in phase["targets"] if target["kind"] != "relative_pose"]
-        claims += [(f"{phase['name']}: {t.get('frame', t.get('joint'))}", *target(replay, phase, t)) for t in others]
+        claims += [
+            (f"{phase['name']}: {t.get('frame', t.get('joint', 'joints'))}", *target(replay, phase, t)) for t in others
+        ]
         stated = [contact for contact in phase["contacts"] if contact["normal"] is not None]
         claims += [(f"{phase['name']}: {c['link']} touches", *touches(data, c)) for c in stated]
         is_assumed = any(part["source"] == "assumed" for part in phase["pressed"])  # such a plan is not certified

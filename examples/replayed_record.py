@@ -227,6 +227,19 @@ def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
             yield from (np.array(one["position"]), turn, np.array(one["position_tolerance_m"]))
             yield np.radians(one["rotation_tolerance_deg"])
             yield from (none if one[key] is None else np.array(one[key]) for key in ("free_axis", "slide"))
+        case "way":
+            yield from ("WayTarget", one["frame"], np.array(one["position"]), turn)
+            yield from (np.array(one[k]) for k in ("centre", "axis", "angle_rad", "shift", "turn_rad"))
+            yield _tolerance([one["tolerance_m"]])
+            yield np.radians(_tolerance([one["rotation_tolerance_deg"]]))
+            yield from (none if one[key] is None else np.array(one[key]) for key in ("free_axis", "speed_m_s"))
+            yield from (np.array(one[key]) for key in ("speed_share", "ramp_m"))
+        case "joint_way":
+            yield "JointWayTarget"
+            yield from one["joints"] or [none]
+            yield from (np.array(one[key]) for key in ("first", "last", "tolerance"))
+            yield one["profile"]
+            yield none if one["duration_s"] is None else np.array(one["duration_s"])
         case "joint":
             yield from ("JointTarget", one["joint"], np.array(one["value"]), np.array(one["tolerance"]), at)
 

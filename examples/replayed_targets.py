@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from replayed_motion import Array, Replay
+from replayed_ways import joint_way, way
 
 TIP_M = 0.1  # a direction is checked by the tip of a rod of this length
 Excess = Callable[[float], float]
@@ -18,7 +19,11 @@ Excess = Callable[[float], float]
 
 
 def target(replay: Replay, phase: dict[str, Any], wanted: dict[str, Any]) -> tuple[bool, str]:
-    """Check a pose, circle, axis or joint value, at one path parameter or along the whole phase."""
+    """Check a pose, circle, axis, way or joint value, at one path parameter or along the whole phase."""
+    if wanted["kind"] == "way":
+        return way(replay, phase, wanted)
+    if wanted["kind"] == "joint_way":
+        return joint_way(replay, phase, wanted)
     if wanted["kind"] == "joint":
         off = abs(replay.q(replay.samples[wanted["at"]])[replay.names.index(wanted["joint"])] - wanted["value"])
         return off <= wanted["tolerance"], f"{wanted['joint']} is {off:.5f} off"

@@ -24,6 +24,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "button": {"at": [0.7, -0.2, 1.2]},
     "lever": {"pivot": [0.7, -0.2, 1.2]},
     "wipe": {"corner": [0.7, -0.2, 1.2]},
+    "pick_place": {"object": "can", "to": [0.5, -0.2, 0.9]},
+    "carry": {"object": "beam", "to": [0.5, 0.0, 0.9]},
     "drill": {"centre": [0.8, -0.1, 1.15], "wall": ["wall"]},
 }
 KNOCK = """
@@ -37,8 +39,12 @@ task:
 """
 
 
+BOX = {"type": "box", "size": [0.05, 0.05, 0.1], "position": [0.5, -0.2, 0.8], "mass_kg": 1.0}
+
+
 def using(name: str, **values: Any) -> dict[str, Any]:
-    return {"robot": {"name": "atlas"}, "task": {"use": name, "with": values}}
+    scene = {"objects": [{"name": values["object"], **BOX}]} if "object" in values else {}
+    return {"robot": {"name": "atlas"}, "scene": scene, "task": {"use": name, "with": values}}
 
 
 @pytest.fixture(name="folder")
