@@ -249,10 +249,10 @@ def build_obstacles(
         for number, vertices in enumerate(parts, start=1):
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
-    for given in _read_mechanisms(request):
-        notes += (f"task.mechanism.urdf: {note}" for note in (*given.read.notes, *list_overlap_notes(given)))
-        notes += () if request.options.timed else given.list_pace_notes()
-        pieces += given.pieces
+    for mechanism in _read_mechanisms(request):
+        notes += (f"task.mechanism.urdf: {note}" for note in (*mechanism.read.notes, *list_overlap_notes(mechanism)))
+        notes += () if request.options.timed else mechanism.list_pace_notes()
+        pieces += mechanism.pieces
     return tuple(pieces), tuple(notes)
 
 
