@@ -47,9 +47,7 @@ def test_a_drill_seen_from_behind_or_ahead_is_found_by_what_lies_deeper_than_its
     "yaw_deg",
     [
         105.0,
-        pytest.param(
-            195.0, marks=pytest.mark.xfail(reason="from ahead a block ends nearly the same rays", strict=True)
-        ),
+        pytest.param(195.0, marks=pytest.mark.xfail(reason="from ahead a block ends the same rays", strict=True)),
     ],
 )
 def test_a_block_of_a_drills_outline_is_none(yaw_deg: float) -> None:
