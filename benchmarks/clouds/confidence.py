@@ -47,6 +47,7 @@ _SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1, 1), 
 _SEARCHED = frozenset(chain.from_iterable(CLICKED.values()))
 # Templates whose shape says little (a leaf is a flat face) have their detector's rating as an input.
 _RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam", "lever"})
+_FLAT = frozenset({"door", "panel", "seat", "opening"})
 _OF_SEARCH = frozenset({"flat_share", "flats_share", "margin", "lead"})
 _RIDGE, _RIDGE_OWN = 0.1, 0.1
 _FOLDS = 5
@@ -212,6 +213,13 @@ def _write(file: str, columns: Sequence[str], values: Mapping[str, Float[np.ndar
 
 
 def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str, Float[np.ndarray, "I1"]]]:
+    """Return the templates and their weights, bias first; flat kinds share weights, and all others do."""
+    is_flat = np.isin(table.template, list(_FLAT))
+    groups = [_fit_group(table, used & these) for these in (is_flat, ~is_flat) if (used & these).any()]
+    return [name for names, _ in groups for name in names], {k: v for _, weights in groups for k, v in weights.items()}
+
+
+def _fit_group(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str, Float[np.ndarray, "I1"]]]:
     """Return the templates and their weights, bias first: weights of all, and a bias and rating of each's own."""
     names = [
         str(name)
@@ -219,6 +227,8 @@ def fit(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], dict[str,
         if _is_enough(name, table.right[used & (table.template == name)])
     ]
     used = used & np.isin(table.template, names)
+    if not names:
+        return [], {}
     n, k = len(INPUTS), len(names)
     x, y = table.inputs[used], table.right[used].astype(float)
     of = np.array([names.index(name) for name in table.template[used]])
