@@ -16,7 +16,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 .DEFAULT_GOAL := help
 # Two processes that take a file at a time, since its tests share plans and servers; one thread each, or their linear
 # algebra fights for the cores.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-clouds bench-tasks bench-starts bench-egress bench-physics bench-faults attack mutants gallery clean
 
