@@ -172,7 +172,7 @@ def test_a_late_plan_comes_with_its_best_attempt_and_reasons_and_without_a_certi
 def test_a_verification_that_runs_into_the_limit_gives_the_motion_and_no_certificate(monkeypatch):
     is_verifying = []
 
-    def verify(motion):
+    def verify(motion, settings=None):
         is_verifying.append(motion)
         return verifier.verify(motion)
 
