@@ -42,6 +42,8 @@ INPUTS = (
     "rating",
 )
 """Names of the inputs of the logistic curve, in order."""
+# Beyond it an unusual size says nothing more: objects out there have sizes that no scan of the fit had.
+_MOST_SIZE_SCORE = 2.5
 _MOST_RATING, _MOST_LEAD = 3.0, 1.5
 _UNSEEN = 0.05  # confidence of a hit that few rays pass
 
@@ -129,7 +131,7 @@ def inputs_of(features: Float[np.ndarray, "F"], rating: float) -> dict[str, floa
         "rms_ratio": by_name["rms"],
         "part_share": by_name["part_share"],
         "n_hits": by_name["n_hits"],
-        "size_score": min(by_name["size_score"], 6.0),
+        "size_score": min(by_name["size_score"], _MOST_SIZE_SCORE),
         "gain": float(np.clip(by_name["gain"], -2.0, 3.0)),
         "flat_share": by_name["flat_share"],
         "flats_share": by_name["flats_share"],
