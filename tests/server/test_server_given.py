@@ -54,6 +54,7 @@ def _by_service(reply: DetectResponse) -> list[dict[str, Any]]:
             "pose_world_object": [list(hit.pose_world_object[4 * row : 4 * row + 4]) for row in range(4)],
             "sizes": dict(hit.sizes),
             "residuals": dict(hit.residuals),
+            "doubts": list(hit.doubts),
         }
         for hit in reply.hits
     ]
