@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 
 def skew(v: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
@@ -122,3 +123,13 @@ def turn_towards(
     cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     turns = np.eye(3) + np.sin(angle)[:, None, None] * cross + (1.0 - np.cos(angle))[:, None, None] * (cross @ cross)
     return np.asarray(rotation @ turns)
+
+
+def pose_matrix(
+    position: tuple[float, float, float], quaternion_wxyz: tuple[float, float, float, float]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the (4, 4) pose of a position [m] and a quaternion (w, x, y, z)."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
+    pose[:3, 3] = position
+    return pose

@@ -36,7 +36,7 @@ def slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
         (peaks.speed / robot.velocity).max(axis=1), np.sqrt((peaks.acceleration / robot.acceleration).max(axis=1))
     )
     factor = np.ones(len(law.times) - 1)
-    for a, b in _list_stretches(law):
+    for a, b in list_stretches(law):
         inside = (peaks.s >= law.path[a]) & (peaks.s < law.path[b])
         factor[a:b] = max(1.0, float(excess[inside].max()))
     return stretch_law(law, factor)
@@ -61,7 +61,7 @@ def limit_jerk(
     """
     jerk = JERK_SHARE * jerk
     path, speed = [law.path[:1]], [np.zeros(1)]
-    for a, b in _list_stretches(law):
+    for a, b in list_stretches(law):
         own = law.cut(float(law.path[a]), float(law.path[b]))
         if own is None or (float(law.path[a]), float(law.path[b])) in kept:
             path.append(law.path[a + 1 : b + 1])
@@ -86,7 +86,7 @@ def _slow_across_rests(
         if excess.max() <= 1.0:
             break
         factor, first = np.ones(len(law.times) - 1), law.path[0]
-        for a, b in _list_stretches(law):
+        for a, b in list_stretches(law):
             inside = (s >= first) & (s <= law.path[b])
             if (float(law.path[a]), float(law.path[b])) not in kept:
                 factor[a:b] = max(1.0, SPARE * float(excess[inside].max(initial=0.0)) ** (1.0 / 3.0))
@@ -95,7 +95,7 @@ def _slow_across_rests(
     return law
 
 
-def _list_stretches(law: TimeLaw) -> Iterator[tuple[int, int]]:
+def list_stretches(law: TimeLaw) -> Iterator[tuple[int, int]]:
     """Yield the grid points of two neighbouring rests."""
     return pairwise(np.flatnonzero(law.speed <= REST).tolist())
 

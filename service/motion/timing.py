@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
-from service.motion.slowing import limit_jerk, slow_to_limits, stretch_law
+from service.motion.slowing import limit_jerk, list_stretches, slow_to_limits, stretch_law
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
 from service.verify import (
     RISE_S,
@@ -155,7 +155,8 @@ def time_curve(
             continue
         number = _find_covering(phases, first, last)
         support = None if number is None else phases[number].support
-        loaded = limited if number is None or not carrying else _scale_limits(carrying[number], settings)
+        carrier = robot if number is None or not carrying else carrying[number]
+        loaded = limited if carrier is robot else _scale_limits(carrier, settings)
         path.append(cells[1:])
         limits = [limit for pace in paces if (pace.first, pace.last) == (first, last) for limit in pace.limits]
         speed.append(_time_segment(loaded, curve, cells, torque_rows, support, settings.zmp_reserve_m, limits)[1:])
@@ -196,8 +197,7 @@ def slow_until_zmp_inside(
     if motion.law is None:
         raise TimingError("an untimed motion cannot be slowed")
     law = motion.law
-    rests = np.flatnonzero(law.speed <= 1e-12)
-    stretches = [(a, b) for a, b in pairwise(rests) if (law.path[a], law.path[b]) not in settled]
+    stretches = [(a, b) for a, b in list_stretches(law) if (law.path[a], law.path[b]) not in settled]
     for _ in range(4):
         poll()
         factor = np.ones(len(law.times) - 1)

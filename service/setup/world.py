@@ -14,6 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
+from costs.rotation import pose_matrix
 from costs.scene import ConvexPiece
 from service.demands.door.demand import SeenDoor
 from service.demands.kind import find_demand_part
@@ -31,7 +32,6 @@ from service.request.scene import (
 )
 from service.request.schema import PlanRequest
 from service.scan.meshes import read_solid, split_convex
-from service.start.robot import pose_matrix
 from service.start.standing import place_bodies
 
 if TYPE_CHECKING:

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.kinematics import locate_frame
 from costs.robot import (
@@ -24,6 +22,7 @@ from costs.robot import (
     with_contacts,
 )
 from costs.robot.servo import list_servo_joints, make_stiffness
+from costs.rotation import pose_matrix
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
 from service.start.configuration import find_unknown_joints
@@ -166,16 +165,6 @@ def attach_bodies(robot: RobotModel, request: PlanRequest) -> RobotModel:
     if problems:
         raise RequestError(problems)
     return carrying
-
-
-def pose_matrix(
-    position: tuple[float, float, float], quaternion_wxyz: tuple[float, float, float, float]
-) -> Float[np.ndarray, "4 4"]:
-    """Return the (4, 4) pose of a request's position [m] and quaternion."""
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
-    pose[:3, 3] = position
-    return pose
 
 
 def _make_body(item: AttachedRequest) -> AttachedBody:

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot.carried import MovableObject
+from costs.rotation import pose_matrix
 from service.demands.grasping.gripper import Gripper
-from service.demands.grasping.objects import make_pose
 from service.request.scene import GraspRequest
 
 PALM_SPACE_M = 5e-3  # between an object and the hand's front
@@ -53,7 +53,7 @@ def list_grasps(
         given: grasps of the request; generated where there are none.
         opening_m: free space between each finger and the object as the hand comes and goes.
     """
-    poses = [make_pose(grasp.position, grasp.quaternion_wxyz) for grasp in given]
+    poses = [pose_matrix(grasp.position, grasp.quaternion_wxyz) for grasp in given]
     grasps, refused = [], []
     for number, pose in enumerate(poses or generate_poses(item, gripper)):
         made = close_on(item, gripper, pose, opening_m)

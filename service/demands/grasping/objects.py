@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
 from costs.primitive import make_round_shape
 from costs.robot import LinkInertia, shapes
 from costs.robot.carried import MovableObject
+from costs.rotation import pose_matrix
 from service.errors import RequestError
 from service.request.scene import ConvexRequest, ObjectRequest
 from service.request.schema import PlanRequest
@@ -26,16 +26,6 @@ def find_object(request: PlanRequest, name: str, field: str) -> tuple[ObjectRequ
             return item, make_object(item, f"scene.objects[{index}]")
     known = ", ".join(item.name for item in request.scene.objects) or "no object; give scene.objects"
     raise RequestError(f"{field}: unknown object {name!r}; the scene has {known}")
-
-
-def make_pose(
-    position: tuple[float, float, float], quaternion_wxyz: tuple[float, float, float, float]
-) -> Float[np.ndarray, "4 4"]:
-    """Return the (4, 4) pose of a request's position [m] and quaternion."""
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
-    pose[:3, 3] = position
-    return pose
 
 
 def make_object(item: ObjectRequest, field: str) -> MovableObject:
@@ -59,7 +49,7 @@ def make_object(item: ObjectRequest, field: str) -> MovableObject:
         item.name,
         vertices,
         spread_mass(vertices, item.mass_kg),
-        make_pose(item.position, item.quaternion_wxyz),
+        pose_matrix(item.position, item.quaternion_wxyz),
         exact,
     )
 

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.robot import (
     STOP_ROUNDING,
@@ -19,6 +18,7 @@ from costs.robot import (
     check_limits,
     read_mechanism,
 )
+from costs.rotation import pose_matrix
 from costs.scene import ConvexPiece
 from service.demands.moved_object.loads import JointLoad, MovedObject, Spring, choose_pace
 from service.demands.moved_object.rest import check_rest
@@ -158,7 +158,8 @@ def read_given_mechanism(request: MechanismRequest) -> GivenMechanism:
     meshes = {name: np.array(mesh.points) for name, mesh in request.meshes.items()}
     starts = {name: joint.start for name, joint in request.joints.items() if joint.start is not None}
     try:
-        read = read_mechanism(request.urdf, "urdf", MECHANISM, STILL, _make_pose(request), starts, meshes)
+        pose = pose_matrix(request.position, request.quaternion_wxyz)
+        read = read_mechanism(request.urdf, "urdf", MECHANISM, STILL, pose, starts, meshes)
     except RobotError as error:
         raise RequestError(f"{field}.{' '.join(str(error).split())}") from None
     names = [joint.name for joint in read.joints]
@@ -179,13 +180,6 @@ def read_given_mechanism(request: MechanismRequest) -> GivenMechanism:
     moves = [(move.joint, *ends) for move, ends in zip(request.moves, given.list_moves(), strict=True)]
     check_rest(given.moved, moves, read.list_carriers, handle.joint, stays=request.stays)
     return given
-
-
-def _make_pose(request: MechanismRequest) -> Float[np.ndarray, "4 4"]:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(request.quaternion_wxyz, scalar_first=True).as_matrix()
-    pose[:3, 3] = request.position
-    return pose
 
 
 def _read_handle(request: MechanismRequest, read: UrdfMechanism) -> Handle:

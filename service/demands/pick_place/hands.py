@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from costs.rotation import pose_matrix
 from service.demands.grasping.gripper import Gripper
-from service.demands.grasping.objects import make_pose
 from service.demands.pick_place.work import LIFT, PickPlace
 from service.verify import Motion, Phase, RelativePoseTarget, place_frames
 
@@ -48,7 +48,7 @@ def make_grasp_targets(
     """Return the promises that tools are at grasps of the request, the nearest to where a phase begins."""
     q = motion.curve(np.array([phase.first]))[0]
     poses = place_frames(motion.robot, q, [gripper.tool for gripper in grippers])
-    given = [make_pose(grasp.position, grasp.quaternion_wxyz) for grasp in work.given.grasps]
+    given = [pose_matrix(grasp.position, grasp.quaternion_wxyz) for grasp in work.given.grasps]
     targets = []
     for gripper in grippers:
         own = np.linalg.inv(work.item.start) @ poses[gripper.tool]

@@ -11,9 +11,10 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
 from costs.robot.carried import MovableObject, PlacedObject, with_objects
+from costs.rotation import pose_matrix
 from costs.scene import Scene
 from service.demands.grasping.gripper import Gripper, list_grippers
-from service.demands.grasping.objects import find_object, make_pose
+from service.demands.grasping.objects import find_object
 from service.demands.phase import TaskPhase
 from service.errors import RequestError
 from service.request.scene import ObjectRequest
@@ -66,7 +67,7 @@ class PickPlace:
         """
         given, item = find_object(request, section.object, f"{FIELD}.object")
         turned = section.to.quaternion_wxyz or given.quaternion_wxyz
-        place = make_pose(section.to.position, turned)
+        place = pose_matrix(section.to.position, turned)
         rests = [_rest(robot, scene, item, pose) for pose in (item.start, place)]
         return PickPlace(
             section, given, item, place, rests[0][1], rests[1][1], (rests[0][0], rests[1][0]),
