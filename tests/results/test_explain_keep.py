@@ -62,11 +62,11 @@ def test_a_link_kept_in_the_world_that_shall_arrive_elsewhere():
 
 def test_joint_positions_that_let_go():
     body = keeping(HANDS)
-    (line,) = find_never_kept(body, Goal.of(body, GoalRequest(posture="stand")).targets(0.0))
+    (line,) = find_never_kept(body, Goal.of(body, GoalRequest(posture="stand")).targets())
     assert line.startswith("the goal does not keep r_hand relative to l_hand: it is ")
-    assert find_never_kept(body, Goal.of(body, GoalRequest(posture="reach_ready")).targets(0.0)) == ()
+    assert find_never_kept(body, Goal.of(body, GoalRequest(posture="reach_ready")).targets()) == ()
     # an elbow alone leaves the other joints to make up for it
-    assert find_never_kept(body, Goal.of(body, GoalRequest(joints={"l_arm_elx": 1.0})).targets(0.0)) == ()
+    assert find_never_kept(body, Goal.of(body, GoalRequest(joints={"l_arm_elx": 1.0})).targets()) == ()
 
 
 @pytest.mark.parametrize("free_axis", ["none", "y"])
@@ -77,4 +77,4 @@ def test_where_a_configuration_keeps_the_pose_no_reason_is_given(seed, free_axis
     q = project_onto_holds(body.engine, (body.nominal + 0.3 * rng.normal(size=body.robot.n))[None], body.holds())[0]
     assert find_never_kept(body, places(body, q, l_tool=[0.0] * 3, r_hook=[0.0] * 3, l_hand=[0.0] * 3)) == ()
     joints = dict(zip(body.robot.joint_names[6:], q[6:].tolist(), strict=True))
-    assert find_never_kept(body, Goal.of(body, GoalRequest(joints=joints)).targets(0.0)) == ()
+    assert find_never_kept(body, Goal.of(body, GoalRequest(joints=joints)).targets()) == ()
