@@ -46,10 +46,11 @@ _SIGNS = dict(zip(INPUTS, (1, -1, -1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, 1, 1), 
 # templates have all that is about the object.
 _SEARCHED = frozenset(chain.from_iterable(CLICKED.values()))
 # Templates whose shape says little (a leaf is a flat face) have their detector's rating as an input.
-_RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam", "lever"})
+_RATED = frozenset({"door", "panel", "seat", "opening", "hose", "beam", "lever", "lever valve"})
 _FLAT = frozenset({"door", "panel", "seat", "opening"})
 _OF_SEARCH = frozenset({"flat_share", "flats_share", "margin", "lead"})
 _RIDGE, _RIDGE_OWN = 0.1, 0.1
+_MOST_WEIGHT = 8.0  # of a recorded hit, relative to a simulated one
 _FOLDS = 5
 _FEWEST = 4, 2  # right and wrong hits
 
@@ -245,10 +246,12 @@ def _fit_group(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], di
     bounds = [(0.0, None) if _SIGNS[name] > 0 else (None, 0.0) for name in INPUTS[:-1]]
     bounds += [(0.0, None)] * k + [(None, None)] * (k + 1)
 
+    counts = _weigh(table.source[used], of)
+
     def loss(w: Float[np.ndarray, "W"]) -> tuple[float, Float[np.ndarray, "W"]]:
         score = design @ w
-        value = np.logaddexp(0.0, score) - y * score
-        slope = design.T @ (1.0 / (1.0 + np.exp(-score)) - y)
+        value = counts * (np.logaddexp(0.0, score) - y * score)
+        slope = design.T @ (counts * (1.0 / (1.0 + np.exp(-score)) - y))
         return float(value.sum() + 0.5 * (ridge * w * w).sum()), slope + ridge * w
 
     w = minimize(loss, np.zeros(size), jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 2000}).x
@@ -260,6 +263,18 @@ def _fit_group(table: Table, used: Bool[np.ndarray, "N"]) -> tuple[list[str], di
         row[n] = w[n_common + i]
         weights[name] = row
     return names, weights
+
+
+def _weigh(source: np.ndarray, of: np.ndarray) -> Float[np.ndarray, "K"]:
+    """Return the weight of each hit: the few of recorded scans count twice as much as all simulated of a template."""
+    counts = np.ones(len(source))
+    recorded = ~_is_simulated(source)
+    for template in np.unique(of):
+        mine = of == template
+        n_recorded, n_simulated = int((mine & recorded).sum()), int((mine & ~recorded).sum())
+        if n_recorded:
+            counts[mine & recorded] = np.clip(2.0 * n_simulated / n_recorded, 1.0, _MOST_WEIGHT)
+    return counts
 
 
 def _applies(key: str, name: str) -> bool:
@@ -302,7 +317,7 @@ def print_calibration(table: Table, held: Float[np.ndarray, "N"]) -> None:
             error += gap * mine.mean()
             rows.append((f"{low:.1f}", str(mine.sum()), f"{held[mine].mean():.2f}", f"{table.right[mine].mean():.2f}"))
     print_table(f"held out; expected error {error:.3f}", ("confidence from", "hits", "mean", "right"), rows)
-    is_simulated = np.array([source.rsplit("/")[-1].isdigit() or source.startswith("sim") for source in table.source])
+    is_simulated = _is_simulated(table.source)
     rows = []
     for name in np.unique(table.template):
         row = [str(name)]
@@ -317,6 +332,10 @@ def print_calibration(table: Table, held: Float[np.ndarray, "N"]) -> None:
         for what in ("hits", "right", "sure", "sure and right")
     ]
     print_table("by template, each held out", ("template", *columns), rows)
+
+
+def _is_simulated(source: np.ndarray) -> Bool[np.ndarray, "N"]:
+    return np.array([name.rsplit("/")[-1].isdigit() or name.startswith("sim") for name in source])
 
 
 if __name__ == "__main__":

@@ -119,7 +119,7 @@ def test_a_leaf_seen_along_its_face_so_that_no_handle_is_seen_is_not_one_to_act_
     found = detect("door", make_view(scene.scan("dense")))[0]
     assert abs(found.pose_world_object[:3, 1] @ scene.truth[0].pose_world_object[:3, 1]) > 0.999
     assert "handle_x" not in found.sizes
-    assert 0.3 < found.confidence < 0.5
+    assert 0.1 < found.confidence < 0.5
 
 
 def test_a_lever_before_the_far_edge_of_an_open_leaf_ends_where_rays_went_past_the_leaf() -> None:
