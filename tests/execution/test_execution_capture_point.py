@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from contact_plans import plan_example
 from scipy.spatial.transform import Rotation
+from shared_plans import write_example
 
 from service.errors import ExecutionError
 from service.execution.reference import PlannedReference
@@ -17,7 +17,7 @@ SETTINGS = BalanceSettings()
 
 @pytest.fixture(scope="module")
 def reference():
-    return PlannedReference.read(plan_example("steps"))
+    return PlannedReference.read(write_example("steps"))
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_plans import plan_example
+from shared_plans import write_example
 
 from service.execution.driver import RobotReading
 from service.execution.reference import PlannedReference
@@ -21,7 +21,7 @@ LOAD_GAIN = 4e-5
 
 @pytest.fixture(scope="module")
 def reference():
-    return PlannedReference.read(plan_example("steps"))
+    return PlannedReference.read(write_example("steps"))
 
 
 def make_feet(reference, phases, balance=SETTINGS, margin=0.05):

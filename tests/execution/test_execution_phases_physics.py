@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
-from contact_plans import plan_example
+from shared_plans import write_example
 
 from service.execution.execution import Execution
 from service.execution.machine import Mode, Order
@@ -20,7 +20,7 @@ STANDS_M = 0.05  # of the pelvis from the plan
 
 @cache
 def read_plan():
-    folder = plan_example("chair")
+    folder = write_example("chair")
     return PlannedReference.read(folder), read_recorded_request(folder)
 
 

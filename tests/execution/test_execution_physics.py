@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
-from contact_plans import plan_example
+from shared_plans import write_example
 
 from service.demands.resistance import MechanismPhysics
 from service.execution.execution import Execution
@@ -23,12 +23,13 @@ from service.simulation.robot import SimulatedRobot
 FOOT = "r_foot"
 BEFORE_S = 0.4  # that the robot has stood on one leg when the phase begins in which the foot comes down
 SECONDS = 1.8
+STEPS = 2  # of the physics per command
 LANDING_S = 0.3  # after the planned or the first touch, until which landings are compared
 
 
 @pytest.fixture(scope="module")
 def reference():
-    return PlannedReference.read(plan_example("steps"))
+    return PlannedReference.read(write_example("steps"))
 
 
 @dataclass
@@ -60,10 +61,10 @@ def uneven(reference, rise):
     return replace(reference.motion, scene=replace(reference.motion.scene, pieces=tuple(pieces))), land
 
 
-def stand(reference, motion, begin, settings=None):
+def stand(reference, motion, begin, settings=None, steps=STEPS):
     options = SimulationOptions()
     model = build_physics(motion, MechanismPhysics({}), options)
-    robot = SimulatedRobot(model, reference.at(begin).configuration, options)
+    robot = SimulatedRobot(model, reference.at(begin).configuration, options, steps)
     return Execution(reference, robot, settings, begin)
 
 
@@ -72,7 +73,8 @@ def land(reference, *, soft, rise):
     """Let the right foot land on the first stone, which is higher than planned by ``rise`` [m]."""
     motion, phase = uneven(reference, rise)
     settings = ExecutionSettings() if soft else ExecutionSettings(touchdown=None)
-    execution = stand(reference, motion, reference.phases[phase].begin_s - BEFORE_S, settings)
+    steps = 1 if rise < 0.0 else STEPS  # a foot that drops is stopped within milliseconds
+    execution = stand(reference, motion, reference.phases[phase].begin_s - BEFORE_S, settings, steps)
     robot, data = execution.driver, reference.robot.model.createData()
     frame = reference.robot.model.getFrameId(FOOT)
     forces, tilts, off, planned = [], [], 0.0, 0
@@ -80,7 +82,7 @@ def land(reference, *, soft, rise):
         cycle = execution.step()
         planned = k if cycle.state.time_s < reference.phases[phase].end_s else planned
         forces.append(robot.measure_contact_wrenches()[FOOT][2])
-        if k % 10 == 0:
+        if k % 5 == 0:
             pin.framesForwardKinematics(reference.robot.model, data, robot.configuration())
             off = max(off, float(np.linalg.norm(cycle.estimate.position - robot.pose_world_base[:3, 3])))
         tilts.append(float(np.arccos(np.clip(data.oMf[frame].rotation[2, 2], -1.0, 1.0))))
@@ -123,8 +125,8 @@ def test_an_abort_on_one_leg_ends_standing_in_balance(reference):
     swing = next(phase for phase in reference.phases if phase.name.endswith("swing"))
     execution = stand(reference, reference.motion, swing.begin_s + 0.2)
     robot = execution.driver
-    for k in range(1200):
-        if k == 150:
+    for k in range(round(1.2 / robot.period_s)):
+        if k == round(0.15 / robot.period_s):
             execution.give(Order.ABORT)
         cycle = execution.step()
     assert execution.state.mode is Mode.ABORTED
@@ -141,10 +143,10 @@ def push(reference, settings, newton=160.0, seconds=0.3):
     robot, data = execution.driver, reference.robot.model.createData()
     pelvis, frame = robot.model.mj.body("link:pelvis").id, reference.robot.model.getFrameId("l_foot")
     tilt = 0.0
-    for k in range(1600):
-        robot.data.xfrc_applied[pelvis, 1] = newton if 500 <= k < 500 + 1e3 * seconds else 0.0
+    for k in range(round(1.6 / robot.period_s)):
+        robot.data.xfrc_applied[pelvis, 1] = newton if 0.5 <= k * robot.period_s < 0.5 + seconds else 0.0
         execution.step()
-        if k % 20 == 0:
+        if k % 5 == 0:
             pin.framesForwardKinematics(reference.robot.model, data, robot.configuration())
             tilt = max(tilt, float(np.arccos(np.clip(data.oMf[frame].rotation[2, 2], -1.0, 1.0))))
     return tilt, execution.state.mode

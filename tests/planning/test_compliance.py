@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from given_wheels import wheel_request
+from shared_plans import write_once
 from typer.testing import CliRunner
 
 from costs.kinematics import KinematicsEngine, locate_links
@@ -33,11 +34,9 @@ MOVED = np.array([0.006, -0.005, 0.004])
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def turned() -> Path:
     """A valve turned by 60 degrees."""
-    result = plan(parse_request(VALVE))
-    assert result.verdict is Verdict.CERTIFIED, result.explanation
-    return write_result(result, tmp_path_factory.mktemp("turned") / "out").folder
+    return write_once(parse_request(VALVE))
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
+from shared_plans import plan_example
 from stranger import Stranger
 from tiny_robots import Segment, Z, chain_urdf
 
@@ -19,7 +20,7 @@ from costs.robot import load_robot
 from service.body.holds import relative_pose
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.request.file import load_request, parse_request
+from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
@@ -240,8 +241,7 @@ def test_a_goal_may_be_the_beams_own():
 
 
 def test_the_beam_of_the_example_gets_over_the_rail():
-    result = plan(load_request(EXAMPLES / "requests" / "carry.yaml"))
-    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    result = plan_example("carry")
     first, last = (relative_pose(result.robot, q, "beam", None) for q in result.motion.curve.positions[[0, -1]])
     (rail,) = [piece for piece in result.scene.pieces if piece.name == "rail"]
     assert first[0, 3] < rail.lower[0]

@@ -21,6 +21,7 @@ from given_mechanisms import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shared_plans import plan_once, write_once
 from tiny_robots import atlas
 
 from costs.robot import with_mechanism
@@ -52,9 +53,10 @@ from service.wire.requests import request_from_message, request_to_message
 
 
 @pytest.fixture(scope="module")
-def drawer(tmp_path_factory: pytest.TempPathFactory) -> tuple[PlanResult, Path]:
+def drawer() -> tuple[PlanResult, Path]:
     """A drawer pulled out by 0.25 m, with its folder."""
-    return _plan_and_write(drawer_request(), tmp_path_factory.mktemp("drawer") / "out")
+    request = parse_request(drawer_request())
+    return plan_once(request), write_once(request)
 
 
 def _plan_and_write(request: dict[str, Any], folder: Path) -> tuple[PlanResult, Path]:

@@ -15,6 +15,7 @@ import yaml
 from given_doors import door_request
 from given_mechanisms import drawer_request
 from given_wheels import wheel_request
+from shared_plans import write_once
 from tiny_robots import atlas
 from typer.testing import CliRunner
 
@@ -41,21 +42,21 @@ VALVE = wheel_request()
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def opened() -> Path:
     """A door with a lever, pushed open by 30 degrees."""
-    return _write(plan(parse_request(door_request())), tmp_path_factory.mktemp("opened"))
+    return write_once(parse_request(door_request()))
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def turned() -> Path:
     """A valve turned by 60 degrees."""
-    return _write(plan(parse_request(VALVE)), tmp_path_factory.mktemp("turned"))
+    return write_once(parse_request(VALVE))
 
 
 @pytest.fixture(scope="module")
-def pulled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pulled() -> Path:
     """A drawer pulled out by 0.25 m."""
-    return _write(plan(parse_request(drawer_request())), tmp_path_factory.mktemp("pulled"))
+    return write_once(parse_request(drawer_request()))
 
 
 def _write(result: PlanResult, folder: Path) -> Path:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_plans import plan_example, write_example
 from stranger import Stranger
 
 from perception import SeenPart
@@ -17,9 +18,8 @@ from service.demands.valve.wheel import make_wheel
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.request.file import load_request, parse_request
+from service.request.file import parse_request
 from service.request.tasks.valve import ValveRequest
-from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare
 from service.tasks.valve.plan import list_choices
@@ -42,18 +42,15 @@ def given(centre=(0.68, 0.12, 1.1), radius=0.14, **more) -> dict:
 
 
 @pytest.fixture(scope="module")
-def shipped(tmp_path_factory):
+def shipped():
     """The plan of the shipped request and scan, with its folder."""
-    result = plan(load_request(EXAMPLES / "requests" / "valve.yaml"))
-    folder = tmp_path_factory.mktemp("valve") / "out"
-    write_result(result, folder)
-    return result, Stranger(folder)
+    return plan_example("valve"), Stranger(write_example("valve"))
 
 
 @pytest.fixture(scope="module")
-def shipped_folder(shipped, tmp_path_factory):
+def shipped_folder():
     """The folder of that plan."""
-    return write_result(shipped[0], tmp_path_factory.mktemp("valve") / "again").folder
+    return write_example("valve")
 
 
 def pair_of(allowance: dict) -> tuple:
@@ -248,7 +245,7 @@ def test_a_spoke_that_nobody_knows_of_is_no_ground_for_a_certificate():
 
 
 def test_a_valve_out_of_reach_comes_with_the_shift_that_would_help():
-    result = plan(request(given(centre=(1.45, 0.12, 1.1), hand="left", turn_deg=90)))
+    result = plan(request(given(centre=(1.45, 0.12, 1.1), hand="left", turn_deg=90), options={"starts": 1}))
     assert result.verdict is Verdict.NOT_FOUND
     assert any("moving the pelvis" in line and "forward" in line for line in result.explanation), result.explanation
     assert result.motion is not None

@@ -12,11 +12,12 @@ from typing import Any
 
 import pytest
 from given_wheels import wheel_request
+from shared_plans import write_example, write_once
 
 from service.errors import DamagedResultError, RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import read_motion, verify_result
-from service.request.file import load_request, parse_request
+from service.request.file import parse_request
 from service.result.folder import read_result
 from service.result.output import write_result
 from service.result.result import Verdict
@@ -28,15 +29,15 @@ VALVE = wheel_request()
 
 
 @pytest.fixture(scope="module")
-def carried(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def carried() -> Path:
     """A beam carried with both hands: feet, kept poses, something attached, obstacles, a goal."""
-    return _planned(load_request(CARRY), tmp_path_factory.mktemp("carried"))
+    return write_example("carry")
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def turned() -> Path:
     """A valve given by its circle, turned by 60 degrees."""
-    return _planned(parse_request(VALVE), tmp_path_factory.mktemp("turned"))
+    return write_once(parse_request(VALVE))
 
 
 def _planned(request: Any, folder: Path) -> Path:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from given_mechanisms import drawer_request
+from shared_plans import plan_once
 
 from service.demands.held_motion import compare_phase
 from service.errors import DamagedResultError
-from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.result.output import write_result
@@ -23,7 +23,7 @@ from service.result.result import PlanResult
 
 @pytest.fixture(scope="module")
 def pulled() -> PlanResult:
-    return plan(parse_request(drawer_request(to=0.1)))
+    return plan_once(parse_request(drawer_request(to=0.1)))
 
 
 def _widen(data: dict[str, Any]) -> None:

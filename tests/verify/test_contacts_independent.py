@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_plans import plan_example
 from contact_replay import ContactReplay
+from shared_plans import write_example
 from viewer_results import unpack
 
 from service.viewer.payload import make_payload
@@ -21,12 +21,12 @@ EXAMPLES = ("steps", "chair", "stair")
 
 @pytest.fixture(params=EXAMPLES)
 def replay(request: pytest.FixtureRequest) -> ContactReplay:
-    return ContactReplay.of(plan_example(request.param))
+    return ContactReplay.of(write_example(request.param))
 
 
 @pytest.fixture
 def steps() -> ContactReplay:
-    return ContactReplay.of(plan_example("steps"))
+    return ContactReplay.of(write_example("steps"))
 
 
 def _measure_slip(replay: ContactReplay) -> float:

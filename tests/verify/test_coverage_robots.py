@@ -9,13 +9,14 @@ from typing import Any
 import dishonest_robots as dishonest
 import numpy as np
 import pytest
+from shared_plans import plan_example
 
 from costs.robot import load_robot
 from service.cli.report import describe_omissions
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.request.file import load_request, parse_request
+from service.request.file import parse_request
 from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.result.result_json import summary_json
@@ -246,9 +247,7 @@ def test_what_a_certificate_covers_survives_its_file(tmp_path: Path) -> None:
 
 
 def test_pairs_that_are_held_together_or_overlap_around_a_joint_are_told_apart() -> None:
-    examples = Path(__file__).parents[2] / "examples" / "requests"
-    result = plan(load_request(examples / "carry.yaml"))
-    assert result.verdict is Verdict.CERTIFIED
+    result = plan_example("carry")
     told = {item.pair: item for item in result.certificate.coverage.left_out}
     # Both hands hold the beam: the right one's pose relative to it is a check of its own.
     for pair in (("beam", "r_hand"), ("beam", "r_hook")):

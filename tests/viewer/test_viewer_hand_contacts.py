@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from browser import Browser, open_browser
 from given_mechanisms import BAR, cabinet_request, drawer_request
+from shared_plans import plan_once
 from viewer_results import VALVE, make_result
 
 from service.planner import plan
@@ -25,9 +26,7 @@ GREEN, RED = (5, 150, 105), (220, 38, 38)
 @pytest.fixture(scope="module")
 def pulled() -> PlanResult:
     """A drawer that is pulled by 0.1 m along -x, by a rod behind a bar along y."""
-    result = plan(parse_request(drawer_request(to=0.1)))
-    assert result.motion is not None, result.explanation
-    return result
+    return plan_once(parse_request(drawer_request(to=0.1)))
 
 
 def trace(result: PlanResult, phase: str = "move slide", **more: Any) -> dict[str, Any]:
