@@ -214,7 +214,7 @@ def test_scene_turns_a_scan_into_pieces(tmp_path: Path) -> None:
     assert sum(one["points"] for one in seen) > 1000
     assert any("on the robot itself" in note for note in printed["notes"])
     assert {path.name for path in tmp_path.iterdir() if path != posture} == {"scene.json", "scene.html"}
-    whole = _scopt("scene", scan, "--out", out)
+    whole = _scopt("scene", scan, "--out", out, "--reach", 1.2)
     assert whole.exit_code == 0, whole.stderr
     assert "pieces           " in whole.stdout.splitlines()[-1]
     assert not any("on the robot itself" in note for note in json.loads(out.read_text())["notes"])

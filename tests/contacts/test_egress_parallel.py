@@ -33,7 +33,7 @@ def first_step(samples: int) -> PlanRequest:
 
 
 def test_poses_of_other_processes_make_the_same_motion(pool: ProcessPoolExecutor) -> None:
-    request = first_step(4)
+    request = first_step(2)
     there, here = plan(request, map=pool.map), plan(request)
     assert there.verdict is here.verdict is Verdict.CERTIFIED
     assert there.motion is not None

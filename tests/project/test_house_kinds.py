@@ -7,12 +7,15 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from little_scan import little_scan
 
 from perception import write_npz
+from service.request.file import parse_request, request_hash
 from service.request.tasks.registry import SHIPPED
 
 ROOT = Path(__file__).parents[2]
@@ -135,67 +138,84 @@ def _write(folder: Path, files: dict[str, str]) -> Path:
     return folder
 
 
-def _scopt(package: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(package)])}
-    program = "from service.cli import main; main()"
+def _python(package: Path | None, program: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run a program in a process that finds the package."""
+    places = [str(place) for place in (ROOT, package) if place is not None]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
     words = [sys.executable, "-c", program, *map(str, arguments)]
     return subprocess.run(words, capture_output=True, text=True, env=environment, timeout=300, check=False)
 
 
+def _scopt(package: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    return _python(package, "from service.cli import main; main()", *arguments)
+
+
+HASH = "request_hash(parse_request({'robot': {'name': 'atlas'}, 'task': {'valve': {}}}))"
+SEVERAL = f"""
+import json, sys
+from typer.testing import CliRunner
+from service.cli.app import app
+from service.request.file import parse_request, request_hash
+ends = [CliRunner().invoke(app, words) for words in json.loads(sys.argv[1])]
+print(json.dumps([[(end.exit_code, " ".join(end.output.split())) for end in ends], {HASH}]))
+"""
+
+
+@dataclass(frozen=True)
+class Waved:
+    """A wave's result, and exit code and output of the commands that made it, verified it, and refused others."""
+
+    data: dict[str, Any]
+    planned: tuple[int, str]
+    verified: tuple[int, str]
+    farther: tuple[int, str]
+    misspelt: tuple[int, str]
+    hash_of_another: str
+
+
 @pytest.fixture(scope="module")
-def waving(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A package that adds the task of waving, and the folder with the result of a request of it."""
-    package = _write(tmp_path_factory.mktemp("wave"), WAVE)
-    folder = tmp_path_factory.mktemp("planned")
-    request = folder / "wave.yaml"
-    request.write_text("robot: {name: atlas}\nstart: {posture: stand}\ntask: {wave: {joint: l_arm_wry, by_rad: 0.4}}\n")
-    done = _scopt(package, "plan", request, "--out", folder / "out")
+def waved(tmp_path_factory: pytest.TempPathFactory) -> Waved:
+    """What one process does with a package that adds the task of waving."""
+    package, folder = _write(tmp_path_factory.mktemp("wave"), WAVE), tmp_path_factory.mktemp("planned")
+    text = "robot: {name: atlas}\nstart: {posture: stand}\ntask: {wave: {joint: l_arm_wry, by_rad: 0.4}}\n"
+    request, farther, misspelt = (folder / f"{name}.yaml" for name in ("wave", "farther", "misspelt"))
+    request.write_text(text)
+    farther.write_text(text.replace("0.4", "0.5"))
+    misspelt.write_text(text.replace("l_arm_wry", "l_arm_wrz"))
+    commands = (
+        ("plan", request, "--out", folder / "out"),
+        ("verify", folder / "out", "--request", request),
+        ("verify", folder / "out", "--request", farther),
+        ("plan", misspelt, "--out", folder / "other"),
+    )
+    done = _python(package, SEVERAL, json.dumps([[str(word) for word in words] for words in commands]))
     assert done.returncode == 0, done.stdout + done.stderr
-    return package, folder
-
-
-def test_a_kind_of_another_package_is_planned_certified_and_verified_from_a_file(waving: tuple[Path, Path]) -> None:
-    package, folder = waving
-    assert len(WAVE) <= 4
+    ends, hash_of_another = json.loads(done.stdout.splitlines()[-1])
     data = json.loads((folder / "out" / "result.json").read_text())
+    return Waved(data, *((code, said) for code, said in ends), hash_of_another)
+
+
+def test_a_kind_of_another_package_is_planned_certified_and_verified_from_a_file(waved: Waved) -> None:
+    assert len(WAVE) <= 4
+    assert waved.planned[0] == 0, waved.planned[1]
+    data = waved.data
     assert data["verdict"] == "CERTIFIED"
     assert [phase["name"] for phase in data["phases"]] == ["out", "back"]
     assert data["request"]["task"]["wave"] == {"joint": "l_arm_wry", "by_rad": 0.4}
     assert "waved" in data["notes"]
-    done = _scopt(package, "verify", folder / "out", "--request", folder / "wave.yaml")
-    said = " ".join(done.stdout.split())
-    assert (done.returncode, "CERTIFIED" in said) == (0, True), done.stdout + done.stderr
+    code, said = waved.verified
+    assert (code, "CERTIFIED" in said) == (0, True), said
     assert "with the demands of wave_demand" in said
 
 
-def test_a_record_of_such_a_kind_is_held_to_the_request(waving: tuple[Path, Path], tmp_path: Path) -> None:
-    package, folder = waving
-    text = (folder / "wave.yaml").read_text()
-    other = folder / "farther.yaml"
-    other.write_text(text.replace("0.4", "0.5"))
-    done = _scopt(package, "verify", folder / "out", "--request", other)
-    assert done.returncode != 0
-    other.write_text(text.replace("l_arm_wry", "l_arm_wrz"))
-    done = _scopt(package, "plan", other, "--out", tmp_path / "out")
-    assert "unknown joint 'l_arm_wrz' in task.wave.joint" in done.stdout + done.stderr
+def test_a_record_of_such_a_kind_is_held_to_the_request(waved: Waved) -> None:
+    code, said = waved.farther
+    assert (code != 0, "Traceback" in said) == (True, False), said
+    assert "unknown joint 'l_arm_wrz' in task.wave.joint" in waved.misspelt[1]
 
 
-def test_an_added_kind_does_not_change_the_data_of_other_requests(waving: tuple[Path, Path]) -> None:
-    program = (
-        "from service.request.file import parse_request, request_hash\n"
-        "print(request_hash(parse_request({'robot': {'name': 'atlas'}, 'task': {'valve': {}}})))"
-    )
-    hashes = [
-        subprocess.run(
-            [sys.executable, "-c", program],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *more])},
-        ).stdout
-        for more in ([], [str(waving[0])])
-    ]
-    assert hashes[0] == hashes[1] != ""
+def test_an_added_kind_does_not_change_the_data_of_other_requests(waved: Waved) -> None:
+    assert waved.hash_of_another == request_hash(parse_request({"robot": {"name": "atlas"}, "task": {"valve": {}}}))
 
 
 @pytest.mark.parametrize(

@@ -75,25 +75,25 @@ def test_rounding_errors_of_the_fits_do_not_change_the_hits_in_a_heap(monkeypatc
     view = make_view(make_scene("debris_large_heap", 0).scan("solid"))
     linearize, measure = bar_fit._linearize, bar_starts.cross_sections
     expected = detect_beam(view)
-    for seed in (1, 2):
-        rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
 
-        def blur(values: np.ndarray, rng: np.random.Generator = rng) -> np.ndarray:
-            return np.asarray(values * (1.0 + 2e-15 * rng.standard_normal(values.shape)))
+    def blur(values: np.ndarray) -> np.ndarray:
+        return np.asarray(values * (1.0 + 2e-15 * rng.standard_normal(values.shape)))
 
-        def linearize_roughly(*given: Any) -> tuple[np.ndarray, ...]:
-            return tuple(blur(part) for part in linearize(*given))
+    def linearize_roughly(*given: Any) -> tuple[np.ndarray, ...]:
+        return tuple(blur(part) for part in linearize(*given))
 
-        def measure_roughly(*given: Any) -> BarCrossing:
-            return BarCrossing(*(blur(getattr(measure(*given), field.name)) for field in fields(BarCrossing)))
+    def measure_roughly(*given: Any) -> BarCrossing:
+        measured = measure(*given)
+        return BarCrossing(*(blur(getattr(measured, field.name)) for field in fields(BarCrossing)))
 
-        monkeypatch.setattr(bar_fit, "_linearize", linearize_roughly)
-        monkeypatch.setattr(bar_starts, "cross_sections", measure_roughly)
-        found = detect_beam(view)
-        assert len(found) == len(expected) > 5
-        for hit, other in zip(found, expected, strict=True):
-            assert np.allclose(hit.pose_world_object, other.pose_world_object, rtol=0.0, atol=1e-7)
-            assert hit.confidence == pytest.approx(other.confidence, abs=1e-6)
+    monkeypatch.setattr(bar_fit, "_linearize", linearize_roughly)
+    monkeypatch.setattr(bar_starts, "cross_sections", measure_roughly)
+    found = detect_beam(view)
+    assert len(found) == len(expected) > 5
+    for hit, other in zip(found, expected, strict=True):
+        assert np.allclose(hit.pose_world_object, other.pose_world_object, rtol=0.0, atol=1e-7)
+        assert hit.confidence == pytest.approx(other.confidence, abs=1e-6)
 
 
 def test_a_beam_whose_end_is_hidden_says_that_its_length_is_unknown() -> None:

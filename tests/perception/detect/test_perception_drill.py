@@ -24,9 +24,8 @@ def view_of(*meshes: Mesh, seed: int = 0, scanner: Scanner = SCANNER) -> View:
     return make_view(scan([*room, *table, *meshes], SENSOR, scanner, seed))
 
 
-@pytest.mark.parametrize("yaw_deg", [-110.0, 140.0])
-def test_a_drill_seen_from_the_side_is_found_within_the_targets(yaw_deg: float) -> None:
-    drill = Drill((0.8, 0.1, TOP), np.radians(yaw_deg), grip_length=0.12, body_length=0.19).build()
+def test_a_drill_seen_from_the_side_is_found_within_the_targets() -> None:
+    drill = Drill((0.8, 0.1, TOP), np.radians(140.0), grip_length=0.12, body_length=0.19).build()
     found = detect("drill", view_of(*drill.meshes))[0]
     truth = drill.truth[0].pose_world_object
     assert found.confidence >= CONFIDENT

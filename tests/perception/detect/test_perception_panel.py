@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from perception import CONFIDENT, Detection, PerceptionError, View, detect, detect_kinds, make_view, read_cloud
+from perception import CONFIDENT, Detection, PerceptionError, View, detect, detect_kinds, make_view
 from perception.detect.panel.relief import find_discs
 from perception.simulate import Pose, Room, Scanner, box, cylinder, scan
 from perception.simulate.scenes import make_scene
@@ -95,12 +93,6 @@ def test_buttons_that_do_not_stand_out_are_not_claimed() -> None:
 )
 def test_no_panel_is_believed_where_there_is_none(meshes: list[Mesh]) -> None:
     assert all(found.confidence < CONFIDENT for found in detect("panel", seen(meshes)))
-
-
-@pytest.mark.parametrize("kind", ["panel", "lever"])
-def test_an_office_shows_no_panel_and_no_lever(shared_data: Path, kind: str) -> None:
-    view = make_view(read_cloud(shared_data / "clouds" / "kinect_office_capture0001.pcd"))
-    assert all(found.confidence < CONFIDENT for found in detect(kind, view))
 
 
 def test_a_hint_keeps_the_search_near_it() -> None:

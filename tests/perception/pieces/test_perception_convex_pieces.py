@@ -48,7 +48,7 @@ def room() -> Perceived:
     return perceive(scan(world.meshes(), Pose((0.1, 0.0, 1.6), pitch=0.3), Scanner(n_lines=40), seed=1))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_pieces_hold_the_points_they_claim_and_share_none(seed: int) -> None:
     points = cluttered(seed)
@@ -62,7 +62,7 @@ def test_pieces_hold_the_points_they_claim_and_share_none(seed: int) -> None:
         assert 4 <= len(piece.shape.vertices) <= MAX_VERTICES
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_order_of_the_points_does_not_change_the_pieces(seed: int) -> None:
     points = cluttered(seed)
