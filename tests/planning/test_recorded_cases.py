@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from service import certify, read_trajectory
-from service.cli.app import app
 from service.errors import RequestError
 from service.planner import plan
-from service.request.file import load_request
-from service.result.output import write_result
+from service.request.file import load_request, request_hash
 from service.result.result import Verdict
 
 DONE = (
@@ -39,14 +35,19 @@ FALSE = {
 
 
 @pytest.mark.parametrize("name", [*DONE, *UNSTATED])
-def test_a_certified_hold_is_done_in_physics(shared_cases: Path, tmp_path: Path, name: str) -> None:
+def test_a_certified_hold_is_done_in_physics(shared_cases: Path, name: str) -> None:
     pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
+    from service.simulation.options import SimulationOptions
+    from service.simulation.report import make_report
+    from service.simulation.run import execute_motion
+
     result = plan(load_request(shared_cases / "holds" / f"{name}.yaml"))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
-    folder = write_result(result, tmp_path / "out").folder
-    simulated = CliRunner().invoke(app, ["simulate", str(folder), "--json"])
-    report = json.loads(simulated.stdout)
-    assert (simulated.exit_code, report["verdict"]) == (0, "DONE"), report
+    assert result.motion is not None
+    options = SimulationOptions(settle_s=0.3, after_s=1.0)
+    runs = execute_motion(result.motion, result.request, "CERTIFIED", request_hash(result.request), options)
+    report, _ = make_report(runs)
+    assert report["verdict"] == "DONE", report["explanation"]
     if name == "door_ajar":
         (leaf,) = report["mechanism"]
         assert leaf["share"] == pytest.approx(1.0, abs=0.05)
