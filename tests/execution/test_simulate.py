@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from given_wheels import wheel_request
 from planar_arm import write_planar_arm
+from shared_plans import plan_once, write_example, write_once
 from typer.testing import CliRunner
 
 from service.cli.app import app
@@ -23,7 +24,7 @@ from service.execution.driver import JointCommand
 from service.execution.reference import BLEND_S, PlannedReference
 from service.planner import plan
 from service.replay.replay import verify_result
-from service.request.file import load_request, parse_request
+from service.request.file import parse_request
 from service.result.folder import check_folder
 from service.result.output import write_result
 from service.result.result import Verdict
@@ -49,15 +50,23 @@ def planned(request: Any, folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def reached(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reached() -> Path:
     """A reach of Atlas among obstacles."""
-    return planned(load_request(REQUESTS / "pose_goal.yaml"), tmp_path_factory.mktemp("reached"))
+    return write_example("pose_goal")
 
 
 @pytest.fixture(scope="module")
-def risen(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def risen() -> Path:
     """Atlas rises from a chair: the pelvis leaves its seat."""
-    return planned(load_request(REQUESTS / "chair.yaml"), tmp_path_factory.mktemp("risen"))
+    return write_example("chair")
+
+
+@pytest.fixture(scope="module")
+def there(reached: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of that reach in physics, outside of its folder."""
+    path = tmp_path_factory.mktemp("simulated") / "there.json"
+    simulate(reached, output=path)
+    return path
 
 
 @pytest.fixture
@@ -65,8 +74,8 @@ def copied(reached: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(reached, tmp_path / "copy"))
 
 
-def test_a_reach_stands_and_its_hand_arrives(reached: Path, tmp_path: Path) -> None:
-    made = simulate(reached, output=tmp_path / "there.json")
+def test_a_reach_stands_and_its_hand_arrives(reached: Path, there: Path) -> None:
+    made = json.loads(there.read_text())
     assert (made["verdict"], made["explanation"], made["notes"]) == ("DONE", [], [])
     assert [run["verdict"] for run in made["runs"]] == ["DONE"]  # there is nothing that hands could slip on
     assert made["track"]["times"][-1] > made["plan"]["duration_s"] + 2.9
@@ -74,13 +83,11 @@ def test_a_reach_stands_and_its_hand_arrives(reached: Path, tmp_path: Path) -> N
     assert hand["end_m"] < 0.01
     assert max(slip["worst_m"] for slip in made["slip"]) < 0.005
     assert made["balance"]["margin_m"] > 0.5 * made["balance"]["planned_margin_m"]
-    assert json.loads((tmp_path / "there.json").read_text()) == made
     assert not (reached / "simulation.json").exists()
 
 
-def test_the_page_holds_the_robot_in_physics_beside_the_planned_one(reached: Path, tmp_path: Path) -> None:
-    simulate(reached, output=tmp_path / "there.json")
-    page = (tmp_path / "there.html").read_text()
+def test_the_page_holds_the_robot_in_physics_beside_the_planned_one(reached: Path, there: Path) -> None:
+    page = there.with_suffix(".html").read_text()
     payload = json.loads(page.split('id="payload">')[1].split("</script>")[0])
     simulated = payload["simulated"]
     frames = simulated["times"]["shape"][0]
@@ -96,7 +103,7 @@ def test_the_page_holds_the_robot_in_physics_beside_the_planned_one(reached: Pat
 
 
 def test_the_ground_carries_the_weight_in_physics_and_in_the_plan(reached: Path) -> None:
-    (execution,) = execute_folder(reached)
+    (execution,) = execute_folder(reached, SimulationOptions(after_s=0.0))
     record, reference = execution.record, execution.reference
     weight = 9.81 * sum(float(inertia.mass) for inertia in reference.robot.model.inertias)
     total = sum(wrench[:, 2] for wrench in record.wrenches.values())
@@ -125,7 +132,7 @@ def test_positions_between_the_tables_rows_are_those_of_the_curve(reached: Path)
         assert state.qd == pytest.approx((reference.motion.curve(path, 1) * speed[:, None])[0, columns], abs=5e-3)
 
 
-def test_the_force_of_a_contact_fades_before_it_leaves(risen: Path) -> None:
+def test_the_force_of_a_contact_fades_before_it_leaves(risen: Path, tmp_path: Path) -> None:
     reference = PlannedReference.read(risen)
     leaves = next(
         before.end_s
@@ -136,7 +143,7 @@ def test_the_force_of_a_contact_fades_before_it_leaves(risen: Path) -> None:
     assert seat[0] > 100.0
     assert seat[-1] < 0.1 * seat[0]
     assert reference.at(leaves + 0.05).contact_wrenches["pelvis"][2] == 0.0
-    assert simulate(risen, output=risen.parent / "risen.json")["verdict"] == "DONE"
+    assert simulate(risen, output=tmp_path / "risen.json")["verdict"] == "DONE"
 
 
 def test_soft_servos_let_the_robot_fall_and_the_cause_is_named(reached: Path, tmp_path: Path) -> None:
@@ -153,21 +160,22 @@ def test_a_hand_that_sags_off_its_goal_leaves_the_work_undone(reached: Path, tmp
 
 
 def test_the_same_seed_gives_the_same_noise(reached: Path, tmp_path: Path) -> None:
-    options = SimulationOptions(noise=1.0, delay_ms=2.0, joint_friction=0.005, seed=3)
+    options = SimulationOptions(noise=1.0, delay_ms=2.0, joint_friction=0.005, seed=3, settle_s=0.3, after_s=0.5)
     first, second = (simulate(reached, options, output=tmp_path / "a.json") for _ in range(2))
+    assert json.loads((tmp_path / "a.json").read_text()) == second
     assert first["verdict"] == "DONE"
     assert first["track"] == second["track"]
 
 
 def test_a_valve_turns_as_far_as_planned_and_stays_when_the_hand_is_away(tmp_path: Path) -> None:
-    result = plan(parse_request(VALVE))
-    assert result.verdict is Verdict.CERTIFIED, result.explanation
-    folder = write_result(result, tmp_path / "out").folder
+    request = parse_request(VALVE)
+    result, folder = plan_once(request), Path(shutil.copytree(write_once(request), tmp_path / "out"))
     made = simulate(folder)
     (wheel,) = made["mechanism"]
     assert (made["verdict"], wheel["joint"], wheel["phase"]) == ("DONE", "valve_turn", "turn")
     assert [(run["hand_friction"], run["verdict"]) for run in made["runs"]] == [(0.3, "DONE"), (0.6, "DONE")]
-    (once,) = simulate(folder, SimulationOptions(hand_friction=0.45), output=tmp_path / "once.json")["runs"]
+    between = SimulationOptions(hand_friction=0.45, settle_s=0.3, after_s=0.5)
+    (once,) = simulate(folder, between, output=tmp_path / "once.json")["runs"]
     assert (once["hand_friction"], once["verdict"]) == (0.45, "DONE")
     assert 0.95 <= wheel["share"] <= 1.1
     assert abs(wheel["end"]) >= 0.95 * abs(wheel["planned"])
