@@ -52,7 +52,11 @@ class Extent(enum.Enum):
 
 
 SHARE = {Extent.SHORT: 0.0, Extent.SAMPLE: 0.25, Extent.LONG: 1.0}  # of the attacks that are not in the short version
-FIELDS = {Extent.SAMPLE: 3, Extent.LONG: None}  # kinds of fields of a base and a group that are falsified
+FIELDS = {
+    Extent.SHORT: 8,
+    Extent.SAMPLE: 3,
+    Extent.LONG: None,
+}  # kinds of fields of a base and a group that are falsified
 RANDOM_EDITS = {Extent.SHORT: 8, Extent.SAMPLE: 50, Extent.LONG: 150}
 CANCELS = {Extent.SHORT: 20, Extent.SAMPLE: 100, Extent.LONG: 500}
 
@@ -97,8 +101,9 @@ def _choose(part: str, extent: Extent, seed: int, rng: random.Random) -> list[At
     match part:
         case "random_edits":
             return list(module.attacks(seed, RANDOM_EDITS[extent]))
-        case "fields" if extent is not Extent.SHORT:
-            return list(module.attacks(seed, FIELDS[extent]))
+        case "fields":
+            found = list(module.attacks(seed, FIELDS[extent]))
+            return [attack for attack in found if attack.is_short] if extent is Extent.SHORT else found
         case _:
             found = list(module.attacks())
     others = [attack.label for attack in found if not attack.is_short]

@@ -35,7 +35,7 @@ from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCAN = EXAMPLES / "data" / "valve_scan.pcd"
-DENSER = 3  # times the points of the scan
+DENSER, THINNER = 3, 3  # times the points of the scan, and every how many of them
 CHECKED_EVERY = 5  # cancels after which a plan is compared, besides the last
 AT_LONGEST_S = 900.0
 CRASHES = ("Fatal Python error", "Segmentation fault", " ended: ")
@@ -88,8 +88,8 @@ def run(
         count: number of cancels.
         seed: of the choice of jobs and moments; the moment at which a worker sees the cancel varies between runs.
         on_cancel: called with the report so far after each cancel.
-        is_short: leave out the denser scan, detections of all kinds at once, plans of a valve, and half of the
-            comparisons.
+        is_short: take a thinner scan, and leave out detections of all kinds at once, plans of a valve, and half of
+            the comparisons.
     """
     rng, report = np.random.default_rng(seed), Report()
     names = ("pose_goal.yaml",) if is_short else ("pose_goal.yaml", "valve.yaml")
@@ -101,7 +101,7 @@ def run(
         deaths(report),
         LocalPool(1, preload=PRELOAD, warm_up=warm_up) as pool,
     ):
-        scans = (SCAN,) if is_short else (SCAN, _denser_scan(Path(scratch)))
+        scans = (_thinner_scan(Path(scratch)),) if is_short else (SCAN, _denser_scan(Path(scratch)))
         kinds = KINDS if is_short else (*KINDS, EVERY_KIND)
         attacks = _attacks(rng, requests, _files(fresh[0]), scans, kinds)
         for index in range(count):
@@ -140,6 +140,13 @@ def _denser_scan(folder: Path) -> Path:
     points = np.concatenate([cloud.points + rng.normal(0.0, 0.004, cloud.points.shape) for _ in range(DENSER)])
     write_npz(folder / "dense.npz", Cloud(points, np.median(np.atleast_2d(cloud.origin), axis=0)))
     return folder / "dense.npz"
+
+
+def _thinner_scan(folder: Path) -> Path:
+    """Return the scan with a part of its points."""
+    cloud = read_cloud(SCAN)
+    write_npz(folder / "thin.npz", Cloud(cloud.points[::THINNER], np.median(np.atleast_2d(cloud.origin), axis=0)))
+    return folder / "thin.npz"
 
 
 def _cancel(pool: LocalPool, attack: _Attack, share: float, typical: dict[str, float], report: Report) -> None:

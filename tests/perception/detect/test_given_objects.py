@@ -133,10 +133,9 @@ def test_an_object_needs_its_kind_and_the_kind_an_object(tmp_path: Path, wheel_s
         assert "KIND: 'object' and --object need each other" in result.stderr
 
 
-@pytest.mark.parametrize(("x", "radius"), [(0.9, 0.02), (0.8, 0.015)])
-def test_a_crank_is_not_found_on_a_post_that_goes_on_at_both_of_its_ends(x: float, radius: float) -> None:
-    post = cylinder((x, 0.3, 0.0), (x, 0.3, 1.15), radius)
-    head = cylinder((x - 0.05, 0.3, 1.3), (x + 0.05, 0.3, 1.3), 0.15)
+def test_a_crank_is_not_found_on_a_post_that_goes_on_at_both_of_its_ends() -> None:
+    post = cylinder((0.8, 0.3, 0.0), (0.8, 0.3, 1.15), 0.015)
+    head = cylinder((0.75, 0.3, 1.3), (0.85, 0.3, 1.3), 0.15)
     room = [box((-4.0, -4.0, -0.1), (4.0, 4.0, 0.0)), box((1.5, -2.0, 0.0), (1.6, 2.0, 2.4))]
     cloud = scan([post, head, *room], Pose.looking((0.1, 0.0, 1.6), (0.9, 0.0, 1.0), 0.0), Scanner(n_lines=120), 0)
     crank = unite_meshes(make_lever(0.22, 0.012, 0.1), "crank")

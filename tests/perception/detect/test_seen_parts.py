@@ -93,9 +93,13 @@ def test_points_lie_on_spokes_that_are_there_and_rays_pass_through_others(varian
 
 
 @pytest.mark.parametrize(
-    ("name", "handle"), [("door_left_shut", "lever"), ("door_left_pull", "pull handle"), ("door_right_bar", "push bar")]
+    ("name", "handle", "variant"),
+    [
+        ("door_left_shut", "lever", "dense"),
+        ("door_left_pull", "pull handle", "sparse"),
+        ("door_right_bar", "push bar", "sparse"),
+    ],
 )
-@pytest.mark.parametrize("variant", ["dense", "sparse"])
 def test_points_lie_on_the_bar_of_a_handle_where_it_is(name: str, handle: str, variant: str) -> None:
     """Of the same bar 40 cm higher, nearly all rays pass."""
     cloud, hit = scanned(name, 62, variant)
