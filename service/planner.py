@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 from threadpoolctl import ThreadpoolController
 
 from costs.robot import RobotModel
+from costs.static_region import StaticRegionError
 from costs.stopping import Stopped, stops_when
 from scopt import Clock, EffortClock, Settings
 from scopt import Status as SolveStatus
@@ -27,6 +28,7 @@ from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.body.phases import Map, PhaseSolver, Terms
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
+from service.errors import RequestError
 from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
 from service.motion.expected_sag import expect_sag
@@ -128,7 +130,10 @@ def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> Pha
     demanded = options.clearance_m
     margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
     aims = Aims(margin, options.balance_margin_m, demanded)
-    body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
+    try:
+        body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
+    except StaticRegionError as error:
+        raise RequestError(f"start is out of balance: {error}") from None
     solver = PhaseSolver(
         body,
         monitor,

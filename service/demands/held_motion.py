@@ -207,6 +207,7 @@ class _Standing:
             contacts=self.stance.contacts,
             allowances=(*self.floors, *escape, *own.allowances),
             support=self.stance.support(phase.name, first),
+            region_margin_m=self.stance.region_margin(phase.name, first),
         )
 
 

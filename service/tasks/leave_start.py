@@ -11,13 +11,14 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
+from costs.support import SupportPolygon
 from service.body.ladder import Path, find_motion
 from service.body.phases import PhaseSolver
 from service.body.starts import DIRECT
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.phase import TaskPhase
-from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, make_escape_allowances
+from service.demands.stance import DEPTH_ROUNDING, is_unsettled, make_escape_allowances
 from service.start.overlaps import Overlap
 from service.tasks.hints import PhaseHints
 from service.tasks.nearby import find_free_pose
@@ -136,10 +137,11 @@ def _compile(solver: PhaseSolver, n_waypoints: int) -> PhaseCompiler:
 
 def _needs_settling(body: WholeBody) -> bool:
     """Return whether the balance margin at the start is smaller than the motion's."""
-    if body.polygon is None:
+    if not body.is_on_feet:
         return False
-    com = body.engine(body.nominal[None]).com[:, :2]
-    return bool(body.polygon.margin(com)[0] < body.aims.balance_margin + BALANCE_RESERVE)
+    hull = SupportPolygon.of_soles([foot.points for foot in body.planted])
+    centre = body.engine(body.nominal[None]).com[0]
+    return is_unsettled(hull, centre, body.aims.balance_margin, is_level=body.polygon is not None)
 
 
 def _settle(solver: PhaseSolver) -> TaskPlan:
