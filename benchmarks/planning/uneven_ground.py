@@ -138,7 +138,9 @@ def main() -> None:
         stander = make_atlas() if name == "atlas" or folder is None else make_g1(folder)
         robot = load_requested_robot(stander.make_request(stander.start, [], {"joints": {"any": 0.0}}))
         runs: dict[str, list[Run]] = {}
-        for (kind, request), k in zip(draw_cases(stander, robot, given.kinds, given.seed), range(given.cases), strict=False):
+        for (kind, request), k in zip(
+            draw_cases(stander, robot, given.kinds, given.seed), range(given.cases), strict=False
+        ):
             began = time.process_time()
             run = Run(plan(request, robot=robot, clock=EffortClock()), time.process_time() - began)
             runs.setdefault(kind, []).append(run)

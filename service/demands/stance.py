@@ -20,7 +20,9 @@ from service.verify import STANDING_DEPTH_M, PlantedContact, SupportPolygon, fin
 
 UNSETTLED = ("escape", "settle")  # phases that bring a robot into balance, in the order in which they may come first
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside; a start with less may settle first [m]
-REGION_RESERVE_M = 6e-3  # by which the region that sloping feet hold is smaller than the hull of their soles, with some room
+REGION_RESERVE_M = (
+    6e-3  # by which the region that sloping feet hold is smaller than the hull of their soles, with some room
+)
 ONE_LEVEL_M = 0.015  # difference of height of soles that stand on one level
 SLOPE_TILT_RAD = float(np.deg2rad(3.0))  # between the plane of a sloping sole and the ground under it
 DEPTH_ROUNDING = 1e-4  # by which a pair may be deeper than it was measured at the start [m]
@@ -83,7 +85,7 @@ class Stance:
 def plant_feet(robot: RobotModel, q: Float[np.ndarray, "n"], feet: Sequence[str]) -> tuple[PlantedContact, ...]:
     """Return the contacts of feet that stand at a configuration; on a slope with the normal of the sole's plane.
 
-    The ground under a sloping sole has to have that normal, up to what its corners' distance from the ground leaves open.
+    The ground under a sloping sole has to have that normal, up to what its distance from the corners leaves open.
     """
     data = borrow_data(robot.model)
     contacts = []

@@ -18,7 +18,9 @@ from service.errors import RequestError
 from service.verify import GROUND_TOLERANCE_M, UNSEEN_KIND, describe_gap, find_ground_gaps
 
 FEET_GROUP = "feet"
-SOLE_BAND_M = 0.002  # height above a foot's lowest vertex, or off its lower face, up to which vertices belong to its sole
+SOLE_BAND_M = (
+    0.002  # height above a foot's lowest vertex, or off its lower face, up to which vertices belong to its sole
+)
 LEVEL_M = 2.0 * SOLE_BAND_M  # difference of height between the corners of a level sole
 MOST_SLOPE_RAD = float(np.deg2rad(20.0))  # of a sole
 LEAST_SHARE = 0.5  # of a foot's lower face that is lowest where it is level
@@ -35,7 +37,7 @@ def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Flo
 def find_sole(placed: Sequence[Float[np.ndarray, "V 3"]]) -> Float[np.ndarray, "C 3"]:
     """Return the sole of a link's bodies, placed in the world [m].
 
-    It is what lies within 2 mm of the lowest vertex or, where that is little of a larger face that leans at most 20 deg,
+    It is what lies within 2 mm of the lowest vertex or, where that is little of a larger face that leans up to 20 deg,
     of that face: a foot on a slope stands on all of its sole.
     """
     vertices = np.vstack(placed)
