@@ -15,10 +15,15 @@ from costs.scene import Scene
 from costs.support import SupportPolygon as FeetHull
 from costs.work_space import borrow_data
 from service.start.overlaps import Overlap
+from service.start.resting import SUPPORT_DEPTH_M
 from service.start.standing import FEET_GROUP, is_level, list_carrying_pieces, sole_corners
 from service.verify import STANDING_DEPTH_M, PlantedContact, SupportPolygon, find_normals
 
-UNSETTLED = ("escape", "settle")  # phases that bring a robot into balance, in the order in which they may come first
+UNSETTLED = (
+    "escape",
+    "raise",
+    "settle",
+)  # phases that bring a robot into balance, in the order in which they may come first
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside; a start with less may settle first [m]
 REGION_RESERVE_M = (
     6e-3  # by which the region that sloping feet hold is smaller than the hull of their soles, with some room
@@ -129,6 +134,11 @@ def make_standing_allowances(planted: Sequence[PlantedContact], scene: Scene) ->
         for contact in planted
         for name in list_carrying_pieces(contact.points, scene.pieces)
     )
+
+
+def make_resting_allowances(rests: Sequence[tuple[str, str]]) -> tuple[Allowance, ...]:
+    """Return the allowances of carried bodies, as names of links, with the pieces on which they rest."""
+    return tuple(Allowance(BodyRef.of_link(link), BodyRef.of_piece(piece), SUPPORT_DEPTH_M) for link, piece in rests)
 
 
 def make_escape_allowances(overlaps: Sequence[Overlap]) -> tuple[Allowance, ...]:
