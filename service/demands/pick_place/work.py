@@ -20,6 +20,7 @@ from service.errors import RequestError
 from service.request.scene import ObjectRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.pick_place import PickRequest
+from service.start.resting import SUPPORT_DEPTH_M
 from service.verify import Carrier, Grip, PoseTarget, Target, measure_rest_margin
 
 PAD_DEPTH_M = 3e-3  # of a finger in what it holds
