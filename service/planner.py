@@ -17,6 +17,8 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import Float
 from threadpoolctl import ThreadpoolController
 
 from costs.robot import RobotModel
@@ -37,6 +39,7 @@ from service.replay.whole import certify_whole
 from service.request.schema import PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
+from service.setup.earlier import begin_with
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
 from service.verify import Motion, Status, VerifySettings, verify
@@ -70,6 +73,7 @@ def plan(
     around: Surroundings | None = None,
     map: Map = map,
     clock: Clock | None = None,
+    start_from: PlanResult | Float[np.ndarray, "T n"] | None = None,
 ) -> PlanResult:
     """Plan, time and certify the motion that a request describes.
 
@@ -86,6 +90,9 @@ def plan(
             order, such as that of a ``concurrent.futures.ProcessPoolExecutor`` or of Ray's ``ActorPool``.
         clock: measures the time limit; by default wall time for ``options.time_limit_s`` and effort
             (``scopt.EffortClock``) for the limit of a request that states none.
+        start_from: an earlier result whose motion led from near the start to near the goal of a reach, or waypoints of
+            the robot's coordinates: the search begins with them, bent to the new ends. A note says where they are no
+            help.
 
     Returns:
         The verdict with the best motion found. A plan that fails is a result, not an error.
@@ -100,6 +107,8 @@ def plan(
         monitor = Monitor(request.limit_s, should_stop, on_progress, on_iteration, clock)
         on_step = lambda step: monitor.report(step, 0.02)  # noqa: E731
         setup = prepare(request, on_step, robot, monitor.is_over, see, around=around, finds_package=True)
+        if start_from is not None:
+            setup = begin_with(setup, start_from.waypoints if isinstance(start_from, PlanResult) else start_from)
         monitor.timings.update(setup.timings)
         attempt = Attempt()
         try:

@@ -51,6 +51,7 @@ class PlanSetup:
         kept: relative poses that are kept along the whole motion.
         program: the TrajOpt problem to solve, or None.
         overlaps: hulls that overlap at the start and must be separated first.
+        known: (T, n) waypoints of an earlier motion to begin the search with, or None.
         rests: carried bodies and the pieces on which they rest, from which they must be raised first.
         unresolved: sentences about pairs that are apart at the start but whose hulls overlap, so that they cannot be
             certified there.
@@ -75,6 +76,7 @@ class PlanSetup:
     unresolved: tuple[str, ...] = ()
     stances: tuple[ContactStance, ...] = ()
     rests: tuple[tuple[str, str], ...] = ()
+    known: Float[np.ndarray, "T n"] | None = None
 
     @property
     def contacts(self) -> tuple[str, ...]:
