@@ -228,7 +228,8 @@ def _record_interruption(attempt: Attempt, status: SolveStatus, request: PlanReq
     """Set the verdict of an interrupted plan; when time is up, return the best motion without a certificate."""
     verdict, text = VERDICT_OF_INTERRUPT[status]
     step = next(reversed(monitor.timings), "set-up")
-    attempt.interrupt(verdict, text.format(limit=_describe_limit(request), step=step))
+    delay = monitor.describe_delay() if verdict is Verdict.TIME_LIMIT else ()
+    attempt.interrupt(verdict, text.format(limit=_describe_limit(request), step=step), delay)
     if verdict is Verdict.TIME_LIMIT:
         with suppress(Stopped), stops_when(lambda: monitor.remaining_s() < -GRACE_S):
             attempt.take_unverified(lambda task: _make_motion(task, request))
