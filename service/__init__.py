@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from service.result.folder import read_result
     from service.result.output import write_result
     from service.result.result import PlanResult
+    from service.session import Session
     from service.setup.prepare import PlanSetup, prepare
     from service.simulation.options import SimulationOptions
     from service.simulation.simulate import simulate
@@ -53,6 +54,7 @@ __all__ = [
     "RobotDriver",
     "RobotReading",
     "ServiceError",
+    "Session",
     "SimulationOptions",
     "StanceSearch",
     "SweepClearance",
@@ -92,6 +94,7 @@ _MODULES = {
     "result.folder": ("read_result",),
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),
+    "session": ("Session",),
     "setup.prepare": ("PlanSetup", "prepare"),
     "simulation.options": ("SimulationOptions",),
     "simulation.simulate": ("simulate",),

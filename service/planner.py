@@ -17,9 +17,12 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import Float
 from threadpoolctl import ThreadpoolController
 
 from costs.robot import RobotModel
+from costs.static_region import StaticRegionError
 from costs.stopping import Stopped, stops_when
 from scopt import Clock, EffortClock, Settings
 from scopt import Status as SolveStatus
@@ -27,6 +30,7 @@ from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.body.phases import Map, PhaseSolver, Terms
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
+from service.errors import RequestError
 from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
 from service.motion.expected_sag import expect_sag
@@ -35,6 +39,7 @@ from service.replay.whole import certify_whole
 from service.request.schema import PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
+from service.setup.earlier import begin_with
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
 from service.verify import Motion, Status, VerifySettings, verify
@@ -68,6 +73,7 @@ def plan(
     around: Surroundings | None = None,
     map: Map = map,
     clock: Clock | None = None,
+    start_from: PlanResult | Float[np.ndarray, "T n"] | None = None,
 ) -> PlanResult:
     """Plan, time and certify the motion that a request describes.
 
@@ -84,6 +90,9 @@ def plan(
             order, such as that of a ``concurrent.futures.ProcessPoolExecutor`` or of Ray's ``ActorPool``.
         clock: measures the time limit; by default wall time for ``options.time_limit_s`` and effort
             (``scopt.EffortClock``) for the limit of a request that states none.
+        start_from: an earlier result whose motion led from near the start to near the goal of a reach, or waypoints of
+            the robot's coordinates: the search begins with them, bent to the new ends. A note says where they are no
+            help.
 
     Returns:
         The verdict with the best motion found. A plan that fails is a result, not an error.
@@ -98,6 +107,8 @@ def plan(
         monitor = Monitor(request.limit_s, should_stop, on_progress, on_iteration, clock)
         on_step = lambda step: monitor.report(step, 0.02)  # noqa: E731
         setup = prepare(request, on_step, robot, monitor.is_over, see, around=around, finds_package=True)
+        if start_from is not None:
+            setup = begin_with(setup, start_from.waypoints if isinstance(start_from, PlanResult) else start_from)
         monitor.timings.update(setup.timings)
         attempt = Attempt()
         try:
@@ -128,7 +139,10 @@ def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> Pha
     demanded = options.clearance_m
     margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
     aims = Aims(margin, options.balance_margin_m, demanded)
-    body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
+    try:
+        body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
+    except StaticRegionError as error:
+        raise RequestError(f"start is out of balance: {error}") from None
     solver = PhaseSolver(
         body,
         monitor,
@@ -214,7 +228,8 @@ def _record_interruption(attempt: Attempt, status: SolveStatus, request: PlanReq
     """Set the verdict of an interrupted plan; when time is up, return the best motion without a certificate."""
     verdict, text = VERDICT_OF_INTERRUPT[status]
     step = next(reversed(monitor.timings), "set-up")
-    attempt.interrupt(verdict, text.format(limit=_describe_limit(request), step=step))
+    delay = monitor.describe_delay() if verdict is Verdict.TIME_LIMIT else ()
+    attempt.interrupt(verdict, text.format(limit=_describe_limit(request), step=step), delay)
     if verdict is Verdict.TIME_LIMIT:
         with suppress(Stopped), stops_when(lambda: monitor.remaining_s() < -GRACE_S):
             attempt.take_unverified(lambda task: _make_motion(task, request))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from typing import Protocol
 
@@ -175,6 +176,8 @@ def _try(search: MotionSearch, start: Start, number: int) -> Iterator[tuple[str,
         for solved in solutions:
             monitor.log_start(search.step, name, mark, solved.is_feasible)
             is_empty = False
+            if not solved.is_feasible:
+                monitor.note_miss(search.step, solved.shortfall, partial(solved.describe_violations, search.step))
             yield name, solved, False
             mark = monitor.mark()
             if not solved.is_feasible and solved.shortfall < search.restorable and len(solved.x) > 1:

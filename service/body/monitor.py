@@ -60,6 +60,8 @@ class Monitor:
         timings: seconds of wall time by step, in the order of the steps.
         history: (step, iterations) of every solve.
         tried: every start of the search, in the order in which they were tried.
+        miss: of the attempt that missed least at the step that was searched last: the step, its largest violation
+            relative to the tolerance, and a function that describes what it missed.
         started: of the clock.
     """
 
@@ -71,6 +73,7 @@ class Monitor:
     timings: dict[str, float] = field(default_factory=dict)
     history: list[tuple[str, tuple[Iteration, ...]]] = field(default_factory=list)
     tried: list[TriedStart] = field(default_factory=list)
+    miss: tuple[str, float, Callable[[], tuple[str, ...]]] | None = None
     started: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -151,6 +154,20 @@ class Monitor:
         began, n_solved = mark
         steps = sum(len(history) for _, history in self.history[n_solved:]) if n_steps is None else n_steps
         self.tried.append(TriedStart(step, start, time.process_time() - began, steps, bool(is_feasible)))
+
+    def note_miss(self, step: str, shortfall: float, describe: Callable[[], tuple[str, ...]]) -> None:
+        """Keep what an attempt at a step missed, if no other missed less."""
+        if self.miss is None or self.miss[0] != step or shortfall < self.miss[1]:
+            self.miss = step, shortfall, describe
+
+    def describe_delay(self) -> tuple[str, ...]:
+        """Return what the attempt that missed least missed or, where none has ended, how far it came, as sentences."""
+        if self.miss is not None:
+            return self.miss[2]()
+        if not self.history:
+            return ()
+        step, iterations = self.history[-1]
+        return (f"no attempt at '{step}' ended before, the last one after {len(iterations)} steps of the optimiser",)
 
     def make_optimiser(self, settings: Settings) -> TrustRegionSQP:
         """Return the optimiser with the plan's clock and remaining time."""

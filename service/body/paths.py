@@ -26,6 +26,16 @@ def path_via(
     )
 
 
+def bend_path(
+    path: Float[np.ndarray, "T n"], first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "T n"]:
+    """Return a path displaced so that it has other ends; between them each displacement falls with the way done."""
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    share = (way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(path)))[:, None]
+    return np.asarray(path + (1.0 - share) * (first - path[0]) + share * (last - path[-1]))
+
+
 def measure_length(corners: Float[np.ndarray, "K n"]) -> float:
     """Return the length of a polyline in joint space [rad, m]."""
     return float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())

@@ -112,6 +112,7 @@ def _tree(tree: Tree, checks: int | None = None, *, keeps_holds: bool = False) -
     return Start(Way.TREE, Effort.PATIENT, End.FIRST, replace(tree, most_checks=checks, keeps_holds=keeps_holds))
 
 
+_KNOWN = Start(Way.KNOWN, Effort.QUICK)
 _STRAIGHT = Start(Way.STRAIGHT, Effort.QUICK)
 _ON_HOLDS = Start(Way.ON_HOLDS, Effort.PATIENT)
 _LED = Start(Way.LED, Effort.PATIENT)
@@ -122,15 +123,16 @@ _SHRUNKEN = Start(Way.SHRUNKEN, Effort.PATIENT, tree=replace(SHELVES, most_check
 
 POLICIES: Mapping[RobotClass, Policy] = {
     RobotClass.ARM: Policy(
-        (_STRAIGHT, _tree(SHELVES), _ON_HOLDS, _LED, _OTHERS, _tree(BARS), _tree(SHELVES, 2000), _tree(WIDE), _NEAR),
+        (_KNOWN, _STRAIGHT, _tree(SHELVES), _ON_HOLDS, _LED, _OTHERS, _tree(BARS), _tree(SHELVES, 2000), _tree(WIDE),
+         _NEAR),
         (_DRAWN, _tree(BARS, 2000), _tree(SHELVES, 4000), _SHRUNKEN, _tree(WIDE)),
     ),
     RobotClass.ARM_ON_BASE: Policy(
-        (_STRAIGHT, _tree(SHELVES), _ON_HOLDS, _LED, _OTHERS, _tree(BARS), _tree(SHELVES, 2000), _NEAR),
+        (_KNOWN, _STRAIGHT, _tree(SHELVES), _ON_HOLDS, _LED, _OTHERS, _tree(BARS), _tree(SHELVES, 2000), _NEAR),
         (_DRAWN, _tree(BARS, 2000), _tree(SHELVES, 4000), _SHRUNKEN, _tree(WIDE)),
     ),
     RobotClass.STANDING: Policy(
-        (_STRAIGHT, _ON_HOLDS, _LED, _OTHERS, Start(Way.POSTURES, Effort.QUICK), _NEAR,
+        (_KNOWN, _STRAIGHT, _ON_HOLDS, _LED, _OTHERS, Start(Way.POSTURES, Effort.QUICK), _NEAR,
          Start(Way.STRAIGHT, Effort.WHOLE), _tree(SHELVES), _tree(BARS)),
         (_DRAWN, _tree(BARS, 2000), _tree(SHELVES, keeps_holds=True), _SHRUNKEN, _tree(SHELVES, 4000), _tree(WIDE)),
     ),

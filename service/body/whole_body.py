@@ -19,7 +19,7 @@ from costs.collision import (
     SweptCollisionChecker,
     make_search_checker,
 )
-from costs.kinematics import KinematicsEngine, locate_links
+from costs.kinematics import KinematicsEngine
 from costs.robot import BASE_NAMES, Release, RobotModel
 from costs.scene import Scene
 from costs.state import MotionState
@@ -39,9 +39,8 @@ from costs.terms import (
 )
 from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, KeptPose, project_onto_holds
-from service.body.loaded_regions import PlannedRegion
-from service.demands.stance import BALANCE_RESERVE, make_standing_allowances
-from service.start.standing import sole_corners
+from service.body.loaded_regions import PlannedRegion, plan_contact_region
+from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
 from service.verify import PlantedContact
 
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
@@ -88,7 +87,7 @@ class WholeBody:
         scene: of convex pieces.
         engine: kinematics of ``robot``.
         planted: links that do not move.
-        polygon: support polygon of the planted links; None for a fixed base, and on contacts with a region.
+        polygon: support polygon of the planted links; None for a fixed base, and where a region holds the robot.
         nominal: (n,) the posture to stay near.
         aims: margins.
         kept: relative poses that hold in every phase.
@@ -99,7 +98,7 @@ class WholeBody:
         sight: distance beyond its margin at which a pair enters the problem [m].
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
-        region: where contacts that are not soles on level ground hold the robot.
+        region: where contacts that are not soles on one level hold the robot.
         kept_apart: pairs of links that the robot ignores, and that keep their margin all the same.
         sampled_clearance: of the poses of sampled paths [m]; the optimiser adds the rest of the margin.
     """
@@ -127,15 +126,19 @@ class WholeBody:
     def standing(
         robot: RobotModel, scene: Scene, q: Float[np.ndarray, "n"], feet: Sequence[str], aims: Aims
     ) -> WholeBody:
-        """Return the robot planted at configuration ``q`` on the links ``feet`` (none for a fixed base)."""
+        """Return the robot planted at configuration ``q`` on the links ``feet`` (none for a fixed base).
+
+        Raises:
+            StaticRegionError: feet that are not on one level hold it nowhere.
+        """
         engine = KinematicsEngine(robot)
-        poses = locate_links(engine, q, feet)
-        planted = tuple(
-            PlantedContact(link, pose, np.asarray((sole_corners(robot, q, link) - pose[:3, 3]) @ pose[:3, :3]))
-            for link, pose in poses.items()
-        )
-        polygon = SupportPolygon.of_soles([foot.points for foot in planted]) if planted and robot.can_balance else None
-        return WholeBody(robot, scene, engine, planted, polygon, q, aims)
+        planted = plant_feet(robot, q, feet)
+        body = WholeBody(robot, scene, engine, planted, None, q, aims)
+        if not planted or not robot.can_balance:
+            return body
+        if not are_level(planted):
+            return replace(body, region=plan_contact_region(robot, planted))
+        return replace(body, polygon=SupportPolygon.of_soles([foot.points for foot in planted]))
 
     def with_robot(self, robot: RobotModel, nominal: Float[np.ndarray, "n"]) -> WholeBody:
         """Return the same stance of an augmented robot."""
@@ -280,9 +283,14 @@ class WholeBody:
         """Return the nearest waypoints that keep the holds; the first is not moved."""
         return np.concatenate([q[:1], project_onto_holds(self.engine, q[1:], self.holds())])
 
+    @property
+    def is_on_feet(self) -> bool:
+        """Whether it stands, in balance, on its feet as they are at the start, and not on contacts that change."""
+        return self.touches is None and (self.polygon is not None or self.region is not None)
+
     def drift(self) -> float:
         """Return the largest residual of a hold between waypoints [m, rad]."""
-        return min([DRIFT if self.region is None else CONTACT_DRIFT, *(kept.drift for kept in self.kept)])
+        return min([DRIFT if self.touches is None else CONTACT_DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
         """Return the allowances of planted links: those of their contacts, by default with what carries their soles."""

@@ -14,7 +14,7 @@ import typer
 
 from service.cli.bench import bench_command
 from service.cli.certify import certify_command
-from service.cli.export import export_command
+from service.cli.export import export_command, state_command
 from service.cli.motions.move import move_app
 from service.cli.motions.task import task_app
 from service.cli.plan import plan_command, verify_command, view_command
@@ -67,6 +67,7 @@ app.add_typer(task_app, name="task", epilog=LOCAL_EXIT_CODES)
 app.add_typer(move_app, name="move", epilog=LOCAL_EXIT_CODES)
 app.command("view")(view_command)
 app.command("export")(export_command)
+app.command("state")(state_command)
 app.command("bench")(bench_command)
 app.command("robots")(robots_command)
 app.command("scene")(scene_command)

@@ -1,4 +1,4 @@
-"""``scopt export``: a result for ROS 2, MCAP readers, NumPy, and plain position servos."""
+"""``scopt export``: a result for ROS 2, MCAP, NumPy and position servos; ``scopt state``: one moment of it."""
 
 from __future__ import annotations
 
@@ -50,3 +50,26 @@ def export_command(
         print_json({"export": str(written), "to": target})
     else:
         stdout.print(str(written), markup=False, soft_wrap=True)
+
+
+@command()
+def state_command(
+    result: Annotated[Path, typer.Argument(help="Result folder or its result.json.", metavar="RESULT")],
+    at: Annotated[
+        float | None,
+        typer.Option("--at", help="Seconds from the beginning of the motion; by default its end.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File; by default NAME-state.json beside the result folder.")
+    ] = None,
+) -> None:
+    """Write the robot's state at a time of a result, for --state of other commands or a request's start."""
+    stdout, stderr = consoles()
+    with cancellable(stderr):
+        from service.replay.state import write_state
+        from service.result.folder import result_path
+
+        folder = result_path(result).parent.resolve()
+        path = folder.with_name(f"{folder.name}-state.json") if out is None else out
+        write_state(result, at, path)
+    stdout.print(str(path), markup=False, soft_wrap=True)

@@ -17,11 +17,18 @@ from costs.robot.carried import MovableObject
 from costs.scene import Scene
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.phase import TaskPhase
-from service.demands.stance import Stance, list_planted_feet, make_escape_allowances, make_standing_allowances
+from service.demands.stance import (
+    Stance,
+    list_planted_feet,
+    make_escape_allowances,
+    make_resting_allowances,
+    make_standing_allowances,
+)
 from service.demands.targets import make_kept_target
 from service.demands.task_demand import TaskDemand, World
 from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
+from service.start.resting import find_rests
 from service.verify import (
     Certificate,
     Motion,
@@ -35,7 +42,7 @@ from service.verify import (
     scene_hash,
 )
 
-ESCAPE = "escape"
+ESCAPE, RAISE = "escape", "raise"  # phases that may come first: out of overlaps, and off what carried bodies rest on
 PACE_TOLERANCE = 0.01  # share of a speed or an acceleration that may be used in addition
 BORDER_ROUNDING = 1e-9  # of path parameters, and of tangents that vanish
 SAME = 1e-6  # numbers of a request and of a record that agree [m, rad]
@@ -144,7 +151,7 @@ class _Standing:
     Attributes:
         stance: planted feet and support polygon.
         floors: allowances of planted links on floors.
-        escape: allowances of the overlaps at the start.
+        leaving: allowances of the first phase by its name: of overlaps, and of what carried bodies rest on.
         neighbours: allowances of what the mechanism is near at the start.
         kept: targets of all phases.
         joint_names: of the robot, the mechanism's last.
@@ -153,7 +160,7 @@ class _Standing:
 
     stance: Stance
     floors: tuple[Allowance, ...]
-    escape: tuple[Allowance, ...]
+    leaving: dict[str, tuple[Allowance, ...]]
     neighbours: tuple[Allowance, ...]
     kept: tuple[Target, ...]
     joint_names: tuple[str, ...]
@@ -166,8 +173,12 @@ class _Standing:
         start, scene = demands.world.start, demands.world.scene
         is_balanced = task.is_balanced and robot.can_balance and not task.changes_contacts
         stance = Stance.of(robot, start, feet, request.options.balance_margin_m, is_balanced)
+        carried = [item.name for item in request.attached] if task.can_escape else []
+        rests = find_rests(robot, start, scene.pieces, carried)
         leaves = request.options.escape and task.can_escape
-        inside = find_hull_overlaps(robot, start, scene, feet) if leaves else []
+        inside = find_hull_overlaps(robot, start, scene, feet, rests) if leaves else []
+        resting = make_resting_allowances(rests)
+        leaving = {ESCAPE: (*make_escape_allowances(inside), *resting), RAISE: resting}
         kept = tuple(make_kept_target(robot, start, keep) for keep in request.keep)
         neighbours: tuple[Allowance, ...] = ()
         if task.moved is not None:
@@ -175,7 +186,7 @@ class _Standing:
         return _Standing(
             stance,
             make_standing_allowances(stance.contacts, scene),
-            make_escape_allowances(inside),
+            leaving,
             neighbours,
             kept,
             augmented.joint_names,
@@ -201,12 +212,13 @@ class _Standing:
             planted = tuple(contact.planted for contact in demand.contacts)
             return replace(own, contacts=planted, region_margin_m=self.margin_m)
         first = recorded.curve(np.array([phase.first]))[0, : self.stance.robot.n]
-        escape = self.escape if phase.name == ESCAPE and index == 0 else ()
+        leaving = self.leaving.get(phase.name, ()) if index == 0 else ()
         return replace(
             own,
             contacts=self.stance.contacts,
-            allowances=(*self.floors, *escape, *own.allowances),
+            allowances=(*self.floors, *leaving, *own.allowances),
             support=self.stance.support(phase.name, first),
+            region_margin_m=self.stance.region_margin(phase.name, first),
         )
 
 
@@ -238,8 +250,8 @@ def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
         if not _rests(recorded, phase.first):
             yield f"phase '{phase.name}' begins while the robot moves; it must rest there"
     names = [phase.name for phase in recorded.phases]
-    if ESCAPE in names[1:]:
-        yield "only the first phase may escape from an overlap at the start"
+    if {ESCAPE, RAISE} & {*names[1:]}:
+        yield "only the first phase may escape from an overlap at the start, or raise what rests on something"
 
 
 def compare_phase(recorded: Phase, own: Phase, has_own_targets: bool) -> Iterator[str]:

@@ -154,7 +154,7 @@ def _make_phase(
 
 def _place_regions(phase: PlannedPhase, body: WholeBody, s: Float[np.ndarray, "T"]) -> tuple[LoadedRegion, ...]:
     """Return the regions of a phase at their path parameters; waypoints may have been added since."""
-    if body.region is not None:
+    if body.region is not None and not phase.regions:
         region = body.region.region
         return (LoadedRegion(float(s[0]), float(s[-1]), region.vertices, region.wrenches, region.witnesses),)
     if phase.values is None:
@@ -177,7 +177,7 @@ def _limit_chords(plan: TaskPlan, spline: Spline, chord: float) -> Float[np.ndar
     chords = np.full(len(spline.curve.knots) - 1, chord)
     for phase, first, last in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True):
         own = _find_body(plan, phase)
-        if own.region is not None:
+        if own.touches is not None:
             chords[first:last] = np.minimum(chords[first:last], CONTACT_CHORD)
         if own.kept:
             chords[first:last] = np.minimum(chords[first:last], HELD_CHORD_SHARE * own.drift())

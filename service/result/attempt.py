@@ -13,6 +13,7 @@ from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings
 from service.verify import Basis, Certificate, Motion, Status
 
+MOST_SHORTFALLS = 3  # of a certificate that are named where a plan ends early
 _RANK = {Status.VIOLATED: 0, Status.FEASIBLE_AT_SAMPLES: 1, Status.CERTIFIED: 2}
 _VERDICT_OF_STATUS = {
     Status.CERTIFIED: Verdict.CERTIFIED,
@@ -76,10 +77,12 @@ class Attempt:
             return False
         return self.certificate.fails_by_description() or self.is_repeated
 
-    def interrupt(self, verdict: Verdict, reason: str) -> None:
-        """End with TIME_LIMIT or CANCELLED; the task's reasons stay in the explanation."""
+    def interrupt(self, verdict: Verdict, reason: str, delay: tuple[str, ...] = ()) -> None:
+        """End with TIME_LIMIT or CANCELLED; the reasons of the task, of the certificate or of the delay follow."""
         known = () if self.task is None else self.task.reasons
-        self.verdict, self.explanation = verdict, (reason, *known)
+        if not known and self.certificate is not None:
+            known = list_shortfalls(self.certificate)[:MOST_SHORTFALLS]
+        self.verdict, self.explanation = verdict, (reason, *(known or delay))
 
     def take_unverified(self, make_motion: Callable[[TaskPlan], Motion]) -> None:
         """Take the best motion without a certificate if none is verified."""

@@ -122,6 +122,12 @@ class PlanResult:
         return np.zeros((0, n)) if self.motion is None else self.motion.curve(samples_of(self.motion))[:, :n]
 
     @property
+    def waypoints(self) -> Float[np.ndarray, "K n"]:
+        """Coordinates at the knots of the curve; empty without a motion [rad, m]."""
+        n = self.robot.n
+        return np.zeros((0, n)) if self.motion is None else self.motion.curve.positions[:, :n]
+
+    @property
     def velocities(self) -> Float[np.ndarray, "S n"] | None:
         """Their velocities [rad/s, m/s]; None for an untimed motion or without one."""
         rates = None if self.motion is None else sample_rates(self.motion)

@@ -26,6 +26,7 @@ from service.start.overlaps import (
     find_hull_overlaps,
     find_overlaps_and_unresolved,
 )
+from service.start.resting import find_rests
 from service.start.standing import (
     FEET_GROUP,
     FLOOR_KIND,
@@ -50,6 +51,7 @@ class StartCheck:
 
     Attributes:
         overlaps: overlapping hulls that the first phase separates.
+        rests: carried bodies and the pieces on which they rest, from which the first phase raises them.
         unresolved: sentences about pairs that are apart but whose hulls overlap, so that they cannot be certified.
         notes: sentences about collisions that the first phase resolves.
     """
@@ -57,6 +59,7 @@ class StartCheck:
     overlaps: tuple[Overlap, ...]
     unresolved: tuple[str, ...]
     notes: tuple[str, ...]
+    rests: tuple[tuple[str, str], ...] = ()
 
 
 def check_names_and_values(robot: RobotModel, request: PlanRequest) -> None:
@@ -134,10 +137,12 @@ def check_start(
     is_balanced = (program is None or program.is_balanced) and robot.can_balance
     feet = {link: sole for link, sole in soles.items() if is_balanced or link in robot.link_groups.get(FEET_GROUP, ())}
     grounded = dict(find_ground_problems(scene.pieces, feet)) if robot.is_floating else {}
+    carried = [item.name for item in request.attached] if program is None else []
+    rests = find_rests(robot, start, scene.pieces, carried)
     # A sole inside the floor is reported only once, as a floor that is too high.
     inside, near = (
         [overlap for overlap in overlaps if overlap.kind != FLOOR_KIND or overlap.link not in grounded]
-        for overlaps in find_overlaps_and_unresolved(robot, start, scene, tuple(soles))
+        for overlaps in find_overlaps_and_unresolved(robot, start, scene, tuple(soles), rests)
     )
     may_leave = program is None and request.options.escape
     dead_ends = [describe_dead_end(overlap, tuple(soles)) for overlap in inside]
@@ -171,12 +176,12 @@ def check_start(
     if problems:
         raise RequestError(problems)
     may_leave = may_leave and not any(describe_dead_end(overlap, tuple(soles)) for overlap in near)
-    overlaps = tuple(find_hull_overlaps(robot, start, scene, tuple(soles))) if may_leave else ()
+    overlaps = tuple(find_hull_overlaps(robot, start, scene, tuple(soles), rests)) if may_leave else ()
     too_near = tuple(f"the start is too near to plan from: {overlap.nearness}" for overlap in near)
     if not overlaps:
-        return StartCheck((), too_near, ())
+        return StartCheck((), too_near, (), rests)
     left = (*(f"start is in collision: {overlap}" for overlap in inside), *too_near)
-    return StartCheck(overlaps, (), tuple(f"{line}; the first phase leaves it" for line in left))
+    return StartCheck(overlaps, (), tuple(f"{line}; the first phase leaves it" for line in left), rests)
 
 
 def find_overloaded_joints(

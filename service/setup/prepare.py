@@ -51,6 +51,8 @@ class PlanSetup:
         kept: relative poses that are kept along the whole motion.
         program: the TrajOpt problem to solve, or None.
         overlaps: hulls that overlap at the start and must be separated first.
+        known: (T, n) waypoints of an earlier motion to begin the search with, or None.
+        rests: carried bodies and the pieces on which they rest, from which they must be raised first.
         unresolved: sentences about pairs that are apart at the start but whose hulls overlap, so that they cannot be
             certified there.
         notes: assumptions and warnings for the user.
@@ -73,6 +75,8 @@ class PlanSetup:
     is_stopped: bool = False
     unresolved: tuple[str, ...] = ()
     stances: tuple[ContactStance, ...] = ()
+    rests: tuple[tuple[str, str], ...] = ()
+    known: Float[np.ndarray, "T n"] | None = None
 
     @property
     def contacts(self) -> tuple[str, ...]:
@@ -162,6 +166,7 @@ def prepare(
         timings,
         unresolved=check.unresolved,
         stances=stances,
+        rests=check.rests,
     )
 
 

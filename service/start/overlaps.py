@@ -81,21 +81,39 @@ def find_overlaps(robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, pl
 
 
 def find_overlaps_and_unresolved(
-    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+    robot: RobotModel,
+    q: Float[np.ndarray, "n"],
+    scene: Scene,
+    planted: Sequence[str],
+    rests: Collection[tuple[str, str]] = (),
 ) -> tuple[list[Overlap], list[Overlap]]:
-    """Return the pairs whose shapes collide, and the pairs of which only the hulls overlap; the deepest first."""
+    """Return the pairs whose shapes collide, and the pairs of which only the hulls overlap; the deepest first.
+
+    Args:
+        robot: the robot.
+        q: the configuration.
+        scene: of pieces.
+        planted: links that may touch what carries them.
+        rests: links and pieces that are left out.
+    """
     overlaps = _find_hull_overlaps(robot, q, scene, planted)
+    overlaps = [(overlap, is_inside) for overlap, is_inside in overlaps if (overlap.link, overlap.other) not in rests]
     inside = _keep_deepest([overlap for overlap, is_inside in overlaps if is_inside])
     pairs = {frozenset(overlap.pair) for overlap in inside}
     return inside, _keep_deepest([overlap for overlap, _ in overlaps if frozenset(overlap.pair) not in pairs])
 
 
 def find_hull_overlaps(
-    robot: RobotModel, q: Float[np.ndarray, "n"], scene: Scene, planted: Sequence[str]
+    robot: RobotModel,
+    q: Float[np.ndarray, "n"],
+    scene: Scene,
+    planted: Sequence[str],
+    rests: Collection[tuple[str, str]] = (),
 ) -> list[Overlap]:
-    """Return the pairs whose hulls overlap at ``q``, with the depths of the hulls, the deepest first."""
-    overlaps = _find_hull_overlaps(robot, q, scene, planted)
-    return _keep_deepest([replace(overlap, depth=overlap.hull_depth) for overlap, _ in overlaps])
+    """Return the pairs whose hulls overlap at ``q``, with the depths of the hulls, the deepest first; as above."""
+    overlaps = [overlap for overlap, _ in _find_hull_overlaps(robot, q, scene, planted)]
+    left = [overlap for overlap in overlaps if (overlap.link, overlap.other) not in rests]
+    return _keep_deepest([replace(overlap, depth=overlap.hull_depth) for overlap in left])
 
 
 def _find_hull_overlaps(

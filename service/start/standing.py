@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece
@@ -17,21 +18,59 @@ from service.errors import RequestError
 from service.verify import GROUND_TOLERANCE_M, UNSEEN_KIND, describe_gap, find_ground_gaps
 
 FEET_GROUP = "feet"
-SOLE_BAND_M = 0.002  # height above a foot's lowest vertex up to which vertices belong to its sole
+SOLE_BAND_M = (
+    0.002  # height above a foot's lowest vertex, or off its lower face, up to which vertices belong to its sole
+)
+LEVEL_M = 2.0 * SOLE_BAND_M  # difference of height between the corners of a level sole
+MOST_SLOPE_RAD = float(np.deg2rad(20.0))  # of a sole
+LEAST_SHARE = 0.5  # of a foot's lower face that is lowest where it is level
 LOWEST_BAND_M = 0.01  # above the robot's lowest vertex: links there could be feet
 FLOOR_KIND = "floor"
 LARGEST_SHIFT_M = 0.03  # uncertainty of a scanned floor's height
 
 
 def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:
-    """Return the corners of a foot's sole in the world [m]: the vertices within 2 mm of its lowest at ``q``."""
+    """Return the corners of a foot's sole in the world at ``q`` [m], see ``find_sole``."""
     return find_sole([vertices for _, vertices in place_bodies(robot, q, link)])
 
 
 def find_sole(placed: Sequence[Float[np.ndarray, "V 3"]]) -> Float[np.ndarray, "C 3"]:
-    """Return the vertices of a link's bodies, placed in the world, that are within 2 mm of the lowest [m]."""
+    """Return the sole of a link's bodies, placed in the world [m].
+
+    It is what lies within 2 mm of the lowest vertex or, where that is little of a larger face that leans up to 20 deg,
+    of that face: a foot on a slope stands on all of its sole.
+    """
     vertices = np.vstack(placed)
-    return np.asarray(vertices[vertices[:, 2] <= vertices[:, 2].min() + SOLE_BAND_M])
+    lowest = _take_band(vertices, np.array([0.0, 0.0, -1.0]))
+    try:
+        planes = np.unique(np.round(ConvexHull(vertices).equations[:, :3], 6), axis=0)
+    except QhullError:
+        return lowest
+    downwards = planes[planes[:, 2] <= -np.cos(MOST_SLOPE_RAD)]
+    faces = [_take_band(vertices, normal) for normal in downwards]
+    areas = [_measure_area(face) for face in faces]
+    if not faces or _measure_area(lowest) >= LEAST_SHARE * max(areas):
+        return lowest
+    return faces[int(np.argmax(areas))]
+
+
+def is_level(corners: Float[np.ndarray, "C 3"]) -> bool:
+    """Return whether a sole is level, up to its own unevenness."""
+    return float(np.ptp(corners[:, 2])) <= LEVEL_M
+
+
+def _take_band(vertices: Float[np.ndarray, "V 3"], outwards: Float[np.ndarray, "3"]) -> Float[np.ndarray, "C 3"]:
+    """Return the vertices within 2 mm of the one that is farthest along a direction."""
+    along = vertices @ outwards
+    return np.asarray(vertices[along >= along.max() - SOLE_BAND_M])
+
+
+def _measure_area(points: Float[np.ndarray, "C 3"]) -> float:
+    """Return the area of the hull of points seen from above [m^2]; 0 for points on a line."""
+    try:
+        return float(ConvexHull(points[:, :2]).volume)
+    except (QhullError, ValueError):
+        return 0.0
 
 
 def list_carrying_pieces(corners: Float[np.ndarray, "C 3"], pieces: Sequence[ConvexPiece]) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ def plan_task(setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
     if not part.leaves_start:
         yield from part.plan(section, setup, solver)
         return
-    lead = leave_start(solver, setup.overlaps)
+    lead = leave_start(solver, setup.overlaps, setup.rests)
     if lead.stuck is not None:
         yield lead
         return

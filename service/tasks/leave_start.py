@@ -1,4 +1,4 @@
-"""Leave an unfit start before the task begins: first out of collision, then into balance."""
+"""Leave an unfit start before the task begins: out of collision, off what carried bodies rest on, then into balance."""
 
 from __future__ import annotations
 
@@ -11,27 +11,36 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyIndex, BodyRef
 from costs.collision import Contacts, SweptCollisionChecker
+from costs.support import SupportPolygon
 from service.body.ladder import Path, find_motion
 from service.body.phases import PhaseSolver
 from service.body.starts import DIRECT
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.phase import TaskPhase
-from service.demands.stance import BALANCE_RESERVE, DEPTH_ROUNDING, make_escape_allowances
+from service.demands.stance import DEPTH_ROUNDING, is_unsettled, make_escape_allowances, make_resting_allowances
 from service.start.overlaps import Overlap
+from service.start.resting import SUPPORT_DEPTH_M
 from service.tasks.hints import PhaseHints
 from service.tasks.nearby import find_free_pose
 from service.tasks.phase_compiler import PhaseCompiler
 
-ESCAPE, SETTLE = "escape", "settle"
+ESCAPE, RAISE, SETTLE = "escape", "raise", "settle"
+RESTING_DEPTH_M = SUPPORT_DEPTH_M - DEPTH_ROUNDING  # from which a body is raised that rests on something
 ESCAPE_WAYPOINTS, SETTLE_WAYPOINTS = 10, 6
 
 
-def leave_start(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
-    """Plan the phases before the task, none where the start is fit; the plan's body stands at their end."""
+def leave_start(solver: PhaseSolver, overlaps: Sequence[Overlap], rests: Sequence[tuple[str, str]] = ()) -> TaskPlan:
+    """Plan the phases before the task, none where the start is fit; the plan's body stands at their end.
+
+    Args:
+        solver: of the phases.
+        overlaps: at the start.
+        rests: carried bodies and the pieces on which they rest.
+    """
     lead = TaskPlan(solver.body, ())
-    if overlaps:
-        lead = _escape(solver, overlaps)
+    if overlaps or rests:
+        lead = _escape(solver, overlaps, rests)
     if lead.stuck is None and _needs_settling(lead.body):
         settling = _settle(replace(solver, body=lead.body))
         lead = replace(settling, phases=(*lead.phases, *settling.phases))
@@ -93,17 +102,18 @@ class LeavingBody(WholeBody):
         return depths
 
 
-def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
+def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap], rests: Sequence[tuple[str, str]]) -> TaskPlan:
     """Plan a phase from the start to a nearby configuration without collision.
 
-    Only the pairs that overlap at the start may touch in it, no deeper than there, less and less on the way, and apart
-    at its end.
+    Only the pairs that overlap or rest on each other at the start may touch in it, no deeper than there, less and less
+    on the way, and apart at its end.
     """
-    body = solver.body
-    leaving = replace(solver, body=LeavingBody.of(body, overlaps))
-    with solver.monitor.step(ESCAPE, 0.05):
-        pose = find_free_pose(leaving, ESCAPE)
-    phase = TaskPhase(ESCAPE, touches=make_escape_allowances(overlaps))
+    body, name = solver.body, ESCAPE if overlaps else RAISE
+    resting = [Overlap(link, piece, RESTING_DEPTH_M, "") for link, piece in rests]
+    leaving = replace(solver, body=LeavingBody.of(body, [*overlaps, *resting]))
+    with solver.monitor.step(name, 0.05):
+        pose = find_free_pose(leaving, name)
+    phase = TaskPhase(name, touches=(*make_escape_allowances(overlaps), *make_resting_allowances(rests)))
     way = replace(phase, touches=())  # the body itself lets overlaps be as deep as they may be on the way
     compiler = _compile(leaving, ESCAPE_WAYPOINTS - 1)
     out = _find_escape(compiler, way, pose.q) if pose.is_feasible else pose
@@ -114,7 +124,7 @@ def _escape(solver: PhaseSolver, overlaps: Sequence[Overlap]) -> TaskPlan:
         is_settling=_needs_settling(body),
         resolve=partial(compiler.solve_between, way),
     )
-    return TaskPlan(replace(body, nominal=out.x[-1]), (planned,), stuck=Stuck.at(ESCAPE, out))
+    return TaskPlan(replace(body, nominal=out.x[-1]), (planned,), stuck=Stuck.at(name, out))
 
 
 def _find_escape(compiler: PhaseCompiler, phase: TaskPhase, end: Float[np.ndarray, "n"]) -> Solved:
@@ -136,10 +146,11 @@ def _compile(solver: PhaseSolver, n_waypoints: int) -> PhaseCompiler:
 
 def _needs_settling(body: WholeBody) -> bool:
     """Return whether the balance margin at the start is smaller than the motion's."""
-    if body.polygon is None:
+    if not body.is_on_feet:
         return False
-    com = body.engine(body.nominal[None]).com[:, :2]
-    return bool(body.polygon.margin(com)[0] < body.aims.balance_margin + BALANCE_RESERVE)
+    hull = SupportPolygon.of_soles([foot.points for foot in body.planted])
+    centre = body.engine(body.nominal[None]).com[0]
+    return is_unsettled(hull, centre, body.aims.balance_margin, is_level=body.polygon is not None)
 
 
 def _settle(solver: PhaseSolver) -> TaskPlan:

@@ -57,6 +57,15 @@ def test_a_limit_ends_a_plan_at_the_same_step_on_an_equal_clock(request_of: Plan
     assert first.explanation == second.explanation
 
 
+def test_a_plan_that_ends_early_says_what_its_best_attempt_missed(request_of: PlanRequest) -> None:
+    wall = {"name": "wall", "type": "box", "size": [0.6, 0.1, 0.4], "position": [0.8, 0.0, 0.0]}
+    closed = replace(request_of, scene=parse_request({**to_json(request_of), "scene": {"obstacles": [wall]}}).scene)
+    late = plan(state_limit(closed, 3.0), clock=CountingClock(0.005))
+    assert late.verdict is Verdict.TIME_LIMIT
+    assert len(late.explanation) > 1
+    assert any("wall" in line for line in late.explanation[1:])
+
+
 def test_an_egress_has_more_effort_by_default_and_a_stated_limit_is_what_it_says(request_of: PlanRequest) -> None:
     assert request_of.limit_s == TaskSection.effort_s
     assert to_json(request_of)["options"]["time_limit_s"] is None

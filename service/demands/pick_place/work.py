@@ -20,10 +20,10 @@ from service.errors import RequestError
 from service.request.scene import ObjectRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.pick_place import PickRequest
+from service.start.resting import SUPPORT_DEPTH_M
 from service.verify import Carrier, Grip, PoseTarget, Target, measure_rest_margin
 
 PAD_DEPTH_M = 3e-3  # of a finger in what it holds
-SUPPORT_DEPTH_M = 2e-3  # of an object in what it rests on, as it is lifted and put down
 PLACE_TOLERANCE_M, PLACE_TOLERANCE_RAD = 5e-3, float(np.deg2rad(2.0))
 APPROACH, ENTER, GRASP, LIFT, CARRY, LOWER, RELEASE, RETREAT = PHASES = (
     "approach", "enter", "grasp", "lift", "carry", "lower", "release", "retreat"

@@ -39,10 +39,12 @@ class GoalEnds:
     Attributes:
         solver: of the robot.
         goal: the goal.
+        known: (n,) end of an earlier motion, from which the first is searched; None without one.
     """
 
     solver: PhaseSolver
     goal: Goal
+    known: Float[np.ndarray, "n"] | None = None
     _open: Iterator[Float[np.ndarray, "n"]] = field(init=False, repr=False)
     _first: Float[np.ndarray, "n"] | None = field(default=None, init=False, repr=False)
 
@@ -82,7 +84,10 @@ class GoalEnds:
         if goal.is_complete:
             yield goal.apply_joints(body.nominal)
             return
-        yield from self._solve(chain(bring_to_goal(body, goal), posture_guesses(body)))
+        near: Iterator[Seed] = iter(())
+        if self.known is not None:
+            near = bring_to_goal(body, goal, self.known)
+        yield from self._solve(chain(near, bring_to_goal(body, goal), posture_guesses(body)))
         if not self._poses.found:
             yield from islice(self._solve(self._draw(FIRST_DRAWS, 0)), FIRST_ENDS)
         best = self._poses.best
@@ -136,8 +141,10 @@ class GoalEnds:
                     yield "random within the limits", arrived[row]
 
 
-def bring_to_goal(body: WholeBody, goal: Goal) -> Iterator[Seed]:
-    """Yield the nominal posture with the goal's links at their goals and the robot balanced, if that is reached.
+def bring_to_goal(body: WholeBody, goal: Goal, q: Float[np.ndarray, "n"] | None = None) -> Iterator[Seed]:
+    """Yield a configuration, by default the nominal one, with the goal's links at their goals and the robot balanced.
+
+    Nothing is yielded where that is not reached.
 
     Obstacles are left to the optimiser, which then needs half of the steps.
     """
@@ -146,6 +153,7 @@ def bring_to_goal(body: WholeBody, goal: Goal) -> Iterator[Seed]:
     holds = (*body.holds(), *make_line_holds(goal, 1.0), *body.hold_in_balance())
     if not holds:
         return
-    guess, error = solve_holds(body, goal.apply_joints(body.nominal)[None], holds, fixed, BRING_STEPS)
+    first = goal.apply_joints(body.nominal if q is None else q)
+    guess, error = solve_holds(body, first[None], holds, fixed, BRING_STEPS)
     if error[0] < BROUGHT:
         yield "brought to the goal", guess[0]

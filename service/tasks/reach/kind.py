@@ -26,7 +26,7 @@ class ReachPlanPart(PlanPart[GoalRequest]):
 
     def plan(self, section: GoalRequest, setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
         """Yield plans that lead to the goal."""
-        return plan_reach(solver, section, setup.request.options.waypoints)
+        return plan_reach(solver, section, setup.request.options.waypoints, setup.known)
 
     def get_end(self, section: GoalRequest, setup: PlanSetup) -> RequestedEnd:
         """Return the goal's joints and poses."""

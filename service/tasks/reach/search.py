@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, islice
@@ -12,8 +12,9 @@ from jaxtyping import Float, Int
 
 from costs.kinematics import locate_frame
 from service.body.ladder import LEAST_WAYPOINTS, MotionSearch, Path, find_motion, list_motions
+from service.body.paths import bend_path, resample_path
 from service.body.phases import PhaseSolver, report_solutions
-from service.body.starts import DIRECT, Way, choose_policy
+from service.body.starts import DIRECT, End, Way, choose_policy
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.phase import TaskPhase
 from service.explain.goal import find_goal_reasons
@@ -30,15 +31,24 @@ TIGHT = 4.5e-3  # clearance of a start or a goal below which a straight phase le
 OFF_M = 12e-3  # clearance at the end of that phase [m]
 
 
-def plan_reach(solver: PhaseSolver, request: GoalRequest, n_waypoints: int | None) -> Iterator[TaskPlan]:
-    """Yield a plan of one phase for every start that leads to the goal; the best attempt if none does."""
+def plan_reach(
+    solver: PhaseSolver, request: GoalRequest, n_waypoints: int | None, known: Path | None = None
+) -> Iterator[TaskPlan]:
+    """Yield a plan of one phase for every start that leads to the goal; the best attempt if none does.
+
+    Args:
+        solver: of the robot at its start.
+        request: the goal.
+        n_waypoints: of every path; as many as its length needs if it is not given.
+        known: an earlier motion that led from near the start to near the goal.
+    """
     body = solver.body
     goal = Goal.of(body, request)
     reasons = find_goal_reasons(body, goal.targets())
     if reasons.impossible or reasons.unresolved:
         yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
         return
-    reach = _Reach(solver, goal, n_waypoints, reasons.notes)
+    reach = _Reach(solver, goal, n_waypoints, reasons.notes, known=known)
     solutions: Iterator[tuple[str, Solved]] = islice(reach.list_solutions(), solver.most_starts)
     first = next(solutions)
     if first[1].is_feasible:  # most requests end here
@@ -63,6 +73,7 @@ class _Reach:
         notes: on the goal.
         retreat: from the start to where the reach begins.
         approach: from where the reach ends to the goal, with its targets.
+        known: waypoints of an earlier motion.
     """
 
     solver: PhaseSolver
@@ -71,10 +82,11 @@ class _Reach:
     notes: tuple[str, ...] = ()
     retreat: PlannedPhase | None = None
     approach: PlannedPhase | None = None
+    known: Path | None = None
 
     def list_solutions(self) -> Iterator[tuple[str, Solved]]:
         """Yield solved starts by name, feasible or not."""
-        ends = GoalEnds(self.solver, self.goal)
+        ends = GoalEnds(self.solver, self.goal, None if self.known is None else self.known[-1])
         if ends.miss is not None:
             yield STEP, ends.miss
         yield from list_motions(
@@ -85,7 +97,7 @@ class _Reach:
                 self.solver.body.nominal,
                 ends,
                 choose_policy(self.solver.body.robot),
-                {Way.LED: self._lead_links},
+                self._list_paths(ends),
                 self.n_waypoints,
                 drawn=self._reaching,
                 restorable=0.0 if self.goal.is_complete else RESTORABLE,
@@ -146,6 +158,21 @@ class _Reach:
             return None
         joints = [locate_frame(body.robot, pose.link)[0] for pose in request.poses]
         return np.flatnonzero(body.engine.topology.supports[joints].any(axis=0))
+
+    def _list_paths(self, ends: GoalEnds) -> dict[Way, Callable[[], Iterable[tuple[str, Path]]]]:
+        """Return the paths of the reach by way."""
+        paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {Way.LED: self._lead_links}
+        if self.known is not None:
+            paths[Way.KNOWN] = lambda: self._bend_known(ends)
+        return paths
+
+    def _bend_known(self, ends: GoalEnds) -> Iterator[tuple[str, Path]]:
+        """Yield the earlier motion between the new start and the new end."""
+        for end in ends.find(End.FIRST, 0):
+            if self.known is not None:
+                path = bend_path(self.known, self.solver.body.nominal, end)
+                count = max(LEAST_WAYPOINTS, len(path)) if self.n_waypoints is None else self.n_waypoints
+                yield Way.KNOWN.value, resample_path(path, count)
 
     def _lead_links(self) -> Iterable[tuple[str, Path]]:
         """Yield the path along straight lines of the goal's links."""

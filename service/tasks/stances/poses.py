@@ -164,7 +164,7 @@ class StancePoseFinder:
         data = model.createData()
         pin.centerOfMass(model, data, q)
         com = data.com[0][None, :2]
-        if spec.loads and body.polygon is not None:
+        if spec.loads and body.is_on_feet:
             contacts = list(body.planted)
             (region, *_) = plan_regions(body.engine, contacts, spec.loads, spec.first[None], body.nominal)
             return float(region.region.polygon.margin(com)[0]) - region.shift_m

@@ -246,7 +246,7 @@ class _Stage:
 
     def find_regions(self, count: int) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot while the world pushes its hands, on ``count`` waypoints."""
-        if not self.made.loads or self.body.polygon is None:
+        if not self.made.loads or not self.body.is_on_feet:
             return ()
         return (plan_world_region(self.robot, self.body.planted, self.made.loads, count),)
 

@@ -66,6 +66,7 @@ def fit_body(body: WholeBody, program: Program) -> WholeBody:
         body,
         aims=Aims(APART, body.aims.balance_margin),
         polygon=body.polygon if program.is_balanced else None,
+        region=body.region if program.is_balanced else None,
         has_default_costs=False,
         sight=max([0.0, *distances]) + SIGHT,
     )

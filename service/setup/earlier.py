@@ -1,0 +1,43 @@
+"""An earlier motion as the beginning of a search: which part of it is of use from a new start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot import turn_near
+from service.errors import RequestError
+from service.setup.prepare import PlanSetup
+
+MOST_OFF = 0.5  # of a start from the nearest waypoint of an earlier motion [rad, m]
+LEAST_WAYPOINTS = 3  # of what is left of it
+
+
+def begin_with(setup: PlanSetup, path: Float[np.ndarray, "T n"]) -> PlanSetup:
+    """Return the setup with what is left of a path from its start on, or with a note why that is no help.
+
+    Raises:
+        RequestError: the path's width is not the number of the robot's coordinates.
+    """
+    n = setup.robot.n
+    if path.ndim != 2 or path.shape[1] != n or not np.all(np.isfinite(path)):
+        raise RequestError(
+            f"start_from: has shape {path.shape}; expected finite numbers (T, {n}) of {setup.robot.name}"
+        )
+    if not len(path):
+        return _note(setup, "the earlier result has no motion")
+    path = path + (turn_near(setup.robot, path[0], setup.start) - path[0])
+    off = np.abs(path - setup.start).max(axis=1)
+    nearest = int(off.argmin())
+    if off[nearest] > MOST_OFF:
+        joint = setup.robot.joint_names[int(np.abs(path[nearest] - setup.start).argmax())]
+        return _note(setup, f"the start is {off[nearest]:.2f} off at {joint} from every waypoint of the earlier motion")
+    if len(path) - nearest < LEAST_WAYPOINTS:
+        return _note(setup, "the start is at the end of the earlier motion")
+    return replace(setup, known=path[nearest:])
+
+
+def _note(setup: PlanSetup, why: str) -> PlanSetup:
+    return replace(setup, notes=(*setup.notes, f"start_from: {why}; the motion is searched anew"))
