@@ -45,6 +45,11 @@ class PairTable:
         return self.solids[self.mover[pair]].name, self.solids[self.holder[pair]].name
 
     @cached_property
+    def world_rows(self) -> JointChain:
+        """Row by row, the joints that move each body in the world."""
+        return JointChain.stack(self.world)
+
+    @cached_property
     def joint(self) -> Int[np.ndarray, "S"]:
         """Joint of every solid."""
         return np.array([solid.joint for solid in self.solids], dtype=int)
