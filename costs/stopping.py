@@ -30,7 +30,11 @@ def stops_when(should_stop: Callable[[], bool]) -> Iterator[None]:
         should_stop: cheap; called by the thread of the body alone.
     """
     outer = _SHOULD_STOP.get()
-    token = _SHOULD_STOP.set(should_stop if outer is never else lambda: should_stop() or outer())
+    if should_stop is never or outer is never:
+        both = outer if should_stop is never else should_stop
+    else:
+        both = lambda: should_stop() or outer()  # noqa: E731
+    token = _SHOULD_STOP.set(both)
     try:
         yield
     finally:

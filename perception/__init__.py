@@ -12,44 +12,54 @@ Names that signatures share; all lengths in metres, in the world (z up) unless a
     robot_hulls, soles: vertices of the robot's links, and corners of its planted soles.
     rng, seed: source of the random hypotheses.  ``most_rays``: if there are more rays, every k-th is used.
     name: name of the file or object in error messages.
+
+A name is imported when it is first used: a plan needs perception only where its request has a scan.
 """
 
-from perception.cleaning.clean import Reach, inside_hulls, voxel_downsample
-from perception.cleaning.outliers import inliers
-from perception.cloud import Cloud, make_cloud
-from perception.convex.piece import Evidence, Piece
-from perception.detect import KINDS, detect, detect_at, detect_each, detect_kinds
-from perception.detect.door.bodies import door_bodies
-from perception.detect.door.geometry import DoorGeometry, HandleGeometry
-from perception.detect.door.model import choose_opening, read_door
-from perception.detect.seen_parts import count_seen_parts
-from perception.detect.shared.detection import CONFIDENT, Detection
-from perception.detect.shared.overlap import settle_overlaps
-from perception.detect.shared.seen_part import SeenPart
-from perception.detect.valve.bodies import (
-    ValveDetection,
-    has_clear_spokes,
-    rim_bodies,
-    select_turnable,
-    select_wheels,
-    valve_bodies,
-    wheel_points,
-)
-from perception.detect.valve.lever_valve import LeverDetection, lever_bodies
-from perception.detect.valve.ring import wheel_basis
-from perception.detect.valve.wheel import detect_valves
-from perception.errors import CloudError, PerceptionError
-from perception.files.npz import write_npz
-from perception.files.pcd import write_pcd
-from perception.files.placing import METRES_BY_UNIT, rigid_pose
-from perception.files.read import read_cloud, read_clouds
-from perception.ground.floor import FloorPlane, find_floor_points, floor_piece, floor_pieces, on_floor, on_floors
-from perception.ground.levels import find_floors
-from perception.memory import Memory
-from perception.perceive import Perceived, perceive
-from perception.solids.match import find_matches
-from perception.update import Earlier, update
-from perception.view import View, make_view
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from perception.detect import detect
+
+if TYPE_CHECKING:
+    from perception.cleaning.clean import Reach, inside_hulls, voxel_downsample
+    from perception.cleaning.outliers import inliers
+    from perception.cloud import Cloud, make_cloud
+    from perception.convex.piece import Evidence, Piece
+    from perception.detect import KINDS, detect_at, detect_each, detect_kinds
+    from perception.detect.door.bodies import door_bodies
+    from perception.detect.door.geometry import DoorGeometry, HandleGeometry
+    from perception.detect.door.model import choose_opening, read_door
+    from perception.detect.seen_parts import count_seen_parts
+    from perception.detect.shared.detection import CONFIDENT, Detection
+    from perception.detect.shared.overlap import settle_overlaps
+    from perception.detect.shared.seen_part import SeenPart
+    from perception.detect.valve.bodies import (
+        ValveDetection,
+        has_clear_spokes,
+        rim_bodies,
+        select_turnable,
+        select_wheels,
+        valve_bodies,
+        wheel_points,
+    )
+    from perception.detect.valve.lever_valve import LeverDetection, lever_bodies
+    from perception.detect.valve.ring import wheel_basis
+    from perception.detect.valve.wheel import detect_valves
+    from perception.errors import CloudError, PerceptionError
+    from perception.files.npz import write_npz
+    from perception.files.pcd import write_pcd
+    from perception.files.placing import METRES_BY_UNIT, rigid_pose
+    from perception.files.read import read_cloud, read_clouds
+    from perception.ground.floor import FloorPlane, find_floor_points, floor_piece, floor_pieces, on_floor, on_floors
+    from perception.ground.levels import find_floors
+    from perception.memory import Memory
+    from perception.perceived import Perceived, perceive
+    from perception.solids.match import find_matches
+    from perception.updated import Earlier, update
+    from perception.view import View, make_view
 
 __all__ = [
     "CONFIDENT",
@@ -110,3 +120,53 @@ __all__ = [
     "write_npz",
     "write_pcd",
 ]
+
+_MODULES = {
+    "cleaning.clean": ("Reach", "inside_hulls", "voxel_downsample"),
+    "cleaning.outliers": ("inliers",),
+    "cloud": ("Cloud", "make_cloud"),
+    "convex.piece": ("Evidence", "Piece"),
+    "detect": ("KINDS", "detect_at", "detect_each", "detect_kinds"),
+    "detect.door.bodies": ("door_bodies",),
+    "detect.door.geometry": ("DoorGeometry", "HandleGeometry"),
+    "detect.door.model": ("choose_opening", "read_door"),
+    "detect.seen_parts": ("count_seen_parts",),
+    "detect.shared.detection": ("CONFIDENT", "Detection"),
+    "detect.shared.overlap": ("settle_overlaps",),
+    "detect.shared.seen_part": ("SeenPart",),
+    "detect.valve.bodies": (
+        "ValveDetection",
+        "has_clear_spokes",
+        "rim_bodies",
+        "select_turnable",
+        "select_wheels",
+        "valve_bodies",
+        "wheel_points",
+    ),
+    "detect.valve.lever_valve": ("LeverDetection", "lever_bodies"),
+    "detect.valve.ring": ("wheel_basis",),
+    "detect.valve.wheel": ("detect_valves",),
+    "errors": ("CloudError", "PerceptionError"),
+    "files.npz": ("write_npz",),
+    "files.pcd": ("write_pcd",),
+    "files.placing": ("METRES_BY_UNIT", "rigid_pose"),
+    "files.read": ("read_cloud", "read_clouds"),
+    "ground.floor": ("FloorPlane", "find_floor_points", "floor_piece", "floor_pieces", "on_floor", "on_floors"),
+    "ground.levels": ("find_floors",),
+    "memory": ("Memory",),
+    "perceived": ("Perceived", "perceive"),
+    "solids.match": ("find_matches",),
+    "updated": ("Earlier", "update"),
+    "view": ("View", "make_view"),
+}
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"perception.{module}"), name)
+    raise AttributeError(f"module 'perception' has no attribute {name!r}")

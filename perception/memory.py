@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from perception.cloud import Cloud
-from perception.perceive import Perceived, perceive
+from perception.perceived import Perceived, perceive
 
 _MOST_BYTES = 512 * 2**20
 # Part of every key: increase it when a code change gives another result for the same input.

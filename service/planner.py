@@ -31,11 +31,9 @@ from service.body.phases import Map, PhaseSolver, Terms
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import Aims, WholeBody
 from service.errors import RequestError
-from service.explain.narrow import explain
 from service.motion.execute import make_motion, repair_plan
 from service.motion.expected_sag import expect_sag
 from service.motion.timing import TimingSettings
-from service.replay.whole import certify_whole
 from service.request.schema import PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
@@ -190,6 +188,8 @@ def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attemp
             settings = VerifySettings() if is_solved else CANDIDATE
             certificate = verify(motion, settings)
             if not is_solved and certificate.status is not Status.VIOLATED:
+                from service.replay.whole import certify_whole  # loads what every kind of task demands
+
                 whole = certify_whole(setup, motion, settings)
                 if whole is not None and whole.status is not Status.VIOLATED:
                     repaired, certificate = repaired.as_solved(), whole
@@ -214,6 +214,8 @@ def _explain(attempt: Attempt, solver: PhaseSolver) -> None:
     left = min(max(EXPLAIN_LEAST_S, monitor.elapsed_s()), EXPLAIN_MOST_S, monitor.remaining_s())
     if stuck is None or left <= 0.0:
         return
+    from service.explain.narrow import explain  # only where no motion was certified
+
     with monitor.step("explain", 0.95):
         count = monitor.count_attempts(stuck.step)
         conflict = None

@@ -4,6 +4,7 @@ Each checkout plans in a process of its own that stays; the problems go to one, 
 A figure is the least processor time of these rounds, and what counts is the ratio of two figures, since it does not
 depend on how fast the machine is or what else it does.  Without requests, the problems are MotionBenchMaker's for the
 Panda, in ``mbm_panda`` of the folder ``SCOPT_DATA`` (default: ``../shared/data``).  Perception is told apart.
+Motions are the same if all numbers of path and clearance are: a change that only saves time shows so.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 PERCEPTION = "perceive scene"
 WORK = "--work"  # as the process that plans
+SAME = ("verdict", "path", "clearance_m")  # what is the same of equal motions
 
 
 def main() -> int:
@@ -67,6 +69,8 @@ def _report(names: Sequence[str], other: dict[str, dict[str, Any]], here: dict[s
         print(f"  {name}: {before:.1f} ms, {after:.1f} ms, ratio {after / before:.3f}")
     print(f"  median of the ratios: {float(np.median(ratios)):.3f}")
     print(f"  certified: {_count_certified(other)} and {_count_certified(here)} of {len(names)}")
+    different = [name for name in names if any(other[name][key] != here[name][key] for key in SAME)]
+    print(f"  same motions: {len(names) - len(different)} of {len(names)}", *different)
 
 
 def _count_certified(found: dict[str, dict[str, Any]]) -> int:
@@ -146,7 +150,13 @@ def _read_requests(paths: Sequence[str]) -> dict[str, Callable[[], dict[str, Any
         started = time.process_time()
         result = plan(request, on_progress)
         total = time.process_time() - started
-        return {"verdict": result.verdict.value, "cpu_s": total - spent["perception"], **spent}
+        return {
+            "verdict": result.verdict.value,
+            "path": [] if result.motion is None else result.motion.curve.positions.tolist(),
+            "clearance_m": None if result.certificate is None else str(result.certificate.min_clearance_m),
+            "cpu_s": total - spent["perception"],
+            **spent,
+        }
 
     return {Path(path).stem: lambda path=path: run(path) for path in paths}
 

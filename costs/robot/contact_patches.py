@@ -10,7 +10,6 @@ from typing import Literal, get_args
 import numpy as np
 import yaml
 from jaxtyping import Float
-from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 from costs.contact import Contact
@@ -230,5 +229,7 @@ def _find_round_surface(shape: Primitive, point: Float[np.ndarray, "3"]) -> tupl
 
 def _measure_angle(cone: Float[np.ndarray, "K 3"], direction: Float[np.ndarray, "3"]) -> float:
     """Return the angle of a unit vector from the cone that unit vectors span [deg], 90 where it points away from it."""
+    from scipy.optimize import nnls  # slow to import, and rarely needed
+
     _, rest = nnls(cone.T, direction)
     return float(np.rad2deg(np.arcsin(min(rest, 1.0))))

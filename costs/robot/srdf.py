@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
 
 from lxml import etree
 
@@ -73,6 +72,8 @@ def parse_srdf(text: str, where: str, urdf: Urdf) -> Srdf:
 
 def format_srdf(source: str, name: str, reasons: Mapping[tuple[str, str], str]) -> str:
     """Format an SRDF (``source``, or a new one if that is empty) that lists exactly these pairs with their reasons."""
+    from xml.sax.saxutils import quoteattr  # loads HTTP, too
+
     tree = parse_xml(source or f"<robot name={quoteattr(name)}/>", name, "robot")
     for element in tree.findall("disable_collisions"):
         tree.remove(element)

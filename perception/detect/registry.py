@@ -88,18 +88,6 @@ DETECTORS: Mapping[str, Detector] = {**SHIPPED, **dict(_find_added())}
 KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.is_offered)
 
 
-def detect(kind: str, view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:
-    """Find objects of a kind, best first.
-
-    Args:
-        hint: (3,) a point near the object, as an operator would click it [m].
-
-    Raises:
-        PerceptionError: the kind is unknown.
-    """
-    return detect_kinds((kind,), view, hint)
-
-
 def detect_kinds(
     kinds: Sequence[str],
     view: View,

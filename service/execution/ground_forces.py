@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import nnls
 
 from costs.stopping import poll
 from service.verify import (
@@ -95,6 +94,8 @@ def share_forces(
     the joints' torques relative to their limits: least squares with a strictly convex cost, so that forces change
     continuously with wrench and weights.
     """
+    from scipy.optimize import nnls  # slow to import, and rarely needed
+
     wanted = share.about_middle(wrench) / share.weight
     edges = share.edges
     count, n_edges, n_joints = len(share.ground.points), share.edges.shape[1], len(joints.effort)

@@ -14,12 +14,15 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     JsonValue,
     ModelWrapValidatorHandler,
     StrictStr,
     model_validator,
 )
-from pydantic_core import ArgsKwargs, PydanticCustomError, PydanticKnownError
+from pydantic.dataclasses import rebuild_dataclass
+from pydantic_core import ArgsKwargs, CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
 
 from service.errors import shown, would_do
 
@@ -55,7 +58,7 @@ Name = Annotated[StrictStr, Field(min_length=1, max_length=200)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 _MapCoordinate = Annotated[Number, Field(ge=-MAP_M, le=MAP_M)]
 MapPoint = tuple[_MapCoordinate, _MapCoordinate, _MapCoordinate]
-SECTION = ConfigDict(extra="forbid", frozen=True)
+SECTION = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 def at_most(most: int) -> BeforeValidator:
@@ -187,6 +190,27 @@ class Section:
     def is_given(self, name: str) -> bool:
         """Return whether a field was given; false where it was left to its default."""
         return name in self.__dict__["_given"]
+
+
+class _Later:
+    """Mark of a section with a validator of its own, which is built with the first request that has the section."""
+
+    def __get_pydantic_core_schema__(self, section: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(
+            lambda value: section.__pydantic_validator__.validate_python(value),
+            metadata={"section": section},
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda value, info: section.__pydantic_serializer__.to_python(value, mode=info.mode), info_arg=True
+            ),
+        )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        section = schema["metadata"]["section"]
+        rebuild_dataclass(section)
+        return handler(section.__pydantic_core_schema__)
+
+
+LATER = _Later()
 
 
 @cache

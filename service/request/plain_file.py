@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import is_pydantic_dataclass, rebuild_dataclass
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
@@ -96,8 +98,17 @@ def parse_section(kind: type[T], data: object) -> T:
 def adapter_of(kind: type[T]) -> TypeAdapter[T]:
     """Return the validator and writer of a class of the schema, made once since that takes as long as its use."""
     if kind not in _ADAPTERS:
+        _complete(kind)
         _ADAPTERS[kind] = TypeAdapter(kind)
     return _ADAPTERS[kind]
+
+
+def _complete(kind: Any) -> None:
+    """Build a class's own validator, which adapter and constructor share, after those of its default sections."""
+    if is_pydantic_dataclass(kind):
+        for field in fields(kind):
+            _complete(field.default_factory)
+        rebuild_dataclass(kind)
 
 
 def read_text(path: Path) -> str:

@@ -18,6 +18,7 @@ from service.errors import shown
 from service.request.contact_patch import ContactPatchRequest
 from service.request.fields import (
     HAND_FRICTION,
+    LATER,
     MAX_JOINTS,
     SECTION,
     FilePath,
@@ -269,7 +270,7 @@ class PlanRequest(Section):
     start: StartRequest = field(default_factory=StartRequest)
     scene: SceneRequest = field(default_factory=SceneRequest)
     goal: GoalRequest | None = None
-    task: TaskRequest | None = None
+    task: Annotated[TaskRequest, LATER] | None = None
     keep: Annotated[tuple[KeepRequest, ...], at_most(8)] = ()
     attached: Annotated[tuple[AttachedRequest, ...], at_most(20)] = ()
     options: Options = field(default_factory=Options)

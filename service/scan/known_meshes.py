@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from costs.scene import ConvexPiece
 from perception import CONFIDENT, PerceptionError, rigid_pose
-from perception.perceive import FRINGE
+from perception.perceived import FRINGE
 from perception.solids.match import KnownMesh
 from perception.solids.mesh import Solid
 from perception.solids.rating import MeshMatch

@@ -16,10 +16,7 @@ from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
 from costs.rotation import pose_matrix
 from costs.scene import ConvexPiece
-from service.demands.door.demand import SeenDoor
 from service.demands.kind import find_demand_part
-from service.demands.mechanism.given import GivenMechanism
-from service.demands.moved_object.overlaps import list_overlap_notes
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.request.scene import (
@@ -31,7 +28,6 @@ from service.request.scene import (
     SceneRequest,
 )
 from service.request.schema import PlanRequest
-from service.scan.meshes import read_solid, split_convex
 from service.start.standing import place_bodies
 
 if TYPE_CHECKING:
@@ -39,6 +35,8 @@ if TYPE_CHECKING:
     from perception.solids.match import KnownMesh
     from perception.solids.mesh import Solid
     from perception.solids.rating import MeshMatch
+    from service.demands.door.demand import SeenDoor
+    from service.demands.mechanism.given import GivenMechanism
 
 
 @dataclass(frozen=True)
@@ -119,6 +117,7 @@ def _perceive_scan(
         read_door,
         select_turnable,
     )
+    from service.demands.door.demand import SeenDoor
 
     scene = request.scene
     start = _recall_start(request.resume, robot, start)
@@ -240,6 +239,8 @@ def build_obstacles(
                 pose = _read_match(obstacle, match, f"{where}.match")
                 x, y, z = pose[:3, 3]
                 notes.append(f"{obstacle.name} found at ({x:.3f}, {y:.3f}, {z:.3f}), confidence {match.confidence:.2f}")
+            from service.scan.meshes import split_convex
+
             name = Path(obstacle.file).name
             parts: Sequence[np.ndarray] = split_convex(solid, name, f"{where}.file", decompose=obstacle.decompose)
         else:
@@ -250,6 +251,8 @@ def build_obstacles(
             name = obstacle.name if len(parts) == 1 else f"{obstacle.name}/{number}"
             pieces.append(ConvexPiece(name, vertices @ pose[:3, :3].T + pose[:3, 3], exact=exact))
     for mechanism in _read_mechanisms(request):
+        from service.demands.moved_object.overlaps import list_overlap_notes
+
         notes += (f"task.mechanism.urdf: {note}" for note in (*mechanism.read.notes, *list_overlap_notes(mechanism)))
         notes += () if request.options.timed else mechanism.list_pace_notes()
         pieces += mechanism.pieces
@@ -275,6 +278,8 @@ def _read_mechanisms(request: PlanRequest) -> tuple[GivenMechanism, ...]:
 
 
 def _solid(request: PlanRequest, obstacle: MeshRequest, field: str) -> Solid:
+    from service.scan.meshes import read_solid
+
     return read_solid(request.resolve(obstacle.file), field, obstacle.scale)
 
 

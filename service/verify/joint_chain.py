@@ -60,13 +60,13 @@ class JointChain:
         shape = (len(chains), width)
         stacked = JointChain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool, float)))
         for row, chain in enumerate(chains):
-            for item in fields(JointChain):
-                getattr(stacked, item.name)[row, : len(chain.coordinates)] = getattr(chain, item.name)
+            for name in _COLUMNS:
+                getattr(stacked, name)[row, : len(chain.coordinates)] = getattr(chain, name)
         return stacked
 
     def take(self, rows: Int[np.ndarray, "E"]) -> JointChain:
         """Return these rows, in this order."""
-        return JointChain(*(getattr(self, item.name)[rows] for item in fields(JointChain)))
+        return JointChain(*(getattr(self, name)[rows] for name in _COLUMNS))
 
     @cached_property
     def weight(self) -> float:
@@ -116,6 +116,9 @@ class JointChain:
         if self.coordinates.ndim == 1:
             return np.asarray(rates[:, self.coordinates] * self.ratio)
         return np.asarray(np.take_along_axis(rates, self.coordinates, axis=1) * self.ratio)
+
+
+_COLUMNS = tuple(item.name for item in fields(JointChain))
 
 
 class JointTree:

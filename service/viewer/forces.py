@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from service.verify import WORLD
@@ -80,6 +79,8 @@ def find_holding_forces(
 
 def share_wrenches(wrenches: Float[np.ndarray, "W 6"], wanted: Float[np.ndarray, "F 6"]) -> Float[np.ndarray, "F W"]:
     """Return weights of wrenches whose mean each wanted one is, to 1 N and 1 Nm; NaN where there are none."""
+    from scipy.optimize import nnls  # slow to import, and rarely needed
+
     table = np.vstack([wrenches.T, np.full(len(wrenches), _SUM_WEIGHT)])
     shares = np.full((len(wanted), len(wrenches)), np.nan)
     for row, wrench in enumerate(wanted):

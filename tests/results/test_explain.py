@@ -195,7 +195,7 @@ def test_a_search_cut_short_tells_after_which_time_and_what_was_found_by_then():
 )
 def test_an_explanation_may_take_as_long_as_the_search_within_what_is_left(monkeypatch, limit_s, searched_s, spent_s):
     given = []
-    monkeypatch.setattr("service.planner.explain", lambda *terms: given.append(terms[4]))
+    monkeypatch.setattr("service.explain.narrow.explain", lambda *terms: given.append(terms[4]))
     times = iter([1000.0 - searched_s])
     monitor = Monitor(limit_s, clock=lambda: next(times, 1000.0))
     task = SimpleNamespace(stuck=SimpleNamespace(step="reach", best=None))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import combinations
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -51,6 +54,28 @@ def _distance(motion: Motion, table: PairTable, pair: int, s: float) -> float:
         solid = table.solids[k]
         sets.append(solid.vertices @ placed.rotation[0, solid.joint].T + placed.translation[0, solid.joint])
     return hull_distance(*sets)
+
+
+@settings(max_examples=30)
+@given(SEEDS)
+def test_pairs_taken_out_of_a_table_are_those_of_a_robot_that_checks_no_others(seed: int) -> None:
+    motion = _crowd(seed)
+    prepared, table, _, _ = _prepare(motion)
+    every = list(combinations(sorted({body.link for body in motion.robot.bodies}), 2))
+    rng = np.random.default_rng(seed)
+    chosen = [pair for pair in every if rng.random() < 0.5]
+    alone = replace(motion, robot=replace(motion.robot, ignored_pairs=frozenset(every) - set(chosen)), scene=Scene(()))
+    taken, wanted = table.between(chosen, table.n_bodies), collect_pairs(alone, prepared.tree)
+    assert [taken.names(pair) for pair in range(len(taken.mover))] == [
+        wanted.names(pair) for pair in range(len(wanted.mover))
+    ]
+    assert taken.n_bodies == wanted.n_bodies == len(taken.solids) == len(wanted.solids)
+    np.testing.assert_array_equal(taken.allowed.shape, wanted.allowed.shape)
+    assert np.isnan(taken.allowed).all()
+    np.testing.assert_array_equal(taken.demanded, wanted.demanded)
+    for mine, other in zip(taken.world, wanted.world, strict=True):
+        np.testing.assert_array_equal(mine.coordinates, other.coordinates)
+        np.testing.assert_array_equal(mine.reach, other.reach)
 
 
 @settings(max_examples=40)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from jaxtyping import Float
@@ -78,6 +77,8 @@ def mesh_points() -> Mapping[str, Float[np.ndarray, "V 3"]]:
 
 def quote(values: tuple[float, ...] | list[float]) -> str:
     """Format numbers as an XML attribute value, quotes included."""
+    from xml.sax.saxutils import quoteattr  # loads HTTP, too
+
     return quoteattr(" ".join(f"{float(value):.15g}" for value in values))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.optimize import linprog
 
 from costs.contact import GRAVITY, WorldContacts
 from service.verify import Ground, Motion, Phase, compute_forces, find_times, list_load_cases
@@ -48,6 +47,8 @@ def _find_share(motion: Motion, phase: Phase) -> float:
 
 def _find_held(motion: Motion, phase: Phase, q: Float[np.ndarray, "n"], wrench: Float[np.ndarray, "6"]) -> float:
     """Return the largest multiple of a wrench that the ground's forces balance together with the weight."""
+    from scipy.optimize import linprog  # slow to import, and rarely needed
+
     model = motion.robot.model
     ground = WorldContacts(*Ground.under(phase.contacts))
     columns = [

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.optimize import linprog
 
 from costs.robot import LinkBody
 from costs.robot.carried import MovableObject
@@ -145,6 +144,8 @@ class GripBalance:
 
     def find_share(self, wrench: Float[np.ndarray, "6"]) -> float:
         """Return the least share of every finger's force that holds a wrench; infinite where none does."""
+        from scipy.optimize import linprog  # slow to import, and rarely needed
+
         count = self._edges.shape[1]
         if count == 0:
             return float("inf")

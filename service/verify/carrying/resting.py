@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import coal
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import linprog
 
 from costs.robot import LinkBody
 from costs.scene import ConvexPiece
@@ -84,6 +83,8 @@ def _list_edges(
 
 def _find_farthest(edges: Float[np.ndarray, "6 E"], direction: Float[np.ndarray, "2"]) -> float:
     """Return how far a weight of 1 N may be off in a direction; negative infinity where the edges hold none [m]."""
+    from scipy.optimize import linprog  # slow to import, and rarely needed
+
     # The moment about the centre of a unit weight at ``t * direction`` is t * (-dy, dx, 0); forces balance it.
     count = edges.shape[1]
     shift = np.array([0.0, 0.0, 0.0, -direction[1], direction[0], 0.0])

@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 from costs.stopping import poll
 from service.verify.clearance.pair_poses import ROUNDING_M, bound_chord_deviation
 from service.verify.clearance.pairs import PairIntervals, PairTable
-from service.verify.joint_chain import JointChain
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import Placements, PreparedMotion
 
@@ -24,7 +23,7 @@ def refine_edges(
     """Insert edges where bodies leave their chords far; return them with the phase of each interval."""
     poll()
     interval, body = (index.ravel() for index in np.indices((len(edges) - 1, table.n_bodies)))
-    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), JointChain.stack(table.world).take(body)
+    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), table.world_rows.take(body)
     leaving = chains.deviation(over).reshape(len(edges) - 1, table.n_bodies).max(axis=1, initial=0.0)
     # Halving an interval leaves a quarter of what its bodies leave their chords by.
     halvings = np.ceil(np.log2(np.maximum(leaving / _LEAVES_M, 1.0)) / 2.0)
@@ -83,7 +82,7 @@ def _leaving(
     poll()
     leaving = np.zeros((len(middles), len(table.solids)))
     interval, body = (index.ravel() for index in np.indices((len(middles), table.n_bodies)))
-    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), JointChain.stack(table.world).take(body)
+    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), table.world_rows.take(body)
     bounds = bound_chord_deviation(table, body, chains, over, placed, middles[interval], settings)
     leaving[interval, body] = np.where(table.joint[body] > 0, bounds, 0.0)
     return leaving

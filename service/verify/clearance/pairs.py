@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -45,6 +45,11 @@ class PairTable:
         return self.solids[self.mover[pair]].name, self.solids[self.holder[pair]].name
 
     @cached_property
+    def world_rows(self) -> JointChain:
+        """Row by row, the joints that move each body in the world."""
+        return JointChain.stack(self.world)
+
+    @cached_property
     def joint(self) -> Int[np.ndarray, "S"]:
         """Joint of every solid."""
         return np.array([solid.joint for solid in self.solids], dtype=int)
@@ -58,6 +63,30 @@ class PairTable:
     def radius(self) -> Float[np.ndarray, "B"]:
         """Radius of every body's sphere [m]."""
         return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
+
+    def between(self, links: Collection[tuple[str, str]], n_bodies: int) -> PairTable:
+        """Return the pairs of bodies of two links each, none of which may touch.
+
+        Args:
+            links: names of two links, in order.
+            n_bodies: only so many of the bodies are in the table.
+        """
+        bodies, joint = self.solids[:n_bodies], self.joint[:n_bodies]
+        i, j = np.triu_indices(n_bodies, 1)
+        chosen = _are_listed(bodies, links)[i, j] & (joint[i] != joint[j])
+        mover, holder = i[chosen], j[chosen]
+        free, none = np.full((len(mover), 1), np.nan), np.full(len(mover), -1)
+        return PairTable(
+            bodies,
+            n_bodies,
+            mover,
+            holder,
+            free,
+            np.zeros(len(mover)),
+            self.world[:n_bodies],
+            none,
+            JointChain.stack(()),
+        )
 
     def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> PairTable:
         """Return the table with chains of the pairs ``near``, each swept in the frame that gives the tighter bound."""
@@ -110,15 +139,21 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
 
 def _are_ignored(bodies: Sequence[CoalSolid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
     """Return a mask of the bodies of the same link and of two links that are not checked against each other."""
+    link = np.array([solid.link for solid in bodies])
+    return np.asarray(_are_listed(bodies, pairs) | (link[:, None] == link))
+
+
+def _are_listed(bodies: Sequence[CoalSolid], pairs: Collection[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:
+    """Return a mask of the bodies whose links are a pair of the list."""
     links = {link: row for row, link in enumerate(dict.fromkeys(solid.link for solid in bodies))}
-    ignored = np.eye(len(links), dtype=bool)
+    listed = np.zeros((len(links), len(links)), dtype=bool)
     # Names out of order denote no pair, as documented in RobotModel.
     rows = [(links[a], links[b]) for a, b in pairs if a < b and a in links and b in links]
     if rows:
         a, b = np.array(rows).T
-        ignored[a, b] = ignored[b, a] = True
+        listed[a, b] = listed[b, a] = True
     link = np.array([links[solid.link] for solid in bodies], dtype=int)
-    return np.asarray(ignored[np.ix_(link, link)])
+    return np.asarray(listed[np.ix_(link, link)])
 
 
 def _allowed(allowances: Sequence[Allowance], index: BodyIndex) -> Float[np.ndarray, "B B+P"]:

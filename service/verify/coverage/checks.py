@@ -34,7 +34,7 @@ def check_coverage(
     motion = prepared.motion
     tree = LinkTree(motion.robot)
     required = list_required_checks(motion, prepared.phases)
-    left_out = find_left_out_pairs(prepared, tree, settings)
+    left_out = find_left_out_pairs(prepared, tables[0], tree, settings)
     shapeless = find_shapeless_links(prepared, tree)
     own = [link for link in tree.joint if link not in motion.mechanism_links]
     counts = [_count_pairs(table) for table in tables]

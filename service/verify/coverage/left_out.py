@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.robot.model import LinkBody, RobotModel
-from costs.scene import Scene
 from service.verify.certificate import Basis, Check, LeftOut, Where
-from service.verify.clearance.pairs import collect_pairs
+from service.verify.clearance.pairs import PairTable
 from service.verify.clearance.search import examine_pairs
 from service.verify.coverage.link_tree import LinkTree
 from service.verify.motion import Motion, RelativePoseTarget, VerifySettings
@@ -31,8 +30,14 @@ _APART_M = 0.05
 _AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
 
 
-def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: VerifySettings) -> tuple[LeftOut, ...]:
-    """List every pair of the robot's own links with shapes that is not checked."""
+def find_left_out_pairs(
+    prepared: PreparedMotion, table: PairTable, tree: LinkTree, settings: VerifySettings
+) -> tuple[LeftOut, ...]:
+    """List every pair of the robot's own links with shapes that is not checked.
+
+    Args:
+        table: of the motion's first part; the robot's bodies come first in it.
+    """
     motion = prepared.motion
     own = sorted(tree.shaped - motion.mechanism_links)
     # Names out of order denote no pair, as documented in RobotModel.
@@ -47,7 +52,7 @@ def find_left_out_pairs(prepared: PreparedMotion, tree: LinkTree, settings: Veri
         elif pair in ignored:
             rest.append(pair)
     kept = _kept_joints(prepared)
-    not_apart = _find_pairs_not_apart(prepared, samples, rest, settings)
+    not_apart = _find_pairs_not_apart(prepared, table, samples, rest, settings)
     for pair in rest:
         if pair not in not_apart:
             left_out.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
@@ -114,21 +119,22 @@ def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
 
 
 def _find_pairs_not_apart(
-    prepared: PreparedMotion, samples: _Samples, pairs: Sequence[tuple[str, str]], settings: VerifySettings
+    prepared: PreparedMotion,
+    table: PairTable,
+    samples: _Samples,
+    pairs: Sequence[tuple[str, str]],
+    settings: VerifySettings,
 ) -> Mapping[tuple[str, str], tuple[float, float]]:
     """Return pairs that are not proven to keep apart on the whole curve: deepest sampled overlap [m], and where."""
     overlaps = _find_sampled_overlaps(samples, pairs)
     pairs = [pair for pair in pairs if pair not in overlaps]
     if not pairs:
         return overlaps
-    motion = prepared.motion
-    links = sorted({body.link for body in motion.robot.bodies})
-    others = frozenset(combinations(links, 2)) - frozenset(pairs)
-    alone = replace(motion, robot=replace(motion.robot, ignored_pairs=others), scene=Scene(()), phases=())
     settings = replace(settings, max_sharpenings=0, clearance_horizon_m=settings.resolution_m)
-    knots = motion.curve.knots
+    knots = prepared.motion.curve.knots
     phase = np.zeros(len(knots) - 1, dtype=int)
-    examined = examine_pairs(prepared, collect_pairs(alone, prepared.tree), knots, phase, settings)
+    table = table.between(pairs, len(prepared.motion.robot.bodies))
+    examined = examine_pairs(prepared, table, knots, phase, settings)
     table, proof = examined.table, examined.proof
 
     def list_links(pair: int) -> tuple[str, str]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import linprog, nnls
 
 from costs.rotation import skew
 from costs.stopping import poll
@@ -140,6 +139,8 @@ class ContactShare:
             rest, more: about the world's origin [N, Nm].
             joints: two samples: at rest, and the increase of torque by the motion.
         """
+        from scipy.optimize import linprog  # slow to import, and rarely needed
+
         wanted, slope = self.about_middle(np.stack([rest, more]))
         n_edges = self.edges.shape[1]
         lengths = np.concatenate([np.ones(3), np.full(3, 0.1)]) * self.weight
@@ -180,6 +181,8 @@ class ContactShare:
 
     def _choose_amounts(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "E"]:
         """Return the amounts of all edges that make one wrench, small and with small torques, by least squares."""
+        from scipy.optimize import nnls  # slow to import, and rarely needed
+
         fixed, target = self._spread_rows
         rows, aims = [fixed], [_EXACT * wanted / self.weight, target]
         if joints is not None:
@@ -220,6 +223,8 @@ class ContactShare:
 
     def _program(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"] | None:
         """Return forces with the least largest share of torque, by a linear program; None where there are none."""
+        from scipy.optimize import linprog  # slow to import, and rarely needed
+
         n_edges = self.edges.shape[1]
         lengths = np.concatenate([np.ones(3), np.full(3, 0.1)])
         equal = np.column_stack([self.grasp @ self.edges, np.zeros(6)]) / lengths[:, None]

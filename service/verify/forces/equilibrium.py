@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 # Forces may be off by this share of the weight, moments by the same share times 1 m.
@@ -399,6 +398,8 @@ def _measure_load(
 
 def _distance_to_hull(wrench: Float[np.ndarray, "6"], corners: Float[np.ndarray, "W 6"]) -> float:
     """Return the least sum of absolute differences between a wrench and a convex combination of the corners."""
+    from scipy.optimize import linprog  # slow to import, and rarely needed
+
     scale = max(float(np.abs(corners).max()), float(np.abs(wrench).max()), 1.0)
     rows = np.hstack([(corners - wrench).T / scale, np.eye(6), -np.eye(6)])
     total = np.concatenate([np.ones(len(corners)), np.zeros(12)])

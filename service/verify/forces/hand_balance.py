@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 import coal
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import nnls
 
 from costs.robot import LinkBody
 from service.verify.forces.pads import find_patch
@@ -222,6 +221,8 @@ class _Balance:
         """
         if half <= 0.0:
             return False
+        from scipy.optimize import nnls  # slow to import, and rarely needed
+
         count, n_bounds = self._of_normals.shape[1], self._slacks.stop - self._slacks.start
         matrix = np.zeros((len(self._wanted), count + n_bounds))
         matrix[:, :count] = np.cos(half) * self._of_normals + np.sin(half) * self._of_tangents

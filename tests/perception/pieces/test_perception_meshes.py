@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from perception import Cloud, make_view, perceive
 from perception.errors import MeshError
-from perception.perceive import drop_explained
+from perception.perceived import drop_explained
 from perception.simulate import Pose, Room, Scanner, box, join_meshes, scan, torus
 from perception.solids.cache import PartsCache
 from perception.solids.decompose import CoacdResources, CoacdSettings, split_solid

@@ -19,7 +19,7 @@ from perception.ground.floor import FloorPlane
 from perception.ground.levels_again import are_there, may_be_level
 from perception.memory import Memory, content_key
 from perception.simulate import Pose, Room, Scanner, Valve, scan
-from perception.update import update
+from perception.updated import update
 
 SENSOR = Pose((0.1, 0.0, 1.6), pitch=0.3)
 SCANNER = Scanner(n_lines=60)

@@ -23,7 +23,7 @@ from perception.convex.updated import Judge, Updated, update_pieces
 from perception.detect.shared.detection import Detection
 from perception.ground.floor import FloorPlane, floor_pieces
 from perception.ground.levels_again import may_be_level
-from perception.perceive import Perceived, drop_explained, find_meshes, list_boxes, see_past, take_out
+from perception.perceived import Perceived, drop_explained, find_meshes, list_boxes, see_past, take_out
 from perception.solids.match import KnownMesh
 from perception.solids.rating import MeshMatch
 from perception.view import Cropped, View, crop, view_of
