@@ -26,7 +26,7 @@ from service.posing.drag import Drag, DragTarget, LedPose, Move
 from service.posing.numbers import PoseNumbers
 from service.posing.reading import read_pose, write_pose
 from service.posing.stops import list_stops
-from service.setup.prepare import PlanSetup
+from service.request.schema import Options
 from service.start.configuration import find_unknown_joints, find_unknown_links
 from service.verify import Phase, RestingPose, RestingPoses
 
@@ -48,7 +48,7 @@ STILL_RAD = 1e-4  # step of a joint after which further strides lead nowhere
 GAIN = 0.3  # of the merit that a further step of the optimiser has to promise
 PREVIEW_STEPS = 2  # of damped least squares
 SHARES = (0.5, 0.25, 0.1)  # of a step that the verifier refuses which are tried in its place
-AIMS = Aims()
+OPTIONS = Options()
 SETTINGS = Settings(max_iterations=10, penalty=100.0, max_penalty_raises=1, trust_radius=0.1)
 
 
@@ -65,17 +65,14 @@ class PoseWorld:
     clearance_m: float = 0.0
 
     @staticmethod
-    def of(setup: PlanSetup) -> PoseWorld:
-        """Return the robot of a prepared request where it starts."""
-        options = setup.request.options
-        aims = Aims(options.margin_m, options.balance_margin_m, options.clearance_m)
-        return PoseWorld.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
-
-    @staticmethod
     def standing(
-        robot: RobotModel, scene: Scene, q: Float[np.ndarray, "n"], feet: Sequence[str], aims: Aims = AIMS
+        robot: RobotModel, scene: Scene, q: Float[np.ndarray, "n"], feet: Sequence[str], options: Options = OPTIONS
     ) -> PoseWorld:
-        """Return a robot that stands on ``feet`` at configuration ``q``; none for a fixed base."""
+        """Return a robot that stands on ``feet`` at configuration ``q``; none for a fixed base.
+
+        Margins and clearance are those of ``options``.
+        """
+        aims = Aims(options.margin_m, options.balance_margin_m, options.clearance_m)
         return PoseWorld(WholeBody.standing(robot, scene, q, feet, aims), aims.clearance)
 
     @property
@@ -162,10 +159,12 @@ class PoseWorld:
         self._require_known(drag)
         first = q = read_pose(self.robot, numbers)
         most = float(np.clip(STEP_PER_M * move.metres + STEP_PER_RAD * move.radians, STEP_RAD, MOST_STEP_RAD))
+        left = SETTINGS.max_iterations
         for _ in range(MOST_STRIDES):
             before = q
-            q = self._stride(q, drag, first - most * self._step_scale, first + most * self._step_scale)
-            if self._has_arrived(q, drag) or np.abs(q - before).max() < STILL_RAD:
+            q, used = self._stride(q, drag, (first - most * self._step_scale, first + most * self._step_scale), left)
+            left -= used
+            if left <= 0 or self._has_arrived(q, drag) or np.abs(q - before).max() < STILL_RAD:
                 break
         return self._keep_good(first, q, numbers, drag)
 
@@ -186,9 +185,23 @@ class PoseWorld:
         return self.body.make_checker((), [self.body.nominal])
 
     def _stride(
-        self, q: Float[np.ndarray, "n"], drag: Drag, least: Float[np.ndarray, "n"], most: Float[np.ndarray, "n"]
-    ) -> Float[np.ndarray, "n"]:
-        """Return the pose after a stride towards a drag; the pose before it where none keeps the constraints."""
+        self,
+        q: Float[np.ndarray, "n"],
+        drag: Drag,
+        near_first: tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]],
+        most_iterations: int,
+    ) -> tuple[Float[np.ndarray, "n"], int]:
+        """Return the pose after a stride towards a drag, and the iterations that it took.
+
+        The pose stays where none keeps the constraints.
+
+        Args:
+            q: the pose before the stride.
+            drag: where it is led to.
+            near_first: bounds about the first pose of the event.
+            most_iterations: of the optimiser.
+        """
+        least, most = near_first
         lower, upper = self.body.bounds(1, {})
         lower, upper = np.minimum(np.maximum(lower, least), q), np.maximum(np.minimum(upper, most), q)
         near = self._approach(q, drag)
@@ -209,8 +222,9 @@ class PoseWorld:
             gained = iteration.merit - iteration.trial_merit
             return gained < GAIN * iteration.merit or self._has_arrived(x, near)
 
-        result = TrustRegionSQP(SETTINGS).solve(problem, q[None], note, is_enough)
-        return result.x[0] if result.is_feasible else q
+        settings = replace(SETTINGS, max_iterations=most_iterations)
+        result = TrustRegionSQP(settings).solve(problem, q[None], note, is_enough)
+        return (result.x[0] if result.is_feasible else q), len(result.history)
 
     def _make_costs(self, q: Float[np.ndarray, "n"], near: Drag) -> Iterator[Cost[MotionState]]:
         """Yield the costs of a stride: led links and joints, hands that stay where they are, and every joint's step."""

@@ -13,7 +13,6 @@ from costs.curve import Curve, TimeLaw
 from costs.kinematics import locate_links
 from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
-from service.body.whole_body import Aims
 from service.demands.stance import Stance, make_standing_allowances
 from service.errors import RequestError
 from service.posing.drag import Drag, DragTarget, StopKind
@@ -39,7 +38,7 @@ def atlas() -> RobotModel:
 
 @pytest.fixture(scope="module")
 def world(atlas: RobotModel) -> PoseWorld:
-    return PoseWorld.standing(atlas, Scene((FLOOR, WALL)), atlas.postures["stand"], FEET, Aims())
+    return PoseWorld.standing(atlas, Scene((FLOOR, WALL)), atlas.postures["stand"], FEET)
 
 
 @pytest.fixture
