@@ -1,4 +1,4 @@
-# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-starts | bench-egress | bench-physics | bench-faults | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
+# make demo | test | test-fast | test-ray | coverage | check | docs | client | bench | bench-service | bench-tasks | bench-starts | bench-egress | bench-console | bench-physics | bench-faults | attack | mutants | gallery | clean -- each sets up everything it needs (.venv of this checkout) first.
 
 SHELL := /bin/bash
 VENV := .venv
@@ -18,7 +18,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-clouds bench-tasks bench-starts bench-egress bench-physics bench-faults attack mutants gallery clean
+.PHONY: help setup demo test test-fast test-ray coverage check accept-schema docs client bench bench-service bench-clouds bench-tasks bench-starts bench-egress bench-console bench-physics bench-faults attack mutants gallery clean
 
 help:
 	@echo "make demo      plan and certify a valve turn from the scan that ships with the project"
@@ -35,6 +35,7 @@ help:
 	@echo "make bench-tasks    doors and valves, given and from simulated scans, certified or not, as tables; an hour"
 	@echo "make bench-starts   which starts of the search lead to motions, and what each costs, as tables; some minutes"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
+	@echo "make bench-console  poses that are led by hand, as a table; a minute"
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
 	@echo "make bench-faults   faults of sensors, servos and surroundings in physics, as a table; an hour"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
@@ -121,6 +122,9 @@ bench-starts: $(READY)
 
 bench-egress: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.egress $(BENCH_ARGS)
+
+bench-console: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.console.poses --repeat 2
 
 # BENCH_ARGS=--long simulates 200 plans and takes an hour, BENCH_ARGS="--feed-forward 0" is for pure position servos.
 bench-physics: $(READY)

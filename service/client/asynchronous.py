@@ -19,11 +19,13 @@ from service.client.known_objects import Objects, find_object_files, make_object
 from service.client.local_files import UploadParts, find_local_files, hash_file, replace_by_ids, resolve_paths
 from service.client.messages import (
     Clouds,
+    PoseEvents,
     check_size,
     find_cloud_files,
     make_clouds_message,
     make_detect_message,
     make_plan_message,
+    make_pose_messages,
     make_review_message,
     make_scene_message,
     make_simulation_message,
@@ -51,6 +53,7 @@ from service.proto.planner.v1.planner_pb2 import (
     SimulatePlanResponse,
     VerifyResponse,
 )
+from service.proto.planner.v1.pose_pb2 import PoseSessionResponse
 from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.schema import PlanRequest
 
@@ -338,6 +341,28 @@ class AsyncPlannerClient:
         if not seen.reviews or seen.reviews[-1].decision != Decision.DECISION_ACCEPTED:
             raise RequestError(f"plan {seen.plan_id} is not approved; there is nothing to revoke")
         return await self.review(seen, accept=False, comment=comment)
+
+    async def pose_session(
+        self, request: PlanRequest | MotionRequest, events: PoseEvents, *, deadline_s: float | None = None
+    ) -> AsyncGenerator[PoseSessionResponse, None]:
+        """Yield ``opened``, then a pose for every event of an operator; closing the iterator ends the session.
+
+        Args:
+            request: robot, surroundings and first pose; local files that a ``PlanRequest`` names are uploaded first.
+            events: with growing numbers, each as the operator makes it; asynchronous for this client, an iterator that
+                may wait for the blocking one. Its end ends the session.
+            deadline_s: time limit [s] of the whole session; None for no limit.
+        """
+        if isinstance(request, PlanRequest):
+            request = await self.with_uploads(request)
+        messages = make_pose_messages(request, events)
+        attempts = Attempts(self._retry, deadline_s, is_repeatable=False)
+        try:
+            async with aclosing(self._transport.stream("PoseSession", messages, attempts.start())) as answers:
+                async for answer in answers:
+                    yield answer
+        except grpc.RpcError as error:
+            self._use_attempt(attempts, read_error(error))
 
     async def status(self) -> GetStatusResponse:
         """Return the server's workers, queue, verdict counts and latencies."""

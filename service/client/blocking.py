@@ -129,4 +129,5 @@ class PlannerClient:
     get_plan = _block(AsyncPlannerClient.get_plan)
     review = _block(AsyncPlannerClient.review)
     revoke = _block(AsyncPlannerClient.revoke)
+    pose_session = _iterate(AsyncPlannerClient.pose_session)
     status = _block(AsyncPlannerClient.status)

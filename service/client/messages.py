@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -26,6 +26,7 @@ from service.proto.planner.v1.planner_pb2 import (
     VerifyRequest,
 )
 from service.proto.planner.v1.planner_pb2 import PlanRequest as PlanMessage
+from service.proto.planner.v1.pose_pb2 import OpenPoseSession, PoseEvent, PoseSessionRequest
 from service.proto.planner.v1.request_pb2 import CloudFile, MotionRequest
 from service.proto.planner.v1.result_pb2 import FileChunk, Verdict
 from service.request.schema import PlanRequest
@@ -53,6 +54,33 @@ def make_plan_message(
         with_waypoints=with_waypoints,
         priority=Priority.PRIORITY_BATCH if is_batch else Priority.PRIORITY_INTERACTIVE,
     )
+
+
+PoseEvents = Iterable[PoseEvent] | AsyncIterable[PoseEvent]
+"""Events of a pose session, as the operator makes them."""
+
+
+def make_pose_messages(
+    request: PlanRequest | MotionRequest, events: PoseEvents
+) -> Iterator[PoseSessionRequest] | AsyncIterator[PoseSessionRequest]:
+    """Return the messages of a pose session: it is opened, then every event is sent as it comes."""
+    message = request if isinstance(request, MotionRequest) else request_to_message(request)
+    first = PoseSessionRequest(open=OpenPoseSession(request=message))
+    return _follow_later(first, events) if isinstance(events, AsyncIterable) else _follow(first, events)
+
+
+def _follow(first: PoseSessionRequest, events: Iterable[PoseEvent]) -> Iterator[PoseSessionRequest]:
+    yield first
+    for event in events:
+        yield PoseSessionRequest(event=event)
+
+
+async def _follow_later(
+    first: PoseSessionRequest, events: AsyncIterable[PoseEvent]
+) -> AsyncIterator[PoseSessionRequest]:
+    yield first
+    async for event in events:
+        yield PoseSessionRequest(event=event)
 
 
 def make_scene_message(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from abc import ABC, abstractmethod
-from collections.abc import AsyncGenerator, Callable, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from typing import Any, TypeVar
 
 import grpc
@@ -15,6 +15,7 @@ from service.client.connection import OPTIONS, Connection
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 
 R = TypeVar("R")
+Messages = Message | Iterator[Message] | AsyncIterator[Message]
 
 
 class Transport(ABC):
@@ -36,12 +37,15 @@ class Transport(ABC):
     def _open_channel(self, target: str, credentials: grpc.ChannelCredentials | None) -> Any: ...
 
     @abstractmethod
-    async def call(self, method: str, message: Message | Iterator[Message], timeout_s: float | None) -> Any:
+    async def call(self, method: str, message: Messages, timeout_s: float | None) -> Any:
         """Return the answer to a message, or to a stream of messages; raises ``grpc.RpcError``."""
 
     @abstractmethod
-    def stream(self, method: str, message: Message, timeout_s: float | None) -> AsyncGenerator[Any, None]:
-        """Yield the events of a call; closing it cancels the call. Raises ``grpc.RpcError``."""
+    def stream(self, method: str, message: Messages, timeout_s: float | None) -> AsyncGenerator[Any, None]:
+        """Yield the events of a call, whose messages are one or a stream; closing it cancels the call.
+
+        Raises ``grpc.RpcError``.
+        """
 
     @abstractmethod
     async def sleep(self, seconds: float) -> None:
@@ -55,7 +59,7 @@ class Transport(ABC):
     async def close(self) -> None:
         """Close the channel, which cancels open calls."""
 
-    def _start(self, method: str, message: Message | Iterator[Message], timeout_s: float | None) -> Any:
+    def _start(self, method: str, message: Messages, timeout_s: float | None) -> Any:
         return getattr(self._stub, method)(message, timeout=timeout_s, metadata=self._metadata)
 
 
@@ -67,10 +71,10 @@ class BlockingTransport(Transport):
             return grpc.insecure_channel(target, OPTIONS)
         return grpc.secure_channel(target, credentials, OPTIONS)
 
-    async def call(self, method: str, message: Message | Iterator[Message], timeout_s: float | None) -> Any:
+    async def call(self, method: str, message: Messages, timeout_s: float | None) -> Any:
         return self._start(method, message, timeout_s)
 
-    async def stream(self, method: str, message: Message, timeout_s: float | None) -> AsyncGenerator[Any, None]:
+    async def stream(self, method: str, message: Messages, timeout_s: float | None) -> AsyncGenerator[Any, None]:
         call = self._start(method, message, timeout_s)
         try:
             for event in call:
@@ -96,10 +100,10 @@ class AsyncTransport(Transport):
             return grpc.aio.insecure_channel(target, OPTIONS)
         return grpc.aio.secure_channel(target, credentials, OPTIONS)
 
-    async def call(self, method: str, message: Message | Iterator[Message], timeout_s: float | None) -> Any:
+    async def call(self, method: str, message: Messages, timeout_s: float | None) -> Any:
         return await self._start(method, message, timeout_s)
 
-    async def stream(self, method: str, message: Message, timeout_s: float | None) -> AsyncGenerator[Any, None]:
+    async def stream(self, method: str, message: Messages, timeout_s: float | None) -> AsyncGenerator[Any, None]:
         call = self._start(method, message, timeout_s)
         try:
             async for event in call:

@@ -13,8 +13,10 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
 from service.proto.planner.v1 import planner_pb2 as wire
+from service.proto.planner.v1 import pose_pb2
 from service.server.cloud_handlers import CloudHandlers
 from service.server.plan_handler import PlanHandler
+from service.server.pose_handler import PoseHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import refuse_error, refuse_invalid
 from service.server.requests import set_warnings
@@ -36,6 +38,7 @@ class Servicer:
     upload: UploadHandler
     clouds: CloudHandlers
     queries: QueryHandlers
+    poses: PoseHandler
 
     def Plan(self, message: wire.PlanRequest, context: Context) -> AsyncIterator[wire.PlanResponse | bytes]:
         return self.plan.plan(message, context)
@@ -69,6 +72,11 @@ class Servicer:
     async def ReviewPlan(self, message: wire.ReviewPlanRequest, context: Context) -> wire.ReviewPlanResponse:
         return await self.queries.review_plan(message, context)
 
+    def PoseSession(
+        self, messages: AsyncIterator[pose_pb2.PoseSessionRequest], context: Context
+    ) -> AsyncIterator[pose_pb2.PoseSessionResponse]:
+        return self.poses.lead(messages, context)
+
     async def GetStatus(self, message: wire.GetStatusRequest, context: Context) -> wire.GetStatusResponse:
         return await self.queries.get_status(message, context)
 
@@ -91,7 +99,11 @@ def make_handlers(servicer: object) -> grpc.GenericRpcHandler[Any, Any]:
     for method in SERVICE.methods:
         behaviour = getattr(servicer, method.name)
         read = _make_reader(GetMessageClass(method.input_type))
-        if method.server_streaming:
+        if method.server_streaming and method.client_streaming:
+            handlers[method.name] = grpc.stream_stream_rpc_method_handler(
+                _exchange_streams(behaviour), read, _serialize
+            )
+        elif method.server_streaming:
             handlers[method.name] = grpc.unary_stream_rpc_method_handler(_stream_responses(behaviour), read, _serialize)
         elif method.client_streaming:
             handlers[method.name] = grpc.stream_unary_rpc_method_handler(_take_stream(behaviour), read, _serialize)
@@ -157,14 +169,28 @@ def _answer_once(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Cal
     return call
 
 
-def _take_stream(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
-    async def check_all(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Any]:
-        async for request in requests:
-            yield await _check(request, context)
+async def _check_all(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Any]:
+    async for request in requests:
+        yield await _check(request, context)
 
+
+def _take_stream(behaviour: Callable[[Any, Context], Awaitable[Message]]) -> Callable[[Any, Context], Any]:
     async def call(requests: AsyncIterator[Any], context: Context) -> Message | None:
         try:
-            return await behaviour(check_all(requests, context), context)
+            return await behaviour(_check_all(requests, context), context)
+        except grpc.aio.AbortError:
+            raise
+        except Exception as error:
+            await refuse(context, refuse_error(error))
+
+    return call
+
+
+def _exchange_streams(behaviour: Callable[[Any, Context], AsyncIterator[Any]]) -> Callable[[Any, Context], Any]:
+    async def call(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Message]:
+        try:
+            async for message in behaviour(_check_all(requests, context), context):
+                yield message
         except grpc.aio.AbortError:
             raise
         except Exception as error:

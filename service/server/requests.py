@@ -44,8 +44,8 @@ class RequestReader:
     robots: RobotFolder
     known: KnownRobots
 
-    def read(self, message: MotionRequest) -> PlanRequest:
-        """Read and check a message.
+    def read(self, message: MotionRequest, within: str = WITHIN) -> PlanRequest:
+        """Read and check a message, the field ``within`` of the one that was sent.
 
         Raises:
             Refusal: INVALID_ARGUMENT naming every wrong field.
@@ -55,7 +55,7 @@ class RequestReader:
         try:
             request = parse_request(data)
         except RequestError as error:
-            raise refuse_invalid([*error.problems, *names], WITHIN) from None
+            raise refuse_invalid([*error.problems, *names], within) from None
         problems = [f"{field}: {problem}" for field, problem in self.folders.find_problems(request)]
         budget = self.settings.budget_s(kind_of(request))
         limit = request.limit_s
@@ -63,7 +63,7 @@ class RequestReader:
             problems.append(f"options.time_limit_s: expected at most {budget:g} on this server, got {limit:g}")
         problems += names
         if problems:
-            raise refuse_invalid(problems, WITHIN)
+            raise refuse_invalid(problems, within)
         return request
 
     @contextmanager

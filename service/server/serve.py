@@ -27,6 +27,7 @@ from service.server.jobs import JobRunner
 from service.server.lifecycle import Health, OpenCalls
 from service.server.methods import SERVICE, Servicer, make_handlers
 from service.server.plan_handler import PlanHandler
+from service.server.pose_handler import PoseHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import GOING_DOWN, STOPPING
 from service.server.requests import RequestReader
@@ -51,7 +52,14 @@ from service.wire.reflection import enable_reflection
 from service.work.look import list_names
 
 _LOG = structlog.get_logger("scopt.server")
-PRELOAD = ("service.work.plan", "service.work.look", "perception", "service.tasks.valve.plan", "service.trajopt")
+PRELOAD = (
+    "service.work.plan",
+    "service.posing.world",
+    "service.work.look",
+    "perception",
+    "service.tasks.valve.plan",
+    "service.trajopt",
+)
 CHECK_JOBS_EVERY_S = 0.5
 SWITCH_S = 1e-3  # a thread that reads a large message must yield to the event loop, which answers all calls
 SEND_S = 5.0  # for responses that are being sent when all jobs have ended
@@ -179,7 +187,9 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
             calls,
             AccessInterceptor(endpoint.tokens, limiter, uses_certificates),
         ]
-        servicer = Servicer(plans, uploads, CloudHandlers(reader, jobs, store, disk), queries)
+        servicer = Servicer(
+            plans, uploads, CloudHandlers(reader, jobs, store, disk), queries, PoseHandler(reader, jobs)
+        )
         server = grpc.aio.server(interceptors=interceptors, options=_options(settings))
         _add_services(server, servicer, health)
         address = _bind_ports(server, endpoint, certificates)

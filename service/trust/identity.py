@@ -73,6 +73,7 @@ ROLE_NEEDED: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         f"{_PLANNER}/ListRobots": (Role.PLAN,),
         f"{_PLANNER}/GetPlan": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/ReviewPlan": (Role.REVIEW,),
+        f"{_PLANNER}/PoseSession": (Role.PLAN,),
         f"{_PLANNER}/GetStatus": (Role.ADMIN,),
         "/grpc.health.v1.Health/List": (Role.PLAN,),
         "/grpc.health.v1.Health/Watch": (Role.PLAN,),

@@ -23,6 +23,7 @@ Enter = Callable[[Context], AbstractAsyncContextManager[None]]
 DETAILS_KEY = "grpc-status-details-bin"
 MAX_TEXT_BYTES = 1000  # of a status, which travels in a header; the call fails if its headers exceed 8 KiB
 REQUEST_WAIT_S = 60.0  # an open call without a message must not occupy its place for ever
+SESSION_WAIT_S = 3600.0  # the same of a call in which an operator thinks between two messages
 CANCEL_DELAY_S = 0.005
 
 
@@ -116,7 +117,7 @@ def _wrap_handler(handler: Handler, enter: Enter) -> Handler:
 
     async def read_request(requests: AsyncIterator[Any], context: Context) -> Any:
         if takes_stream:
-            return _read_stream(requests, context)
+            return _read_stream(requests, context, SESSION_WAIT_S if handler.response_streaming else REQUEST_WAIT_S)
         try:
             async with asyncio.timeout(REQUEST_WAIT_S):
                 request = await context.read()
@@ -147,18 +148,18 @@ def _wrap_handler(handler: Handler, enter: Enter) -> Handler:
     )
 
 
-async def _read_stream(requests: AsyncIterator[Any], context: Context) -> AsyncIterator[Any]:
-    """Yield the requests of a stream; abort the call if none arrives for too long.
+async def _read_stream(requests: AsyncIterator[Any], context: Context, wait_s: float) -> AsyncIterator[Any]:
+    """Yield the requests of a stream; abort the call if the next one does not arrive within ``wait_s``.
 
     The stream of a disconnected client ends like a complete one, shortly before gRPC cancels the call. Waiting
     ``CANCEL_DELAY_S`` tells the two apart.
     """
     while True:
         try:
-            async with asyncio.timeout(REQUEST_WAIT_S):
+            async with asyncio.timeout(wait_s):
                 request = await anext(requests, None)
         except TimeoutError:
-            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"no message arrived within {REQUEST_WAIT_S:g} s")
+            await context.abort(grpc.StatusCode.DEADLINE_EXCEEDED, f"no message arrived within {wait_s:g} s")
         if request is None:
             break
         yield request

@@ -9,6 +9,7 @@ Read in this order:
 - ``carrying``: what carries movable objects, and whether it holds them
 - ``forces``: equilibrium under the loads of hands, and inverse dynamics
 - ``clearance``: the checks of all pairs that may meet
+- ``resting``: the same of single poses at rest, for poses that are led by hand
 - ``coverage``: what was checked, what was left out, and which checks a motion requires
 - ``certificate``: the output as data; ``hashes`` ties it to its robot, scene and promises
 - ``prepared_motion``, ``curve_bounds``, ``joint_chain``, ``frame_paths``, ``phase_proof``, ``solids``, ``timeline``:
@@ -160,6 +161,11 @@ from service.verify.prepared_motion import (
     Placements,
     PreparedMotion,
 )
+from service.verify.resting import (
+    PairDistance,
+    RestingPose,
+    RestingPoses,
+)
 from service.verify.rounding import (
     round_down,
 )
@@ -226,6 +232,7 @@ __all__ = [
     "LoadedRegion",
     "Meeting",
     "Motion",
+    "PairDistance",
     "Phase",
     "Placements",
     "PlantedContact",
@@ -235,6 +242,8 @@ __all__ = [
     "Profile",
     "PushPath",
     "RelativePoseTarget",
+    "RestingPose",
+    "RestingPoses",
     "Status",
     "Stretches",
     "SupportPolygon",

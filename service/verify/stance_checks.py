@@ -34,7 +34,7 @@ def check_stance(prepared: PreparedMotion, phase: Phase, settings: VerifySetting
         else:
             yield _balance_check(proof, phase.support)
         if phase.contacts:
-            yield _support_check(phase, phase.support)
+            yield check_support(phase, phase.support)
     for contact in phase.contacts:
         yield from _planted_checks(proof, contact)
 
@@ -81,7 +81,7 @@ def _planted_checks(proof: PhaseProof, contact: PlantedContact) -> Iterator[Chec
         yield proof.check(f"{name}.waypoints", at_knots, limit, "m", text, at, names=names)
 
 
-def _support_check(phase: Phase, support: SupportPolygon) -> Check:
+def check_support(phase: Phase, support: SupportPolygon) -> Check:
     """Check that the polygon is no wider than the hull of the planted soles, which alone carry the robot.
 
     The hull counts only where all soles are on level ground at one height: elsewhere friction and the direction of each

@@ -10,10 +10,11 @@ from google.protobuf import text_format
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from proto_lint import broken_rules
 
-from service.proto.planner.v1 import planner_pb2, request_pb2, result_pb2
+from service.proto.planner.v1 import planner_pb2, pose_pb2, request_pb2, result_pb2
 
 FOLDER = Path(__file__).parents[2] / "service" / "proto" / "planner" / "v1"
-FILES = {Path(module.DESCRIPTOR.name).name: module.DESCRIPTOR for module in (planner_pb2, request_pb2, result_pb2)}
+_MODULES = (planner_pb2, pose_pb2, request_pb2, result_pb2)
+FILES = {Path(module.DESCRIPTOR.name).name: module.DESCRIPTOR for module in _MODULES}
 
 
 def test_every_protocol_file_is_looked_at() -> None:

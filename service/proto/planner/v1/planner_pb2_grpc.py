@@ -4,6 +4,7 @@ import grpc
 import warnings
 
 from service.proto.planner.v1 import planner_pb2 as planner_dot_v1_dot_planner__pb2
+from service.proto.planner.v1 import pose_pb2 as planner_dot_v1_dot_pose__pb2
 
 GRPC_GENERATED_VERSION = '1.76.0'
 GRPC_VERSION = grpc.__version__
@@ -88,6 +89,11 @@ class PlannerServiceStub(object):
                 '/planner.v1.PlannerService/ReviewPlan',
                 request_serializer=planner_dot_v1_dot_planner__pb2.ReviewPlanRequest.SerializeToString,
                 response_deserializer=planner_dot_v1_dot_planner__pb2.ReviewPlanResponse.FromString,
+                _registered_method=True)
+        self.PoseSession = channel.stream_stream(
+                '/planner.v1.PlannerService/PoseSession',
+                request_serializer=planner_dot_v1_dot_pose__pb2.PoseSessionRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_pose__pb2.PoseSessionResponse.FromString,
                 _registered_method=True)
         self.GetStatus = channel.unary_unary(
                 '/planner.v1.PlannerService/GetStatus',
@@ -174,6 +180,13 @@ class PlannerServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def PoseSession(self, request_iterator, context):
+        """Lead a pose by hand: events of an operator in, a checked pose of the whole robot for each out.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetStatus(self, request, context):
         """What the server is doing.
         """
@@ -233,6 +246,11 @@ def add_PlannerServiceServicer_to_server(servicer, server):
                     servicer.ReviewPlan,
                     request_deserializer=planner_dot_v1_dot_planner__pb2.ReviewPlanRequest.FromString,
                     response_serializer=planner_dot_v1_dot_planner__pb2.ReviewPlanResponse.SerializeToString,
+            ),
+            'PoseSession': grpc.stream_stream_rpc_method_handler(
+                    servicer.PoseSession,
+                    request_deserializer=planner_dot_v1_dot_pose__pb2.PoseSessionRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_pose__pb2.PoseSessionResponse.SerializeToString,
             ),
             'GetStatus': grpc.unary_unary_rpc_method_handler(
                     servicer.GetStatus,
@@ -515,6 +533,33 @@ class PlannerService(object):
             '/planner.v1.PlannerService/ReviewPlan',
             planner_dot_v1_dot_planner__pb2.ReviewPlanRequest.SerializeToString,
             planner_dot_v1_dot_planner__pb2.ReviewPlanResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def PoseSession(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/planner.v1.PlannerService/PoseSession',
+            planner_dot_v1_dot_pose__pb2.PoseSessionRequest.SerializeToString,
+            planner_dot_v1_dot_pose__pb2.PoseSessionResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -1,0 +1,1 @@
+"""Measurements of what an operator leads by hand."""
