@@ -18,7 +18,7 @@ from perception.cleaning.clean import Reach, inside_hulls, voxel_downsample
 from perception.cleaning.outliers import inliers
 from perception.cloud import Cloud, make_cloud
 from perception.convex.piece import Evidence, Piece
-from perception.detect import KINDS, detect, detect_at, detect_each, detect_kinds
+from perception.detect import KINDS, detect, detect_at, detect_each, detect_kinds, find_offered
 from perception.detect.door.bodies import door_bodies
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening, read_door
@@ -39,6 +39,7 @@ from perception.detect.valve.lever_valve import LeverDetection, lever_bodies
 from perception.detect.valve.ring import wheel_basis
 from perception.detect.valve.wheel import detect_valves
 from perception.errors import CloudError, PerceptionError
+from perception.files.formats import SUFFIXES
 from perception.files.npz import write_npz
 from perception.files.pcd import write_pcd
 from perception.files.placing import METRES_BY_UNIT, rigid_pose
@@ -55,6 +56,7 @@ __all__ = [
     "CONFIDENT",
     "KINDS",
     "METRES_BY_UNIT",
+    "SUFFIXES",
     "Cloud",
     "CloudError",
     "Detection",
@@ -83,6 +85,7 @@ __all__ = [
     "find_floor_points",
     "find_floors",
     "find_matches",
+    "find_offered",
     "floor_piece",
     "floor_pieces",
     "has_clear_spokes",
