@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from types import TracebackType
+from typing import Annotated, Self
 
 import typer
 
@@ -39,3 +43,46 @@ def console_command(
         raise RequestError(f"--scans {wrong[0]}: is no folder")
     settings = ConsoleSettings(target, tls_ca, tls_cert, tls_key, folders)
     run_console(settings, listen, lambda address: typer.echo(f"console at {address}"))
+
+
+class ConsoleProcess:
+    """The page's server in a process of its own, beside a planning server: neither takes the other along if it ends.
+
+    Args:
+        listen: where the page is.
+        scans: folders with cloud files.
+
+    Raises:
+        RequestError: the address cannot be used.
+    """
+
+    def __init__(self, listen: str, scans: Sequence[Path]) -> None:
+        from service.console import parse_listen
+
+        try:
+            parse_listen(listen)
+        except RequestError as error:
+            raise RequestError([problem.replace("--listen", "--console") for problem in error.problems]) from None
+        self._arguments = ["--listen", listen, *(word for folder in scans for word in ("--scans", str(folder)))]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self, address: str) -> None:
+        """Start it for a server that listens at an address; it writes where its page is on this process's stdout."""
+        program = [sys.executable, "-c", "from service.cli.app import main; main()", "console"]
+        self._process = subprocess.Popen([*program, "--target", find_target(address), *self._arguments])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait()
+
+
+def find_target(address: str) -> str:
+    """Return the address by which this machine reaches a server that listens at one, or at all of its addresses."""
+    host, _, port = address.rpartition(":")
+    return {"0.0.0.0": f"127.0.0.1:{port}", "[::]": f"[::1]:{port}"}.get(host, address)
