@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.console.guard import find_problem
-from service.console.serve import parse_listen
+from service.cli.console.guard import find_problem
+from service.cli.console.serve import parse_listen
 from service.errors import RequestError
 
 HOSTS = ("127.0.0.1:8080", "localhost:9000", "localhost", "[::1]:8080", "127.0.0.1")

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planner_stand_in import make_result
 
+from service.cli.console.judging import WHOLE, find_phase, find_standing, group_checks, judge_plan, list_risks
 from service.client import PlannerError
-from service.console.judging import WHOLE, find_phase, find_standing, group_checks, judge_plan, list_risks
 from service.proto.planner.v1.planner_pb2 import PlanRecord
 
 

@@ -13,9 +13,9 @@ from planner_stand_in import PLAN_ID, PlannerStandIn, make_result, refuse, servi
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from service.console.app import make_app
-from service.console.sessions import COOKIE
-from service.console.settings import ConsoleSettings, page_version
+from service.cli.console.app import make_app
+from service.cli.console.sessions import COOKIE
+from service.cli.console.settings import ConsoleSettings, page_version
 
 BASE = "http://127.0.0.1:8080"
 ORDERS = "ws://127.0.0.1:8080/orders"

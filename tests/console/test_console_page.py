@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Browser, open_browser
 from planner_server import planner_server
@@ -106,6 +107,14 @@ def said(browser: Browser) -> str:
     return str(browser.run("document.querySelector('.panel .said').textContent"))
 
 
+def wait_for_motion(browser: Browser) -> None:
+    """Wait until something of many colours is drawn in the middle, where the frame of the plan's page is."""
+    end = time.monotonic() + WAIT_S
+    while len(np.unique(browser.picture()[200:700, 300:850].reshape(-1, 3) // 16, axis=0)) < 30:
+        assert time.monotonic() < end, "the motion is not drawn"
+        time.sleep(0.2)
+
+
 def test_an_operator_logs_in_plans_a_task_of_their_own_and_decides_about_it(browser: Browser, desk: Desk) -> None:
     browser.open(desk.url)
     log_in(browser, "scopt_wrong")
@@ -131,6 +140,7 @@ def test_an_operator_logs_in_plans_a_task_of_their_own_and_decides_about_it(brow
     assert titles[:2] == ["Closest pair", "Largest torque"]
     wait(browser, "document.querySelector('.tabs button').textContent === 'Inbox 1'")
     assert browser.run("[...document.querySelectorAll('.group')].every((e) => !e.open)")
+    wait_for_motion(browser)
     browser.run("document.querySelector('.comment').value = 'seen'")
     click(browser, ".judge .yes", "Accept")
     wait(browser, "document.querySelector('.panel .said').textContent === 'accepted by ada: seen'")

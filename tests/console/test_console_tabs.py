@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from service.console.orders import PlanOrder
-from service.console.sessions import Session
-from service.console.tabs import list_tabs, make_request
+from service.cli.console.orders import PlanOrder
+from service.cli.console.sessions import Session
+from service.cli.console.tabs import list_tabs, make_request
 from service.errors import RequestError
 
 KNOCK = """

@@ -35,7 +35,7 @@ def console_command(
 
     Plans are judged and accepted there, and made of task files. Each operator logs in with a token of their own.
     """
-    from service.console import ConsoleSettings, run_console
+    from service.cli.console import ConsoleSettings, run_console
 
     folders = tuple(scans or (Path(),))
     wrong = [folder for folder in folders if not folder.is_dir()]
@@ -57,7 +57,7 @@ class ConsoleProcess:
     """
 
     def __init__(self, listen: str, scans: Sequence[Path]) -> None:
-        from service.console import parse_listen
+        from service.cli.console import parse_listen
 
         try:
             parse_listen(listen)

@@ -1,4 +1,4 @@
-// What the console's bridge sends (service/console), and what the page works out of it without drawing.
+// What the console's bridge sends (service/cli/console), and what the page works out of it without drawing.
 import type { Check } from "./data";
 import type { Quantized } from "./packed";
 import type { Standing } from "./standing";

@@ -23,7 +23,7 @@ export class Judge {
     const { verdict } = plan;
     const badge = el("div", `verdict ${tone(verdict)}`, words(verdict));
     const lasts = plan.duration_s === null ? "no motion" : `lasts ${seconds(plan.duration_s)}`;
-    this.element.append(el("div", "head", badge, el("span", "soft", `${lasts} · planned in ${seconds(plan.planning_time_s)}`)));
+    this.element.append(el("div", "sum", badge, el("span", "soft", `${lasts} · planned in ${seconds(plan.planning_time_s)}`)));
     if (plan.explanation.length > 0) {
       this.element.append(section("What stands in the way", el("ul", "why", ...plan.explanation.map((line) => el("li", "", line)))));
     }
@@ -63,7 +63,7 @@ export class Judge {
       if (group.open.length > 0) folded.open = false;
       folded.append(el("div", "checks", ...group.passed.map((index) => this.check(index))));
       const standing = el("div", "checks", ...group.open.map((index) => this.check(index)));
-      return el("div", "phase", ...(group.open.length > 0 ? [el("h3", "", words(group.phase)), standing] : []), ...(group.passed.length > 0 ? [folded] : []));
+      return el("div", "ofphase", ...(group.open.length > 0 ? [el("h3", "", words(group.phase)), standing] : []), ...(group.passed.length > 0 ? [folded] : []));
     });
     return section(open === 0 ? `Checks · all ${all} hold` : `Checks · ${open} of ${all} do not hold`, ...groups);
   }

@@ -7,10 +7,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from service.cli.console.judging import judge_plan
+from service.cli.console.sessions import OpenedPlan, Session
 from service.client import AsyncPlannerClient, PlannerError
 from service.client.answers import read_verdict
-from service.console.judging import judge_plan
-from service.console.sessions import OpenedPlan, Session
 from service.errors import RequestError, ServiceError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState
 from service.result.folder import VIEWER_NAME
@@ -18,7 +18,7 @@ from service.result.folder import VIEWER_NAME
 MOST_LISTED = 100
 
 
-class Inbox:
+class SeenPlans:
     """Ids of the plans that were asked for or opened at this console, newest first."""
 
     def __init__(self) -> None:

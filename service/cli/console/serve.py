@@ -6,7 +6,7 @@ import asyncio
 import socket
 from collections.abc import Callable
 
-from service.console.settings import ConsoleSettings
+from service.cli.console.settings import ConsoleSettings
 from service.errors import RequestError, shown
 from service.trust import is_loopback
 
@@ -27,7 +27,7 @@ def run_console(settings: ConsoleSettings, listen: str, on_ready: Callable[[str]
     try:
         import uvicorn
 
-        from service.console.app import make_app
+        from service.cli.console.app import make_app
     except ImportError as error:
         raise RequestError(f"the console needs {error.name}; run pip install 'scopt[console]'") from None
     try:

@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
 from typing import Any
 
+from service.cli.console.sessions import Session
 from service.client import PlannerError
 from service.client.answers import check_result, read_verdict
-from service.console.sessions import Session
 from service.errors import RequestError, ServiceError
 from service.proto.planner.v1.planner_pb2 import PlanResponse
 from service.request.schema import PlanRequest

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from service.cli.console.settings import ConsoleSettings
 from service.client import AsyncPlannerClient, Retry
-from service.console.settings import ConsoleSettings
 from service.proto.planner.v1.planner_pb2 import PlanRecord
 
 COOKIE = "scopt_console"

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from service.console.scans import find_scan
-from service.console.sessions import Session
+from service.cli.console.scans import find_scan
+from service.cli.console.sessions import Session
 from service.errors import RequestError
 from service.request.file import parse_request
 from service.request.schema import PlanRequest

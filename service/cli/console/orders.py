@@ -9,12 +9,12 @@ from typing import Annotated, Any, Generic, TypeVar
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
-from service.console.inbox import Inbox, open_plan, review_plan
-from service.console.jobs import cancel_plan, start_plan
-from service.console.scans import detect_at, list_scans, show_scan, upload_scan
-from service.console.sessions import Session, Sessions
-from service.console.settings import ConsoleSettings
-from service.console.tabs import list_tabs, make_request
+from service.cli.console.inbox import SeenPlans, open_plan, review_plan
+from service.cli.console.jobs import cancel_plan, start_plan
+from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
+from service.cli.console.sessions import Session, Sessions
+from service.cli.console.settings import ConsoleSettings
+from service.cli.console.tabs import list_tabs, make_request
 from service.request.fields import SECTION, Name, PlainData, Point, Section
 from service.request.file import parse_section
 
@@ -29,7 +29,7 @@ class Console:
     def __init__(self, settings: ConsoleSettings) -> None:
         self.settings = settings
         self.sessions = Sessions(settings)
-        self.inbox = Inbox()
+        self.inbox = SeenPlans()
 
 
 @checked(config=SECTION)
@@ -109,7 +109,7 @@ class CancelOrder(Section):
 
 
 @dataclass(frozen=True)
-class Order(Generic[T]):
+class PageOrder(Generic[T]):
     """An order with its arguments and what carries it out; the result is JSON-ready."""
 
     arguments: type[T]
@@ -168,13 +168,13 @@ async def _cancel(console: Console, session: Session, order: CancelOrder) -> Any
     return {}
 
 
-ORDERS: Mapping[str, Order[Any]] = {
-    "inbox": Order(Nothing, _inbox),
-    "open": Order(OpenOrder, _open),
-    "review": Order(ReviewOrder, _review),
-    "tabs": Order(Nothing, _tabs),
-    "scan": Order(ScanOrder, _scan),
-    "detect": Order(DetectOrder, _detect),
-    "plan": Order(PlanOrder, _plan),
-    "cancel": Order(CancelOrder, _cancel),
+ORDERS: Mapping[str, PageOrder[Any]] = {
+    "inbox": PageOrder(Nothing, _inbox),
+    "open": PageOrder(OpenOrder, _open),
+    "review": PageOrder(ReviewOrder, _review),
+    "tabs": PageOrder(Nothing, _tabs),
+    "scan": PageOrder(ScanOrder, _scan),
+    "detect": PageOrder(DetectOrder, _detect),
+    "plan": PageOrder(PlanOrder, _plan),
+    "cancel": PageOrder(CancelOrder, _cancel),
 }

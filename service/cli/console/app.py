@@ -14,12 +14,12 @@ from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
+from service.cli.console.bridge import serve_page
+from service.cli.console.guard import Guard
+from service.cli.console.orders import Console
+from service.cli.console.sessions import COOKIE, Session
+from service.cli.console.settings import PROGRAM, ConsoleSettings, page_version
 from service.client import PlannerError
-from service.console.bridge import serve_page
-from service.console.guard import Guard
-from service.console.orders import Console
-from service.console.sessions import COOKIE, Session
-from service.console.settings import PROGRAM, ConsoleSettings, page_version
 from service.errors import RequestError
 from service.viewer.html import render_page
 

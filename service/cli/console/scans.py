@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from service.console.sessions import Session
+from service.cli.console.sessions import Session
 from service.errors import RequestError, shown, would_do
 from service.proto.planner.v1.planner_pb2 import CloudsSpec
 from service.proto.planner.v1.request_pb2 import CloudFile, Start

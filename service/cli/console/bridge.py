@@ -10,10 +10,10 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from service.cli.console.orders import ORDERS, Console
+from service.cli.console.sessions import COOKIE, Session
+from service.cli.console.settings import page_version
 from service.client import PlannerError
-from service.console.orders import ORDERS, Console
-from service.console.sessions import COOKIE, Session
-from service.console.settings import page_version
 from service.errors import RequestError, ServiceError, shown, would_do
 
 _LOG = logging.getLogger("scopt.console")
