@@ -147,7 +147,8 @@ def test_an_operator_logs_in_plans_a_task_of_their_own_and_decides_about_it(brow
     wait(browser, "document.querySelector('.tabs button').textContent === 'Inbox'")
     click(browser, ".judge .no", "Reject")
     wait(browser, "document.querySelector('.panel .said').textContent.startsWith('rejected by ada')")
-    assert browser.complaints() == []
+    # The browser itself notes that a session was asked for and a token refused.
+    assert [line for line in browser.complaints() if "status of 403" not in line] == []
 
 
 def test_a_page_of_another_origin_reaches_nothing(browser: Browser, desk: Desk) -> None:
@@ -169,9 +170,4 @@ def test_who_may_not_review_is_told_so(browser: Browser, desk: Desk) -> None:
     log_in(browser, desk.tokens["bob"])
     wait(browser, "window.__viewer.state === 'open'")
     browser.run(f"window.__viewer.open({json.dumps(plan_id)})")
-    wait(browser, "!document.querySelector('.bar-top').hidden || !!document.querySelector('.judge .yes')")
-    if browser.run("!!document.querySelector('.judge .yes')"):
-        click(browser, ".judge .yes", "Accept")
-        wait(browser, "document.querySelector('.panel .said').textContent.includes('needs the role review')")
-    else:
-        assert plan_id in browser.run("document.querySelector('.bar-top').textContent")
+    wait(browser, "document.querySelector('.bar-top').textContent.includes('needs the role review')")

@@ -40,7 +40,8 @@ class SeenPlans:
             try:
                 rows.append(_make_row((await client.get_plan(plan_id)).record))
             except PlannerError as error:
-                if error.code.name != "NOT_FOUND":
+                # Of another operator, or no longer kept.
+                if error.code.name not in ("NOT_FOUND", "PERMISSION_DENIED"):
                     raise
         return rows
 

@@ -61,7 +61,7 @@ def serve_command(
         typer.Option(help="Serve the operator's page there, such as 127.0.0.1:8080 (see scopt console)."),
     ] = None,
     scans: Annotated[
-        list[Path] | None, typer.Option(help="Folder with cloud files for --console; may be given again.")
+        list[Path] | None, typer.Option(help="Folder with cloud files for the page; may be given again.")
     ] = None,
     config: Annotated[
         Path | None,

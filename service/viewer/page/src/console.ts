@@ -1,7 +1,7 @@
 // Starts the console's page: log-in, inbox, task tabs, and what stands beside them.
 import { Job, Plan, Row, Tabs, standingOfRow } from "./console-data";
 import { Judge } from "./console-judge";
-import { Link, OrderError, State } from "./console-link";
+import { Link, State } from "./console-link";
 import { TabView } from "./console-tab";
 import { button, el, words } from "./dom";
 
@@ -28,6 +28,8 @@ class ConsolePage {
   private active = INBOX;
   private shown = "";
   private nth = 0;
+  private problem = "";  // of the connection or the lists
+  private notice = "";   // of the last plan that could not be opened
 
   constructor(private readonly settings: Settings) {
     this.link = new Link(settings.version);
@@ -77,12 +79,14 @@ class ConsolePage {
     this.login.hidden = state !== "login";
     this.where.textContent = state === "open" ? this.settings.server : state === "login" ? "" : state === "connecting" ? `${this.settings.server}, connecting` : `${this.settings.server}, no connection`;
     const text = { lost: `${why}; trying again`, stale: why, open: "", connecting: this.bar.textContent ?? "", login: "" }[state];
-    this.say(text, state === "stale");
+    this.say(text, "", state === "stale");
     document.body.classList.toggle("lost", state !== "open");
     if (state === "open") void this.refresh();
   }
 
-  private say(text: string, isStale = false): void {
+  private say(problem: string, notice: string, isStale = false): void {
+    [this.problem, this.notice] = [problem, notice];
+    const text = problem || notice;
     this.bar.hidden = text === "";
     this.bar.replaceChildren(text, ...(isStale ? [button("", "Load again", "Load this page again", () => location.reload())] : []));
   }
@@ -96,10 +100,10 @@ class ConsolePage {
     if (this.link.state !== "open") return;
     try {
       [this.rows, this.tabs] = await Promise.all([this.link.order<Row[]>("inbox"), this.link.order<Tabs>("tabs")]);
-      if (this.link.state === "open") this.say("");
+      if (this.link.state === "open") this.say("", this.notice);
     } catch (error) {
       // A caller of the wrong role, or a planning server that does not answer: the console itself does.
-      if (this.link.state === "open") this.say(saidBy(error));
+      if (this.link.state === "open") this.say(saidBy(error), this.notice);
     }
     this.drawTabs();
     this.drawRows();
@@ -131,6 +135,7 @@ class ConsolePage {
   // Show a task's tab, or what the inbox has open.
   choose(name: string): void {
     this.active = name;
+    this.say(this.problem, "");
     this.clear();
     const tab = this.tabs.tabs.find((one) => one.name === name);
     if (tab) {
@@ -157,9 +162,10 @@ class ConsolePage {
       const plan = await this.link.order<Plan>("open", { plan_id: planId });
       this.clear();
       this.shown = planId;
+      this.say(this.problem, "");
       this.show(plan);
     } catch (error) {
-      this.say(saidBy(error instanceof OrderError ? error : String(error)));
+      this.say(this.problem, saidBy(error));
     }
     void this.refresh();
   }
