@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from perception.cleaning.outliers import inliers
     from perception.cloud import Cloud, make_cloud
     from perception.convex.piece import Evidence, Piece
-    from perception.detect import KINDS, detect_at, detect_each, detect_kinds
+    from perception.detect import KINDS, detect_at, detect_each, detect_kinds, find_offered
     from perception.detect.door.bodies import door_bodies
     from perception.detect.door.geometry import DoorGeometry, HandleGeometry
     from perception.detect.door.model import choose_opening, read_door
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from perception.detect.valve.ring import wheel_basis
     from perception.detect.valve.wheel import detect_valves
     from perception.errors import CloudError, PerceptionError
+    from perception.files.formats import SUFFIXES
     from perception.files.npz import write_npz
     from perception.files.pcd import write_pcd
     from perception.files.placing import METRES_BY_UNIT, rigid_pose
@@ -65,6 +66,7 @@ __all__ = [
     "CONFIDENT",
     "KINDS",
     "METRES_BY_UNIT",
+    "SUFFIXES",
     "Cloud",
     "CloudError",
     "Detection",
@@ -93,6 +95,7 @@ __all__ = [
     "find_floor_points",
     "find_floors",
     "find_matches",
+    "find_offered",
     "floor_piece",
     "floor_pieces",
     "has_clear_spokes",
@@ -126,7 +129,7 @@ _MODULES = {
     "cleaning.outliers": ("inliers",),
     "cloud": ("Cloud", "make_cloud"),
     "convex.piece": ("Evidence", "Piece"),
-    "detect": ("KINDS", "detect_at", "detect_each", "detect_kinds"),
+    "detect": ("KINDS", "detect_at", "detect_each", "detect_kinds", "find_offered"),
     "detect.door.bodies": ("door_bodies",),
     "detect.door.geometry": ("DoorGeometry", "HandleGeometry"),
     "detect.door.model": ("choose_opening", "read_door"),
@@ -147,6 +150,7 @@ _MODULES = {
     "detect.valve.ring": ("wheel_basis",),
     "detect.valve.wheel": ("detect_valves",),
     "errors": ("CloudError", "PerceptionError"),
+    "files.formats": ("SUFFIXES",),
     "files.npz": ("write_npz",),
     "files.pcd": ("write_pcd",),
     "files.placing": ("METRES_BY_UNIT", "rigid_pose"),

@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
 
-    from perception.detect.registry import KINDS, detect_at, detect_each, detect_kinds
+    from perception.detect.registry import KINDS, detect_at, detect_each, detect_kinds, find_offered
     from perception.detect.shared.detection import Detection
     from perception.view import View
 
-__all__ = ["KINDS", "detect", "detect_at", "detect_each", "detect_kinds"]
+__all__ = ["KINDS", "detect", "detect_at", "detect_each", "detect_kinds", "find_offered"]
 
 
 def detect(kind: str, view: View, hint: Float[np.ndarray, "3"] | None = None) -> list[Detection]:

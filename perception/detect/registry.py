@@ -78,14 +78,25 @@ SHIPPED: Mapping[str, Detector] = {
     "seat": Detector(detect_seat),
     "opening": Detector(detect_opening),
     # Doors whose hinges are on a side that a person states.
-    "door_left": Detector(partial(detect_door, hinge_on="left"), is_offered=False),
-    "door_right": Detector(partial(detect_door, hinge_on="right"), is_offered=False),
+    "door_left": Detector(partial(detect_door, hinge_on="left"), offered_as="door"),
+    "door_right": Detector(partial(detect_door, hinge_on="right"), offered_as="door"),
     # Valves that a plan can turn: wheels and levers; wheels alone.
-    "turnable": Detector(detect_turnable, is_offered=False),
-    "wheel": Detector(detect_wheels, is_offered=False),
+    "turnable": Detector(detect_turnable, offered_as="valve"),
+    "wheel": Detector(detect_wheels, offered_as="valve"),
 }
 DETECTORS: Mapping[str, Detector] = {**SHIPPED, **dict(_find_added())}
-KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.is_offered)
+KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.offered_as is None)
+
+
+def find_offered(kind: str) -> str:
+    """Return the kind that a request names to find what a task looks for as ``kind``.
+
+    Raises:
+        PerceptionError: the kind is unknown.
+    """
+    if kind not in DETECTORS:
+        raise PerceptionError(f"unknown kind '{kind}'; expected one of {', '.join(KINDS)}")
+    return DETECTORS[kind].offered_as or kind
 
 
 def detect_kinds(

@@ -22,6 +22,7 @@ from service.cli.request import request_command
 from service.cli.review import review_command
 from service.cli.robots import robots_command
 from service.cli.scene import detect_command, scene_command
+from service.cli.server.console import console_command
 from service.cli.server.health import health_command
 from service.cli.server.serve import serve_command
 from service.cli.server.token import token_command
@@ -76,6 +77,7 @@ app.command("request", epilog=REMOTE_EXIT_CODES)(request_command)
 app.command("review")(review_command)
 app.command("top")(top_command)
 app.command("serve")(serve_command)
+app.command("console")(console_command)
 app.command("token")(token_command)
 app.command("health")(health_command)
 

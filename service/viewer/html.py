@@ -54,17 +54,23 @@ def render_viewer(payload: Mapping[str, Any]) -> str:
     return render_page(payload, title, "viewer")
 
 
-def render_page(payload: Mapping[str, Any], title: str, program: str) -> str:
+def render_page(payload: Mapping[str, Any], title: str, program: str, is_live: bool = False) -> str:
     """Return a page with one of the programs in ``DIST`` and its data.
 
     The content security policy allows only that program and style, by hash: no name in the data can run as code.
+
+    Args:
+        is_live: whether the page talks to the server that it comes from, shows its pages, and has styles of its own.
     """
     script, style = (DIST / f"{program}.js").read_text("utf-8"), (DIST / "viewer.css").read_text("utf-8")
+    if is_live:
+        style += (DIST / f"{program}.css").read_text("utf-8")
     # "<" is the one character that could end the data's script element early.
     data = json.dumps(to_json_data(payload), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     policy = (
         f"default-src 'none'; script-src '{_source_hash(script)}'; style-src '{_source_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
+        + ("; connect-src 'self'; frame-src 'self'" if is_live else "")
     )
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'

@@ -17,10 +17,10 @@ class Detector:
             the index of its rays; returns detections.
         needs_faces: whether it uses the flat faces, which are found once for all such detectors.
         needs_index: whether it uses the index of the view's rays, made once for all such detectors.
-        is_offered: whether a request may name the kind; the others are for tasks only.
+        offered_as: of a kind for tasks only, the kind that a request names instead; None for those that it may name.
     """
 
     find: Callable[..., list[Detection]]
     needs_faces: bool = False
     needs_index: bool = False
-    is_offered: bool = True
+    offered_as: str | None = None

@@ -10,6 +10,7 @@ import typer
 
 from service.cli.command import command
 from service.cli.server.config import read_config_option
+from service.errors import RequestError
 
 DEFAULT_LISTEN = "127.0.0.1:50051"
 
@@ -55,6 +56,13 @@ def serve_command(
     socket: Annotated[
         Path | None, typer.Option(help="Unix socket for clients of this machine, besides --listen and without TLS.")
     ] = None,
+    console: Annotated[
+        str | None,
+        typer.Option(help="Serve the operator's page there, such as 127.0.0.1:8080 (see scopt console)."),
+    ] = None,
+    scans: Annotated[
+        list[Path] | None, typer.Option(help="Folder with cloud files for the page; may be given again.")
+    ] = None,
     config: Annotated[
         Path | None,
         typer.Option(
@@ -97,4 +105,18 @@ def serve_command(
         executor=executor,
         requests_per_s=requests_per_s,
     )
-    asyncio.run(launch(options, lambda address: typer.echo(f"listening on {address}")))
+    if console is None:
+        asyncio.run(launch(options, lambda address: typer.echo(f"listening on {address}")))
+        return
+    from service.cli.server.console import ConsoleProcess
+
+    with ConsoleProcess(console, scans or ()) as page:
+        is_secure = tls_cert is not None
+        if is_secure and socket is None:
+            raise RequestError("--console: with TLS it reaches the server by --socket PATH; give that too")
+
+        def tell(address: str) -> None:
+            typer.echo(f"listening on {address}")
+            page.start(f"unix:{socket}" if is_secure else address)
+
+        asyncio.run(launch(options, tell))

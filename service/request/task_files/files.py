@@ -150,18 +150,32 @@ def list_folders(own: Sequence[Path] = ()) -> list[Path]:
     return [*own, *named, OWN_FOLDER.expanduser(), SHIPPED]
 
 
+def list_task_paths(own: Sequence[Path] = ()) -> Iterator[Path]:
+    """Yield the paths of all task files, each name once."""
+    seen: set[str] = set()
+    for folder in list_folders(own):
+        for path in sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else ():
+            if path.stem not in seen:
+                seen.add(path.stem)
+                yield path
+
+
+def read_task_file(path: Path) -> TaskFile:
+    """Read and check a task file.
+
+    Raises:
+        RequestError: it cannot be used.
+    """
+    return TaskFile(path.stem, path, load_section(TaskFileData, path))
+
+
 def list_task_files(own: Sequence[Path] = ()) -> Iterator[TaskFile]:
     """Yield all task files, each name once.
 
     Raises:
         RequestError: a file cannot be used.
     """
-    seen: set[str] = set()
-    for folder in list_folders(own):
-        for path in sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else ():
-            if path.stem not in seen:
-                seen.add(path.stem)
-                yield TaskFile(path.stem, path, load_section(TaskFileData, path))
+    yield from map(read_task_file, list_task_paths(own))
 
 
 def find_task_file(name: str, own: Sequence[Path] = ()) -> TaskFile:
@@ -174,6 +188,6 @@ def find_task_file(name: str, own: Sequence[Path] = ()) -> TaskFile:
     for folder in folders:
         path = folder / f"{name}{SUFFIX}"
         if path.parent == folder and path.is_file():
-            return TaskFile(name, path, load_section(TaskFileData, path))
+            return read_task_file(path)
     known = sorted({path.stem for folder in folders if folder.is_dir() for path in folder.glob(f"*{SUFFIX}")})
     raise RequestError(f"task.use: unknown task {shown(name)}; expected {would_do(name, known)}")

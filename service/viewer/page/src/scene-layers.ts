@@ -43,7 +43,7 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
-function pointCloud(points: Float32Array, tints: Float32Array, size: number, opacity: number): Points {
+export function pointCloud(points: Float32Array, tints: Float32Array, size: number, opacity: number): Points {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(points, 3));
   geometry.setAttribute("tint", new BufferAttribute(tints, 3));
@@ -180,7 +180,7 @@ export class Hits implements Layer {
   private readonly frames: Group[] = [];
   private readonly outlines: (LineSegments | undefined)[] = [];
 
-  constructor(scan: Scan) {
+  constructor(scan: Pick<Scan, "detections">) {
     this.count = scan.detections.length;
     for (const hit of scan.detections) {
       const rows = hit.pose_world_object;

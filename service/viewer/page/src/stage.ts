@@ -26,6 +26,7 @@ export class Stage {
   onMoved: () => void = () => {};
   private readonly sun = new DirectionalLight("#ffffff", 2.1);
   private readonly sky = new HemisphereLight("#ffffff", "#888888", 1.5);
+  private readonly watcher: ResizeObserver;
   private isWaiting = false;
   private glide: { from: [Vector3, Vector3]; to: [Vector3, Vector3]; began: number } | null = null;
 
@@ -48,7 +49,8 @@ export class Stage {
       this.onMoved();
     });
     this.light();
-    new ResizeObserver(() => this.resize()).observe(host);
+    this.watcher = new ResizeObserver(() => this.resize());
+    this.watcher.observe(host);
     this.resize();
   }
 
@@ -76,6 +78,17 @@ export class Stage {
     this.draw();
   }
 
+  // Give the canvas and what the graphics card keeps of it back; the stage draws nothing afterwards.
+  close(): void {
+    this.watcher.disconnect();
+    this.isWaiting = true;
+    this.glide = null;
+    this.controls.dispose();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
+    this.renderer.domElement.remove();
+  }
+
   // Whether a drawing or a camera move is still to come.
   get isBusy(): boolean { return this.isWaiting || this.glide !== null; }
 
@@ -94,6 +107,7 @@ export class Stage {
     if (this.isWaiting) return;
     this.isWaiting = true;
     requestAnimationFrame(() => {
+      if (!this.renderer.domElement.isConnected) return;
       this.isWaiting = false;
       this.step();
       this.render();

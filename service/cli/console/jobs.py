@@ -1,0 +1,111 @@
+"""Plans that an operator asked for at the page: they go on while the page is gone, and a new page sees them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing
+from typing import Any
+
+from service.cli.console.sessions import Session
+from service.client import PlannerError
+from service.client.answers import check_result, read_verdict
+from service.errors import RequestError, ServiceError
+from service.proto.planner.v1.planner_pb2 import PlanResponse
+from service.request.schema import PlanRequest
+
+_LOG = logging.getLogger("scopt.console")
+MOST_JOBS = 20  # that a session remembers
+MOST_RUNNING = 4
+TELL_EVERY_S = 0.1
+RUNNING = ("uploading", "queued", "planning")
+
+
+def start_plan(session: Session, task: str, request: PlanRequest, on_accepted: Callable[[str], None]) -> dict[str, Any]:
+    """Begin a plan, and return it as pages draw it; what becomes of it is told to all pages of the session.
+
+    Args:
+        on_accepted: called with the id of the plan.
+
+    Raises:
+        RequestError: too many plans run.
+    """
+    running = [job for job in session.jobs.values() if job["state"] in RUNNING]
+    if len(running) >= MOST_RUNNING:
+        raise RequestError(f"{len(running)} plans run already; stop one, or wait for it")
+    number = max(session.jobs, default=0) + 1
+    job = session.jobs[number] = {
+        "job": number, "task": task, "state": "uploading", "step": "", "fraction": 0.0, "plan_id": "", "verdict": "",
+        "error": "",
+    }  # fmt: skip
+    for old in sorted(session.jobs)[:-MOST_JOBS]:
+        if session.jobs[old]["state"] not in RUNNING:
+            del session.jobs[old]
+    session.tasks[number] = asyncio.create_task(_follow(session, number, request, on_accepted))
+    return dict(job)
+
+
+def cancel_plan(session: Session, number: int) -> None:
+    """Stop a plan, here and at the server.
+
+    Raises:
+        RequestError: there is no such plan.
+    """
+    if number not in session.jobs:
+        raise RequestError(f"job: there is no plan {number} at this console")
+    task = session.tasks.get(number)
+    if task is not None:
+        task.cancel()
+
+
+async def _follow(session: Session, number: int, request: PlanRequest, on_accepted: Callable[[str], None]) -> None:
+    job = session.jobs[number]
+
+    def tell(**changes: Any) -> None:
+        job.update(changes)
+        session.tell({"event": "job", **job})
+
+    try:
+        async with aclosing(session.client.plan_events(request, with_files=True)) as events:
+            await _read_events(events, tell, on_accepted)
+    except asyncio.CancelledError:
+        tell(state="stopped")
+        raise
+    except PlannerError as error:
+        tell(state="failed", error="; ".join(error.problems))
+    except ServiceError as error:
+        tell(state="failed", error=str(error))
+    except Exception:
+        _LOG.exception("plan failed")
+        tell(state="failed", error="the console failed at this plan; see its log")
+    finally:
+        session.tasks.pop(number, None)
+
+
+async def _read_events(
+    events: AsyncIterator[PlanResponse], tell: Callable[..., None], on_accepted: Callable[[str], None]
+) -> None:
+    told, step, verdict = 0.0, "", ""
+    async for event in events:
+        match event.WhichOneof("event"):
+            case "accepted":
+                on_accepted(event.accepted.plan_id)
+                tell(state="planning", plan_id=event.accepted.plan_id)
+            case "queued":
+                tell(state="queued", step=f"place {event.queued.place} in the queue")
+            case "progress":
+                if event.progress.step != step or time.monotonic() - told > TELL_EVERY_S:
+                    step, told = event.progress.step, time.monotonic()
+                    tell(state="planning", step=step, fraction=event.progress.fraction)
+            case "finished":
+                check_result(event.finished.result)
+                verdict = read_verdict(event.finished.result)
+            case _:
+                pass  # files, which are fetched when the plan is opened
+    # Its files are stored by now, so that it can be opened.
+    if verdict:
+        tell(state="finished", verdict=verdict, fraction=1.0)
+    else:
+        tell(state="failed", error="the server ended the call without a plan")

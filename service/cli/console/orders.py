@@ -1,0 +1,180 @@
+"""The orders that a page may give, their arguments, and what carries them out."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Generic, TypeVar
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked
+
+from service.cli.console.inbox import SeenPlans, open_plan, review_plan
+from service.cli.console.jobs import cancel_plan, start_plan
+from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
+from service.cli.console.sessions import Session, Sessions
+from service.cli.console.settings import ConsoleSettings
+from service.cli.console.tabs import list_tabs, make_request
+from service.request.fields import SECTION, Name, PlainData, Point, Section
+from service.request.file import parse_section
+
+T = TypeVar("T")
+Comment = Annotated[str, Field(max_length=10_000)]
+Hash = Annotated[str, Field(max_length=100)]
+
+
+class Console:
+    """What all pages of a console share: sessions and settings, and the plans that were asked for here."""
+
+    def __init__(self, settings: ConsoleSettings) -> None:
+        self.settings = settings
+        self.sessions = Sessions(settings)
+        self.inbox = SeenPlans()
+
+
+@checked(config=SECTION)
+class Nothing(Section):
+    """Arguments of orders that have none."""
+
+
+@checked(config=SECTION)
+class OpenOrder(Section):
+    """Which plan is to be shown."""
+
+    plan_id: Name
+
+
+@checked(config=SECTION)
+class ReviewOrder(Section):
+    """A decision, and what the page showed when it was made.
+
+    Attributes:
+        despite: the plan's verdict, to accept one that is not ``CERTIFIED``.
+    """
+
+    plan_id: Name
+    accept: bool
+    trajectory_sha256: Hash
+    certificate_sha256: Hash
+    page_sha256: Hash
+    comment: Comment = ""
+    despite: Annotated[str, Field(max_length=100)] = ""
+
+
+@checked(config=SECTION)
+class ScanOrder(Section):
+    """Which scan is to be shown, by its name in the list, and which robot stood in it."""
+
+    scan: Name
+    robot: Name
+    posture: Name | None = None
+
+
+@checked(config=SECTION)
+class DetectOrder(Section):
+    """Where the operator clicked in the scan in which a robot stood, and kinds of objects that may be there."""
+
+    scan: Name
+    robot: Name
+    at: Point
+    kinds: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)]
+    posture: Name | None = None
+
+
+@checked(config=SECTION)
+class PlanOrder(Section):
+    """What is to be planned.
+
+    Attributes:
+        task: name of a task file.
+        values: its parameters.
+        robot, posture: the robot, and how it stands at the start.
+        scan: its surroundings; None for none.
+        hit: number of the object that the operator has accepted.
+    """
+
+    task: Name
+    values: PlainData
+    robot: Name
+    posture: Name | None = None
+    scan: Name | None = None
+    hit: int | None = None
+
+
+@checked(config=SECTION)
+class CancelOrder(Section):
+    """Which plan is to be stopped."""
+
+    job: int
+
+
+@dataclass(frozen=True)
+class PageOrder(Generic[T]):
+    """An order with its arguments and what carries it out; the result is JSON-ready."""
+
+    arguments: type[T]
+    act: Callable[[Console, Session, T], Awaitable[Any]]
+
+    async def carry_out(self, console: Console, session: Session, arguments: Mapping[str, Any]) -> Any:
+        """Check the arguments and carry the order out.
+
+        Raises:
+            RequestError: an argument is missing, unknown or wrong.
+            PlannerError: the server refuses, or does not answer.
+        """
+        return await self.act(console, session, parse_section(self.arguments, arguments))
+
+
+async def _inbox(console: Console, session: Session, order: Nothing) -> Any:
+    return await console.inbox.list_plans(session.client)
+
+
+async def _open(console: Console, session: Session, order: OpenOrder) -> Any:
+    shown = await open_plan(session, order.plan_id)
+    console.inbox.add(order.plan_id)
+    return shown
+
+
+async def _review(console: Console, session: Session, order: ReviewOrder) -> Any:
+    hashes = order.trajectory_sha256, order.certificate_sha256, order.page_sha256
+    return await review_plan(session, order.plan_id, order.accept, hashes, order.comment, order.despite)
+
+
+async def _tabs(console: Console, session: Session, order: Nothing) -> Any:
+    robots = await session.client.robots()
+    return {
+        "tabs": list_tabs(),
+        "robots": [{"name": robot.name, "postures": list(robot.postures)} for robot in robots],
+        "scans": list_scans(console.settings.scans),
+    }
+
+
+async def _scan(console: Console, session: Session, order: ScanOrder) -> Any:
+    return await show_scan(console.settings.scans, order.scan, order.robot, order.posture)
+
+
+async def _detect(console: Console, session: Session, order: DetectOrder) -> Any:
+    clouds = await upload_scan(session, console.settings.scans, order.scan, order.robot, order.posture)
+    return await detect_at(session, clouds, order.at, order.kinds)
+
+
+async def _plan(console: Console, session: Session, order: PlanOrder) -> Any:
+    request = make_request(session, console.settings.scans, order)
+    return start_plan(session, order.task, request, console.inbox.add)
+
+
+async def _cancel(console: Console, session: Session, order: CancelOrder) -> Any:
+    cancel_plan(session, order.job)
+    return {}
+
+
+ORDERS: Mapping[str, PageOrder[Any]] = {
+    "inbox": PageOrder(Nothing, _inbox),
+    "open": PageOrder(OpenOrder, _open),
+    "review": PageOrder(ReviewOrder, _review),
+    "tabs": PageOrder(Nothing, _tabs),
+    "scan": PageOrder(ScanOrder, _scan),
+    "detect": PageOrder(DetectOrder, _detect),
+    "plan": PageOrder(PlanOrder, _plan),
+    "cancel": PageOrder(CancelOrder, _cancel),
+}

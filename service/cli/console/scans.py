@@ -1,0 +1,136 @@
+"""Scans beside the console: their list, their points, and what detectors find where the operator clicks."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.cli.console.sessions import Session
+from service.errors import RequestError, shown, would_do
+from service.proto.planner.v1.planner_pb2 import CloudsSpec
+from service.proto.planner.v1.request_pb2 import CloudFile, Start
+from service.request.schema import RobotRequest, StartRequest
+from service.viewer.payload import quantize, thin_points
+
+MOST_SCANS = 200
+MOST_POINTS = 60_000
+ROUND_ROBOT_M = 0.05  # points this near to the robot's shapes are its own
+MOST_HITS = 100  # that a session remembers
+
+
+def list_scans(folders: Sequence[Path]) -> list[dict[str, Any]]:
+    """Return the cloud files in the folders, newest first, with their ages [s]."""
+    now = time.time()
+    found = [(path.stat().st_mtime, name) for name, path in _find_scans(folders).items()]
+    return [
+        {"name": name, "age_s": max(0.0, now - written)} for written, name in sorted(found, reverse=True)[:MOST_SCANS]
+    ]
+
+
+def find_scan(folders: Sequence[Path], name: str) -> Path:
+    """Return the file of a scan that was listed.
+
+    Raises:
+        RequestError: there is none of this name.
+    """
+    found = _find_scans(folders)
+    if name not in found:
+        raise RequestError(
+            f"scan: there is no scan {shown(name)} here; expected {would_do(name, found) or 'a cloud file in --scans'}"
+        )
+    return found[name]
+
+
+async def show_scan(folders: Sequence[Path], name: str, robot: str, posture: str | None) -> dict[str, Any]:
+    """Return the points of a scan without those of the robot, packed for the page, and its age.
+
+    Raises:
+        RequestError: there is no such scan, or it cannot be read.
+    """
+    path = find_scan(folders, name)
+    cloud = await asyncio.to_thread(_read_points, path, robot, posture)
+    return {"name": name, "age_s": max(0.0, time.time() - path.stat().st_mtime), "cloud": quantize(cloud)}
+
+
+async def detect_at(
+    session: Session,
+    clouds: CloudsSpec,
+    at: tuple[float, float, float],
+    kinds: Sequence[str],
+) -> dict[str, Any]:
+    """Return the fits of objects of some kinds at a point that the operator clicked, best first.
+
+    Raises:
+        PlannerError: the server refuses, or does not answer.
+    """
+    hits: list[dict[str, Any]] = []
+    notes: list[str] = []
+    for kind in kinds:
+        reply = await session.client.detect(clouds, kind, hint=at)
+        notes += [note for note in reply.notes if note not in notes]
+        for found in reply.hits:
+            hits.append({
+                "kind": found.kind,
+                "searched": kind,
+                "confidence": found.confidence,
+                "pose_world_object": np.reshape(found.pose_world_object, (4, 4)).tolist(),
+                "sizes": dict(found.sizes),
+                "residuals": dict(found.residuals),
+                "doubts": list(found.doubts),
+                "points": quantize(np.empty((0, 3))),
+            })  # fmt: skip
+    hits.sort(key=lambda hit: -hit["confidence"])
+    for hit in hits:
+        hit["hit"] = max(session.hits, default=0) + 1
+        session.hits[hit["hit"]] = hit
+    for old in sorted(session.hits)[:-MOST_HITS]:
+        del session.hits[old]
+    return {"hits": hits, "notes": notes}
+
+
+async def upload_scan(
+    session: Session, folders: Sequence[Path], name: str, robot: str, posture: str | None
+) -> CloudsSpec:
+    """Upload a scan, and return it as a cloud with the robot that stood in it, whose own points are left out.
+
+    Raises:
+        RequestError: there is no such scan.
+        PlannerError: the server refuses it, or does not answer.
+    """
+    cloud_id = await session.client.upload_cloud(find_scan(folders, name))
+    start = None if posture is None else Start(posture=posture)
+    return CloudsSpec(clouds=[CloudFile(file=cloud_id)], robot=robot, start=start)
+
+
+def _find_scans(folders: Sequence[Path]) -> dict[str, Path]:
+    """Return the cloud files by name; of two with one name, that of the folder given first."""
+    from perception import SUFFIXES
+
+    found: dict[str, Path] = {}
+    for folder in folders:
+        for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+            if path.suffix.lower() in SUFFIXES and path.is_file():
+                found.setdefault(path.name, path)
+    return found
+
+
+def _read_points(path: Path, robot: str, posture: str | None) -> np.ndarray:
+    """Return the points of a cloud file without those of a robot; one that only the server knows keeps its own."""
+    from perception import inside_hulls
+    from service.scan.cloud import CloudInput, read_input
+
+    clouds = CloudInput((path,))
+    start = StartRequest() if posture is None else StartRequest(posture=posture)
+    try:
+        read = read_input(replace(clouds, robot=RobotRequest(name=robot), start=start), lambda step: None)
+    except RequestError:
+        read = read_input(clouds, lambda step: None)
+    points = read.cloud.points
+    own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
+    return thin_points(points[~own], MOST_POINTS)

@@ -1,0 +1,220 @@
+// Starts the console's page: log-in, inbox, task tabs, and what stands beside them.
+import { Job, Plan, Row, Tabs, standingOfRow } from "./console-data";
+import { Judge } from "./console-judge";
+import { Link, State } from "./console-link";
+import { TabView } from "./console-tab";
+import { button, el, words } from "./dom";
+
+interface Settings { version: string; server: string }
+const REFRESH_MS = 3000;
+const INBOX = "inbox";
+
+const saidBy = (error: unknown): string => (error instanceof Error ? error.message : String(error));
+
+class ConsolePage {
+  readonly link: Link;
+  tab: TabView | null = null;
+  private readonly nav = el("nav", "tabs");
+  private readonly list = el("div", "list");
+  private readonly view = el("main", "viewport");
+  private readonly side = el("aside", "panel");
+  private readonly scroll = el("div", "scroll");
+  private readonly bar = el("div", "bar-top");
+  private readonly login = el("form", "login");
+  private readonly where = el("span", "says");
+  private frame: HTMLIFrameElement | null = null;
+  private tabs: Tabs = { tabs: [], robots: [], scans: [] };
+  private rows: Row[] = [];
+  private active = INBOX;
+  private shown = "";
+  private nth = 0;
+  private problem = "";  // of the connection or the lists
+  private notice = "";   // of the last plan that could not be opened
+
+  constructor(private readonly settings: Settings) {
+    this.link = new Link(settings.version);
+    document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+    document.body.classList.add("console");
+    const leave = button("", "Log out", "End this session", () => void this.link.logOut().then(() => location.reload()));
+    const head = el("header", "top", el("div", "what", el("h1", "", "Console"), this.where), this.nav, el("div", "tools", leave));
+    const left = el("aside", "rows", this.list, this.openById());
+    this.side.append(this.scroll);
+    this.bar.hidden = true;
+    this.login.hidden = true;
+    this.makeLogin();
+    document.body.append(head, this.bar, left, this.view, this.side, this.login);
+    this.link.onState = (state, why) => this.tellState(state, why);
+    this.link.onEvent = (event) => this.take(event);
+    setInterval(() => void this.refresh(), REFRESH_MS);
+    void this.link.start();
+  }
+
+  private makeLogin(): void {
+    const token = el("input", "text");
+    token.type = "password";
+    token.autocomplete = "off";
+    token.setAttribute("aria-label", "token");
+    const said = el("p", "said bad");
+    const enter = el("button", "yes", "Log in");
+    this.login.append(el("h2", "", "Log in"), el("p", "soft", `${this.settings.server} asks for your token, the line that scopt token printed.`), token, enter, said);
+    this.login.addEventListener("submit", (event) => {
+      event.preventDefault();
+      said.textContent = "";
+      this.link.logIn(token.value).then(() => { token.value = ""; }, (error: unknown) => { said.textContent = saidBy(error); });
+    });
+  }
+
+  private openById(): HTMLElement {
+    const id = el("input", "text");
+    id.placeholder = "Open a plan by its id";
+    const form = el("form", "byid", id);
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      if (id.value.trim()) void this.open(id.value.trim()).then(() => { id.value = ""; });
+    });
+    return form;
+  }
+
+  private tellState(state: State, why: string): void {
+    this.login.hidden = state !== "login";
+    this.where.textContent = state === "open" ? this.settings.server : state === "login" ? "" : state === "connecting" ? `${this.settings.server}, connecting` : `${this.settings.server}, no connection`;
+    const text = { lost: `${why}; trying again`, stale: why, open: "", connecting: this.bar.textContent ?? "", login: "" }[state];
+    this.say(text, "", state === "stale");
+    document.body.classList.toggle("lost", state !== "open");
+    if (state === "open") void this.refresh();
+  }
+
+  private say(problem: string, notice: string, isStale = false): void {
+    [this.problem, this.notice] = [problem, notice];
+    const text = problem || notice;
+    this.bar.hidden = text === "";
+    this.bar.replaceChildren(text, ...(isStale ? [button("", "Load again", "Load this page again", () => location.reload())] : []));
+  }
+
+  private take(event: Record<string, unknown>): void {
+    if (event.event === "job") this.tab?.follow(event as unknown as Job);
+    if (event.event === "hello") for (const job of event.jobs as Job[]) this.tab?.follow(job);
+  }
+
+  private async refresh(): Promise<void> {
+    if (this.link.state !== "open") return;
+    try {
+      [this.rows, this.tabs] = await Promise.all([this.link.order<Row[]>("inbox"), this.link.order<Tabs>("tabs")]);
+      if (this.link.state === "open") this.say("", this.notice);
+    } catch (error) {
+      // A caller of the wrong role, or a planning server that does not answer: the console itself does.
+      if (this.link.state === "open") this.say(saidBy(error), this.notice);
+    }
+    this.drawTabs();
+    this.drawRows();
+  }
+
+  private drawTabs(): void {
+    const waiting = this.rows.filter((row) => row.needs_decision).length;
+    const inbox = button(this.active === INBOX ? "on" : "", waiting > 0 ? `Inbox ${waiting}` : "Inbox", "Plans that need a decision", () => this.choose(INBOX));
+    const tabs = this.tabs.tabs.map((tab) => {
+      const kind = [tab.name === this.active ? "on" : "", tab.errors.length > 0 ? "wrong" : ""].filter(Boolean).join(" ");
+      return button(kind, words(tab.name), tab.errors[0] ?? tab.help, () => this.choose(tab.name));
+    });
+    this.nav.replaceChildren(inbox, ...tabs);
+  }
+
+  private drawRows(): void {
+    const rows = this.rows.map((row) => {
+      const standing = standingOfRow(row);
+      const item = button(`row ${row.plan_id === this.shown ? "chosen" : ""}`, "", `Open plan ${row.plan_id}`, () => void this.open(row.plan_id));
+      item.append(
+        el("b", "", words(row.verdict || row.state)), el("span", `soft ${standing.tone}`, standing.text),
+        el("span", "id", row.plan_id), el("span", "soft", row.created.replace("T", " ").slice(0, 19)),
+      );
+      return item;
+    });
+    this.list.replaceChildren(...(rows.length > 0 ? rows : [el("p", "soft", "No plan waits for a decision.")]));
+  }
+
+  // Show a task's tab, or what the inbox has open.
+  choose(name: string): void {
+    this.active = name;
+    this.say(this.problem, "");
+    this.clear();
+    const tab = this.tabs.tabs.find((one) => one.name === name);
+    if (tab) {
+      this.tab = new TabView(tab, this.tabs, this.link, this.view, (job) => {
+        if (job.state === "finished") void this.open(job.plan_id);
+      });
+      this.scroll.replaceChildren(this.tab.element);
+    } else this.scroll.replaceChildren(el("p", "soft", "Choose a plan, or a task above."));
+    this.drawTabs();
+    this.drawRows();
+  }
+
+  private clear(): void {
+    this.tab?.close();
+    this.tab = null;
+    this.frame?.remove();
+    this.frame = null;
+    this.shown = "";
+    this.view.replaceChildren();
+  }
+
+  async open(planId: string): Promise<void> {
+    try {
+      const plan = await this.link.order<Plan>("open", { plan_id: planId });
+      this.clear();
+      this.shown = planId;
+      this.say(this.problem, "");
+      this.show(plan);
+    } catch (error) {
+      this.say(this.problem, saidBy(error));
+    }
+    void this.refresh();
+  }
+
+  private show(plan: Plan): void {
+    const judge = new Judge(plan, (check) => this.look(check), async ({ accept, comment, despite }) => {
+      const row = await this.link.order<Row>("review", {
+        plan_id: plan.plan_id, accept, comment, despite, trajectory_sha256: plan.trajectory_sha256,
+        certificate_sha256: plan.certificate_sha256, page_sha256: plan.page_sha256,
+      });
+      void this.refresh();
+      return row;
+    });
+    this.scroll.replaceChildren(judge.element);
+    if (!plan.has_page) {
+      this.view.append(el("p", "broken", "This plan has no page; it was asked for without files."));
+      return;
+    }
+    // The very page whose hash the approval has; it cannot reach this one.
+    this.frame = el("iframe", "viewer");
+    this.frame.setAttribute("sandbox", "allow-scripts allow-downloads");
+    this.frame.title = `Motion of plan ${plan.plan_id}`;
+    this.frame.src = this.addressOf(plan.plan_id, "panel=0");
+    this.view.append(this.frame);
+  }
+
+  private addressOf(planId: string, hash: string): string {
+    return `/plans/${encodeURIComponent(planId)}/viewer.html#${hash}&theme=${document.documentElement.dataset.theme}`;
+  }
+
+  // The motion goes to where a check is tightest; the number makes the same check twice a change.
+  private look(check: number): void {
+    if (this.frame) this.frame.src = this.addressOf(this.shown, `panel=0&check=${check}&n=${++this.nth}`);
+  }
+}
+
+try {
+  const settings = JSON.parse(document.getElementById("payload")!.textContent) as Settings;
+  const page = new ConsolePage(settings);
+  Object.assign(window, { __viewer: {
+    ready: true,
+    get busy(): boolean { return page.tab?.view?.stage.isBusy ?? false; },
+    get state(): State { return page.link.state; },
+    get hasScan(): boolean { return page.tab?.view !== null && page.tab?.view !== undefined; },
+    choose: (name: string): void => page.choose(name),
+    open: (id: string): Promise<void> => page.open(id),
+    project: (place: number[]): number[] | null => page.tab?.view?.pixel(place) ?? null,
+  } });
+} catch (error) {
+  document.body.append(el("p", "broken", `This page could not be shown: ${String(error)}.`));
+  throw error;
+}

@@ -1,0 +1,109 @@
+"""Tabs follow the task files, and make the requests that these stand for."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.cli.console.orders import PlanOrder
+from service.cli.console.sessions import Session
+from service.cli.console.tabs import list_tabs, make_request
+from service.errors import RequestError
+
+KNOCK = """
+help: Knock.
+parameters:
+  far: {type: number, unit: m, default: 0.05, range: [0.01, 0.2], help: way of the hand}
+task:
+  steps:
+    - move: {hand: right, by: {translation: "${[far, 0, 0]}"}, along: line, speed_m_s: 0.2}
+"""
+HIT: dict[str, Any] = {
+    "hit": 3, "kind": "valve", "searched": "valve", "confidence": 0.9, "sizes": {"outer_radius": 0.13},
+    "pose_world_object": [[1, 0, 0, 0.68], [0, 1, 0, 0.12], [0, 0, 1, 1.1], [0, 0, 0, 1]],
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's folder of task files."""
+    monkeypatch.setenv("SCOPT_TASKS", str(tmp_path))
+    return tmp_path
+
+
+def session(**hits: Any) -> Session:
+    made = Session("key", "forgery", None)  # type: ignore[arg-type]
+    made.hits.update({3: HIT, 4: {**HIT, "searched": "panel", "hit": 4}})
+    return made
+
+
+def names() -> dict[str, dict[str, Any]]:
+    return {tab["name"]: tab for tab in list_tabs()}
+
+
+def test_a_new_file_in_the_users_folder_is_a_tab_at_once(folder: Path) -> None:
+    assert "knock" not in names()
+    (folder / "knock.yaml").write_text(KNOCK)
+    tab = names()["knock"]
+    assert tab["help"] == "Knock."
+    assert [(one["name"], one["unit"], one["default"]) for one in tab["parameters"]] == [("far", "m", 0.05)]
+    assert tab["errors"] == []
+
+
+def test_a_file_with_an_error_is_a_tab_that_names_it_and_leaves_the_others_alone(folder: Path) -> None:
+    (folder / "knock.yaml").write_text(KNOCK.replace("type: number", "type: nummer"))
+    (folder / "torn.yaml").write_text("help: [")
+    tabs = names()
+    assert "parameters.far.type" in tabs["knock"]["errors"][0]
+    assert "knock.yaml" in tabs["knock"]["errors"][0]
+    assert "torn.yaml" in tabs["torn"]["errors"][0]
+    assert tabs["valve"]["errors"] == []
+
+
+def test_a_tab_knows_what_may_be_clicked_by_names_that_a_request_may_use(folder: Path) -> None:
+    from perception import KINDS
+
+    tabs = names()
+    assert tabs["valve"]["kinds"] == ["valve"]
+    assert tabs["door"]["kinds"] == ["door"]
+    assert tabs["button"]["kinds"] == ["panel"]
+    assert all(kind in KINDS for tab in tabs.values() for kind in tab["kinds"])
+
+
+def test_a_task_looks_for_its_object_where_the_operator_accepted_one(folder: Path, tmp_path: Path) -> None:
+    scan = Path(__file__).parents[2] / "examples" / "data" / "valve_scan.pcd"
+    shutil.copy(scan, tmp_path / "a.pcd")
+    order = PlanOrder(task="valve", values={"turn": 60}, robot="atlas", scan="a.pcd", hit=3)
+    request = make_request(session(), (tmp_path,), order)
+    assert request.section.near == (0.68, 0.12, 1.1)
+    assert [cloud.file for cloud in request.scene.cloud_files] == [str(tmp_path / "a.pcd")]
+
+
+def test_parameters_are_read_off_the_accepted_object_unless_the_operator_sets_them(folder: Path) -> None:
+    request = make_request(session(), (), PlanOrder(task="button", values={}, robot="atlas", hit=4))
+    press = request.section.steps[0].press  # type: ignore[attr-defined]
+    assert tuple(press.at) == (0.68, 0.12, 1.1)
+    own = PlanOrder(task="button", values={"at": [1, 0, 1]}, robot="atlas", hit=4)
+    assert tuple(make_request(session(), (), own).section.steps[0].press.at) == (1, 0, 1)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (PlanOrder(task="knock", values={"far": 3}, robot="atlas"), "task.with.far: expected 0.01 to 0.2 m, got 3"),
+        (PlanOrder(task="knok", values={}, robot="atlas"), "unknown task 'knok'; expected knock"),
+        (PlanOrder(task="../knock", values={}, robot="atlas"), "task.use"),
+        (PlanOrder(task="knock", values={}, robot="atlas", scan="no.pcd"), "scan: there is no scan 'no.pcd' here"),
+        (PlanOrder(task="knock", values={}, robot="atlas", scan="../../a.pcd"), "scan: there is no scan"),
+        (PlanOrder(task="valve", values={}, robot="atlas", hit=99), "hit: object 99 is not known any more"),
+        (PlanOrder(task="button", values={}, robot="atlas"), "task.with.at: is missing; middle of the button's front"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_named(folder: Path, order: PlanOrder, words: str) -> None:
+    (folder / "knock.yaml").write_text(KNOCK)
+    with pytest.raises(RequestError) as caught:
+        make_request(session(), (folder,), order)
+    assert any(words in problem for problem in caught.value.problems)
