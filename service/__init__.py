@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from service.execution.execution import Execution
     from service.execution.machine import Order
     from service.execution.reference import PlannedReference
+    from service.execution.session import Session
     from service.execution.settings import ExecutionSettings
     from service.execution.tracking import Action, track
     from service.planner import plan
@@ -22,11 +23,10 @@ if TYPE_CHECKING:
     from service.replay.exchange.read import read_trajectory
     from service.request.file import load_request, parse_request, request_hash
     from service.request.schema import PlanRequest
-    from service.request.tasks.reach import PoseGoalRequest
+    from service.request.tasks.reach import GoalRequest, PoseGoalRequest
     from service.result.folder import read_result
     from service.result.output import write_result
     from service.result.result import PlanResult
-    from service.session import Session
     from service.setup.prepare import PlanSetup, prepare
     from service.simulation.options import SimulationOptions
     from service.simulation.simulate import simulate
@@ -39,6 +39,7 @@ __all__ = [
     "Execution",
     "ExecutionError",
     "ExecutionSettings",
+    "GoalRequest",
     "IkSolution",
     "JointCommand",
     "JointTrajectory",
@@ -85,16 +86,16 @@ _MODULES = {
     "execution.settings": ("ExecutionSettings",),
     "execution.machine": ("Order",),
     "execution.reference": ("PlannedReference",),
+    "execution.session": ("Session",),
     "execution.tracking": ("Action", "track"),
     "planner": ("plan",),
     "request.file": ("load_request", "parse_request", "request_hash"),
     "tasks.queries": ("IkSolution", "PoseClearance", "SweepClearance", "clearance", "solve_ik", "sweep_clearance"),
     "request.schema": ("PlanRequest",),
-    "request.tasks.reach": ("PoseGoalRequest",),
+    "request.tasks.reach": ("GoalRequest", "PoseGoalRequest"),
     "result.folder": ("read_result",),
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),
-    "session": ("Session",),
     "setup.prepare": ("PlanSetup", "prepare"),
     "simulation.options": ("SimulationOptions",),
     "simulation.simulate": ("simulate",),

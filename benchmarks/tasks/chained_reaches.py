@@ -17,12 +17,12 @@ import numpy as np
 
 from benchmarks.tables import print_table
 from scopt import EffortClock
+from service.execution.session import Session
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.result import PlanResult, Verdict
-from service.session import Session
 
 BOXES = (
     {"name": "post", "type": "box", "size": [0.06, 0.06, 1.6], "position": [0.55, 0.25, 0.8]},
