@@ -30,8 +30,7 @@ def find_shapeless_links(prepared: PreparedMotion, tree: LinkTree) -> tuple[Shap
     return tuple(
         Shapeless(link, _place(tree, link), _reach(prepared, tree, link, elements.get(link)))
         for link in tree.joint
-        if link not in prepared.motion.mechanism_links
-        and (link not in tree.shaped or _has_token(prepared, link, elements.get(link)))
+        if link not in prepared.motion.mechanism_links and (link not in tree.shaped or _has_token(prepared, link))
     )
 
 
@@ -41,20 +40,33 @@ def list_drawn_links(prepared: PreparedMotion) -> frozenset[str]:
     return frozenset(link for link, element in elements.items() if element.find("visual") is not None)
 
 
-def _has_token(prepared: PreparedMotion, link: str, element: ElementTree.Element | None) -> bool:
+def _has_token(prepared: PreparedMotion, link: str) -> bool:
     """Return whether a link's collision shapes are far smaller than its drawn shapes.
 
     A mesh read in the wrong unit, or boxes of a centimetre inside a forearm, would let it pass through walls.
     """
-    if element is None:
+    drawn = _measure_drawn(prepared.motion.robot.source.urdf).get(link)
+    if drawn is None:
         return False
-    try:
-        drawn = list(_list_drawn_boxes(element))
-    except ValueError:  # the loader does not validate drawn shapes
-        return False
+    side, mesh_share = drawn
     shapes = [body.vertices for body in prepared.motion.robot.bodies if body.link == link]
-    is_token = bool(drawn) and _side(shapes) < _TOKEN_SHARE * max(_side([points]) for points in drawn)
-    return is_token or _mesh_share(element) < _TOKEN_SHARE
+    return (side > 0.0 and _side(shapes) < _TOKEN_SHARE * side) or mesh_share < _TOKEN_SHARE
+
+
+@lru_cache(maxsize=4)
+def _measure_drawn(urdf: str) -> Mapping[str, tuple[float, float]]:
+    """Return by link the longest side of its drawn shapes [m], 0 without any, and ``_mesh_share``.
+
+    Links whose drawn shapes are no numbers are left out: the loader does not validate them.
+    """
+    drawn = {}
+    for link, element in _elements(urdf).items():
+        try:
+            side = max((_side([points]) for points in _list_drawn_boxes(element)), default=0.0)
+            drawn[link] = side, _mesh_share(element)
+        except ValueError:
+            continue
+    return drawn
 
 
 def _mesh_share(element: ElementTree.Element) -> float:
