@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from service.cli.console.guard import find_problem
 from service.cli.console.serve import parse_listen
+from service.cli.server.console import ConsoleProcess, find_target
 from service.errors import RequestError
 
 HOSTS = ("127.0.0.1:8080", "localhost:9000", "localhost", "[::1]:8080", "127.0.0.1")
@@ -64,3 +65,21 @@ def test_the_page_is_served_to_this_machine_alone(listen: str, words: str) -> No
     with pytest.raises(RequestError, match=words):
         parse_listen(listen)
     assert parse_listen("[::1]:0") == ("::1", 0)
+
+
+@pytest.mark.parametrize(
+    ("address", "target"),
+    [
+        ("0.0.0.0:50051", "127.0.0.1:50051"),
+        ("[::]:50051", "[::1]:50051"),
+        ("127.0.0.1:7", "127.0.0.1:7"),
+        ("unix:/run/scopt.sock", "unix:/run/scopt.sock"),
+    ],
+)
+def test_a_console_beside_a_server_reaches_it_by_this_machine(address: str, target: str) -> None:
+    assert find_target(address) == target
+
+
+def test_a_server_names_its_own_option_for_an_address_that_its_page_cannot_have() -> None:
+    with pytest.raises(RequestError, match=r"--console 0\.0\.0\.0:8080: the page has no TLS"):
+        ConsoleProcess("0.0.0.0:8080", ())

@@ -80,7 +80,7 @@ def page_of(browser: TestClient, token: str = KNOWN) -> Iterator[Page]:
 
 
 def test_a_wrong_token_is_refused_in_the_words_of_the_server(browser: TestClient) -> None:
-    assert browser.get("/session").json()["code"] == "UNAUTHENTICATED"
+    assert browser.post("/session", headers=ORIGIN).json()["code"] == "UNAUTHENTICATED"
     reply = browser.post("/login", json={"token": "scopt_wrong"}, headers=ORIGIN)
     assert (reply.status_code, reply.json()["error"]) == (403, "authorization: the token is unknown to this server")
     assert COOKIE not in reply.cookies
@@ -95,12 +95,12 @@ def test_the_cookie_is_the_pages_own_and_the_token_is_not_in_it(browser: TestCli
     assert "httponly" in cookie
     assert "samesite=strict" in cookie
     assert KNOWN not in cookie
-    assert browser.get("/session").json()["forgery"] == reply.json()["forgery"]
+    assert browser.post("/session", headers=ORIGIN).json()["forgery"] == reply.json()["forgery"]
 
 
 def test_a_server_that_does_not_answer_is_named(tmp_path: Path) -> None:
     with TestClient(make_app(ConsoleSettings("localhost:1", scans=(tmp_path,))), BASE) as browser:
-        reply = browser.get("/session")
+        reply = browser.post("/session", headers=ORIGIN)
     assert reply.status_code == 503
     assert "no server answers at localhost:1" in reply.json()["error"]
 
@@ -110,8 +110,10 @@ def test_forged_orders_are_refused(browser: TestClient, stand_in: GuardedStandIn
     for headers in ({}, {"origin": "http://evil.example"}, {"origin": "http://127.0.0.1:9999"}, {"origin": "null"}):
         assert browser.post("/login", json={"token": KNOWN}, headers=headers).status_code == 403
         assert browser.post("/logout", headers=headers).status_code == 403
+        assert browser.post("/session", headers=headers).status_code == 403
         with pytest.raises(WebSocketDisconnect), browser.websocket_connect(ORDERS, headers=headers):
             pass
+    assert browser.get("/session").status_code == 405
     n_calls = len(stand_in.requests)
     hellos = [
         ({"version": said["version"], "forgery": "guessed"}, "forgery: is not that of this session"),
@@ -187,7 +189,7 @@ def test_a_plan_goes_on_while_its_page_is_gone_and_a_new_page_sees_it(
     with page_of(browser) as page:
         job = page.order("plan", task="up", values={}, robot="atlas")["result"]
         page.wait(lambda event: event.get("plan_id") == PLAN_ID)
-    said = browser.get("/session").json()
+    said = browser.post("/session", headers=ORIGIN).json()
     with browser.websocket_connect(ORDERS, headers=ORIGIN) as socket:
         socket.send_json({"hello": {"version": page_version(), "forgery": said["forgery"]}})
         (again,) = socket.receive_json()["jobs"]

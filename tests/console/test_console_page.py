@@ -98,7 +98,7 @@ def click(browser: Browser, selector: str, text: str) -> None:
 
 
 def log_in(browser: Browser, token: str) -> None:
-    wait(browser, "!document.querySelector('.login').hidden")
+    wait(browser, "document.querySelector('.login')?.hidden === false")
     browser.run(f"document.querySelector('.login input').value = {json.dumps(token)}")
     click(browser, ".login button", "Log in")
 

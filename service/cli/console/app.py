@@ -84,7 +84,8 @@ def make_app(settings: ConsoleSettings) -> Starlette:
 
     routes = [
         Route("/", show_page),
-        Route("/session", tell_session),
+        # By POST, so that no page of another origin can begin sessions until the operator's own has to end.
+        Route("/session", tell_session, methods=["POST"]),
         Route("/login", log_in, methods=["POST"]),
         Route("/logout", log_out, methods=["POST"]),
         Route("/plans/{plan_id}/viewer.html", show_viewer),

@@ -27,7 +27,7 @@ export class Link {
   async start(): Promise<void> {
     this.tell("connecting", "");
     try {
-      const reply = await fetch("/session");
+      const reply = await fetch("/session", { method: "POST" });
       await this.enter(reply);
     } catch (error) {
       if (error instanceof OrderError && error.code === "UNAUTHENTICATED") this.tell("login", "");
