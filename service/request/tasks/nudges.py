@@ -86,7 +86,11 @@ def make_nudge(key: str, settings: NudgeSettings) -> dict[str, Any]:
     if settings.hand == "both":
         if settings.middle is None:
             raise RequestError(f"key {key}: turns both hands about the point between them; expected it in middle")
-        turn = {"axis": list(axis), "centre": list(settings.middle), "rotation_deg": math.degrees(NUDGE_RAD)}
+        turn: dict[str, Any] = {
+            "axis": list(axis),
+            "centre": list(settings.middle),
+            "rotation_deg": math.degrees(NUDGE_RAD),
+        }
         return {"screw": {**_list_fields(settings), **turn}}
     axes = "world" if key.isupper() else "hand"
     shift = {"rotation_deg": [math.degrees(NUDGE_RAD) * part for part in axis], "axes": axes}
