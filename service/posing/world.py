@@ -49,7 +49,7 @@ GAIN = 0.3  # of the merit that a further step of the optimiser has to promise
 PREVIEW_STEPS = 2  # of damped least squares
 SHARES = (0.5, 0.25, 0.1)  # of a step that the verifier refuses which are tried in its place
 OPTIONS = Options()
-SETTINGS = Settings(max_iterations=10, penalty=100.0, max_penalty_raises=1, trust_radius=0.1)
+SETTINGS = Settings(max_iterations=6, penalty=100.0, max_penalty_raises=1, trust_radius=0.1)
 
 
 @dataclass(frozen=True)
