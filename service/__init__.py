@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from service.execution.execution import Execution
     from service.execution.machine import Order
     from service.execution.reference import PlannedReference
-    from service.execution.session import Session
+    from service.execution.session import ReachSession
     from service.execution.settings import ExecutionSettings
     from service.execution.tracking import Action, track
     from service.planner import plan
@@ -50,12 +50,12 @@ __all__ = [
     "PlannedReference",
     "PoseClearance",
     "PoseGoalRequest",
+    "ReachSession",
     "RequestError",
     "ResultError",
     "RobotDriver",
     "RobotReading",
     "ServiceError",
-    "Session",
     "SimulationOptions",
     "StanceSearch",
     "SweepClearance",
@@ -86,7 +86,7 @@ _MODULES = {
     "execution.settings": ("ExecutionSettings",),
     "execution.machine": ("Order",),
     "execution.reference": ("PlannedReference",),
-    "execution.session": ("Session",),
+    "execution.session": ("ReachSession",),
     "execution.tracking": ("Action", "track"),
     "planner": ("plan",),
     "request.file": ("load_request", "parse_request", "request_hash"),

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.tables import print_table
 from scopt import EffortClock
-from service.execution.session import Session
+from service.execution.session import ReachSession
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
@@ -53,7 +53,7 @@ def main() -> None:
     places = rng.uniform(LOW, HIGH, (given.places, 3))
     began = time.process_time()
     request = make_request()
-    session = Session(request)
+    session = ReachSession(request)
     warm, cold = [time.process_time() - began], [0.0]
     results: list[tuple[PlanResult, PlanResult]] = []
     at = -1

@@ -28,7 +28,7 @@ REACHED = (Verdict.CERTIFIED, Verdict.FEASIBLE_AT_SAMPLES)
 Path = Float[np.ndarray, "T n"]
 
 
-class Session:
+class ReachSession:
     """A robot that reaches for one goal after another, each from where the last plan that was found ended.
 
     Robot and scan are read once.  A search begins with an earlier motion of the session whose ends are near the new

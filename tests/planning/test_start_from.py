@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from jaxtyping import Float
 from planar_arm import write_planar_arm
 
-from service import Session
+from service import ReachSession
 from service.body.paths import bend_path
 from service.errors import RequestError, ResultError
 from service.planner import plan
@@ -104,7 +104,7 @@ def test_waypoints_of_another_robot_are_refused_in_a_sentence(request_past_the_p
 
 
 def test_a_session_goes_back_by_the_way_it_came(request_past_the_post: PlanRequest) -> None:
-    session = Session(request_past_the_post)
+    session = ReachSession(request_past_the_post)
     there = session.plan()
     back = session.plan(GoalRequest(joints=shift(SIDES[0], 0.02)))
     assert session.last is back
@@ -115,7 +115,7 @@ def test_a_session_goes_back_by_the_way_it_came(request_past_the_post: PlanReque
 
 
 def test_a_session_may_be_told_where_the_robot_is(request_past_the_post: PlanRequest) -> None:
-    session = Session(request_past_the_post)
+    session = ReachSession(request_past_the_post)
     result = session.plan(GoalRequest(joints=SIDES[0]), StartRequest(joints=shift(SIDES[0], 0.1)))
     assert result.verdict is Verdict.CERTIFIED
     assert np.allclose(result.start, [-0.7, 0.1, 0.1])
@@ -124,7 +124,7 @@ def test_a_session_may_be_told_where_the_robot_is(request_past_the_post: PlanReq
 def test_a_session_of_a_task_is_refused() -> None:
     request = parse_request({"robot": {"name": "atlas"}, "task": {"steps": [{"wait": "once"}]}})
     with pytest.raises(RequestError, match="a session plans reaches"):
-        Session(request)
+        ReachSession(request)
 
 
 def test_a_state_file_has_where_the_robot_is_at_a_time(earlier: PlanResult, tmp_path: Path) -> None:
