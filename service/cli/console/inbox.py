@@ -15,7 +15,7 @@ from service.errors import RequestError, ServiceError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState
 from service.result.folder import VIEWER_NAME
 
-MOST_LISTED = 100
+MOST_LISTED = 30
 
 
 class SeenPlans:

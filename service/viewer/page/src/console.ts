@@ -6,7 +6,7 @@ import { TabView } from "./console-tab";
 import { button, el, words } from "./dom";
 
 interface Settings { version: string; server: string }
-const REFRESH_MS = 3000;
+const REFRESH_MS = 5000;
 const INBOX = "inbox";
 
 const saidBy = (error: unknown): string => (error instanceof Error ? error.message : String(error));
@@ -45,7 +45,7 @@ class ConsolePage {
     document.body.append(head, this.bar, left, this.view, this.side, this.login);
     this.link.onState = (state, why) => this.tellState(state, why);
     this.link.onEvent = (event) => this.take(event);
-    setInterval(() => void this.refresh(), REFRESH_MS);
+    setInterval(() => { if (!document.hidden) void this.refresh(); }, REFRESH_MS);
     void this.link.start();
   }
 
