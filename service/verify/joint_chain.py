@@ -23,7 +23,7 @@ import pinocchio as pin
 from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
-from service.verify.curve_bounds import RateBounds
+from service.verify.curves.bounds import RateBounds
 from service.verify.motion import VerifyError
 
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from costs.curve import Curve, PolynomialCurve, TimeLaw, differentiate
 from service.verify.certificate import Basis, Check, Where
+from service.verify.curves.polynomials import bound_range
 from service.verify.motion import Motion, Phase, VerifySettings
-from service.verify.polynomials import bound_range
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.timeline import find_time, find_times
 from service.verify.validation import check_law

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from costs.stopping import poll
 from costs.work_space import borrow_data
 from service.verify.carrying.placing import split_motion
-from service.verify.curve_bounds import RateBounds, Rates, position_range
+from service.verify.curves.bounds import RateBounds, Rates, position_range
 from service.verify.joint_chain import JointTree
 from service.verify.motion import Motion, Phase, VerifyError
 from service.verify.timeline import list_phases, split_at_phases

@@ -9,7 +9,7 @@ import pytest
 
 from service.verify import HandContact, HandPush, HeldJoint
 from service.verify.forces.hand_balance import Meeting
-from service.verify.forces.letting_go import MOST_DRAG_M, Drag
+from service.verify.forces.letting_go import MOST_DRAG_M, JointDrag
 
 ALONG, AWAY = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
@@ -31,10 +31,10 @@ class StraightPath:
         return 0.5 * np.linalg.norm(self.velocity) * (last - first)[None]
 
 
-def make_drag(velocity: np.ndarray, low: float, high: float, force: float = 8.0) -> Drag:
+def make_drag(velocity: np.ndarray, low: float, high: float, force: float = 8.0) -> JointDrag:
     contact = HandContact("tool", "the rod", np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]]), 0.009, "m/link", "m/body")
     push = HandPush("turn", 1.0, force, (contact,), (0.3, 0.6), (HeldJoint("slide", low, high),))
-    return Drag(StraightPath(velocity), push, 0, 0.0)
+    return JointDrag(StraightPath(velocity), push, 0, 0.0)
 
 
 @pytest.mark.parametrize(("bears", "is_possible"), [(4.7, True), (4.9, False)])
@@ -72,7 +72,7 @@ def test_a_hand_that_leaves_straight_off_a_face_does_not_pull_it_along() -> None
 
     contact = HandContact("tool", "the rod", np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]]), 0.009, "m/link", "m/body")
     push = HandPush("turn", 1.0, 8.0, (contact,), (0.3, 0.6), (HeldJoint("slide", -np.inf, 0.1),))
-    assert not Drag(SquarePath(0.1 * AWAY), push, 0, 0.0).is_possible
+    assert not JointDrag(SquarePath(0.1 * AWAY), push, 0, 0.0).is_possible
     pushed = replace(push, held=(HeldJoint("slide", -0.1, np.inf),))
-    into = Drag(SquarePath(-0.1 * AWAY), pushed, 0, 0.0)
+    into = JointDrag(SquarePath(-0.1 * AWAY), pushed, 0, 0.0)
     assert into.bound(np.zeros(1), np.ones(1))[2][0] == pytest.approx(0.1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from small_robots import let_some_follow, random_curve, random_model
 
 from costs.curve import Curve
-from service.verify.curve_bounds import Rates, position_range
+from service.verify.curves.bounds import Rates, position_range
 from service.verify.joint_chain import JointTree
 from service.verify.motion import VerifyError
 from service.verify.prepared_motion import ForwardKinematics

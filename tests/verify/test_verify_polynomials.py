@@ -13,9 +13,9 @@ from costs.curve import PolynomialCurve, differentiate, evaluate_polynomials
 from costs.scene import Scene
 from service.replay.exchange.interpolation import make_curve, make_even_law
 from service.verify import Motion, VerifyError, verify
-from service.verify.curve_bounds import Rates, position_range
+from service.verify.curves.bounds import Rates, position_range
+from service.verify.curves.polynomials import bound_range, restrict
 from service.verify.limits import measure_timed_peaks
-from service.verify.polynomials import bound_range, restrict
 
 
 def _points(seed: int, count: int = 5, n: int = 2) -> tuple[np.ndarray, ...]:

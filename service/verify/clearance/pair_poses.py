@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from costs.stopping import poll
 from service.verify.clearance.pairs import PairIntervals, PairTable
-from service.verify.curve_bounds import RateBounds
+from service.verify.curves.bounds import RateBounds
 from service.verify.joint_chain import JointChain
 from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import Placements, PreparedMotion

@@ -37,7 +37,7 @@ def check_letting_go(prepared: PreparedMotion, phase: Phase, settings: VerifySet
     for push in before.pushes:
         path = PushPath(prepared, push, settings.rounding)
         for index, held in enumerate(push.held):
-            drag = Drag(path, push, index, before.last)
+            drag = JointDrag(path, push, index, before.last)
             if not drag.is_possible:
                 continue
             found = proof.bound(drag.bound, MOST_DRAG_M, _RESOLUTION_M)
@@ -64,7 +64,7 @@ def _find_last_push(prepared: PreparedMotion, phase: Phase) -> Phase | None:
     return None
 
 
-class Drag:
+class JointDrag:
     """Displacement of a hand along the way of a joint that has to stay, while it may still press [m]."""
 
     def __init__(self, path: PushPath, push: HandPush, index: int, begin: float) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.curve import Curve, differentiate
+from service.verify.curves.polynomials import bound_range, bound_size, restrict
 from service.verify.motion import VerifyError
-from service.verify.polynomials import bound_range, bound_size, restrict
 
 
 @dataclass(frozen=True)
